@@ -1,0 +1,1 @@
+"""From light barrier to frames in shared memory: controller, cameras, ring, recorder."""

@@ -1,0 +1,1 @@
+"""The trigger controller: one interface, one module per backend."""

@@ -1,0 +1,88 @@
+"""What the recorder asks of the controller: arm, pulses with index and time, barrier events, stop.
+
+Real time belongs to the controller: once armed it watches the barrier and fires cameras and LEDs by
+itself; the host learns of it by events and may be late.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import Protocol
+
+from vaoi_station.acquisition.cameras.interface import ClockReading
+
+
+@dataclass(frozen=True)
+class TriggerPlan:
+    """What happens after the barrier's edge; fixed while armed."""
+
+    start_delay_s: float
+    period_s: float
+    tail_s: float
+    max_rows: int
+    debounce_s: float
+    lights: Sequence[str] = ()
+    """Names of the light patterns, used in turn; empty: always the same light."""
+
+
+@dataclass(frozen=True)
+class ControllerEvent:
+    """Something that happened, numbered from 0 without gaps, with the controller's own time."""
+
+    number: int
+    time_s: float
+
+
+@dataclass(frozen=True)
+class BarrierBlocked(ControllerEvent):
+    """A board has reached the barrier; a run begins."""
+
+
+@dataclass(frozen=True)
+class BarrierClear(ControllerEvent):
+    """The board has left the barrier; the tail begins."""
+
+
+@dataclass(frozen=True)
+class BarrierBounce(ControllerEvent):
+    """An interruption too short to be a board was ignored."""
+
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class PulseFired(ControllerEvent):
+    """All cameras and LEDs were triggered; `time_s` is the rising edge."""
+
+    index: int
+    light: str = ""
+
+
+@dataclass(frozen=True)
+class RunEnded(ControllerEvent):
+    """The last pulse of a run has been fired."""
+
+    pulses: int
+    reason: str
+    """"clear" (board left, tail over) or "max-rows" (the board did not leave in time)."""
+
+
+class Controller(Protocol):
+    """The trigger controller; it stays armed for one passage after another until disarmed."""
+
+    def start(self, events: SimpleQueue[ControllerEvent]) -> None:
+        """Begin to report events."""
+
+    def arm(self, plan: TriggerPlan) -> None:
+        """From now on every passage of the barrier is a run with this plan."""
+
+    def disarm(self) -> None:
+        """Ignore the barrier; a run under way is ended with the next pulse left out."""
+
+    def read_clock(self) -> ClockReading:
+        """Compare the controller's clock with the host's."""
+
+    def close(self) -> None:
+        """Outputs off, port closed."""

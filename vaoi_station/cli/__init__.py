@@ -1,0 +1,26 @@
+"""`vaoi …`: one module per command; heavy imports happen inside the commands, so that `--help` is quick."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
+
+app = typer.Typer(
+    name="vaoi",
+    help="Inline Video-AOI station: plan it, simulate it, film boards, stitch them, hand out component images.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def main() -> None:
+    """Run a command; a refusal is a sentence on stderr and exit code 2 (input), 3 (device, state) or 4 (ours)."""
+    try:
+        app()
+    except VaoiError as error:
+        sys.stderr.write(f"vaoi: {error}\n")
+        sys.exit(2 if isinstance(error, InputError | NotFoundError) else 4 if isinstance(error, InternalError) else 3)

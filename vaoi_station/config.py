@@ -1,0 +1,209 @@
+"""`station.toml` → one frozen `StationConfig`; unknown keys and impossible values are refused.
+
+Relative paths in the file are relative to the file. Lengths along the line are in tester
+coordinates (mm in the conveyor's plane, axes and origin of the calibration board).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from vaoi_station.files.documents import parse, read_toml
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A table of the file: frozen, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ExpectedBoard(Section):
+    """Where the board lies when the first row is filmed, and how well that is known.
+
+    The leading edge follows from barrier, delay and speed; across the line a fixed rail or the middle
+    of the conveyor guides the board.
+    """
+
+    rail_mm: Finite | None = None
+    """Tester coordinate, across the motion, of the board's edge at the fixed rail (its lower edge there)."""
+    center_mm: Finite | None = None
+    """The same for the board's middle, on lines that centre boards."""
+    rotation_deg: Literal[0, 90, 180, 270] = 0
+    """Quarter turns by which the board lies turned on the belt, from CAD-upright, as the camera sees it."""
+    tolerance_mm: Positive = 4.0
+    rotation_tolerance_deg: Annotated[float, Field(gt=0, le=30)] = 3.0
+
+    @model_validator(mode="after")
+    def _one_guide(self) -> Self:
+        if self.rail_mm is not None and self.center_mm is not None:
+            raise ValueError("rail_mm and center_mm exclude each other; give the one that guides the board")
+        return self
+
+
+class Line(Section):
+    """The mechanics of the line."""
+
+    conveyor_mm_s: tuple[Finite, Finite]
+    """Nominal velocity of the board in tester coordinates."""
+    barrier_mm: Finite
+    """Tester coordinate, along the motion, of the light barrier."""
+    start_delay_s: NotNegative
+    """From the barrier's interruption to the first pulse."""
+    trigger_period_s: Positive
+    tail_s: NotNegative
+    """How long the pulses go on after the board has left the barrier."""
+    longest_board_mm: Positive
+    debounce_s: NotNegative = 0.005
+    """Shorter interruptions of the barrier are bounces."""
+    expected_board: ExpectedBoard = ExpectedBoard()
+
+    @model_validator(mode="after")
+    def _moves(self) -> Self:
+        if self.speed_mm_s == 0:
+            raise ValueError("conveyor_mm_s is [0, 0]; boards would never pass")
+        return self
+
+    @property
+    def speed_mm_s(self) -> float:
+        """The paper's v."""
+        return math.hypot(*self.conveyor_mm_s)
+
+    @property
+    def rows_of_longest_board(self) -> int:
+        """Pulses of the longest passage: while it covers the barrier, and the tail. The paper's m."""
+        passing_s = self.longest_board_mm / self.speed_mm_s + self.tail_s
+        return 1 + math.ceil(max(passing_s - self.start_delay_s, 0.0) / self.trigger_period_s)
+
+
+class CameraConfig(Section):
+    """One camera of the array, in the order of the calibration."""
+
+    name: str
+    backend: Literal["simulated", "replay"] = "simulated"
+    width: Annotated[int, Field(ge=16, le=65536)]
+    height: Annotated[int, Field(ge=16, le=65536)]
+    exposure_us: Positive
+    pixel_format: Literal["Mono8", "Mono16"] = "Mono8"
+
+    @property
+    def frame_bytes(self) -> int:
+        """Size of one frame in the ring."""
+        return self.width * self.height * (1 if self.pixel_format == "Mono8" else 2)
+
+
+class ControllerConfig(Section):
+    """The microcontroller that fires cameras and LEDs."""
+
+    backend: Literal["simulated", "replay"] = "simulated"
+
+
+class SimulationConfig(Section):
+    """The digital twin that stands in for line, cameras and controller."""
+
+    scenario: Path
+    boards: Annotated[int, Field(ge=0)] = 0
+    """How many boards pass; 0: they keep coming."""
+    interval_s: Positive = 5.0
+    """Time between the leading edges of two boards, at least; frames are rendered beforehand."""
+
+
+class ReplayConfig(Section):
+    """Recordings that are played in place of line, cameras and controller."""
+
+    recordings: Annotated[tuple[Path, ...], Field(min_length=1)]
+    runs: Annotated[int, Field(ge=0)] = 0
+    """How many runs are played, going round the recordings; 0: they keep coming."""
+    pace: Literal["original", "fast"] = "original"
+    """With the original timing, or as fast as the frames are taken."""
+    pause_s: NotNegative = 1.0
+    """Time between two runs."""
+
+
+class RingConfig(Section):
+    """The shared memory for frames."""
+
+    directory: Path = Path("/dev/shm")  # noqa: S108  (the ring is made exclusively, mode 0640)
+    runs: Annotated[int, Field(ge=2, le=64)] = 3
+    """Runs it holds at once; one is being filmed while others are used."""
+    spare_rows: Annotated[int, Field(ge=0, le=64)] = 2
+    """Slots per camera beyond the longest board, for frames nobody asked for."""
+    lease_s: Positive = 600.0
+    """A run that somebody holds is given up after this time without a sign of life."""
+
+
+class ApiConfig(Section):
+    """Where the REST service listens."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8350
+
+
+class StationConfig(Section):
+    """Everything the station is told before it starts."""
+
+    name: str = "vaoi"
+    calibration: Path
+    board_types: Path
+    """Directory of board types, NAME.json each."""
+    data: Path
+    """Directory for the database, results and kept recordings."""
+    workers: Annotated[int, Field(ge=1, le=64)] = 2
+    line: Line
+    cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1)]
+    controller: ControllerConfig = ControllerConfig()
+    simulation: SimulationConfig | None = None
+    replay: ReplayConfig | None = None
+    ring: RingConfig = RingConfig()
+    api: ApiConfig = ApiConfig()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        names = [c.name for c in self.cameras]
+        if len(set(names)) != len(names):
+            raise ValueError(f"cameras have the names {names}; they must differ")
+        backends = {self.controller.backend, *(c.backend for c in self.cameras)}
+        if len(backends) > 1:
+            raise ValueError(f"backends {sorted(backends)} are mixed; cameras and controller must share one")
+        needed = {"simulated": "simulation", "replay": "replay"}[self.controller.backend]
+        if getattr(self, needed) is None:
+            raise ValueError(f"backend {self.controller.backend!r} needs a table [{needed}]")
+        for camera in self.cameras:
+            if camera.exposure_us * 1e-6 >= self.line.trigger_period_s:
+                raise ValueError(
+                    f"camera {camera.name!r} exposes {camera.exposure_us} us, "
+                    f"but pulses follow every {self.line.trigger_period_s * 1e6:.0f} us"
+                )
+        return self
+
+    @property
+    def rows_per_run(self) -> int:
+        """Slots per camera and run in the ring."""
+        return self.line.rows_of_longest_board + self.ring.spare_rows
+
+
+def read_config(path: Path) -> StationConfig:
+    """Read `station.toml`; paths in it become absolute."""
+    config = parse(StationConfig, read_toml(path), path)
+    return config.model_copy(update=_absolute(config, path.resolve().parent))
+
+
+def _absolute(section: BaseModel, base: Path) -> dict[str, Any]:
+    """The paths of a section, and of the sections inside it, made relative to the file's directory."""
+    changed: dict[str, Any] = {}
+    for key in type(section).model_fields:
+        value = getattr(section, key)
+        if isinstance(value, Path):
+            changed[key] = base / value
+        elif isinstance(value, tuple) and value and isinstance(value[0], Path):
+            changed[key] = tuple(base / p for p in value)
+        elif isinstance(value, BaseModel) and (inner := _absolute(value, base)):
+            changed[key] = value.model_copy(update=inner)
+    return changed

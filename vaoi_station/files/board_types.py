@@ -1,0 +1,18 @@
+"""board.json."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vaoi_station.files.documents import parse, read_json, write_json
+from vaoi_station.model import BoardType
+
+
+def read_board_type(path: Path) -> BoardType:
+    """Read a board type."""
+    return parse(BoardType, read_json(path), path)
+
+
+def write_board_type(path: Path, board_type: BoardType) -> None:
+    """Write a board type whole or not at all."""
+    write_json(path, board_type.model_dump(mode="json", exclude_none=True))

@@ -1,0 +1,115 @@
+"""JSON and TOML documents at the border: parsed strictly, written atomically."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from vaoi_station.errors import InputError, NotFoundError
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file; NaN and infinities, which JSON does not have, are refused."""
+    try:
+        return json.loads(_text(path), parse_constant=_no_constant, object_pairs_hook=_no_twins)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}."
+        ) from error
+    except ValueError as error:
+        raise InputError(f"{path}: {error}.") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file."""
+    try:
+        return tomllib.loads(_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}.") from error
+
+
+def parse(model: type[M], data: Any, where: str | Path) -> M:
+    """Validate parsed data; the first fault is told with file, key, value and limit."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InputError(describe(error, where)) from error
+
+
+def check_format(data: Any, path: Path, name: str, version: int) -> None:
+    """Refuse a foreign format or a newer version by name, before anything else is looked at."""
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: holds a {type(data).__name__}, must be an object with 'format' and 'version'.")
+    if data.get("format") != name:
+        raise InputError.field(path, "format", data.get("format"), f"{name!r}")
+    found = data.get("version")
+    if found != version or isinstance(found, bool):
+        newer = isinstance(found, int) and found > version
+        action = "Use a newer vaoi_station to read it." if newer else ""
+        raise InputError.field(path, "version", found, f"{version}", action)
+
+
+def describe(error: ValidationError, where: str | Path) -> str:
+    """Every fault of a document in one line each."""
+    lines = []
+    for fault in error.errors(include_url=False):
+        key = ".".join(map(str, fault["loc"])) or "the document"
+        message = fault["msg"].removeprefix("Value error, ")
+        given = fault.get("input")
+        shown = (
+            "" if isinstance(given, dict | list | tuple) or fault["type"] == "missing" else f" (given: {given!r:.80})"
+        )
+        lines.append(f"{where}: {key}: {message}{shown}")
+    return "; ".join(lines[:5]) + ("." if len(lines) <= 5 else f"; and {len(lines) - 5} more.")
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write a JSON document whole or not at all."""
+    write_bytes(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write to a neighbour first, flush it to the disk, then rename: readers never see half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+            os.fchmod(file.fileno(), 0o644)
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise NotFoundError(f"{path}: there is no such file.") from error
+    except (IsADirectoryError, PermissionError) as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text.") from error
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"holds {name}, which is not a number JSON allows")
+
+
+def _no_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    keys = dict(pairs)
+    if len(keys) != len(pairs):
+        twin = next(k for n, (k, _) in enumerate(pairs) if k in [p[0] for p in pairs[:n]])
+        raise ValueError(f"key {twin!r} appears twice in one object")
+    return keys

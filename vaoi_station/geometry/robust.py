@@ -1,0 +1,63 @@
+"""Estimates that can fail: a transform, or a `Failure` that says why.
+
+An estimate that fails is a value with a reason, not an exception: the caller decides what a failure
+means for the run.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vaoi_station.geometry.transforms import Floats, Similarity, System
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why an estimate could not be made, in a sentence with numbers."""
+
+    reason: str
+
+
+def fit_similarity(
+    target_points: ArrayLike, source_points: ArrayLike, target: System, source: System, *, mirrored: bool
+) -> Similarity | Failure:
+    """Least-squares similarity of given handedness (four parameters; equation 21 for two points).
+
+    Args:
+        target_points: (k, 2).
+        source_points: (k, 2), k ≥ 2, not all the same.
+        target: system of `target_points`.
+        source: system of `source_points`.
+        mirrored: whether the mapping flips handedness; never guessed from the data.
+    """
+    p, q = np.asarray(source_points, dtype=np.float64), np.asarray(target_points, dtype=np.float64)
+    if len(p) < 2:
+        return Failure(f"{len(p)} point(s) do not fix a similarity; two are needed")
+    flip = np.array([1.0, -1.0 if mirrored else 1.0])
+    mid_p, mid_q = p.mean(0), q.mean(0)
+    a = ((p - mid_p) * flip) @ np.array([1, 1j])
+    b = (q - mid_q) @ np.array([1, 1j])
+    spread = float((np.abs(a) ** 2).sum())
+    if spread == 0:
+        return Failure("all points coincide; two different ones are needed")
+    k = complex((np.conj(a) * b).sum() / spread)
+    if abs(k) == 0:
+        return Failure("the target points coincide; two different ones are needed")
+    linear = Similarity.of(abs(k), math.atan2(k.imag, k.real), (0, 0), target, source, mirrored=mirrored)
+    return Similarity.of(abs(k), linear.angle_rad, mid_q - linear(mid_p), target, source, mirrored=mirrored)
+
+
+def huber_weights(normalized: Floats, knee: float) -> Floats:
+    """Weights of Huber's estimator for residuals in units of their standard deviation."""
+    size = np.abs(normalized)
+    return np.asarray(np.where(size <= knee, 1.0, knee / np.maximum(size, 1e-12)))
+
+
+def median_sigma(residuals: ArrayLike) -> float:
+    """Standard deviation from the median absolute value (zero-mean normal data: 1.4826 · median |r|)."""
+    r = np.asarray(residuals, dtype=np.float64)
+    return 1.4826 * float(np.median(np.abs(r))) if r.size else math.nan

@@ -1,0 +1,137 @@
+"""Plane transforms that know where they come from and where they lead.
+
+A transform is written `target_from_source`; in a product neighbours must cancel:
+`image_from_tester @ tester_from_cad` is fine, anything else is refused. Matrices are 3×3, act on
+homogeneous columns, and are read-only. Section 3.1 of the paper.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vaoi_station.errors import InternalError
+
+Floats = NDArray[np.float64]
+
+
+class System(StrEnum):
+    """The coordinate systems of the house; `docs/conventions.md` draws them."""
+
+    CAD = "cad"
+    """The board as its CAD system has it, in the unit of the board type."""
+    TESTER = "tester"
+    """mm in the conveyor's plane; belongs to the board, where it was at the first row."""
+    ROW = "row"
+    """mm in the conveyor's plane, fixed to the cameras: where the board is at one row."""
+    IMAGE = "image"
+    """Undistorted pixels of one frame; the centre of the top-left pixel is (0, 0)."""
+    CROP = "crop"
+    """Pixels of a temporary image; same convention as IMAGE."""
+
+
+def apply(matrix: ArrayLike, points: ArrayLike) -> Floats:
+    """Map points by a homogeneous matrix.
+
+    Args:
+        matrix: (3, 3), source to target.
+        points: (..., 2) in the source system.
+
+    Returns:
+        (..., 2) in the target system.
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    p = np.asarray(points, dtype=np.float64)
+    q = p @ m[:, :2].T + m[:, 2]
+    return np.asarray(q[..., :2] / q[..., 2:], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Projective:
+    """A homography (8 parameters): N_i and M_ij are of this kind."""
+
+    matrix: Floats
+    target: System
+    source: System
+
+    def __post_init__(self) -> None:
+        m = np.array(self.matrix, dtype=np.float64)
+        if m.shape != (3, 3) or not np.isfinite(m).all():
+            raise InternalError(f"{self.target}_from_{self.source} is not a finite 3×3 matrix: {m!r}")
+        m.setflags(write=False)
+        object.__setattr__(self, "matrix", m)
+
+    def __matmul__(self, other: Projective) -> Projective:
+        if self.source is not other.target:
+            raise InternalError(f"{self.target}_from_{self.source} @ {other.target}_from_{other.source}: no neighbours")
+        kind = _more_general(type(self), type(other))
+        return kind(np.asarray(self.matrix @ other.matrix, np.float64), self.target, other.source)
+
+    def inverse(self) -> Self:
+        """The same kind of transform the other way round."""
+        return type(self)(np.linalg.inv(self.matrix), self.source, self.target)
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Map points of shape (..., 2)."""
+        return apply(self.matrix, points)
+
+    def scale_at(self, point: ArrayLike) -> float:
+        """Target units per source unit around one source point (square root of the area ratio)."""
+        p = np.asarray(point, dtype=np.float64)
+        w = float(self.matrix[2, :2] @ p + self.matrix[2, 2])
+        return math.sqrt(abs(float(np.linalg.det(self.matrix)) / w**3))
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether the transform changes handedness."""
+        return bool(np.linalg.det(self.matrix / self.matrix[2, 2]) < 0)
+
+
+class Similarity(Projective):
+    """Rotation, translation, one scale, perhaps a mirror: C is of this kind (equation 9)."""
+
+    @property
+    def scale(self) -> float:
+        """Target units per source unit."""
+        return math.sqrt(abs(float(np.linalg.det(self.matrix[:2, :2]))))
+
+    @property
+    def angle_rad(self) -> float:
+        """Direction of the image of the source's x axis."""
+        return math.atan2(self.matrix[1, 0], self.matrix[0, 0])
+
+    @classmethod
+    def of(
+        cls, scale: float, angle_rad: float, shift: ArrayLike, target: System, source: System, *, mirrored: bool = False
+    ) -> Similarity:
+        """Scale and turn, then shift; `mirrored` flips the source's y axis first."""
+        c, s = scale * math.cos(angle_rad), scale * math.sin(angle_rad)
+        f = -1.0 if mirrored else 1.0
+        x, y = np.asarray(shift, dtype=np.float64)
+        return Similarity(np.array([[c, -s * f, x], [s, c * f, y], [0, 0, 1]]), target, source)
+
+
+class Euclidean(Similarity):
+    """Rotation and translation: the motion D_j of the board is of this kind."""
+
+    @classmethod
+    def motion(cls, angle_rad: float, shift_mm: ArrayLike, target: System, source: System) -> Euclidean:
+        """Turn by an angle (from x towards y), then shift."""
+        return cls(Similarity.of(1.0, angle_rad, shift_mm, target, source).matrix, target, source)
+
+    @classmethod
+    def identity(cls, target: System, source: System) -> Euclidean:
+        """Nothing moves."""
+        return cls(np.eye(3), target, source)
+
+
+def _more_general(a: type[Any], b: type[Any]) -> type[Projective]:
+    for kind in (Projective, Similarity, Euclidean):
+        if kind in (a, b):
+            return kind
+    raise InternalError(f"unknown transforms {a} and {b}")
