@@ -15,7 +15,10 @@ from vaoi_station.model import FrameRecord, Pulse, RecordingHead
 
 @dataclass(frozen=True)
 class Grant:
-    """A bay of the ring for a coming run; grants are used in the order they come."""
+    """A bay of the ring for a coming run; grants are used in the order they come.
+
+    Whoever grants has claimed the bay beforehand (`Ring.claim`): a new generation, all pixels zero.
+    """
 
     run: str
     bay: int
@@ -128,6 +131,4 @@ class Trouble:
     action: str
 
 
-Report = (
-    Ready | Armed | Disarmed | RunStarted | PulseSeen | FrameSettled | RunFinished | BoardMissed | Health | Trouble
-)
+Report = Ready | Armed | Disarmed | RunStarted | PulseSeen | FrameSettled | RunFinished | BoardMissed | Health | Trouble
