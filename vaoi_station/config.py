@@ -13,10 +13,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
+from vaoi_station.model import Finite, Positive, Whole
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+NotNegative = Annotated[Finite, Field(ge=0)]
 
 
 class Section(BaseModel):
@@ -39,7 +38,7 @@ class ExpectedBoard(Section):
     rotation_deg: Literal[0, 90, 180, 270] = 0
     """Quarter turns by which the board lies turned on the belt, from CAD-upright, as the camera sees it."""
     tolerance_mm: Positive = 4.0
-    rotation_tolerance_deg: Annotated[float, Field(gt=0, le=30)] = 3.0
+    rotation_tolerance_deg: Annotated[Positive, Field(le=30)] = 3.0
 
     @model_validator(mode="after")
     def _one_guide(self) -> Self:
@@ -69,6 +68,11 @@ class Line(Section):
     def _moves(self) -> Self:
         if self.speed_mm_s == 0:
             raise ValueError("conveyor_mm_s is [0, 0]; boards would never pass")
+        if self.start_delay_s > self.passing_s:
+            raise ValueError(
+                f"start_delay_s is {self.start_delay_s}, but the longest board has passed the barrier and "
+                f"the tail is over after {self.passing_s:.3f} s"
+            )
         return self
 
     @property
@@ -77,10 +81,14 @@ class Line(Section):
         return math.hypot(*self.conveyor_mm_s)
 
     @property
+    def passing_s(self) -> float:
+        """From the barrier's interruption by the longest board to the end of its tail."""
+        return self.longest_board_mm / self.speed_mm_s + self.tail_s
+
+    @property
     def rows_of_longest_board(self) -> int:
         """Pulses of the longest passage: while it covers the barrier, and the tail. The paper's m."""
-        passing_s = self.longest_board_mm / self.speed_mm_s + self.tail_s
-        return 1 + math.ceil(max(passing_s - self.start_delay_s, 0.0) / self.trigger_period_s)
+        return 1 + math.ceil((self.passing_s - self.start_delay_s) / self.trigger_period_s)
 
 
 class CameraConfig(Section):
@@ -88,8 +96,8 @@ class CameraConfig(Section):
 
     name: str
     backend: Literal["simulated", "replay"] = "simulated"
-    width: Annotated[int, Field(ge=16, le=65536)]
-    height: Annotated[int, Field(ge=16, le=65536)]
+    width: Annotated[Whole, Field(ge=16, le=65536)]
+    height: Annotated[Whole, Field(ge=16, le=65536)]
     exposure_us: Positive
     pixel_format: Literal["Mono8", "Mono16"] = "Mono8"
 
@@ -109,7 +117,7 @@ class SimulationConfig(Section):
     """The digital twin that stands in for line, cameras and controller."""
 
     scenario: Path
-    boards: Annotated[int, Field(ge=0)] = 0
+    boards: Annotated[Whole, Field(ge=0)] = 0
     """How many boards pass; 0: they keep coming."""
     interval_s: Positive = 5.0
     """Time between the leading edges of two boards, at least; frames are rendered beforehand."""
@@ -119,7 +127,7 @@ class ReplayConfig(Section):
     """Recordings that are played in place of line, cameras and controller."""
 
     recordings: Annotated[tuple[Path, ...], Field(min_length=1)]
-    runs: Annotated[int, Field(ge=0)] = 0
+    runs: Annotated[Whole, Field(ge=0)] = 0
     """How many runs are played, going round the recordings; 0: they keep coming."""
     pace: Literal["original", "fast"] = "original"
     """With the original timing, or as fast as the frames are taken."""
@@ -131,9 +139,9 @@ class RingConfig(Section):
     """The shared memory for frames."""
 
     directory: Path = Path("/dev/shm")  # noqa: S108  (the ring is made exclusively, mode 0640)
-    runs: Annotated[int, Field(ge=2, le=64)] = 3
+    runs: Annotated[Whole, Field(ge=2, le=64)] = 3
     """Runs it holds at once; one is being filmed while others are used."""
-    spare_rows: Annotated[int, Field(ge=0, le=64)] = 2
+    spare_rows: Annotated[Whole, Field(ge=0, le=64)] = 2
     """Slots per camera beyond the longest board, for frames nobody asked for."""
     lease_s: Positive = 600.0
     """A run that somebody holds is given up after this time without a sign of life."""
@@ -143,7 +151,7 @@ class ApiConfig(Section):
     """Where the REST service listens."""
 
     host: str = "127.0.0.1"
-    port: Annotated[int, Field(ge=0, le=65535)] = 8350
+    port: Annotated[Whole, Field(ge=0, le=65535)] = 8350
 
 
 class StationConfig(Section):
@@ -155,7 +163,7 @@ class StationConfig(Section):
     """Directory of board types, NAME.json each."""
     data: Path
     """Directory for the database, results and kept recordings."""
-    workers: Annotated[int, Field(ge=1, le=64)] = 2
+    workers: Annotated[Whole, Field(ge=1, le=64)] = 2
     line: Line
     cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1)]
     controller: ControllerConfig = ControllerConfig()

@@ -15,30 +15,46 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.geometry.outline import encloses
 
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
 
 def _matrix(value: Any) -> NDArray[np.float64]:
     try:
-        m = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError("is not a matrix of numbers") from error
+        m = np.array(value)
+    except ValueError as error:
+        raise ValueError("has rows of different lengths, must be 3×3") from error
+    if m.dtype.kind not in "iuf":
+        raise ValueError("is not a matrix of numbers, must be 3×3 numbers")
+    m = m.astype(np.float64)
     if m.shape != (3, 3):
         raise ValueError(f"has shape {m.shape}, must be 3×3")
     if not np.isfinite(m).all():
         raise ValueError("has NaN or infinite entries, all must be finite")
-    if abs(np.linalg.det(m)) < 1e-18:
+    if _is_singular(m):
         raise ValueError("is singular, must be invertible")
     m.setflags(write=False)
     return m
 
 
+def _is_singular(m: NDArray[np.float64]) -> bool:
+    """By the determinant after rows and columns are brought to size 1: px, mm and 1/mm stand in one matrix."""
+    for axis in (1, 0):
+        size = np.abs(m).max(axis=axis, keepdims=True)
+        if not size.all():
+            return True
+        m = m / size
+    return bool(abs(np.linalg.det(m)) < 1e-12)
+
+
 Matrix = Annotated[NDArray[np.float64], BeforeValidator(_matrix), PlainSerializer(lambda m: m.tolist())]
 """A finite, invertible 3×3 matrix; row-major nested lists in files."""
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+Whole = Annotated[int, Field(strict=True)]
+"""Whole numbers that are written as numbers; texts and truth values are refused, as for the others."""
 Point = tuple[Finite, Finite]
 
 
@@ -58,8 +74,8 @@ class Noun(BaseModel):
 class CameraHead(Noun):
     """What a recording says of one camera."""
 
-    width: Annotated[int, Field(ge=16, le=65536)]
-    height: Annotated[int, Field(ge=16, le=65536)]
+    width: Annotated[Whole, Field(ge=16, le=65536)]
+    height: Annotated[Whole, Field(ge=16, le=65536)]
     exposure_us: Positive
     nominal_center_mm: Point | None = None
     nominal_px_per_mm: Positive | None = None
@@ -71,10 +87,10 @@ class RecordingHead(Noun):
     format: Literal["vaoi-recording"]
     version: Literal[1]
     cameras: Annotated[tuple[CameraHead, ...], Field(min_length=1)]
-    rows: Annotated[int, Field(ge=1)]
+    rows: Annotated[Whole, Field(ge=1)]
     trigger_period_s: Positive
     conveyor_mm_s: Point
-    missing: tuple[tuple[int, int], ...] = ()
+    missing: tuple[tuple[Whole, Whole], ...] = ()
     trigger_times_s: tuple[Finite, ...] | None = None
     exposures_us: tuple[tuple[Positive, ...], ...] | None = None
     lights: tuple[str, ...] | None = None
@@ -171,7 +187,7 @@ class Component(Noun):
     width: Positive
     height: Positive
     rotation: Finite = 0.0
-    body_height: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    body_height: Annotated[Finite, Field(ge=0)] | None = None
     panel: str | int | None = None
 
     @property
@@ -220,7 +236,7 @@ class BoardType(Noun):
             if (high <= low).any():
                 raise ValueError(f"outline has no area: from {low.tolist()} to {high.tolist()}")
             for f in self.fiducials:
-                if not ((low <= (f.x, f.y)) & ((f.x, f.y) <= high)).all():
+                if not encloses(self.outline, (f.x, f.y)):
                     raise ValueError(
                         f"fiducial {f.name!r} at ({f.x}, {f.y}) lies outside the outline "
                         f"{low.tolist()} … {high.tolist()} {self.unit}"
@@ -294,6 +310,15 @@ class Stitch(Noun):
     quality: dict[str, Any] = Field(default_factory=dict)
     surface: Surface | None = None
     components: dict[str, tuple[tuple[int, int, float, float], ...]] | None = None
+
+    @model_validator(mode="after")
+    def _one_matrix_per_frame(self) -> Self:
+        lengths = sorted({len(rows) for rows in self.image_matrices})
+        if len(lengths) > 1:
+            raise ValueError(f"image_matrices has cameras of {lengths} rows; all must have the same number")
+        if lengths and self.row_motion and len(self.row_motion) != lengths[0]:
+            raise ValueError(f"row_motion has {len(self.row_motion)} entries, must have one per row: {lengths[0]}")
+        return self
 
     def image_from_tester(self, camera: int, row: int) -> Projective | None:
         """M_ij, or None where the frame could not be placed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
 import tomllib
@@ -11,7 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.errors import InputError, InternalError, NotFoundError
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -19,13 +20,19 @@ M = TypeVar("M", bound=BaseModel)
 def read_json(path: Path) -> Any:
     """Parse a JSON file; NaN and infinities, which JSON does not have, are refused."""
     try:
-        return json.loads(_text(path), parse_constant=_no_constant, object_pairs_hook=_no_twins)
+        data = json.loads(_text(path), object_pairs_hook=_no_twins)
     except json.JSONDecodeError as error:
         raise InputError(
             f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}."
         ) from error
+    except RecursionError as error:
+        raise InputError(f"{path}: is nested too deeply to be one of our documents.") from error
     except ValueError as error:
         raise InputError(f"{path}: {error}.") from error
+    if (fault := _not_finite(data)) is not None:
+        key, value = fault
+        raise InputError.field(path, key or "the document", value, "a finite number")
+    return data
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -63,6 +70,8 @@ def describe(error: ValidationError, where: str | Path) -> str:
     for fault in error.errors(include_url=False):
         key = ".".join(map(str, fault["loc"])) or "the document"
         message = fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "extra_forbidden":
+            message = "is an unknown key"
         given = fault.get("input")
         shown = (
             "" if isinstance(given, dict | list | tuple) or fault["type"] == "missing" else f" (given: {given!r:.80})"
@@ -72,7 +81,9 @@ def describe(error: ValidationError, where: str | Path) -> str:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON document whole or not at all."""
+    """Write a JSON document whole or not at all; what is not finite is our own mistake and is not written."""
+    if (fault := _not_finite(data)) is not None:
+        raise InternalError(f"{path}: {fault[0]} is {fault[1]}, which JSON cannot hold; nothing was written.")
     write_bytes(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
 
@@ -103,8 +114,13 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: is not UTF-8 text.") from error
 
 
-def _no_constant(name: str) -> float:
-    raise ValueError(f"holds {name}, which is not a number JSON allows")
+def _not_finite(data: Any, key: str = "") -> tuple[str, float] | None:
+    """Key and value of the first NaN or infinity, which JSON does not have though Python reads them."""
+    if isinstance(data, float):
+        return None if math.isfinite(data) else (key, data)
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list | tuple) else ()
+    faults = (_not_finite(value, f"{key}.{name}" if key else str(name)) for name, value in items)
+    return next((fault for fault in faults if fault is not None), None)
 
 
 def _no_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

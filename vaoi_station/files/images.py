@@ -22,11 +22,17 @@ def read_image(path: Path) -> Image:
         content = np.fromfile(path, dtype=np.uint8)
     except FileNotFoundError as error:
         raise NotFoundError(f"{path}: there is no such frame.") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
     if image is None:
         raise InputError(f"{path}: is not a picture OpenCV can read; it may have been cut short.")
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError.field(path, "pixel type", str(image.dtype), "8 or 16 bit unsigned")
+    if image.ndim == 3 and image.shape[2] != 3:
+        raise InputError.field(
+            path, "number of channels", image.shape[2], "1 (grey) or 3 (colour), without transparency"
+        )
     return np.asarray(image)
 
 

@@ -10,9 +10,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from vaoi_station.errors import InternalError
 from vaoi_station.geometry.transforms import Floats, Similarity, System
+
+_ROUNDING = 1e-12
+_UNRELATED = 1e-12
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,8 @@ def fit_similarity(
         mirrored: whether the mapping flips handedness; never guessed from the data.
     """
     p, q = np.asarray(source_points, dtype=np.float64), np.asarray(target_points, dtype=np.float64)
+    if p.shape != q.shape:
+        raise InternalError(f"fit_similarity pairs {p.shape} with {q.shape} points")
     if len(p) < 2:
         return Failure(f"{len(p)} point(s) do not fix a similarity; two are needed")
     flip = np.array([1.0, -1.0 if mirrored else 1.0])
@@ -42,13 +48,20 @@ def fit_similarity(
     a = ((p - mid_p) * flip) @ np.array([1, 1j])
     b = (q - mid_q) @ np.array([1, 1j])
     spread = float((np.abs(a) ** 2).sum())
-    if spread == 0:
+    if _coincide(a, p):
         return Failure("all points coincide; two different ones are needed")
-    k = complex((np.conj(a) * b).sum() / spread)
-    if abs(k) == 0:
+    if _coincide(b, q):
         return Failure("the target points coincide; two different ones are needed")
+    k = complex((np.conj(a) * b).sum() / spread)
+    if abs(k) ** 2 * spread <= _UNRELATED * float((np.abs(b) ** 2).sum()):
+        return Failure("the two sets of points have nothing in common under this handedness")
     linear = Similarity.of(abs(k), math.atan2(k.imag, k.real), (0, 0), target, source, mirrored=mirrored)
     return Similarity.of(abs(k), linear.angle_rad, mid_q - linear(mid_p), target, source, mirrored=mirrored)
+
+
+def _coincide(offsets: NDArray[np.complex128], points: Floats) -> bool:
+    """Whether points differ by rounding only."""
+    return float(np.abs(offsets).max()) <= _ROUNDING * float(np.abs(points).max(initial=0.0))
 
 
 def huber_weights(normalized: Floats, knee: float) -> Floats:

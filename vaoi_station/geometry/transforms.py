@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from vaoi_station.errors import InternalError
 
 Floats = NDArray[np.float64]
+_SHAPE = 1e-6
+"""Relative deviation from its kind that a matrix may have: rounding in products and files, nothing more."""
 
 
 class System(StrEnum):
@@ -74,7 +76,11 @@ class Projective:
 
     def inverse(self) -> Self:
         """The same kind of transform the other way round."""
-        return type(self)(np.linalg.inv(self.matrix), self.source, self.target)
+        try:
+            inverted = np.asarray(np.linalg.inv(self.matrix), np.float64)
+        except np.linalg.LinAlgError as error:
+            raise InternalError(f"{self.target}_from_{self.source} is singular: {self.matrix.tolist()}") from error
+        return type(self)(inverted, self.source, self.target)
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Map points of shape (..., 2)."""
@@ -94,6 +100,14 @@ class Projective:
 
 class Similarity(Projective):
     """Rotation, translation, one scale, perhaps a mirror: C is of this kind (equation 9)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        (a, b), (c, d) = self.matrix[:2, :2]
+        area = abs(a * d - b * c)
+        skew = max(abs(a * a + c * c - area), abs(b * b + d * d - area), abs(a * b + c * d))
+        if np.abs(self.matrix[2] - (0, 0, 1)).max() > _SHAPE or area == 0 or skew > _SHAPE * area:
+            raise InternalError(f"{self.target}_from_{self.source} is no similarity: {self.matrix.tolist()}")
 
     @property
     def scale(self) -> float:
@@ -118,6 +132,11 @@ class Similarity(Projective):
 
 class Euclidean(Similarity):
     """Rotation and translation: the motion D_j of the board is of this kind."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if abs(float(np.linalg.det(self.matrix[:2, :2])) - 1) > _SHAPE:
+            raise InternalError(f"{self.target}_from_{self.source} is no rigid motion: {self.matrix.tolist()}")
 
     @classmethod
     def motion(cls, angle_rad: float, shift_mm: ArrayLike, target: System, source: System) -> Euclidean:
