@@ -1,0 +1,61 @@
+"""Who uses which run's frames, for what, and until when: memory in use is not given away."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Lease:
+    """One holder's use of one run; `expires_s` by time.monotonic()."""
+
+    run: str
+    holder: str
+    purpose: str
+    expires_s: float
+
+
+class Leases:
+    """The leases in force. A lease nobody renews ends by itself, so that no dead holder blocks the line."""
+
+    def __init__(self, lease_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self.lease_s = lease_s
+        self._clock = clock
+        self._leases: dict[tuple[str, str], Lease] = {}
+
+    def take(self, run: str, holder: str, purpose: str) -> Lease:
+        """Begin or renew a lease."""
+        lease = Lease(run, holder, purpose, self._clock() + self.lease_s)
+        self._leases[run, holder] = lease
+        return lease
+
+    def end(self, run: str, holder: str) -> None:
+        """End a lease; harmless if there is none."""
+        self._leases.pop((run, holder), None)
+
+    def end_all(self, run: str) -> None:
+        """The run's memory is given up whoever holds it: the run was released."""
+        self._leases = {key: lease for key, lease in self._leases.items() if lease.run != run}
+
+    def of(self, run: str) -> tuple[Lease, ...]:
+        """The leases of one run that have not expired."""
+        return tuple(lease for lease in self.all() if lease.run == run)
+
+    def all(self) -> tuple[Lease, ...]:
+        """All leases that have not expired, oldest run first."""
+        now = self._clock()
+        return tuple(sorted((le for le in self._leases.values() if le.expires_s > now), key=lambda le: le.run))
+
+    def expire(self) -> tuple[Lease, ...]:
+        """Drop the leases whose time is over and return them."""
+        now = self._clock()
+        over = tuple(lease for lease in self._leases.values() if lease.expires_s <= now)
+        for lease in over:
+            del self._leases[lease.run, lease.holder]
+        return over
+
+    def remaining_s(self, lease: Lease) -> float:
+        """Time until a lease ends by itself."""
+        return max(0.0, lease.expires_s - self._clock())

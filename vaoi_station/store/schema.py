@@ -1,0 +1,63 @@
+"""The tables, and the steps that led to them: `PRAGMA user_version` counts the steps taken.
+
+A step, once released, never changes; a change of the tables is a further step.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+from vaoi_station.errors import InputError
+
+STEPS: tuple[tuple[str, ...], ...] = (
+    (
+        """CREATE TABLE documents (
+            digest TEXT PRIMARY KEY,
+            kind TEXT NOT NULL CHECK (kind IN ('board-type', 'calibration')),
+            first_seen TEXT NOT NULL,
+            document TEXT NOT NULL
+        ) STRICT""",
+        """CREATE TABLE runs (
+            id TEXT PRIMARY KEY,
+            state TEXT NOT NULL,
+            finish_number INTEGER UNIQUE,
+            board_type_digest TEXT NOT NULL REFERENCES documents (digest),
+            calibration_digest TEXT NOT NULL REFERENCES documents (digest),
+            summary TEXT NOT NULL,
+            detail TEXT NOT NULL,
+            timeline TEXT
+        ) STRICT""",
+        """CREATE TABLE results (
+            run TEXT PRIMARY KEY REFERENCES runs (id),
+            document TEXT NOT NULL
+        ) STRICT""",
+        """CREATE TRIGGER results_are_immutable BEFORE UPDATE ON results
+            BEGIN SELECT RAISE (ABORT, 'a result never changes'); END""",
+        """CREATE TABLE events (
+            number INTEGER PRIMARY KEY,
+            document TEXT NOT NULL
+        ) STRICT""",
+    ),
+)
+VERSION = len(STEPS)
+
+
+def migrate(connection: sqlite3.Connection, path: Path) -> None:
+    """Bring a database to this version, step by step, each whole or not at all; refuse a newer one."""
+    (found,) = connection.execute("PRAGMA user_version").fetchone()
+    if found > VERSION:
+        raise InputError(
+            f"{path}: has version {found} of the tables, this software knows {VERSION}.",
+            action="Start the newer vaoi_station that wrote it, or give this one another data directory.",
+        )
+    for number in range(found, VERSION):
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            for statement in STEPS[number]:
+                connection.execute(statement)
+            connection.execute(f"PRAGMA user_version = {number + 1}")
+            connection.execute("COMMIT")
+        except BaseException:
+            connection.execute("ROLLBACK")
+            raise
