@@ -1,0 +1,72 @@
+"""The REST service under `/api/v1` and the operator's page: thin over `runs.facade.Conductor`."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI, Response
+from fastapi.routing import APIRoute
+
+from vaoi_station import __version__
+from vaoi_station.api import openapi, pages, problems
+from vaoi_station.api.edge import Edge
+from vaoi_station.api.routes import board_types, components, events, frames, runs, station
+from vaoi_station.api.services import Services
+from vaoi_station.api.shapes import Health
+from vaoi_station.api.waiting import Hub
+from vaoi_station.runs.facade import Conductor, StationState
+
+PREFIX = "/api/v1"
+UNWELL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
+
+
+def create_app(conductor: Conductor) -> FastAPI:
+    """The service over a conductor; the caller starts and stops the conductor.
+
+    `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for their
+    callers; an event of kind "station" with state "stopping" does the same.
+    """
+    services = Services(conductor, Hub(conductor))
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with services.hub.listening():
+            yield
+
+    app = FastAPI(
+        title="VAOI station",
+        version=__version__,
+        lifespan=lifespan,
+        openapi_url=f"{PREFIX}/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+        separate_input_output_schemas=False,
+        generate_unique_id_function=_operation_id,
+    )
+    app.state.hub = services.hub
+    problems.install(app)
+    for module in (station, board_types, runs, frames, components, events):
+        app.include_router(module.router(services), prefix=PREFIX)
+    _add_health(app, services)
+    pages.install(app)
+    openapi.install(app)
+    app.add_middleware(Edge)
+    return app
+
+
+def _add_health(app: FastAPI, services: Services) -> None:
+    @app.get("/healthz", tags=["station"])
+    async def get_health(response: Response) -> Health:
+        """200 when the station can film, 503 when it cannot; for supervisors."""
+        state = (await services.commands.ask(services.conductor.snapshot)).state
+        unwell = state in UNWELL
+        response.status_code = 503 if unwell else 200
+        response.headers["Cache-Control"] = "no-store"
+        return Health(status="degraded" if unwell else "ok", state=state, version=__version__)
+
+
+def _operation_id(route: APIRoute) -> str:
+    """The handler's name: stable, and fit for a method of a generated client."""
+    return route.name

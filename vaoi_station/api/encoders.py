@@ -1,0 +1,117 @@
+"""Pictures on the wire: PNG, JPEG, TIFF, npy and raw, chosen by `?format=` or by Accept.
+
+PNG, TIFF, npy and raw are exact; JPEG is 8 bit and lossy, for looking at. Raw is the bare pixels, row by
+row, little-endian, described by X-Image-* headers. Colour is red, green, blue in npy and raw.
+"""
+
+from __future__ import annotations
+
+import io
+from enum import StrEnum
+
+import cv2
+import numpy as np
+
+from vaoi_station.api.problems import NotAcceptableError
+from vaoi_station.files.images import Image, encode, encode_jpeg, encode_png
+
+
+class ImageFormat(StrEnum):
+    """What a picture can be asked for as."""
+
+    PNG = "png"
+    JPEG = "jpeg"
+    TIFF = "tiff"
+    NPY = "npy"
+    RAW = "raw"
+
+
+MEDIA_TYPES = {
+    ImageFormat.PNG: "image/png",
+    ImageFormat.JPEG: "image/jpeg",
+    ImageFormat.TIFF: "image/tiff",
+    ImageFormat.NPY: "application/x-npy",
+    ImageFormat.RAW: "application/octet-stream",
+}
+
+
+def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
+    """The format to answer in; `?format=` outranks Accept, PNG is the default. NotAcceptableError lists the offer."""
+    if asked is not None:
+        found = {"jpg": ImageFormat.JPEG, "tif": ImageFormat.TIFF, **{str(f): f for f in ImageFormat}}.get(asked.lower())
+        if found is None:
+            raise NotAcceptableError(f"format is {asked!r:.40}, but the offer is {_offer(names=True)}.")
+        return found
+    ranked = accepted(accept or "*/*")
+    for wanted in sorted({q for _, q in ranked if q > 0}, reverse=True):
+        for image_format, media_type in MEDIA_TYPES.items():
+            if quality_of(media_type, ranked) == wanted:
+                return image_format
+    raise NotAcceptableError(f"Accept is {accept!r:.80}, but the offer is {_offer(names=False)}.")
+
+
+def accepted(header: str) -> list[tuple[str, float]]:
+    """The media ranges of an Accept header with their quality; a quality that is no number counts as 0."""
+    ranges = []
+    for part in header.split(","):
+        media, *parameters = (p.strip().lower() for p in part.split(";"))
+        q = next((p[2:] for p in parameters if p.startswith("q=")), "1")
+        try:
+            ranges.append((media, float(q)))
+        except ValueError:
+            ranges.append((media, 0.0))
+    return ranges
+
+
+def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
+    """How welcome a media type is: the most specific range that covers it decides, 0 if none does."""
+    for pattern in (media_type, f"{media_type.split('/')[0]}/*", "*/*"):
+        for media, q in ranges:
+            if media == pattern:
+                return q
+    return 0.0
+
+
+def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[str, str]]:
+    """The bytes of a picture (h, w) or (h, w, 3), and the headers that describe them."""
+    headers = describe(image)
+    if image_format is ImageFormat.PNG:
+        return encode_png(image), headers
+    if image_format is ImageFormat.JPEG:
+        return encode_jpeg(image), headers | {"X-Image-Dtype": "uint8"}
+    if image_format is ImageFormat.TIFF:
+        return encode(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1]), headers
+    pixels = _rgb(image)
+    if image_format is ImageFormat.RAW:
+        return pixels.tobytes(), headers
+    buffer = io.BytesIO()
+    np.save(buffer, pixels, allow_pickle=False)
+    return buffer.getvalue(), headers
+
+
+def describe(image: Image) -> dict[str, str]:
+    """X-Image-* headers; the stride is in bytes from one row to the next."""
+    height, width = image.shape[:2]
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    return {
+        "X-Image-Width": str(width),
+        "X-Image-Height": str(height),
+        "X-Image-Channels": str(channels),
+        "X-Image-Dtype": image.dtype.name,
+        "X-Image-Stride": str(width * channels * image.dtype.itemsize),
+    }
+
+
+def _rgb(image: Image) -> Image:
+    """Pixels in the order the wire has: OpenCV keeps blue first, others expect red first."""
+    return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])
+
+
+def _offer(*, names: bool) -> str:
+    return ", ".join(map(str, ImageFormat) if names else MEDIA_TYPES.values())
+
+
+def raw_from_npy(content: bytes) -> tuple[bytes, dict[str, str]]:
+    """The bare pixels of an npy, and the headers that describe them."""
+    pixels: Image = np.load(io.BytesIO(content), allow_pickle=False)
+    return np.ascontiguousarray(pixels).tobytes(), describe(pixels)

@@ -1,0 +1,51 @@
+"""The operator's page at `/`, the drawn interface at `/docs`, and what problem types mean; all from our own files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fastapi import FastAPI, Request
+from fastapi.responses import FileResponse, PlainTextResponse
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from starlette.staticfiles import StaticFiles
+from starlette.types import Scope
+
+from vaoi_station.api.problems import KINDS
+
+WEB = Path(__file__).parent / "web"
+FRESH = {"Cache-Control": "no-cache"}
+
+
+class Assets(StaticFiles):
+    """Files of the pages; asked for again by ETag, so that an update shows at once."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        """One file; 404 for directories and for anything outside."""
+        answer = await super().get_response(path, scope)
+        answer.headers["Cache-Control"] = "no-cache"
+        return answer
+
+
+def install(app: FastAPI) -> None:
+    """Add the pages to the app; they are no part of the interface."""
+    app.mount("/web", Assets(directory=WEB), name="web")
+
+    @app.get("/", include_in_schema=False)
+    async def page() -> FileResponse:
+        return FileResponse(WEB / "index.html", headers=FRESH)
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> FileResponse:
+        return FileResponse(WEB / "docs.html", headers=FRESH)
+
+    @app.get("/favicon.ico", include_in_schema=False)
+    async def icon() -> FileResponse:
+        return FileResponse(WEB / "icon.svg", headers=FRESH)
+
+    @app.get("/problems/{code}", include_in_schema=False)
+    async def problem(request: Request, code: str) -> PlainTextResponse:
+        if code not in KINDS:
+            raise HTTPException(404, f"{request.url.path} does not exist.")
+        status, title, action = KINDS[code]
+        return PlainTextResponse(f"{title} (HTTP {status}, code {code}).\n{action}\n")

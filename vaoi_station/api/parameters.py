@@ -1,0 +1,50 @@
+"""Parameters that several addresses share, with their limits."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Path, Query
+
+RunId = Annotated[
+    str, Path(description="Id of a run, as `runs` lists it.", pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")
+]
+BoardTypeName = Annotated[
+    str,
+    Path(
+        description="Name of a board type: no slashes, no leading dot, at most 80 characters.",
+        pattern=r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}$",
+    ),
+]
+Camera = Annotated[int, Path(description="Camera, from 0.", ge=0, le=9999)]
+Row = Annotated[int, Path(description="Row, from 0.", ge=0, le=99999)]
+Address = Annotated[
+    str, Path(description="Component: `ref`, or `panel/ref` on a panel.", min_length=1, max_length=200)
+]
+PxPerMm = Annotated[
+    float | None,
+    Query(
+        description="Resolution of the temporary images; left out: the station's own.",
+        ge=0.5,
+        le=500,
+        allow_inf_nan=False,
+    ),
+]
+MinCoverage = Annotated[
+    float,
+    Query(
+        description="Leave out frames that show less than this part of the component.",
+        gt=0,
+        le=1,
+        allow_inf_nan=False,
+    ),
+]
+FormatName = Annotated[
+    str | None,
+    Query(description="png, jpeg, tiff, npy or raw; outranks Accept.", max_length=20),
+]
+TimeoutS = Annotated[
+    float, Query(description="Longest wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)
+]
+MAX_PICTURE_PX = 64_000_000
+"""Largest temporary image that is rendered on request, in pixels."""

@@ -1,0 +1,64 @@
+"""`board-types`: what the line calls products; taught, read and forgotten."""
+
+from __future__ import annotations
+
+import json
+
+from fastapi import APIRouter, Request, Response
+
+from vaoi_station.api.caching import REVALIDATE, conditional
+from vaoi_station.api.parameters import BoardTypeName
+from vaoi_station.api.services import Services
+from vaoi_station.api.shapes import BoardTypeList
+from vaoi_station.errors import InputError
+from vaoi_station.model import BoardType
+
+MAX_NAME_BYTES = 200
+"""A file system takes 255 bytes, and the file's name has a suffix."""
+
+
+def router(services: Services) -> APIRouter:
+    """Board types as `docs/formats.md` has them."""
+    routes = APIRouter(prefix="/board-types", tags=["board types"])
+    conductor, ask = services.conductor, services.commands.ask
+
+    @routes.get("", response_model_exclude_none=True)
+    async def list_board_types(response: Response) -> BoardTypeList:
+        """All board types by name; one whose file cannot be used is listed with its fault."""
+        response.headers["Cache-Control"] = REVALIDATE
+        return BoardTypeList(board_types=list(await ask(conductor.board_types)))
+
+    @routes.get("/{name}", response_model=BoardType)
+    async def get_board_type(request: Request, name: BoardTypeName) -> Response:
+        """One board type, as it was taught."""
+        content = _document(await ask(conductor.board_type, name))
+        return conditional(request, content, "application/json", cache=REVALIDATE)
+
+    @routes.put("/{name}", response_model=BoardType, responses={201: {"model": BoardType, "description": "New."}})
+    async def put_board_type(request: Request, name: BoardTypeName, board_type: BoardType) -> Response:
+        """Teach a board type; the same again replaces it. Runs keep the one they were filmed with."""
+        if board_type.name != name:
+            raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
+        if len(name.encode()) > MAX_NAME_BYTES:
+            raise InputError.field("body", "name", name, f"at most {MAX_NAME_BYTES} bytes long")
+        content = _document(board_type)
+        new = await ask(conductor.put_board_type, board_type)
+        answer = conditional(request, content, "application/json", cache=REVALIDATE)
+        if new:
+            answer.status_code = 201
+            answer.headers["Location"] = request.url.path
+        return answer
+
+    @routes.delete("/{name}", status_code=204)
+    async def delete_board_type(name: BoardTypeName) -> None:
+        """Forget a board type; 409 while the station is armed with it."""
+        await ask(conductor.delete_board_type, name)
+
+    return routes
+
+
+def _document(board_type: BoardType) -> bytes:
+    try:
+        return json.dumps(board_type.model_dump(mode="json", exclude_none=True), allow_nan=False).encode()
+    except ValueError as error:
+        raise InputError(f"body: {error}; JSON has neither NaN nor infinity.") from error

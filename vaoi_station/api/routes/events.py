@@ -1,0 +1,67 @@
+"""`events`: what happens, as server-sent events that can be resumed."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Query
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+
+from vaoi_station.api.services import Services
+from vaoi_station.api.shapes import Heartbeat
+from vaoi_station.errors import InputError
+from vaoi_station.runs.facade import EventRecord
+
+HEARTBEAT_S = 2.0
+RECONNECT_MS = 1000
+
+
+def router(services: Services) -> APIRouter:
+    """The event log, live."""
+    routes = APIRouter(tags=["events"])
+
+    async def start(
+        after: Annotated[
+            int | None, Query(ge=0, le=2**53, description="Number of the last event that is known.")
+        ] = None,
+        last_event_id: Annotated[str | None, Header(description="The same, from a client that reconnects.")] = None,
+    ) -> int:
+        """Where to begin: behind the last event the caller knows, or behind the newest."""
+        newest = (await services.commands.ask(services.conductor.snapshot)).last_event
+        if last_event_id:
+            if not (last_event_id.isascii() and last_event_id.isdecimal() and len(last_event_id) < 17):
+                raise InputError.field("header", "Last-Event-ID", last_event_id, "the id of an event, a whole number")
+            after = int(last_event_id)
+        return newest if after is None else min(after, newest)
+
+    @routes.get("/events", response_class=EventSourceResponse)
+    async def stream_events(after: Annotated[int, Depends(start)]) -> AsyncIterator[ServerSentEvent]:
+        """Every event as one message whose id is its number, in order and without gaps.
+
+        Resume with `Last-Event-ID` (browsers do it by themselves) or `?after=`; without either, only what
+        happens from now on. Every two seconds without news an event `heartbeat` tells state and time.
+        """
+        async with services.hub.place():
+            yield await _heartbeat(services)
+            while not services.hub.closed:
+                records = await services.hub.events(after, HEARTBEAT_S)
+                for record in records:
+                    after = record.number
+                    yield _message(record)
+                if not records and not services.hub.closed:
+                    yield await _heartbeat(services)
+
+    return routes
+
+
+def _message(record: EventRecord) -> ServerSentEvent:
+    return ServerSentEvent(raw_data=record.model_dump_json(exclude_none=True), id=str(record.number))
+
+
+async def _heartbeat(services: Services) -> ServerSentEvent:
+    """Asked of the conductor, so that it stops when the conductor hangs, not only when the network does."""
+    now = await services.commands.ask(services.conductor.snapshot)
+    beat = Heartbeat(time=datetime.now(UTC).isoformat(), state=now.state, last_event=now.last_event)
+    return ServerSentEvent(raw_data=beat.model_dump_json(), event="heartbeat", retry=RECONNECT_MS)

@@ -1,0 +1,53 @@
+"""`runs/{id}/frames/{camera}/{row}`: the frames as the cameras gave them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Header, Query, Request, Response
+
+from vaoi_station.api.caching import conditional
+from vaoi_station.api.encoders import MEDIA_TYPES, choose_format, encode_image
+from vaoi_station.api.parameters import Camera, FormatName, Row, RunId
+from vaoi_station.api.services import Services
+
+Accept = Annotated[str | None, Header(max_length=500)]
+PICTURE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The picture; raw is described by X-Image-* headers.",
+        "content": {media: {"schema": {"type": "string", "format": "binary"}} for media in MEDIA_TYPES.values()},
+    }
+}
+
+
+def router(services: Services) -> APIRouter:
+    """Raw frames."""
+    routes = APIRouter(prefix="/runs/{run}/frames", tags=["pictures"])
+
+    @routes.get("/{camera}/{row}", response_class=Response, responses=PICTURE)
+    async def get_frame(
+        request: Request,
+        run: RunId,
+        camera: Camera,
+        row: Row,
+        format: FormatName = None,  # noqa: A002
+        accept: Accept = None,
+        incomplete: Annotated[
+            Literal["refuse", "show"], Query(description="Whether a frame with holes is answered.")
+        ] = "refuse",
+    ) -> Response:
+        """One frame, exact as PNG, TIFF, npy or raw. With `incomplete=show` a frame with holes too.
+
+        The header X-Frame-Verdict says `ok` or `incomplete`. 410: its memory went to a later board.
+        """
+        image_format = choose_format(format, accept)
+
+        def picture() -> tuple[bytes, dict[str, str]]:
+            pixels, record = services.conductor.frame(run, camera, row, incomplete == "show")
+            content, headers = encode_image(pixels, image_format)
+            return content, headers | {"X-Frame-Verdict": str(record.verdict)}
+
+        content, headers = await services.pictures.ask(picture)
+        return conditional(request, content, MEDIA_TYPES[image_format], headers=headers)
+
+    return routes

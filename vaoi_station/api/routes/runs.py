@@ -1,0 +1,117 @@
+"""`runs`: one board's passage each; lists, the long poll, results, memory."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from vaoi_station.api.caching import IMMUTABLE, LIVE, REVALIDATE, conditional
+from vaoi_station.api.parameters import RunId, TimeoutS
+from vaoi_station.api.services import Services
+from vaoi_station.api.shapes import Matrices, RunPage
+from vaoi_station.errors import NotFoundError
+from vaoi_station.files.results import stitch_document
+from vaoi_station.runs.facade import LeaseStatus, RunDetail
+from vaoi_station.runs.state import IN_MEMORY
+
+Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]
+Holder = Annotated[str, Query(description="Who holds the run.", min_length=1, max_length=80)]
+
+
+def router(services: Services) -> APIRouter:
+    """Everything about a run but its pictures."""
+    routes = APIRouter(prefix="/runs", tags=["runs"])
+    conductor, ask = services.conductor, services.commands.ask
+
+    @routes.get("", response_model_exclude_none=True)
+    async def list_runs(
+        response: Response, limit: Annotated[int, Query(ge=1, le=500)] = 50, before: Cursor = None
+    ) -> RunPage:
+        """Runs, newest first; `next` is the cursor for the page after."""
+        found = await ask(conductor.runs, limit + 1, before)
+        response.headers["Cache-Control"] = LIVE
+        return RunPage(runs=list(found[:limit]), next=found[limit - 1].id if len(found) > limit else None)
+
+    @routes.get("/latest", response_model=RunDetail)
+    async def get_latest_run(request: Request) -> Response:
+        """The run that finished last; 404 `no-run-yet` before the first."""
+        run = await ask(conductor.latest)
+        if run is None:
+            raise NotFoundError(
+                "No board has been filmed yet.",
+                action="Arm the station and let a board pass; then ask again.",
+                code="no-run-yet",
+            )
+        return _detail(request, run)
+
+    @routes.get("/next", response_model=RunDetail, responses={204: {"description": "None finished in time."}})
+    async def wait_for_next_run(request: Request, after: Cursor = None, timeout: TimeoutS = 30.0) -> Response:  # noqa: ASYNC109
+        """Long poll: the first run that finished after the run `after`, at once if there is one; 204 on time-out.
+
+        Without `after`: the first run that finishes after this call. A caller that follows the ids sees
+        every finished run once.
+        """
+        run = await _next(services, after, timeout)
+        return Response(status_code=204, headers={"Cache-Control": LIVE}) if run is None else _detail(request, run, LIVE)
+
+    @routes.get("/{run}", response_model=RunDetail)
+    async def get_run(request: Request, run: RunId) -> Response:
+        """One run, also while it is filmed, with the verdict of every frame."""
+        return _detail(request, await ask(conductor.run, run))
+
+    @routes.get("/{run}/matrices", response_model=Matrices)
+    async def get_matrices(request: Request, run: RunId) -> Response:
+        """The result in the format of `docs/formats.md`; 409 while it is not there yet."""
+        stitch = await ask(conductor.stitch, run)
+        content = json.dumps(stitch_document(stitch), allow_nan=False).encode()
+        return conditional(request, content, "application/json", cache=IMMUTABLE)
+
+    @routes.post("/{run}/release", response_model_exclude_none=True)
+    async def release_run(response: Response, run: RunId) -> RunDetail:
+        """Give up a finished run's frames, so that their memory is free for the next board; the result stays."""
+        response.headers["Cache-Control"] = LIVE
+        return await ask(conductor.release, run)
+
+    @routes.put("/{run}/hold", response_model_exclude_none=True)
+    async def hold_run(
+        response: Response,
+        run: RunId,
+        holder: Holder,
+        purpose: Annotated[str, Query(max_length=200)] = "",
+    ) -> LeaseStatus:
+        """Keep a run's frames in memory until the hold expires; the same call again renews it."""
+        response.headers["Cache-Control"] = LIVE
+        return await ask(conductor.hold, run, holder, purpose)
+
+    @routes.delete("/{run}/hold", status_code=204)
+    async def let_go_of_run(run: RunId, holder: Holder) -> None:
+        """End a hold; harmless if there is none."""
+        await ask(conductor.let_go, run, holder)
+
+    return routes
+
+
+def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
+    """A run's state changes when its memory goes, so that its answer is asked for again by ETag."""
+    content = run.model_dump_json(exclude_none=True).encode()
+    return conditional(request, content, "application/json", cache=cache)
+
+
+async def _next(services: Services, after: str | None, timeout_s: float) -> RunDetail | None:
+    """Wait on the hub, without a thread, and look whenever something has happened."""
+    hub, ask, conductor = services.hub, services.commands.ask, services.conductor
+    until, seen = time.monotonic() + timeout_s, hub.newest
+    async with hub.place():
+        while True:
+            if after is not None and (run := await ask(conductor.next_run, after, 0.0)) is not None:
+                return run
+            records = await hub.events(seen, until - time.monotonic())
+            if not records:
+                return None
+            seen = records[-1].number
+            for record in records:
+                if after is None and record.kind == "run" and record.run and record.state in IN_MEMORY:
+                    return await ask(conductor.run, record.run)

@@ -1,0 +1,71 @@
+"""`station`: its state, and the two commands."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Query, Response
+
+from vaoi_station.api.caching import LIVE
+from vaoi_station.api.services import Services
+from vaoi_station.api.shapes import ArmRequest
+from vaoi_station.errors import InputError
+from vaoi_station.runs.facade import StationSnapshot
+
+Text = Annotated[str | None, Query(max_length=200)]
+
+
+def router(services: Services) -> APIRouter:
+    """State and commands of the station."""
+    routes = APIRouter(prefix="/station", tags=["station"])
+    conductor, ask = services.conductor, services.commands.ask
+
+    @routes.get("", response_model_exclude_none=True)
+    async def get_station(response: Response) -> StationSnapshot:
+        """State, health, memory, versions, and what is kept how long."""
+        response.headers["Cache-Control"] = LIVE
+        return await ask(conductor.snapshot)
+
+    @routes.post("/arm", response_model_exclude_none=True)
+    async def arm_station(
+        response: Response,
+        request: Annotated[ArmRequest, Body(default_factory=ArmRequest)],
+        board_type: Text = None,
+        board_id: Text = None,
+        job_id: Text = None,
+        runs: Annotated[int | None, Query(ge=1, le=1_000_000)] = None,
+    ) -> StationSnapshot:
+        """Film every board from now on; by JSON body or by query parameters, whichever is easier.
+
+        Answers once cameras and controller are armed. 404: nobody taught the board type; 409: a board is
+        passing, or a device is lost; 503: all memory is in use, with the holders.
+        """
+        given = {"board_type": board_type, "board_id": board_id, "job_id": job_id, "runs": runs}
+        order = _merged(request, given)
+        response.headers["Cache-Control"] = LIVE
+        return await ask(conductor.arm, order.board_type, order.board_id, order.job_id, order.runs)
+
+    @routes.post("/disarm", response_model_exclude_none=True)
+    async def disarm_station(response: Response) -> StationSnapshot:
+        """Ignore the barrier; a run under way is finished with what it has. Harmless when idle."""
+        response.headers["Cache-Control"] = LIVE
+        return await ask(conductor.disarm)
+
+    return routes
+
+
+def _merged(request: ArmRequest, given: dict[str, Any]) -> ArmRequest:
+    """Body and query together; InputError where they contradict each other or name no board type."""
+    merged = request.model_dump()
+    for key, value in given.items():
+        if value is not None and merged[key] not in (None, value):
+            raise InputError(
+                f"{key} is {merged[key]!r} in the body and {value!r} in the query.", action="Give it once."
+            )
+        merged[key] = merged[key] if value is None else value
+    if not merged["board_type"]:
+        raise InputError(
+            "board_type is missing; it must name a board type that was taught.",
+            action="Choose a board type; /api/v1/board-types lists them.",
+        )
+    return ArmRequest.model_validate(merged)

@@ -1,0 +1,124 @@
+"""JSON shapes that only the REST interface has; the others are those of `runs.shapes`.
+
+Fields that are unknown are left out of an answer, never null, so that no field is of two types.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from vaoi_station.runs.facade import BoardTypeSummary, RunSummary
+
+Matrix3 = list[list[float]]
+
+
+class Shape(BaseModel):
+    """Frozen, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ArmRequest(Shape):
+    """What the next boards are to be taken for; query parameters of the same names do as well."""
+
+    board_type: str | None = Field(default=None, max_length=200, description="A board type that was taught.")
+    board_id: str | None = Field(default=None, max_length=200, description="The caller's own id of the board.")
+    job_id: str | None = Field(default=None, max_length=200, description="The caller's own id of the job.")
+    runs: int | None = Field(default=None, ge=1, le=1_000_000, description="Disarm after so many runs.")
+
+
+class BoardTypeList(Shape):
+    """All board types, by name."""
+
+    board_types: list[BoardTypeSummary]
+
+
+class RunPage(Shape):
+    """Runs, newest first."""
+
+    runs: list[RunSummary]
+    next: str | None = Field(default=None, description="Ask with `before` = this for older ones; absent at the end.")
+
+
+class ComponentEntry(Shape):
+    """One component of a run's board type, and where it was."""
+
+    address: str = Field(description="`panel/ref` on a panel, else `ref`.")
+    ref: str
+    panel: str | None
+    center_mm: tuple[float, float] = Field(description="CAD, in mm.")
+    width_mm: float
+    height_mm: float
+    rotation_deg: float
+    tester_mm: tuple[float, float] | None = Field(description="Place at the first row, tester coordinates.")
+    views: int = Field(description="Frames that show at least half of it.")
+    url: str
+
+
+class ComponentList(Shape):
+    """The components of a run's board type."""
+
+    components: list[ComponentEntry]
+
+
+class ViewEntry(Shape):
+    """One frame that shows a component, and its temporary image. Matrices act on columns (x, y, 1)."""
+
+    k: int
+    camera: int
+    row: int
+    coverage: float = Field(description="Part of the component that the frame shows, 0 … 1.")
+    width_px: int
+    height_px: int
+    px_per_mm: float
+    exposure_us: float | None = Field(description="Exposure time of the frame.")
+    light: str | None = Field(description="Light pattern of the row.")
+    crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of this image.")
+    cad_from_crop: Matrix3
+    image_from_crop: Matrix3 = Field(
+        description="Pixels of this image to pixels of the frame, undistorted where the lens is calibrated."
+    )
+    url: str = Field(description="Where this image is.")
+    frame_url: str = Field(description="Where the frame is from which it is taken.")
+
+
+class Component(Shape):
+    """All views of one component."""
+
+    address: str
+    px_per_mm: float | None = Field(description="Resolution of the images; absent if there are none.")
+    views: list[ViewEntry]
+
+
+class Matrices(BaseModel):
+    """A result as `docs/formats.md` has it; null where an image could not be placed."""
+
+    format: Literal["vaoi-stitch"]
+    version: Literal[1]
+    method: str
+    image_matrices: list[list[Matrix3 | None]] = Field(description="M_ij, tester to image: per camera, one per row.")
+    cad_matrix: Matrix3 | None = Field(description="C, CAD to tester.")
+    row_motion: list[Matrix3] = Field(description="D_j, one per row.")
+    status: Literal["ok", "degraded", "failed"]
+    reasons: list[str]
+    quality: dict[str, Any]
+    surface: dict[str, Any] | None = None
+    components: dict[str, list[tuple[int, int, float, float]]] | None = None
+
+
+class Heartbeat(Shape):
+    """Sent in the event stream when nothing else is: the station is alive."""
+
+    time: str
+    state: str
+    last_event: int
+
+
+class Health(Shape):
+    """Whether the station can film."""
+
+    status: Literal["ok", "degraded"]
+    state: str
+    version: str
