@@ -6,6 +6,7 @@ import sys
 
 import typer
 
+from vaoi_station.cli.plan import plan
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
 
 app = typer.Typer(
@@ -15,6 +16,14 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+@app.callback()
+def vaoi() -> None:
+    """Keep `vaoi COMMAND` the form of every call, however few commands there are."""
+
+
+app.command()(plan)
 
 
 def main() -> None:

@@ -1,0 +1,61 @@
+"""Section 2 of the paper: which cameras, lenses, exposures and pulses a line needs.
+
+One function per numbered equation, the arithmetic of data and time around them, and a plan that turns
+requirements into figures and constraints. Knows nothing of files and devices.
+"""
+
+from vaoi_station.optics.array import achieved_multiplicity_h, camera_pitch_mm, cameras_needed, field_of_view_mm
+from vaoi_station.optics.constraint import Constraint
+from vaoi_station.optics.data import buffer_bytes, data_rate_mbit_s, frame_bytes
+from vaoi_station.optics.lens import (
+    airy_disc_px,
+    depth_of_field_mm,
+    f_number,
+    focal_length_mm,
+    working_distance_mm,
+)
+from vaoi_station.optics.motion import (
+    longest_exposure_us,
+    lowest_frame_rate_hz,
+    motion_blur_px,
+    parallax_px,
+    parallax_px_per_mm,
+)
+from vaoi_station.optics.plan import Plan, make_plan
+from vaoi_station.optics.requirements import Requirements
+from vaoi_station.optics.timing import (
+    achieved_multiplicity_v,
+    capture_duration_s,
+    rows_per_board,
+    spare_time_us,
+    trigger_period_us,
+)
+
+__all__ = [
+    "Constraint",
+    "Plan",
+    "Requirements",
+    "achieved_multiplicity_h",
+    "achieved_multiplicity_v",
+    "airy_disc_px",
+    "buffer_bytes",
+    "camera_pitch_mm",
+    "cameras_needed",
+    "capture_duration_s",
+    "data_rate_mbit_s",
+    "depth_of_field_mm",
+    "f_number",
+    "field_of_view_mm",
+    "focal_length_mm",
+    "frame_bytes",
+    "longest_exposure_us",
+    "lowest_frame_rate_hz",
+    "make_plan",
+    "motion_blur_px",
+    "parallax_px",
+    "parallax_px_per_mm",
+    "rows_per_board",
+    "spare_time_us",
+    "trigger_period_us",
+    "working_distance_mm",
+]
