@@ -80,7 +80,7 @@ def _exposure(motion: MotionPlan) -> Constraint:
 def _frame_rate(motion: MotionPlan) -> Constraint:
     lowest, rate = motion.lowest_frame_rate_hz, motion.frame_rate_hz
     note = f"{lowest:.2f} frames/s needed; {rate:.2f} reach m_v = {motion.multiplicity_v:.3f}"
-    return at_least("frame rate", "t ≥ v·r·m_v/p_v, (6)", rate, lowest, "1/s", note)
+    return at_least("frame rate", "t ≥ v·r·m_v/p_v, (6)", rate, lowest, unit="1/s", note=note)
 
 
 def _period(q: Requirements, motion: MotionPlan) -> Constraint:
