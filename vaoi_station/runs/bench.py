@@ -1,0 +1,129 @@
+"""Where a worker does its jobs: a read-only ring, and a desk per run."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.ring import Ring
+from vaoi_station.errors import InternalError, VaoiError
+from vaoi_station.files.images import encode, encode_jpeg, encode_png
+from vaoi_station.rendering.temporary import render
+from vaoi_station.runs.jobs import Answer, CloseRun, ConcludeJob, Hello, Job, LinkJob, OpenRun, RenderJob, RunContext
+from vaoi_station.runs.shapes import ImageFormat
+from vaoi_station.stitching.evidence import Evidence, FrameKey
+from vaoi_station.stitching.work import Desk
+
+T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class _OpenedRun:
+    context: RunContext
+    desk: Desk
+    slots: dict[FrameKey, int] = field(default_factory=dict)
+
+
+class Bench:
+    """One worker's tools; single-threaded, for the other cores have workers of their own."""
+
+    def __init__(self, ring_path: str) -> None:
+        cv2.setNumThreads(1)
+        self._ring = Ring.attach(Path(ring_path))
+        self._runs: dict[str, _OpenedRun] = {}
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._runs.clear()
+        self._ring.close()
+
+    def hello(self) -> Hello:
+        """The sign of being ready."""
+        return Hello(os.getpid())
+
+    def take(self, message: OpenRun | CloseRun | Job) -> Answer | None:
+        """Carry out one message; jobs have an answer."""
+        if isinstance(message, OpenRun):
+            return self._open(message.context)
+        if isinstance(message, CloseRun):
+            self._runs.pop(message.run, None)
+            return None
+        began_s = time.monotonic()
+        try:
+            value, error = self._perform(message), None
+        except VaoiError as refusal:
+            value, error = None, refusal
+        except Exception as fault:  # noqa: BLE001  a fault in one job must not take the worker's other runs with it
+            _log.exception("%s failed", message)
+            value, error = None, InternalError(f"{message} failed: {type(fault).__name__}: {fault}.")
+        return Answer(value, error, time.monotonic() - began_s)
+
+    def _open(self, context: RunContext) -> None:
+        slots: dict[FrameKey, int] = {}
+
+        def frame(camera: int, row: int) -> NDArray[Any] | None:
+            slot = slots.get((camera, row))
+            return None if slot is None else self._ring.frame(slot)
+
+        self._runs[context.run] = _OpenedRun(context, Desk(context.setup, frame), slots)
+
+    def _perform(self, job: Job) -> Any:
+        match job:
+            case LinkJob():
+                return self._link(job)
+            case ConcludeJob():
+                return _conclude(job)
+            case RenderJob():
+                return self._render(job)
+
+    def _link(self, job: LinkJob) -> Evidence:
+        opened = self._runs[job.run]
+        opened.slots.update(job.slots)
+        return self._guarded(job.context.bay, job.context.generation, lambda: opened.desk.perform(job.task))
+
+    def _render(self, job: RenderJob) -> bytes:
+        frame = self._ring.frame(job.slot)
+        crop = self._guarded(job.bay, job.generation, lambda: render(job.view, frame, job.camera))
+        return encoded(crop, job.format)
+
+    def _guarded(self, bay: int, generation: int, look: Callable[[], T]) -> T:
+        """What `look` saw is this run's: the bay's generation is checked before and after."""
+        self._ring.check(bay, generation)
+        seen = look()
+        self._ring.check(bay, generation)
+        return seen
+
+
+def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:
+    """A picture as the bytes of a file."""
+    match format:
+        case "png":
+            return encode_png(image)
+        case "jpeg":
+            return encode_jpeg(image)
+        case "tiff":
+            return encode(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
+        case "npy":
+            file = io.BytesIO()
+            np.save(file, image)
+            return file.getvalue()
+
+
+def _conclude(job: ConcludeJob) -> Any:
+    from vaoi_station.stitching.conclude import conclude
+
+    return conclude(job.setup, job.head, job.present, job.evidence)

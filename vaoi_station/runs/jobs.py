@@ -1,0 +1,129 @@
+"""What the station asks of a worker, and what it gets back; all of it frozen and picklable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from vaoi_station.errors import VaoiError
+from vaoi_station.geometry import Camera
+from vaoi_station.model import RecordingHead
+from vaoi_station.rendering.temporary import View
+from vaoi_station.runs.shapes import ImageFormat
+from vaoi_station.stitching.evidence import Evidence, FrameKey, Task
+from vaoi_station.stitching.work import Setup
+
+
+class Priority(IntEnum):
+    """Lower goes first: matrices before pictures, the run that is nearly done before the next one."""
+
+    CONCLUDE = 0
+    LINK = 1
+    RENDER = 2
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What every task of a run needs; a worker gets it once."""
+
+    run: str
+    setup: Setup
+    bay: int
+    generation: int
+
+
+@dataclass(frozen=True)
+class LinkJob:
+    """One stitching task on frames that are in the ring."""
+
+    context: RunContext
+    task: Task
+    slots: Mapping[FrameKey, int]
+
+    priority = Priority.LINK
+
+    @property
+    def run(self) -> str:
+        """The run it belongs to."""
+        return self.context.run
+
+    @property
+    def affinity(self) -> int | None:
+        """Frames of one camera go to one worker, which has prepared them before."""
+        return self.task.a[0]
+
+    def __str__(self) -> str:
+        other = f" and {self.task.b}" if self.task.b else ""
+        return f"{self.task.kind} of {self.task.a}{other} of run {self.run}"
+
+
+@dataclass(frozen=True)
+class ConcludeJob:
+    """All evidence of a run to one result."""
+
+    run: str
+    setup: Setup
+    head: RecordingHead
+    present: tuple[FrameKey, ...]
+    evidence: tuple[Evidence, ...]
+
+    priority = Priority.CONCLUDE
+    affinity: int | None = None
+
+    def __str__(self) -> str:
+        return f"the conclusion of run {self.run}"
+
+
+@dataclass(frozen=True)
+class RenderJob:
+    """One temporary image, encoded."""
+
+    run: str
+    bay: int
+    generation: int
+    slot: int
+    view: View
+    camera: Camera
+    format: ImageFormat
+
+    priority = Priority.RENDER
+    affinity: int | None = None
+
+    def __str__(self) -> str:
+        return f"a picture from camera {self.view.camera}, row {self.view.row} of run {self.run}"
+
+
+Job = LinkJob | ConcludeJob | RenderJob
+
+
+@dataclass(frozen=True)
+class OpenRun:
+    """A run whose tasks are about to come."""
+
+    context: RunContext
+
+
+@dataclass(frozen=True)
+class CloseRun:
+    """Nothing more of this run will be asked for; forget what was prepared."""
+
+    run: str
+
+
+@dataclass(frozen=True)
+class Hello:
+    """The worker has its ring and its libraries."""
+
+    pid: int
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The outcome of a job: a value, or whose fault it is that there is none."""
+
+    value: Any
+    error: VaoiError | None
+    worker_s: float
+    """Time it took in the worker."""

@@ -1,0 +1,23 @@
+"""The process of one worker: a job comes, an answer goes, until the pipe ends."""
+
+from __future__ import annotations
+
+from multiprocessing.connection import Connection
+from typing import Any
+
+from vaoi_station.runs.child import settle_in
+
+
+def work(connection: Connection[Any, Any], ring_path: str) -> None:
+    """Do jobs until there are no more; heavy imports only after the number of threads is set."""
+    settle_in(one_thread=True)
+    from vaoi_station.runs.bench import Bench
+
+    with connection, Bench(ring_path) as bench:
+        try:
+            connection.send(bench.hello())
+            while (message := connection.recv()) is not None:
+                if (answer := bench.take(message)) is not None:
+                    connection.send(answer)
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            return  # the station is gone, and so is the reason to be here

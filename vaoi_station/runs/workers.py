@@ -1,0 +1,303 @@
+"""k worker processes: who does what next, and what happens when one dies.
+
+Jobs wait here, not in the workers' pipes: each worker has one job in its hands. A worker that dies
+is noticed at once by its sentinel; its job goes to another one and a new worker takes its place. A
+job that has taken two workers with it is given back with the reason.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.errors import InternalError, StateError
+from vaoi_station.runs.jobs import Answer, CloseRun, Hello, Job, LinkJob, OpenRun, Priority
+from vaoi_station.runs.shapes import ProcessStatus
+from vaoi_station.runs.worker_process import work
+
+_log = logging.getLogger(__name__)
+
+JOB_LIMIT_S = 120.0
+"""A worker that takes longer for one job is taken for hung and killed."""
+LIVES = 2
+"""Workers one job may take with it."""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
+"""Before a worker that died while it was starting is started again."""
+
+Done = Callable[[Answer], None]
+
+
+@dataclass
+class _Queued:
+    job: Job
+    done: Done
+    deaths: int = 0
+
+
+@dataclass
+class _Worker:
+    index: int
+    process: BaseProcess | None = None
+    connection: Connection[Any, Any] | None = None
+    ready: bool = False
+    job: _Queued | None = None
+    since_s: float = 0.0
+    opened: set[str] = field(default_factory=set)
+    restarts: int = 0
+    failed_starts: int = 0
+    start_at_s: float = 0.0
+    seen_s: float | None = None
+
+    @property
+    def idle(self) -> bool:
+        return self.ready and self.job is None
+
+
+class WorkerPool:
+    """The workers; `submit` from any thread, answers come in the pool's own thread."""
+
+    def __init__(self, count: int, ring_path: Path, lost: Callable[[str], None] = lambda _: None) -> None:
+        self._ring_path = ring_path
+        self._lost = lost
+        self._spawn = multiprocessing.get_context("spawn")
+        self._workers = [_Worker(k) for k in range(count)]
+        self._queues: dict[Priority, deque[_Queued]] = {p: deque() for p in Priority}
+        self._lock = threading.RLock()
+        self._wake_here, self._wake_there = multiprocessing.Pipe(duplex=False)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
+
+    def start(self) -> None:
+        """Start the processes; jobs may be submitted before they are ready."""
+        self._thread.start()
+
+    def submit(self, job: Job, done: Done) -> None:
+        """Have a job done; `done` is called once, with a value or a reason."""
+        with self._lock:
+            if not self._stopping:
+                self._queues[job.priority].append(_Queued(job, done))
+                self._dispatch()
+                return
+        done(_refused(StateError("The station is stopping; its workers take no more jobs.")))
+
+    def close_run(self, run: str) -> None:
+        """Nothing more of a run will be asked for: links that still wait are dropped, workers forget it."""
+        with self._lock:
+            links = self._queues[Priority.LINK]
+            self._queues[Priority.LINK] = deque(q for q in links if q.job.run != run)
+            for worker in self._workers:
+                if run in worker.opened and worker.connection is not None:
+                    worker.opened.discard(run)
+                    _send(worker.connection, CloseRun(run))
+
+    def status(self) -> tuple[ProcessStatus, ...]:
+        """How every worker does."""
+        now = time.monotonic()
+        with self._lock:
+            return tuple(
+                ProcessStatus(
+                    name=f"worker {w.index}",
+                    pid=w.process.pid if w.process else None,
+                    alive=w.process is not None and w.process.is_alive(),
+                    restarts=w.restarts,
+                    heartbeat_age_s=None if w.seen_s is None else now - w.seen_s,
+                    doing=str(w.job.job) if w.job else "idle" if w.ready else "starting",
+                )
+                for w in self._workers
+            )
+
+    def stop(self, timeout_s: float = 5.0) -> None:
+        """End the workers and give every waiting job back; no process is left behind."""
+        with self._lock:
+            if self._stopping:
+                return
+            self._stopping = True
+        self._wake_there.send_bytes(b"stop")
+        if self._thread.ident is not None:
+            self._thread.join()
+        deadline = time.monotonic() + timeout_s
+        for worker in self._workers:
+            if worker.connection is not None:
+                _send(worker.connection, None)
+        for worker in self._workers:
+            if worker.process is not None:
+                worker.process.join(max(0.0, deadline - time.monotonic()))
+                _end(worker.process, worker.connection)
+        for queued in self._abandoned():
+            queued.done(_refused(StateError("The station was stopped before this was done.")))
+        self._wake_here.close()
+        self._wake_there.close()
+
+    def _run(self) -> None:
+        """Start, listen, notice deaths, until stopped; all of the pool's waiting happens here."""
+        while not self._stopping:
+            now = time.monotonic()
+            for worker in self._workers:
+                if worker.process is None and worker.start_at_s <= now:
+                    self._begin(worker)
+            sources: dict[Any, _Worker] = {}
+            for worker in self._workers:
+                if worker.process is not None:
+                    sources[worker.connection] = sources[worker.process.sentinel] = worker
+            for source in wait([self._wake_here, *sources], timeout=0.5):
+                if source is self._wake_here:
+                    self._wake_here.recv_bytes()
+                elif source is sources[source].connection:
+                    self._listen(sources[source])
+            for worker in {w.index: w for w in sources.values()}.values():
+                self._look_after(worker)
+
+    def _begin(self, worker: _Worker) -> None:
+        here, there = self._spawn.Pipe()
+        process = self._spawn.Process(
+            target=work, args=(there, str(self._ring_path)), name=f"vaoi-worker-{worker.index}", daemon=True
+        )
+        process.start()
+        there.close()
+        with self._lock:
+            worker.process, worker.connection, worker.since_s = process, here, time.monotonic()
+
+    def _listen(self, worker: _Worker) -> None:
+        """Take one message of a worker; an end of its pipe is left to its sentinel."""
+        assert worker.connection is not None
+        try:
+            message = worker.connection.recv()
+        except (EOFError, ConnectionResetError):
+            _kill(worker.process)
+            return
+        worker.seen_s = time.monotonic()
+        with self._lock:
+            queued, worker.job = worker.job, None
+            if isinstance(message, Hello):
+                worker.ready, worker.failed_starts = True, 0
+            self._dispatch()
+        if isinstance(message, Answer) and queued is not None:
+            queued.done(message)
+
+    def _look_after(self, worker: _Worker) -> None:
+        """Notice that a worker has died, and kill one that hangs."""
+        if worker.process is None:
+            return
+        if worker.process.is_alive():
+            if (worker.job is not None or not worker.ready) and time.monotonic() - worker.since_s > JOB_LIMIT_S:
+                _kill(worker.process)
+            return
+        while worker.connection is not None and worker.job is not None and worker.connection.poll():
+            before = worker.job  # its last answer may still lie in the pipe
+            self._listen(worker)
+            if worker.job is before:
+                break
+        self._bury(worker)
+
+    def _bury(self, worker: _Worker) -> None:
+        assert worker.process is not None
+        process, code = worker.process, worker.process.exitcode
+        with self._lock:
+            queued, was_ready = worker.job, worker.ready
+            _end(process, worker.connection)
+            worker.process = worker.connection = worker.job = None
+            worker.ready = False
+            worker.opened.clear()
+            worker.restarts += 1
+            worker.failed_starts += not was_ready
+            worker.start_at_s = time.monotonic() + (0.0 if was_ready else _pause_s(worker.failed_starts))
+            spent = queued is not None and self._again(queued)
+            self._dispatch()
+        sentence = f"Worker {worker.index} ended with code {code}" + (
+            f" while doing {queued.job}; another one does it." if queued and not spent else "; it is started again."
+        )
+        _log.warning(sentence)
+        self._lost(sentence)
+        if queued is not None and spent:
+            fault = f"{queued.job} took {LIVES} workers with it; the last ended with code {code}."
+            queued.done(_refused(InternalError(fault, code="worker-lost")))
+
+    def _again(self, queued: _Queued) -> bool:
+        """Put a dead worker's job in front of the queue; True if it has had all its lives."""
+        queued.deaths += 1
+        if queued.deaths >= LIVES:
+            return True
+        self._queues[queued.job.priority].appendleft(queued)
+        return False
+
+    def _dispatch(self) -> None:
+        """Give every idle worker the job that suits it best."""
+        for worker in self._workers:
+            if worker.idle and (queued := self._choose(worker)) is not None:
+                self._hand(worker, queued)
+
+    def _choose(self, worker: _Worker) -> _Queued | None:
+        for queue in self._queues.values():
+            mine = next((q for q in queue if self._home(q) in (None, worker.index)), None)
+            chosen = mine or next((q for q in queue if self._may_take(q, queue)), None)
+            if chosen is not None:
+                queue.remove(chosen)
+                return chosen
+        return None
+
+    def _home(self, queued: _Queued) -> int | None:
+        """The worker that has this job's frames prepared."""
+        affinity = queued.job.affinity
+        return None if affinity is None else affinity % len(self._workers)
+
+    def _may_take(self, queued: _Queued, queue: deque[_Queued]) -> bool:
+        """Whether another worker than its own should do a job: its own is away, or has more than it can do next."""
+        home = self._home(queued)
+        assert home is not None
+        return not self._workers[home].ready or sum(self._home(q) == home for q in queue) > 1
+
+    def _hand(self, worker: _Worker, queued: _Queued) -> None:
+        assert worker.connection is not None
+        worker.job, worker.since_s = queued, time.monotonic()
+        if isinstance(queued.job, LinkJob) and queued.job.run not in worker.opened:
+            worker.opened.add(queued.job.run)
+            _send(worker.connection, OpenRun(queued.job.context))
+        _send(worker.connection, queued.job)
+
+    def _abandoned(self) -> list[_Queued]:
+        with self._lock:
+            left = [w.job for w in self._workers if w.job is not None] + [q for s in self._queues.values() for q in s]
+            for worker in self._workers:
+                worker.job = None
+            for queue in self._queues.values():
+                queue.clear()
+            return left
+
+
+def _refused(error: StateError | InternalError) -> Answer:
+    return Answer(None, error, 0.0)
+
+
+def _send(connection: Connection[Any, Any], message: object) -> None:
+    try:
+        connection.send(message)
+    except (BrokenPipeError, ConnectionResetError):
+        return  # the worker has died; its sentinel says so in a moment, and its job is given to another
+
+
+def _kill(process: BaseProcess | None) -> None:
+    if process is not None:
+        process.kill()
+
+
+def _end(process: BaseProcess, connection: Connection[Any, Any] | None) -> None:
+    """Make sure a process is gone, and give back what it held here."""
+    if process.is_alive():
+        process.kill()
+    process.join()
+    process.close()
+    if connection is not None:
+        connection.close()
+
+
+def _pause_s(failed_starts: int) -> float:
+    return float(min(FIRST_PAUSE_S * 2 ** max(failed_starts - 1, 0), LONGEST_PAUSE_S))
