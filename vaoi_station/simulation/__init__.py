@@ -1,0 +1,10 @@
+"""The digital twin: one scenario file → what camera k sees at time t, with faults and the truth.
+
+Everything is a pure function of time and seed; `docs/twin.md` says what is modelled and what is not.
+"""
+
+from vaoi_station.simulation.passage import Passage
+from vaoi_station.simulation.scenario import Scenario, read_scenario, scenario_path
+from vaoi_station.simulation.twin import Twin
+
+__all__ = ["Passage", "Scenario", "Twin", "read_scenario", "scenario_path"]

@@ -1,0 +1,152 @@
+"""Painting in millimetres by exact pixel coverage: OpenCV's own shapes round to 1/16 px.
+
+A canvas covers a rectangle of the board; pixel (0, 0)'s outer corner is at `origin_mm`. Besides the
+grey value it keeps how metallic a pixel is, since LED patterns light metal differently.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+
+Plane = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """Grey values and metal share being painted; (h, w) float32 each."""
+
+    grey: Plane
+    metal: Plane
+    origin_mm: tuple[float, float]
+    px_per_mm: float
+
+    @classmethod
+    def blank(
+        cls, origin_mm: tuple[float, float], size_mm: tuple[float, float], px_per_mm: float, grey: float
+    ) -> Canvas:
+        """A canvas of one grey that covers at least the given rectangle."""
+        w, h = (math.ceil(s * px_per_mm) for s in size_mm)
+        return cls(np.full((h, w), grey, np.float32), np.zeros((h, w), np.float32), origin_mm, px_per_mm)
+
+    def to_px(self, places_mm: Floats) -> Floats:
+        """Pixel coordinates (..., 2) of board places (..., 2); pixel centres are integers."""
+        return np.asarray((np.asarray(places_mm) - self.origin_mm) * self.px_per_mm - 0.5)
+
+    def box(
+        self,
+        place: tuple[float, float],
+        size: tuple[float, float],
+        grey: float,
+        *,
+        metal: float = 0.0,
+        turned_deg: float = 0.0,
+    ) -> None:
+        """A rectangle of size (w, h) mm about its middle, turned counter-clockwise as seen."""
+        window, coverage = self._box_coverage(place, size, turned_deg)
+        self._blend(window, coverage, grey, metal)
+
+    def disc(self, place: tuple[float, float], diameter: float, grey: float, *, metal: float = 0.0) -> None:
+        """A disc about its middle."""
+        (x, y), r = self.to_px(np.array(place)), diameter / 2 * self.px_per_mm
+        window, u, v = self._window(x, y, r, r)
+        if u.size and v.size:
+            coverage = np.clip(r - np.hypot(u[None], v[:, None]) + 0.5, 0, 1)
+            self._blend(window, coverage, grey, metal)
+
+    def cross(self, place: tuple[float, float], size: float, width: float, grey: float, *, metal: float = 0.0) -> None:
+        """An upright cross: arms `size` long from tip to tip and `width` wide."""
+        window, across = self._box_coverage(place, (size, width), 0.0, reach=size)
+        _, along = self._box_coverage(place, (width, size), 0.0, reach=size)
+        self._blend(window, np.maximum(across, along), grey, metal)
+
+    def strokes(
+        self, lines_mm: list[Floats], width_mm: float, grey: float, *, metal: float = 0.0, closed: bool = False
+    ) -> None:
+        """Polylines of one width with round ends; their edges are good to 1/16 px."""
+        if not lines_mm:
+            return
+        mask = np.zeros(self.grey.shape, np.uint8)
+        points = [np.round(self.to_px(line) * 16).astype(np.int32) for line in lines_mm]
+        thickness = max(round(width_mm * self.px_per_mm), 1)
+        cv2.polylines(mask, points, closed, 255, thickness, cv2.LINE_AA, 4)
+        self._blend(np.s_[:, :], mask.astype(np.float32) / 255, grey, metal)
+
+    def text(
+        self, text: str, place: tuple[float, float], height_mm: float, grey: float, turned_deg: float = 0.0
+    ) -> None:
+        """Text about its middle, turned counter-clockwise; capitals are `height_mm` tall."""
+        mask = _lettering(text, max(round(height_mm * self.px_per_mm), 5))
+        x, y = self.to_px(np.array(place))
+        reach = math.hypot(*mask.shape) / 2 + 1
+        window, u, v = self._window(x, y, reach, reach)
+        if not (u.size and v.size):
+            return
+        a = math.radians(turned_deg)
+        c, s = math.cos(a), math.sin(a)
+        middle_x, middle_y = (mask.shape[1] - 1) / 2, (mask.shape[0] - 1) / 2
+        map_x = (c * u[None] - s * v[:, None] + middle_x).astype(np.float32)
+        map_y = (s * u[None] + c * v[:, None] + middle_y).astype(np.float32)
+        coverage = cv2.remap(mask, map_x, map_y, cv2.INTER_LINEAR, borderValue=0)
+        self._blend(window, coverage.astype(np.float32) / 255, grey, 0.0)
+
+    def _box_coverage(
+        self, place: tuple[float, float], size: tuple[float, float], turned_deg: float, reach: float | None = None
+    ) -> tuple[tuple[slice, slice], Plane]:
+        w, h = size
+        quarter = turned_deg % 90 == 0
+        if quarter and turned_deg % 180 == 90:
+            w, h = h, w
+        w, h = w * self.px_per_mm, h * self.px_per_mm
+        x, y = self.to_px(np.array(place))
+        if quarter:
+            half = (w / 2, h / 2) if reach is None else (reach * self.px_per_mm / 2,) * 2
+            window, u, v = self._window(x, y, *half)
+            return window, _span(v, h)[:, None] * _span(u, w)[None]
+        radius = math.hypot(w, h) / 2
+        window, u, v = self._window(x, y, radius, radius)
+        a = math.radians(turned_deg)
+        c, s = math.cos(a), math.sin(a)
+        along, across = c * u[None] - s * v[:, None], s * u[None] + c * v[:, None]
+        return window, np.asarray(_span(along, w) * _span(across, h))
+
+    def _window(self, x: float, y: float, half_w: float, half_h: float) -> tuple[tuple[slice, slice], Plane, Plane]:
+        """The pixels a shape can touch, and their offsets from its middle along x and along y."""
+        h, w = self.grey.shape
+        x0, x1 = max(math.floor(x - half_w - 1), 0), min(math.ceil(x + half_w + 2), w)
+        y0, y1 = max(math.floor(y - half_h - 1), 0), min(math.ceil(y + half_h + 2), h)
+        u, v = np.arange(x0, max(x1, x0)) - x, np.arange(y0, max(y1, y0)) - y
+        return np.s_[y0 : max(y1, y0), x0 : max(x1, x0)], u.astype(np.float32), v.astype(np.float32)
+
+    def _blend(self, window: tuple[slice, slice], coverage: Plane, grey: float, metal: float) -> None:
+        for plane, value in ((self.grey, grey), (self.metal, metal)):
+            part = plane[window]
+            part += (np.float32(value) - part) * coverage
+
+
+def _span(offset: Plane, width: float) -> Plane:
+    """Share of each unit pixel at these offsets that an interval of `width` about 0 covers."""
+    half = width / 2
+    return np.asarray(np.clip(np.minimum(offset + 0.5, half) - np.maximum(offset - 0.5, -half), 0, 1), np.float32)
+
+
+@lru_cache(maxsize=2048)
+def _lettering(text: str, height_px: int) -> Bytes:
+    """A mask of text whose capitals are `height_px` tall."""
+    font, trial = cv2.FONT_HERSHEY_SIMPLEX, 2.0
+    (_, tall), _ = cv2.getTextSize("H", font, trial, 1)
+    scale = trial * height_px / max(tall, 1)
+    weight = max(round(height_px / 8), 1)
+    (w, h), below = cv2.getTextSize(text, font, scale, weight)
+    mask = np.zeros((h + below + 8, w + 8), np.uint8)
+    cv2.putText(mask, text, (4, h + 4), font, scale, 255, weight, cv2.LINE_AA)
+    mask.setflags(write=False)
+    return mask

@@ -1,0 +1,143 @@
+"""The packages of the parts: footprints, leads and bodies in millimetres, before rotation.
+
+Local coordinates: origin in the middle of the footprint, u to the right, v down as the camera sees it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+Box = tuple[float, float, float, float]
+"""Middle u, v and size w, h."""
+
+
+class Look(StrEnum):
+    """How the top of a body is painted."""
+
+    EPOXY = "epoxy"
+    RESISTOR = "resistor"
+    CERAMIC = "ceramic"
+    CAN = "can"
+    COIL = "coil"
+    CRYSTAL = "crystal"
+    SOCKET = "socket"
+    HEADER = "header"
+
+
+@dataclass(frozen=True)
+class Package:
+    """One kind of part."""
+
+    name: str
+    prefix: str
+    size: tuple[float, float]
+    """Footprint, pads included: what the CAD data call width and height."""
+    body: tuple[float, float]
+    body_height: float
+    look: Look
+    pads: tuple[Box, ...]
+    leads: tuple[Box, ...] = ()
+
+    @property
+    def round(self) -> bool:
+        """Whether the body is a cylinder."""
+        return self.look is Look.CAN
+
+
+def chip(name: str, prefix: str, length: float, width: float, height: float, look: Look) -> Package:
+    """Two-pole chip: resistor, capacitor."""
+    pad = max(0.35 * length, 0.35)
+    offset, tall = length / 2, width * 1.1
+    pads = ((-offset, 0.0, pad, tall), (offset, 0.0, pad, tall))
+    return Package(name, prefix, (length + pad, tall), (length, width), height, look, pads)
+
+
+def small_outline(name: str, prefix: str, pins: int, pitch: float, body: tuple[float, float], height: float) -> Package:
+    """Gull-wing leads on the left and right (SOIC, TSSOP)."""
+    reach, wide = 0.9, pitch * 0.4
+    pads, leads = _row_pair(pins // 2, pitch, body[0], reach, wide)
+    return Package(name, prefix, (body[0] + 2 * reach + 0.4, body[1]), body, height, Look.EPOXY, pads, leads)
+
+
+def quad_flat(name: str, prefix: str, pins: int, pitch: float, body: float, height: float) -> Package:
+    """Leads on all four sides."""
+    reach, wide = 1.0, pitch * 0.5
+    pads, leads = _row_pair(pins // 4, pitch, body, reach, wide)
+    turned = tuple((v, u, h, w) for u, v, w, h in pads)
+    turned_leads = tuple((v, u, h, w) for u, v, w, h in leads)
+    size = body + 2 * reach + 0.4
+    return Package(name, prefix, (size, size), (body, body), height, Look.EPOXY, pads + turned, leads + turned_leads)
+
+
+def sot23() -> Package:
+    """Transistor with three leads."""
+    pads = ((-0.95, 1.1, 0.7, 0.9), (0.95, 1.1, 0.7, 0.9), (0.0, -1.1, 0.7, 0.9))
+    leads = ((-0.95, 1.0, 0.4, 0.7), (0.95, 1.0, 0.4, 0.7), (0.0, -1.0, 0.4, 0.7))
+    return Package("SOT-23", "Q", (2.9, 3.1), (2.9, 1.3), 1.0, Look.EPOXY, pads, leads)
+
+
+def can_capacitor(diameter: float, height: float) -> Package:
+    """Electrolytic capacitor: a cylinder on two pads."""
+    pad = ((-diameter * 0.45, 0.0, diameter * 0.35, 1.2), (diameter * 0.45, 0.0, diameter * 0.35, 1.2))
+    name = f"CAN-{diameter:g}"
+    return Package(name, "C", (diameter * 1.25, diameter), (diameter, diameter), height, Look.CAN, pad)
+
+
+def header(columns: int, rows: int) -> Package:
+    """Pin header, 2.54 mm."""
+    at = [((i - (columns - 1) / 2) * 2.54, (j - (rows - 1) / 2) * 2.54) for j in range(rows) for i in range(columns)]
+    pads = tuple((u, v, 1.6, 1.6) for u, v in at)
+    size = (columns * 2.54, rows * 2.54)
+    return Package(f"HDR-{columns}x{rows}", "J", size, size, 2.5, Look.HEADER, pads)
+
+
+def socket(width: float, depth: float, height: float) -> Package:
+    """A shielded connector with two rows of pads."""
+    n = max(int(width / 1.6), 2)
+    pads = tuple(((i - (n - 1) / 2) * 1.3, -depth / 2 - 0.3, 0.7, 1.2) for i in range(n))
+    return Package(f"SOCKET-{width:g}", "J", (width, depth + 1.8), (width, depth), height, Look.SOCKET, pads)
+
+
+def _row_pair(
+    count: int, pitch: float, body_w: float, reach: float, wide: float
+) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+    at = [(i - (count - 1) / 2) * pitch for i in range(count)]
+    pad_at, lead_at = body_w / 2 + reach * 0.65, body_w / 2 + reach * 0.45
+    pads = tuple((side * pad_at, v, reach * 1.1, wide * 1.3) for side in (-1, 1) for v in at)
+    leads = tuple((side * lead_at, v, reach * 0.9, wide) for side in (-1, 1) for v in at)
+    return pads, leads
+
+
+BIG: tuple[Callable[[], Package], ...] = (
+    lambda: quad_flat("QFP-64", "U", 64, 0.65, 12.0, 1.4),
+    lambda: header(8, 2),
+    lambda: socket(9.0, 7.0, 3.2),
+    lambda: can_capacitor(6.3, 5.4),
+    lambda: small_outline("SOIC-16", "U", 16, 1.27, (3.9, 9.9), 1.5),
+    lambda: Package("COIL", "L", (7.4, 6.6), (6.6, 6.6), 3.0, Look.COIL, ((-3.0, 0.0, 1.4, 3.0), (3.0, 0.0, 1.4, 3.0))),
+    lambda: small_outline("TSSOP-20", "U", 20, 0.65, (4.4, 6.5), 1.1),
+    lambda: can_capacitor(8.0, 6.2),
+)
+"""One of each in turn, while there is room for them."""
+
+MIDDLE: tuple[Callable[[], Package], ...] = (
+    lambda: small_outline("SOIC-8", "U", 8, 1.27, (3.9, 4.9), 1.5),
+    sot23,
+    lambda: Package(
+        "XTAL", "Y", (5.8, 3.2), (5.0, 3.2), 0.9, Look.CRYSTAL, ((-2.2, 0.0, 1.4, 2.4), (2.2, 0.0, 1.4, 2.4))
+    ),
+    sot23,
+    lambda: chip("1206", "C", 3.2, 1.6, 1.2, Look.CERAMIC),
+    lambda: chip("1210", "R", 3.2, 2.5, 0.6, Look.RESISTOR),
+)
+
+SMALL: tuple[Callable[[], Package], ...] = (
+    lambda: chip("0603", "R", 1.6, 0.8, 0.45, Look.RESISTOR),
+    lambda: chip("0402", "C", 1.0, 0.5, 0.5, Look.CERAMIC),
+    lambda: chip("0603", "C", 1.6, 0.8, 0.8, Look.CERAMIC),
+    lambda: chip("0402", "R", 1.0, 0.5, 0.35, Look.RESISTOR),
+    lambda: chip("0805", "C", 2.0, 1.25, 1.0, Look.CERAMIC),
+    lambda: chip("0805", "R", 2.0, 1.25, 0.5, Look.RESISTOR),
+)

@@ -1,0 +1,159 @@
+"""One board's passage: its frames, its times, its faults, and the truth about it.
+
+Frames are pure functions of scenario, board number, camera and row: whatever was asked before,
+the same pixels come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import RecordingHead
+from vaoi_station.simulation.faults import PassageFaults
+from vaoi_station.simulation.scene import Placement
+from vaoi_station.simulation.sensor import expose
+from vaoi_station.simulation.timetable import Timetable, timetable
+from vaoi_station.simulation.truth import passage_truth
+
+if TYPE_CHECKING:
+    from vaoi_station.simulation.twin import Twin
+
+_SLOPE_S = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """Board `board_number` under the cameras; times are seconds since the passage's start."""
+
+    twin: Twin
+    board_number: int
+
+    @cached_property
+    def _times(self) -> Timetable:
+        return timetable(self.twin.scenario, self.board_number)
+
+    @property
+    def start_s(self) -> float:
+        """The passage's start since the scenario's."""
+        return self._times.course.start_s
+
+    @property
+    def blocked_s(self) -> float:
+        """When the board interrupts the barrier."""
+        return self._times.blocked_s
+
+    @property
+    def clear_s(self) -> float:
+        """When the board leaves the barrier; infinite if it sticks there."""
+        return self._times.clear_s
+
+    @property
+    def pulse_times_s(self) -> tuple[float, ...]:
+        """The pulses a controller fires: a delay after the interruption, then every period, until the tail ends."""
+        return self._times.pulse_times_s
+
+    @property
+    def rows(self) -> int:
+        """Number of pulses, the paper's m."""
+        return len(self.pulse_times_s)
+
+    @property
+    def turned_deg(self) -> int:
+        """Quarter turns by which the board lies turned on the belt."""
+        return self._times.turned_deg
+
+    @property
+    def lights(self) -> tuple[str, ...]:
+        """Light pattern of each row."""
+        names = self.twin.scenario.line.lights
+        return tuple(names[row % len(names)] for row in range(self.rows))
+
+    @cached_property
+    def faults(self) -> PassageFaults:
+        """What goes wrong with this board."""
+        return PassageFaults(self.twin.scenario.faults, self.board_number, self.blocked_s, self._times.stuck)
+
+    @cached_property
+    def placements(self) -> dict[str, Placement | None]:
+        """How every part of this board was set; None for one that is absent."""
+        sigma = self.twin.scenario.board.placement_sigma_mm
+        g = np.random.default_rng([self.twin.scenario.board.seed, 7040, self.board_number])
+        result: dict[str, Placement | None] = {}
+        for part in self.twin.parts:
+            x, y, turn = g.normal(0, 1, 3) * (sigma, sigma, sigma / 3)
+            placed = Placement((float(x), float(y)), float(turn))
+            result[part.ref] = None if self.faults.absent(part.ref) else placed
+        return result
+
+    def pose(self, t_s: float) -> Floats:
+        """tester_from_board at a time, (3, 3): board mm (origin top left as seen, y down) to tester mm."""
+        board = self.twin.scenario.board
+        return self._times.course.pose(t_s, (board.width_mm / 2, board.length_mm / 2))
+
+    def frame(self, camera: int, row: int) -> NDArray[Any]:
+        """The whole frame (h, w) of a camera at a pulse, even where a fault keeps it from arriving."""
+        return self.frame_at(camera, self.pulse_times_s[row], self.lights[row], row)
+
+    def frame_at(self, camera: int, t_s: float, light_name: str, noise_key: int) -> NDArray[Any]:
+        """The frame of a camera exposed about a time under a light; `noise_key` chooses the noise."""
+        twin, array = self.twin, self.twin.scenario.array
+        light = twin.scenario.lights[light_name]
+        samples = twin.scene.view(twin.pinholes[camera], self.pose(t_s), twin.paint(light_name), light, self.placements)
+        relative = array.exposure_us(camera) / array.reference_exposure_us
+        brightness = relative * array.gain * light.camera_gain(camera) * self._flicker(noise_key)
+        noise = _generator(array.seed, 7005, self.board_number, noise_key, camera)
+        return expose(samples, array, self._motion_px(camera, t_s), brightness, twin.shade(camera, light_name), noise)
+
+    def frames(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
+        """Every frame that arrives whole: camera, row, pixels; row by row."""
+        for row in range(self.rows):
+            for camera in range(len(self.twin.pinholes)):
+                if self.faults.received_share(camera, row) == 1:
+                    yield camera, row, self.frame(camera, row)
+
+    def render_all(self) -> dict[tuple[int, int], NDArray[Any]]:
+        """Every frame by (camera, row), also those that faults will hold back."""
+        return {(c, r): self.frame(c, r) for r in range(self.rows) for c in range(len(self.twin.pinholes))}
+
+    def head(self) -> RecordingHead:
+        """recording.json of this passage; frames that do not arrive whole are missing."""
+        cells = [(c, r) for c in range(len(self.twin.pinholes)) for r in range(self.rows)]
+        line = self.twin.line
+        return RecordingHead(
+            format="vaoi-recording",
+            version=1,
+            cameras=self.twin.heads,
+            rows=self.rows,
+            trigger_period_s=line.trigger_period_s,
+            conveyor_mm_s=line.conveyor_mm_s,
+            missing=tuple(cell for cell in cells if self.faults.received_share(*cell) < 1),
+            trigger_times_s=tuple(round(t - self.pulse_times_s[0], 9) for t in self.pulse_times_s),
+            lights=self.lights,
+        )
+
+    def truth(self) -> dict[str, Any]:
+        """The truth in the format of truth.json."""
+        return passage_truth(self.twin, [self.pose(t) for t in self.pulse_times_s])
+
+    def _flicker(self, row: int) -> float:
+        array = self.twin.scenario.array
+        return 1 + array.flicker * float(_generator(array.seed, 7006, self.board_number, row).standard_normal())
+
+    def _motion_px(self, camera: int, t_s: float) -> Floats:
+        """Way of the board's picture across the middle of a frame during the exposure, (2,) px."""
+        pinhole, seconds = self.twin.pinholes[camera], self.twin.scenario.array.exposure_us(camera) * 1e-6
+        middle = np.array([[(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2]])
+        place = apply(np.linalg.inv(self.pose(t_s)), pinhole.ground(middle, 0.0))
+        before, after = (pinhole.project(apply(self.pose(t_s + d), place), 0.0)[0] for d in (-_SLOPE_S, _SLOPE_S))
+        return np.asarray((after - before) / (2 * _SLOPE_S) * seconds)
+
+
+def _generator(*key: int) -> np.random.Generator:
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(key)))

@@ -1,0 +1,83 @@
+"""The cameras as they really are: pinholes that hang a little crooked, with a little distortion.
+
+Written from the projection itself, not from the station's formulas for planes at a height
+(`geometry.Camera`), so that a test may hold one against the other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.simulation.scenario import ArraySection
+
+
+@dataclass(frozen=True, eq=False)
+class Pinhole:
+    """Image x along tester x, image y along tester y, looking down from the working distance."""
+
+    width_px: int
+    height_px: int
+    projection: Floats
+    """(3, 4): tester (x, y, z, 1), z up, to undistorted pixels."""
+    lens: Lens
+    foot_mm: tuple[float, float]
+    """Point of the calibrated plane straight below."""
+
+    def plane(self) -> Floats:
+        """N_i: the homography of the calibrated plane z = 0, (3, 3), last entry 1."""
+        h = self.projection[:, [0, 1, 3]]
+        return np.asarray(h / h[2, 2])
+
+    def project(self, place_mm: Floats, z_mm: Floats | float) -> Floats:
+        """Raw pixels (k, 2) of points at tester places (k, 2) and heights (k,) or one for all."""
+        xyz1 = np.column_stack([place_mm, np.broadcast_to(z_mm, len(place_mm)), np.ones(len(place_mm))])
+        q = xyz1 @ self.projection.T
+        return self.lens.distort(q[:, :2] / q[:, 2:])
+
+    def ground(self, raw_px: Floats, z_mm: Floats | float) -> Floats:
+        """Tester places (k, 2) seen at raw pixels (k, 2), given the heights there."""
+        p, m = self.lens.undistort(raw_px), self.projection
+        a, b = m[0] - p[:, :1] * m[2], m[1] - p[:, 1:] * m[2]
+        ra, rb = -(a[:, 2] * z_mm + a[:, 3]), -(b[:, 2] * z_mm + b[:, 3])
+        det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        return np.column_stack([(ra * b[:, 1] - a[:, 1] * rb) / det, (a[:, 0] * rb - ra * b[:, 0]) / det])
+
+    def calibrated(self, working_distance_mm: float) -> Camera:
+        """What a perfect calibration knows of this camera."""
+        plane = Projective(self.plane(), System.IMAGE, System.ROW)
+        return Camera(self.width_px, self.height_px, plane, self.lens, working_distance_mm)
+
+
+def mount(array: ArraySection) -> tuple[Pinhole, ...]:
+    """The array as mounted: imperfections are drawn from the array's seed, camera by camera."""
+    return tuple(_mounted(array, i) for i in range(array.cameras))
+
+
+def _mounted(array: ArraySection, camera: int) -> Pinhole:
+    g = np.random.default_rng([array.seed, 7003, camera])
+    shift, focal = g.normal(0, array.position_mm, 2), 1 + g.normal(0, array.focal_length)
+    tilt_x, tilt_y = np.radians(g.normal(0, array.tilt_deg, 2))
+    roll, strength = math.radians(g.normal(0, array.roll_deg)), g.uniform(0.6, 1.4)
+    x, y = camera * array.pitch_mm + shift[0], shift[1]
+    middle = (array.width_px - 1) / 2, (array.height_px - 1) / 2
+    f = array.working_distance_mm * array.px_per_mm * focal
+    inner = np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1.0]])
+    down = np.diag([1.0, 1.0, -1.0])
+    place = np.array([[x], [y], [array.working_distance_mm]])
+    projection = inner @ _rotation(tilt_x, tilt_y, roll) @ np.hstack([down, -down @ place])
+    radius = math.hypot(array.width_px, array.height_px) / 2
+    radial = (-array.distortion_px * float(strength) / radius,) if array.distortion_px else ()
+    return Pinhole(array.width_px, array.height_px, projection, Lens(middle, radius, radial), (float(x), float(y)))
+
+
+def _rotation(about_x: float, about_y: float, about_z: float) -> Floats:
+    (cx, sx), (cy, sy), (cz, sz) = ((math.cos(a), math.sin(a)) for a in (about_x, about_y, about_z))
+    rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1.0]])
+    return np.asarray(rz @ ry @ rx)

@@ -1,0 +1,296 @@
+"""A scenario file (TOML) → one frozen `Scenario`: what the twin films and what goes wrong with it.
+
+Unknown keys and impossible values are refused with file, key, value and limit. `docs/twin.md`
+describes every key; all of them have defaults, so that an empty file is a scenario too. Random
+numbers are pure functions of the seeds given here.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from vaoi_station.errors import NotFoundError
+from vaoi_station.files.documents import parse, read_toml
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Index = Annotated[int, Field(ge=0)]
+PerCamera = Annotated[tuple[Positive, ...], Field(min_length=1)]
+
+
+class Section(BaseModel):
+    """A table of the file: frozen, no unknown keys, finite numbers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ArraySection(Section):
+    """The camera array: its design, its imperfect mounting, its lenses and sensors."""
+
+    cameras: Annotated[int, Field(ge=1, le=64)] = 3
+    width_px: Annotated[int, Field(ge=32, le=16384)] = 1392
+    height_px: Annotated[int, Field(ge=32, le=16384)] = 1040
+    px_per_mm: Positive = 40.0
+    working_distance_mm: Positive = 483.0
+    overlap: Annotated[float, Field(ge=1, le=16)] = 1.05
+    tilt_deg: NotNegative = 0.115
+    roll_deg: NotNegative = 0.23
+    position_mm: NotNegative = 0.15
+    focal_length: Annotated[float, Field(ge=0, le=0.1)] = 0.002
+    distortion_px: Finite = 0.0
+    exposures_us: PerCamera = (250.0,)
+    reference_exposure_us: Positive = 250.0
+    gain: Positive = 1.0
+    black_level: NotNegative = 2.0
+    vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.25
+    psf_px: NotNegative = 0.6
+    shot_noise: NotNegative = 0.03
+    read_noise: NotNegative = 1.5
+    flicker: NotNegative = 0.01
+    bits: Literal[8, 16] = 8
+    seed: Index = 11
+
+    @property
+    def pitch_mm(self) -> float:
+        """Distance of neighbouring cameras: field of view / m_h."""
+        return self.width_px / self.px_per_mm / self.overlap
+
+    @property
+    def view_mm(self) -> tuple[float, float]:
+        """Nominal field of view of one camera, across and along the motion."""
+        return self.width_px / self.px_per_mm, self.height_px / self.px_per_mm
+
+    def exposure_us(self, camera: int) -> float:
+        """Exposure of one camera; a short list is used in turn."""
+        return self.exposures_us[camera % len(self.exposures_us)]
+
+
+class BeltSection(Section):
+    """The conveyor, and how boards lie on it."""
+
+    speed_mm_s: Positive = 100.0
+    speed_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+    speed_wander: Annotated[float, Field(ge=0, le=0.2)] = 0.01
+    direction: Literal[1, -1] = 1
+    skew_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    sway_mm: NotNegative = 0.05
+    yaw_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    yaw_sigma_deg: Annotated[float, Field(ge=0, le=10)] = 0.35
+    yaw_wander_deg: Annotated[float, Field(ge=0, le=5)] = 0.02
+    yaw_rate_deg_s: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    offset_mm: Finite = 0.0
+    offset_sigma_mm: NotNegative = 0.5
+    wander_period_s: Positive = 0.8
+    grey: Annotated[float, Field(ge=0, le=255)] = 18.0
+    seed: Index = 1
+
+
+class FiducialMark(Section):
+    """A bare-copper mark, in mm from the top left corner of the board as the camera sees it."""
+
+    x_mm: Finite
+    y_mm: Finite
+    diameter_mm: Positive = 1.0
+    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+
+
+class BoardSection(Section):
+    """The board type, generated from a seed, and how its CAD system describes it."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200)] = "demo"
+    width_mm: Annotated[float, Field(ge=8, le=1000)] = 96.0
+    length_mm: Annotated[float, Field(ge=8, le=1000)] = 60.0
+    density: Annotated[float, Field(ge=0, le=6)] = 2.0
+    height_scale: NotNegative = 1.0
+    fiducials: tuple[FiducialMark, ...] | None = None
+    placement_sigma_mm: NotNegative = 0.03
+    turned_deg: Literal[0, 90, 180, 270] = 0
+    lift_mm: Finite = 0.0
+    bow_mm: Finite = 0.0
+    tilt_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    unit: Literal["mm", "inch", "mil"] = "mm"
+    y_axis: Literal["up", "down"] = "up"
+    side: Literal["top", "bottom"] = "top"
+    photograph: Path | None = None
+    seed: Index = 5
+
+    @model_validator(mode="after")
+    def _marks_on_board(self) -> Self:
+        for mark in self.fiducials or ():
+            if not (0 <= mark.x_mm <= self.width_mm and 0 <= mark.y_mm <= self.length_mm):
+                raise ValueError(
+                    f"a fiducial at ({mark.x_mm}, {mark.y_mm}) mm lies off the board "
+                    f"of {self.width_mm} × {self.length_mm} mm"
+                )
+        return self
+
+    @property
+    def marks(self) -> tuple[FiducialMark, ...]:
+        """The fiducials given, or three in an arrangement no turn maps onto itself."""
+        if self.fiducials is not None:
+            return self.fiducials
+        w, h = self.width_mm, self.length_mm
+        d = 1.0 if min(w, h) >= 30 else 0.8
+        inset = min(4.0, min(w, h) / 8)
+        places = [(inset, inset), (w - inset, h - 1.4 * inset), (w - 1.6 * inset, 1.1 * inset)]
+        return tuple(FiducialMark(x_mm=round(x, 3), y_mm=round(y, 3), diameter_mm=d) for x, y in places)
+
+
+class LineSection(Section):
+    """Light barrier and trigger plan."""
+
+    barrier_mm: Finite = -40.0
+    approach_s: Positive = 0.1
+    start_delay_s: NotNegative = 0.32
+    period_s: Positive = 0.105
+    tail_s: NotNegative = 0.48
+    longest_board_mm: Positive = 100.0
+    debounce_s: NotNegative = 0.005
+    interval_s: Positive = 5.0
+    lights: Annotated[tuple[str, ...], Field(min_length=1)] = ("ring",)
+
+
+class LightSection(Section):
+    """One LED pattern."""
+
+    gain: PerCamera = (1.0,)
+    metal: NotNegative = 1.0
+    azimuth_deg: Finite = 0.0
+    shading: Share = 0.0
+    shadow: Share = 0.0
+    elevation_deg: Annotated[float, Field(gt=5, lt=90)] = 45.0
+
+    def camera_gain(self, camera: int) -> float:
+        """Brightness for one camera; a short list is used in turn."""
+        return self.gain[camera % len(self.gain)]
+
+    @property
+    def direction(self) -> tuple[float, float]:
+        """Unit vector in tester coordinates from the board towards the lamp."""
+        a = math.radians(self.azimuth_deg)
+        return math.cos(a), math.sin(a)
+
+
+class OnBoard(Section):
+    """A fault of one board; without a number it befalls every board."""
+
+    board: Index | None = None
+
+    def befalls(self, board_number: int) -> bool:
+        """Whether this board suffers it."""
+        return self.board is None or self.board == board_number
+
+
+class LostFrame(OnBoard):
+    """A frame that never arrives."""
+
+    camera: Index
+    row: Index
+
+
+class LostRow(OnBoard):
+    """A row none of whose frames arrives."""
+
+    row: Index
+
+
+class LateFrame(LostFrame):
+    """A frame that arrives late."""
+
+    delay_s: Positive
+
+
+class IncompleteFrame(LostFrame):
+    """A frame of which only the first part arrives."""
+
+    share: Annotated[float, Field(ge=0, lt=1)]
+
+
+class Bounce(OnBoard):
+    """The barrier shows the opposite of the truth for a moment, so long after the board interrupts it."""
+
+    at_s: Finite
+    duration_s: Positive
+
+
+class StuckBoard(OnBoard):
+    """The board stops dead with the pulse of a row, until the pulses end."""
+
+    row: Index
+
+
+class TurnedBoard(OnBoard):
+    """Somebody laid the board on the belt turned by quarter turns more."""
+
+    turned_deg: Literal[90, 180, 270]
+
+
+class AbsentPart(OnBoard):
+    """A part that was not placed."""
+
+    ref: str
+
+
+class FaultSection(Section):
+    """What goes wrong."""
+
+    lost_frames: tuple[LostFrame, ...] = ()
+    lost_rows: tuple[LostRow, ...] = ()
+    late_frames: tuple[LateFrame, ...] = ()
+    incomplete_frames: tuple[IncompleteFrame, ...] = ()
+    bounces: tuple[Bounce, ...] = ()
+    stuck: tuple[StuckBoard, ...] = ()
+    turned: tuple[TurnedBoard, ...] = ()
+    absent_parts: tuple[AbsentPart, ...] = ()
+
+
+class Scenario(Section):
+    """Everything the twin is told."""
+
+    array: ArraySection = ArraySection()
+    belt: BeltSection = BeltSection()
+    board: BoardSection = BoardSection()
+    line: LineSection = LineSection()
+    lights: dict[str, LightSection] = Field(default_factory=lambda: {"ring": LightSection()})
+    faults: FaultSection = FaultSection()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        unknown = [name for name in self.line.lights if name not in self.lights]
+        if unknown:
+            raise ValueError(f"line.lights names {unknown}, but [lights] has only {sorted(self.lights)}")
+        longest_us = max(self.array.exposures_us)
+        if longest_us * 1e-6 >= self.line.period_s:
+            raise ValueError(f"array.exposures_us has {longest_us} us, but pulses follow every {self.line.period_s} s")
+        faults = self.faults
+        for fault in (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames):
+            if fault.camera >= self.array.cameras:
+                raise ValueError(f"a fault names camera {fault.camera}, but there are {self.array.cameras} (from 0)")
+        return self
+
+
+def read_scenario(path: Path) -> Scenario:
+    """Read a scenario; a relative path of a photograph is relative to the file."""
+    scenario = parse(Scenario, read_toml(path), path)
+    photograph = scenario.board.photograph
+    if photograph is None:
+        return scenario
+    board = scenario.board.model_copy(update={"photograph": path.resolve().parent / photograph})
+    return scenario.model_copy(update={"board": board})
+
+
+def scenario_path(name: str) -> Path:
+    """The file of a scenario that comes with the software: "demo" or "small"."""
+    folder = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
+    path = folder / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+        raise NotFoundError(f"there is no scenario {name!r}.", action=f"Choose one of: {known}; or give a file.")
+    return path

@@ -1,0 +1,50 @@
+"""The truth about a passage in the format of truth.json: it scores results and never helps one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.simulation.layout import board_from_cad
+
+if TYPE_CHECKING:
+    from vaoi_station.simulation.twin import Twin
+
+
+def passage_truth(twin: Twin, poses: list[Floats]) -> dict[str, Any]:
+    """M_ij = N_i·D_j, C = E_0·(board from CAD), D_j = E_j·E_0⁻¹, heights, and where every footprint is seen.
+
+    Args:
+        twin: cameras and board.
+        poses: E_j, tester from board, one per row.
+    """
+    planes = [p.plane() for p in twin.pinholes]
+    first = np.linalg.inv(poses[0])
+    motions = [e @ first for e in poses]
+    board = board_from_cad(twin.scenario.board)
+    return {
+        "image_matrices": [[(n @ d).tolist() for d in motions] for n in planes],
+        "cad_matrix": (poses[0] @ board).tolist(),
+        "row_motion": [d.tolist() for d in motions],
+        "heights": {p.ref: p.body_height_mm for p in twin.parts},
+        "views": views(twin, poses),
+    }
+
+
+def views(twin: Twin, poses: list[Floats]) -> dict[str, list[list[float]]]:
+    """Raw pixels of the middle of every footprint, on the board's surface, in every image that shows it."""
+    if not twin.parts:
+        return {}
+    places = np.array([p.place for p in twin.parts])
+    seen: dict[str, list[list[float]]] = {}
+    for i, pinhole in enumerate(twin.pinholes):
+        limit = (pinhole.width_px - 1, pinhole.height_px - 1)
+        for j, pose in enumerate(poses):
+            pixels = pinhole.project(apply(pose, places), twin.scene.surface_z(places))
+            inside = ((pixels > 0) & (pixels < limit)).all(1)
+            for k in np.flatnonzero(inside):
+                u, v = pixels[k]
+                seen.setdefault(twin.parts[k].ref, []).append([i, j, round(float(u), 4), round(float(v), 4)])
+    return seen
