@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
 from vaoi_station.api.shapes import ViewEntry
-from vaoi_station.rendering.temporary import View
+
+if TYPE_CHECKING:
+    from vaoi_station.rendering.temporary import View
 
 
 def view_entry(k: int, view: View, run_url: str, ref: str, query: str) -> ViewEntry:

@@ -108,6 +108,7 @@ class Hub:
 
     async def _listen(self) -> None:
         while not self.closed:
+            asked = time.monotonic()
             try:
                 records = await self._listener.ask(self._conductor.events, self._newest, LISTEN_S)
             except VaoiError as error:
@@ -120,3 +121,5 @@ class Hub:
                 self._news = asyncio.Event()
                 if any(r.kind == "station" and r.state == StationState.STOPPING for r in records):
                     self.close()
+            elif time.monotonic() - asked < LISTEN_S / 2:
+                self.close()  # a log that does not wait any more is closed: nothing will come

@@ -13,9 +13,6 @@ from vaoi_station.api.shapes import BoardTypeList
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
 
-MAX_NAME_BYTES = 200
-"""A file system takes 255 bytes, and the file's name has a suffix."""
-
 
 def router(services: Services) -> APIRouter:
     """Board types as `docs/formats.md` has them."""
@@ -39,8 +36,6 @@ def router(services: Services) -> APIRouter:
         """Teach a board type; the same again replaces it. Runs keep the one they were filmed with."""
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
-        if len(name.encode()) > MAX_NAME_BYTES:
-            raise InputError.field("body", "name", name, f"at most {MAX_NAME_BYTES} bytes long")
         content = _document(board_type)
         new = await ask(conductor.put_board_type, board_type)
         answer = conditional(request, content, "application/json", cache=REVALIDATE)

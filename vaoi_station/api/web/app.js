@@ -1,0 +1,114 @@
+// The operator's page: one state, what to do, the last board and its pictures; all of it live.
+import * as rest from "./rest.js";
+import { Board } from "./board.js";
+import { Controls } from "./controls.js";
+import { Live } from "./live.js";
+import { draw } from "./marks.js";
+import { texts } from "./texts.en.js";
+
+const $ = (id) => document.getElementById(id);
+const TONES = { blocked: "caution", faulted: "fault" };
+
+for (const element of document.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
+
+const board = new Board();
+const controls = new Controls(refresh);
+let shown = null;
+let asking = false;
+let again = false;
+let stale = false;
+
+const live = new Live({
+  onNews: (record) => {
+    if (record?.kind === "board-type") controls.reload();
+    refresh();
+  },
+  onBeat: (beat) => {
+    board.setClock(beat.time);
+    if (beat.state !== shown?.state || beat.last_event !== shown?.last_event) refresh();
+  },
+  onAge: showAge,
+});
+
+// One look at a time, and one more if something happened meanwhile.
+async function refresh() {
+  if (asking) {
+    again = true;
+    return;
+  }
+  asking = true;
+  try {
+    do {
+      again = false;
+      const now = await rest.station();
+      showStation(now);
+      if (now.last_run) await board.show(now.last_run);
+      else board.showNone();
+    } while (again);
+  } catch (error) {
+    if (!(error instanceof rest.Refusal) && !(error instanceof TypeError)) throw error;
+    // the station is away or cannot answer: the heartbeat stops too, and the page says so
+  } finally {
+    asking = false;
+  }
+}
+
+function showStation(now) {
+  shown = now;
+  const known = now.state in texts.states ? now.state : "unknown";
+  const [word, sentence] = texts.states[known];
+  const [first] = now.reasons;
+  document.title = `${word} – ${now.name}`;
+  document.body.classList.remove("waiting", "caution", "fault");
+  if (TONES[known]) document.body.classList.add(TONES[known]);
+  draw($("state-shape"), known);
+  setText($("state-word"), word);
+  setText($("what-to-do"), first?.action || sentence);
+  showReasons(now.reasons);
+  setText($("name"), now.name);
+  setText($("version"), `VAOI station ${now.versions.station}`);
+  controls.show(now);
+}
+
+function showReasons(reasons) {
+  const lines = reasons.map((r) => r.message);
+  const list = $("reasons");
+  if (lines.join("\n") === list.dataset.shown) return;
+  list.dataset.shown = lines.join("\n");
+  list.replaceChildren(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
+}
+
+function showAge(old, seconds) {
+  const banner = $("stale");
+  document.body.classList.toggle("stale", old);
+  banner.hidden = !old;
+  if (old) {
+    setText(banner, shown ? texts.stale(seconds) : texts.connecting);
+    if (!stale) draw($("state-shape"), "unknown");
+    setText($("state-word"), texts.states.unknown[0]);
+    setText($("what-to-do"), "");
+  }
+  if (stale && !old) refresh();
+  stale = old;
+  controls.enable(!old);
+  board.tick();
+}
+
+// Live regions speak when their text changes, so it is set only when it does.
+function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+async function start() {
+  try {
+    const now = await rest.station();
+    showStation(now);
+    live.open(now.last_event);
+  } catch {
+    live.open(0); // whatever is wrong, the stream reconnects, and then the page asks again
+  }
+  await controls.reload();
+  await refresh();
+}
+
+start();

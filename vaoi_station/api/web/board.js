@@ -1,0 +1,143 @@
+// The last board: what it was, what became of it, and the pictures of one component.
+import * as rest from "./rest.js";
+import { draw } from "./marks.js";
+import { texts } from "./texts.en.js";
+
+const $ = (id) => document.getElementById(id);
+const MOST_PICTURES = 24;
+
+export class Board {
+  #run = null;
+  #seen = "";
+  #offset_ms = 0;
+  #chosen = null;
+  #since = null;
+
+  constructor() {
+    $("component").addEventListener("change", () => {
+      this.#chosen = $("component").value;
+      this.#showPictures();
+    });
+  }
+
+  // The station's clock counts, not the screen's.
+  setClock(time) {
+    this.#offset_ms = Date.parse(time) - Date.now();
+  }
+
+  tick() {
+    if (this.#since && this.#run?.finished) {
+      const ago = texts.ago((Date.now() + this.#offset_ms - Date.parse(this.#run.finished)) / 1000);
+      if (this.#since.textContent !== ago) this.#since.textContent = ago;
+    }
+  }
+
+  showNone() {
+    this.#verdict("none", texts.noBoard, texts.noBoardHint);
+    $("chooser").classList.add("hidden");
+    $("facts").replaceChildren();
+    $("pictures").replaceChildren();
+  }
+
+  async show(id) {
+    const run = await rest.run(id);
+    const seen = `${run.id} ${run.state} ${run.frames_available}`;
+    if (seen === this.#seen) return;
+    this.#run = run;
+    this.#showFacts();
+    await this.#showComponents();
+    this.#seen = seen;
+  }
+
+  #verdict(name, word, reason) {
+    const facts = $("board-facts");
+    facts.classList.remove("degraded", "failed");
+    if (name === "degraded" || name === "failed") facts.classList.add(name);
+    draw($("verdict-shape"), name);
+    $("verdict-word").textContent = word;
+    $("verdict-reason").textContent = reason;
+  }
+
+  #showFacts() {
+    const run = this.#run;
+    const verdict = run.verdict ?? "none";
+    this.#verdict(verdict, texts.verdicts[verdict], run.reasons.map((r) => r.message).join(" "));
+    const { ok, incomplete, missing } = run.counts;
+    const lines = [
+      [texts.facts.board, run.board_id || texts.noId],
+      [texts.facts.type, run.board_type],
+      ...(run.job_id ? [[texts.facts.job, run.job_id]] : []),
+      [texts.facts.run, run.id],
+      [texts.facts.frames, texts.frames(ok, incomplete, missing, run.rows, run.cameras)],
+      [texts.facts.since, ""],
+    ];
+    const cells = lines.flatMap(([name, value]) => [
+      Object.assign(document.createElement("dt"), { textContent: name }),
+      Object.assign(document.createElement("dd"), { textContent: value }),
+    ]);
+    $("facts").replaceChildren(...cells);
+    this.#since = cells.at(-1);
+    this.#since.setAttribute("aria-live", "off");
+    this.tick();
+  }
+
+  async #showComponents() {
+    const list = this.#run.verdict === "failed" ? [] : await rest.components(this.#run.id);
+    $("chooser").classList.toggle("hidden", list.length === 0);
+    if (list.length === 0) {
+      $("pictures").replaceChildren(note(this.#run.verdict === "failed" ? texts.verdicts.failed : texts.noComponents));
+      return;
+    }
+    const addresses = list.map((c) => c.address);
+    if (addresses.join("\n") !== $("component").dataset.list) {
+      $("component").dataset.list = addresses.join("\n");
+      $("component").replaceChildren(
+        ...addresses.map((a) => Object.assign(document.createElement("option"), { value: a, textContent: a })),
+      );
+    }
+    if (!addresses.includes(this.#chosen)) this.#chosen = (largestSeen(list) ?? list[0]).address;
+    $("component").value = this.#chosen;
+    await this.#showPictures();
+  }
+
+  async #showPictures() {
+    const [run, ref] = [this.#run, this.#chosen];
+    if (!run.frames_available) {
+      $("views").textContent = "";
+      $("pictures").replaceChildren(note(texts.picturesGone));
+      return;
+    }
+    const { views } = await rest.component(run.id, ref);
+    if (run !== this.#run || ref !== this.#chosen) return; // overtaken by a later board or choice
+    $("views").textContent = texts.views(views.length);
+    const figures = views.slice(0, MOST_PICTURES).map((view) => picture(run, ref, view));
+    $("pictures").replaceChildren(...(figures.length ? figures : [note(texts.noPictures)]));
+  }
+}
+
+const note = (text) => Object.assign(document.createElement("p"), { textContent: text });
+
+// A board is judged by its big parts first.
+function largestSeen(list) {
+  const seen = list.filter((c) => c.views > 0);
+  return seen.sort((a, b) => b.width_mm * b.height_mm - a.width_mm * a.height_mm)[0];
+}
+
+function picture(run, ref, view) {
+  const figure = document.createElement("figure");
+  const image = document.createElement("img");
+  // the time of the run keeps a browser from showing an older station's picture of the same address
+  const address = new URL(view.url, location.href);
+  address.searchParams.set("format", "jpeg");
+  address.searchParams.set("of", run.started);
+  image.src = address.href;
+  image.alt = texts.alt(ref, view);
+  image.onerror = () => {
+    figure.classList.add("unloadable");
+    caption.textContent = texts.picturesGone;
+  };
+  const caption = document.createElement("figcaption");
+  caption.textContent = texts.caption(view) + texts.whole(Math.floor(view.coverage * 100 + 0.5));
+  figure.append(image, caption);
+  return figure;
+}

@@ -1,0 +1,65 @@
+// Arm and disarm, with the board type and the board's id (typed, or scanned: a scanner ends with Enter).
+import * as rest from "./rest.js";
+import { texts } from "./texts.en.js";
+
+const $ = (id) => document.getElementById(id);
+
+export class Controls {
+  #onDone;
+  #armedType = null;
+
+  constructor(onDone) {
+    this.#onDone = onDone;
+    $("controls").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const request = { board_type: $("board-type").value };
+      if ($("board-id").value.trim()) request.board_id = $("board-id").value.trim();
+      this.#command(() => rest.arm(request), texts.armedFor(request.board_type));
+    });
+    $("disarm").addEventListener("click", () => this.#command(() => rest.disarm(), texts.disarmed));
+  }
+
+  // The list of board types, keeping the choice.
+  async reload() {
+    try {
+      const types = await rest.boardTypes();
+      const chosen = this.#armedType ?? $("board-type").value;
+      $("board-type").replaceChildren(
+        ...types.map((type) => {
+          const text = type.fault ? `${type.name} (${texts.unusable})` : type.name;
+          return Object.assign(document.createElement("option"), { value: type.name, textContent: text, disabled: !!type.fault });
+        }),
+      );
+      if (types.some((type) => type.name === chosen)) $("board-type").value = chosen;
+    } catch (error) {
+      this.#say(error instanceof rest.Refusal ? error.message : texts.noAnswer, true);
+    }
+  }
+
+  show(now) {
+    const type = now.armed_with?.board_type ?? null;
+    if (type && type !== this.#armedType) $("board-type").value = type;
+    this.#armedType = type;
+  }
+
+  enable(on) {
+    for (const id of ["arm", "disarm", "board-type", "board-id"]) $(id).disabled = !on;
+  }
+
+  async #command(call, done) {
+    this.#say("", false);
+    try {
+      await call();
+      this.#say(done, false);
+      $("board-id").value = "";
+    } catch (error) {
+      this.#say(error instanceof rest.Refusal ? error.message : texts.noAnswer, true);
+    }
+    this.#onDone();
+  }
+
+  #say(text, refused) {
+    $("answer").textContent = text;
+    $("answer").classList.toggle("refused", refused);
+  }
+}

@@ -1,0 +1,33 @@
+// Calls to the station. A refusal carries the problem's detail and what to do.
+const api = "/api/v1";
+
+export class Refusal extends Error {
+  constructor(problem) {
+    super(`${problem.detail} ${problem.action}`.trim());
+    this.status = problem.status;
+    this.code = problem.code;
+  }
+}
+
+async function call(method, path, body) {
+  const answer = await fetch(api + path, {
+    method,
+    headers: body ? { "Content-Type": "application/json" } : {},
+    body: body ? JSON.stringify(body) : undefined,
+  });
+  const text = await answer.text();
+  const content = text ? JSON.parse(text) : null;
+  if (!answer.ok) throw new Refusal(content ?? { detail: `HTTP ${answer.status}.`, action: "", status: answer.status });
+  return content;
+}
+
+const part = (address) => address.split("/").map(encodeURIComponent).join("/");
+
+export const station = () => call("GET", "/station");
+export const boardTypes = async () => (await call("GET", "/board-types")).board_types;
+export const run = (id) => call("GET", `/runs/${encodeURIComponent(id)}`);
+export const components = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/components`)).components;
+export const component = (id, ref) => call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}`);
+export const arm = (request) => call("POST", "/station/arm", request);
+export const disarm = () => call("POST", "/station/disarm");
+export const eventsAddress = (after) => `${api}/events?after=${after}`;

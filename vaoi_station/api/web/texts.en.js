@@ -1,0 +1,57 @@
+// Every word of the page; another language is another file with the same keys.
+export const texts = {
+  interface: "Interface for programs",
+  boardType: "Board type",
+  boardId: "Board id",
+  arm: "Arm",
+  disarm: "Disarm",
+  lastBoard: "Last board",
+  component: "Component",
+  unusable: "cannot be used",
+
+  states: {
+    starting: ["Starting", "Wait: cameras and controller are being opened."],
+    idle: ["Not armed", "Choose the board type and press Arm."],
+    arming: ["Arming", "Wait a moment before the next board."],
+    armed: ["Ready", "Let the next board in."],
+    filming: ["Filming", "A board is passing. Do not touch it."],
+    blocked: ["Memory full", "Hold the next board back until the tester has fetched its pictures."],
+    faulted: ["Fault", "Hold the next board back and call the engineer."],
+    stopping: ["Stopping", "The station is going down. Hold the next board back."],
+    unknown: ["Unknown", "Reload this page."],
+  },
+  verdicts: {
+    ok: "Pictures good",
+    degraded: "Pictures with reservations",
+    failed: "No usable pictures",
+    none: "Being computed",
+  },
+  noBoard: "No board yet",
+  noBoardHint: "Arm the station and let a board pass.",
+  facts: { board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames" },
+  noId: "no id given",
+  frames: (ok, incomplete, missing, rows, cameras) => {
+    const all = ok + incomplete + missing;
+    const lost = [incomplete && `${incomplete} incomplete`, missing && `${missing} missing`].filter(Boolean);
+    const size = `${rows} rows × ${cameras} cameras`;
+    return lost.length ? `${ok} of ${all} good (${lost.join(", ")}), ${size}` : `all ${all} good, ${size}`;
+  },
+  ago: (s) => {
+    if (s < 60) return `${Math.max(0, Math.floor(s))} s ago`;
+    if (s < 3600) return `${Math.floor(s / 60)} min ago`;
+    if (s < 86400) return `${Math.floor(s / 3600)} h ago`;
+    return `${Math.floor(s / 86400)} days ago`;
+  },
+  views: (n) => (n === 1 ? "1 picture" : `${n} pictures`),
+  caption: (view) => `camera ${view.camera}, row ${view.row}`,
+  alt: (ref, view) => `${ref}, seen by camera ${view.camera} in row ${view.row}`,
+  whole: (percent) => (percent >= 100 ? "" : `, ${percent} % of it`),
+  picturesGone: "The pictures of this board are no longer in memory.",
+  noPictures: "No frame shows this component.",
+  noComponents: "This board type has no components.",
+  armedFor: (type) => `Armed for ${type}.`,
+  disarmed: "Disarmed.",
+  noAnswer: "The station did not answer. Try again.",
+  stale: (s) => `No data for ${s} s: what is shown below is old. Check the station and the network.`,
+  connecting: "Connecting to the station …",
+};
