@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
 import os
 import time
@@ -18,9 +19,22 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files.images import encode, encode_jpeg, encode_png
+from vaoi_station.files.results import stitch_document
 from vaoi_station.rendering.temporary import render
-from vaoi_station.runs.jobs import Answer, CloseRun, ConcludeJob, Hello, Job, LinkJob, OpenRun, RenderJob, RunContext
+from vaoi_station.runs.jobs import (
+    Answer,
+    CloseRun,
+    Concluded,
+    ConcludeJob,
+    Hello,
+    Job,
+    LinkJob,
+    OpenRun,
+    RenderJob,
+    RunContext,
+)
 from vaoi_station.runs.shapes import ImageFormat
+from vaoi_station.stitching.conclude import conclude
 from vaoi_station.stitching.evidence import Evidence, FrameKey
 from vaoi_station.stitching.work import Desk
 
@@ -58,7 +72,8 @@ class Bench:
     def take(self, message: OpenRun | CloseRun | Job) -> Answer | None:
         """Carry out one message; jobs have an answer."""
         if isinstance(message, OpenRun):
-            return self._open(message.context)
+            self._open(message.context)
+            return None
         if isinstance(message, CloseRun):
             self._runs.pop(message.run, None)
             return None
@@ -123,7 +138,6 @@ def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:
             return file.getvalue()
 
 
-def _conclude(job: ConcludeJob) -> Any:
-    from vaoi_station.stitching.conclude import conclude
-
-    return conclude(job.setup, job.head, job.present, job.evidence)
+def _conclude(job: ConcludeJob) -> Concluded:
+    stitch = conclude(job.setup, job.head, job.present, job.evidence)
+    return Concluded(stitch, json.dumps(stitch_document(stitch), allow_nan=False))

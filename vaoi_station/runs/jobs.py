@@ -9,7 +9,7 @@ from typing import Any
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.geometry import Camera
-from vaoi_station.model import RecordingHead
+from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.rendering.temporary import View
 from vaoi_station.runs.shapes import ImageFormat
 from vaoi_station.stitching.evidence import Evidence, FrameKey, Task
@@ -117,6 +117,14 @@ class Hello:
     """The worker has its ring and its libraries."""
 
     pid: int
+
+
+@dataclass(frozen=True)
+class Concluded:
+    """A result, and its document as it is kept and served."""
+
+    stitch: Stitch
+    document: str
 
 
 @dataclass(frozen=True)

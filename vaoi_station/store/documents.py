@@ -31,6 +31,8 @@ class RunRow:
     calibration_digest: str
     summary: str
     detail: str
+    head: str | None = None
+    """What was filmed (a recording's head); None while it is filmed."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +74,13 @@ class Store:
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute(
-                """INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?)
+                """INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
                    ON CONFLICT (id) DO UPDATE SET state = excluded.state, finish_number = excluded.finish_number,
-                   summary = excluded.summary, detail = excluded.detail, timeline = excluded.timeline""",
+                   summary = excluded.summary, detail = excluded.detail, head = excluded.head,
+                   timeline = excluded.timeline""",
                 (
                     row.id, row.state, row.finish_number, row.board_type_digest, row.calibration_digest,
-                    row.summary, row.detail, timeline,
+                    row.summary, row.detail, row.head, timeline,
                 ),
             )  # fmt: skip
             if result is not None:
@@ -176,7 +179,7 @@ class Store:
         self._database.close()
 
 
-_COLUMNS = "id, state, finish_number, board_type_digest, calibration_digest, summary, detail"
+_COLUMNS = "id, state, finish_number, board_type_digest, calibration_digest, summary, detail, head"
 
 
 def _row(row: sqlite3.Row) -> RunRow:

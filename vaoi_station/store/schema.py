@@ -26,6 +26,7 @@ STEPS: tuple[tuple[str, ...], ...] = (
             calibration_digest TEXT NOT NULL REFERENCES documents (digest),
             summary TEXT NOT NULL,
             detail TEXT NOT NULL,
+            head TEXT,
             timeline TEXT
         ) STRICT""",
         """CREATE TABLE results (

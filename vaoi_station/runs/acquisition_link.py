@@ -1,0 +1,188 @@
+"""The acquisition process, seen from the station: started, listened to, started again when it dies or hangs."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, Protocol
+
+from vaoi_station.acquisition.messages import Command, Report, Shutdown
+from vaoi_station.config import StationConfig
+from vaoi_station.runs.child import settle_in
+from vaoi_station.runs.shapes import ProcessStatus
+
+_log = logging.getLogger(__name__)
+
+SILENCE_S = 10.0
+"""Without a sign of life for so long (it gives two a second) the process is taken for hung and killed."""
+START_S = 60.0
+"""The same before its first word: cameras take their time to open, scenarios to be rendered."""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
+
+
+class Process(Protocol):
+    """What the link needs of a process; `multiprocessing` has it."""
+
+    @property
+    def pid(self) -> int | None:
+        """Its number."""
+
+    @property
+    def sentinel(self) -> int:
+        """Becomes ready to read when it ends."""
+
+    @property
+    def exitcode(self) -> int | None:
+        """None while it lives."""
+
+    def kill(self) -> None:
+        """End it at once."""
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until it has ended."""
+
+    def close(self) -> None:
+        """Give back what it held here."""
+
+
+Launch = Callable[[], tuple[Process, "Connection[Any, Any]"]]
+
+
+def spawned(config: StationConfig, ring: Path) -> Launch:
+    """Starts the real acquisition process."""
+
+    def launch() -> tuple[Process, Connection[Any, Any]]:
+        spawn = multiprocessing.get_context("spawn")
+        here, there = spawn.Pipe()
+        process = spawn.Process(target=acquire, args=(config, str(ring), there), name="vaoi-acquisition", daemon=True)
+        process.start()
+        there.close()
+        return process, here
+
+    return launch
+
+
+def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) -> None:
+    """The acquisition process."""
+    settle_in(one_thread=False)
+    from vaoi_station.acquisition.process import run_acquisition
+
+    run_acquisition(config, Path(ring), connection)
+
+
+@dataclass
+class _Life:
+    """One process from start to end."""
+
+    process: Process
+    connection: Connection[Any, Any]
+    heard_s: float
+    spoke: bool = False
+
+
+class AcquisitionLink:
+    """Reports come up through `hear`, deaths through `lost`, both in the link's own thread."""
+
+    def __init__(self, launch: Launch, hear: Callable[[Report], None], lost: Callable[[str], None]) -> None:
+        self._launch, self._hear, self._lost = launch, hear, lost
+        self._lock = threading.Lock()
+        self._life: _Life | None = None
+        self._restarts = 0
+        self._failures = 0
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
+
+    def start(self) -> None:
+        """Start the process and listen to it."""
+        self._thread.start()
+
+    def send(self, command: Command) -> None:
+        """Tell the process something; if it has just died, its death is reported instead."""
+        with self._lock:
+            if self._life is not None:
+                _send(self._life.connection, command)
+
+    def status(self) -> ProcessStatus:
+        """How the process does."""
+        with self._lock:
+            life = self._life
+            return ProcessStatus(
+                name="acquisition",
+                pid=life.process.pid if life else None,
+                alive=life is not None and life.process.exitcode is None,
+                restarts=self._restarts,
+                heartbeat_age_s=time.monotonic() - life.heard_s if life else None,
+                doing="" if life is None or life.spoke else "starting",
+            )
+
+    def stop(self, timeout_s: float = 5.0) -> None:
+        """Have the cameras closed and the process ended; harmless when stopped."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
+        self.send(Shutdown())
+        if self._thread.ident is None:
+            return
+        self._thread.join(timeout_s)
+        with self._lock:
+            life = self._life
+            if life is not None:
+                life.process.kill()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            life = self._begin()
+            sentence = self._listen(life)
+            with self._lock:
+                self._life = None
+            life.process.join()
+            code = life.process.exitcode
+            life.process.close()
+            life.connection.close()
+            if self._stopping.is_set():
+                return
+            self._restarts += 1
+            self._failures = 0 if life.spoke else self._failures + 1
+            _log.error("acquisition: %s (code %s)", sentence, code)
+            self._lost(f"{sentence} (code {code})")
+            self._stopping.wait(min(FIRST_PAUSE_S * 2**self._failures, LONGEST_PAUSE_S))
+
+    def _begin(self) -> _Life:
+        process, connection = self._launch()
+        with self._lock:
+            self._life = _Life(process, connection, time.monotonic())
+            if self._stopping.is_set():
+                _send(connection, Shutdown())
+            return self._life
+
+    def _listen(self, life: _Life) -> str:
+        """Pass reports on until the process ends; how it ended."""
+        while True:
+            ready = wait([life.connection, life.process.sentinel], timeout=0.5)
+            if life.connection in ready:
+                try:
+                    report = life.connection.recv()
+                except (EOFError, ConnectionResetError):
+                    life.process.kill()
+                    return "the acquisition process ended"
+                life.heard_s, life.spoke = time.monotonic(), True
+                self._hear(report)
+            elif life.process.sentinel in ready:
+                return "the acquisition process ended"
+            elif time.monotonic() - life.heard_s > (SILENCE_S if life.spoke else START_S):
+                life.process.kill()
+                return f"the acquisition process gave no sign of life for {time.monotonic() - life.heard_s:.0f} s"
+
+
+def _send(connection: Connection[Any, Any], command: Command) -> None:
+    try:
+        connection.send(command)
+    except (BrokenPipeError, ConnectionResetError, OSError):
+        return  # the process has died; the listener says so in a moment

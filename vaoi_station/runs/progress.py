@@ -1,0 +1,157 @@
+"""One run from the barrier to its result: what has arrived, what is being worked on, what is there.
+
+Knows nothing of processes: it says which tasks have become possible and takes their answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from vaoi_station.acquisition.messages import FrameSettled, RunFinished, RunStarted
+from vaoi_station.errors import VaoiError
+from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Stitch, Verdict
+from vaoi_station.runs.jobs import Answer, Concluded, ConcludeJob, LinkJob, RunContext
+from vaoi_station.runs.memory import Bay
+from vaoi_station.runs.order import Order
+from vaoi_station.runs.shapes import Reason, TaskTiming
+from vaoi_station.runs.state import RUN, RunState, RunStep
+from vaoi_station.stitching.evidence import Evidence, FrameKey, Task
+from vaoi_station.stitching.work import all_tasks, possible_tasks
+
+
+@dataclass
+class Progress:
+    """A run under way; host times are time.monotonic()."""
+
+    order: Order
+    context: RunContext
+    barrier_s: float
+    state: RunState = RUN.start
+    pulses: dict[int, Pulse] = field(default_factory=dict)
+    frames: dict[FrameKey, FrameRecord] = field(default_factory=dict)
+    settled_s: dict[FrameKey, float] = field(default_factory=dict)
+    asked_s: dict[Task, float] = field(default_factory=dict)
+    """Tasks given to the workers, and when their last frame had settled."""
+    evidence: dict[Task, Evidence] = field(default_factory=dict)
+    unanswered: set[Task] = field(default_factory=set)
+    needed: tuple[Task, ...] = ()
+    """The canonical tasks, once everything has been filmed."""
+    timings: list[TaskTiming] = field(default_factory=list)
+    film: RunFinished | None = None
+    faults: list[Reason] = field(default_factory=list)
+    """What went wrong besides the frames' verdicts."""
+    hopeless: bool = False
+    """Something without which there is no result has failed."""
+    result: Concluded | None = None
+    concluding: bool = False
+    conclude_ms: float = 0.0
+    ready_s: float | None = None
+
+    @classmethod
+    def begin(cls, report: RunStarted, bay: Bay, order: Order) -> Progress:
+        """A board has interrupted the barrier."""
+        context = RunContext(report.run, order.setup, bay.number, bay.generation)
+        return cls(order, context, report.host_time_s)
+
+    @property
+    def run(self) -> str:
+        """Its id."""
+        return self.context.run
+
+    @property
+    def head(self) -> RecordingHead | None:
+        """What was filmed; None while filming."""
+        return self.film.head if self.film else None
+
+    @property
+    def present(self) -> tuple[FrameKey, ...]:
+        """Frames that arrived whole."""
+        return tuple(sorted(key for key, frame in self.frames.items() if frame.verdict is Verdict.OK))
+
+    @property
+    def stitch(self) -> Stitch | None:
+        """The result; None while there is none."""
+        return self.result.stitch if self.result else None
+
+    def step(self, event: RunStep) -> None:
+        """Follow the table."""
+        self.state = RUN.next(self.state, event)
+
+    def settle(self, report: FrameSettled) -> list[LinkJob]:
+        """A frame has its verdict; the tasks it makes possible."""
+        key = (report.frame.camera, report.frame.row)
+        self.frames[key] = report.frame
+        self.settled_s[key] = report.host_time_s
+        if report.frame.verdict is not Verdict.OK or key[1] not in self.pulses:
+            return []
+        times_s = {row: pulse.time_s for row, pulse in self.pulses.items()}
+        known = [k for k in self.present if k[1] in times_s]
+        return self._ask(possible_tasks(key, known, times_s, self.order.setup))
+
+    def filmed(self, report: RunFinished) -> list[LinkJob]:
+        """Every frame has its verdict; the canonical tasks that were not asked for yet."""
+        self.step(RunStep.FILMED)
+        self.film = report
+        self.frames = {(f.camera, f.row): f for f in report.frames}
+        times_s = dict(enumerate(report.head.row_times_s()))
+        self.needed = all_tasks(self.present, times_s, self.order.setup)
+        return self._ask(self.needed)
+
+    def answered(self, task: Task, answer: Answer, now_s: float) -> None:
+        """A task is done, or cannot be done."""
+        self.unanswered.discard(task)
+        if answer.error is not None:
+            self._blame(answer.error)
+            return
+        self.evidence[task] = answer.value
+        self.timings.append(
+            TaskTiming(
+                kind=task.kind,
+                camera=task.a[0],
+                row=task.a[1],
+                other_camera=task.b[0] if task.b else None,
+                other_row=task.b[1] if task.b else None,
+                ready_s=self.asked_s[task] - self.barrier_s,
+                done_s=now_s - self.barrier_s,
+                worker_ms=answer.worker_s * 1e3,
+            )
+        )
+
+    def conclusion(self) -> ConcludeJob | None:
+        """The last job, once all evidence is there; None before, and if there can be none."""
+        if self.film is None or self.concluding or self.hopeless or self.unanswered & {*self.needed}:
+            return None
+        self.concluding = True
+        evidence = tuple(self.evidence[t] for t in self.needed if t in self.evidence)
+        return ConcludeJob(self.run, self.order.setup, self.film.head, self.present, evidence)
+
+    def concluded(self, answer: Answer, now_s: float) -> None:
+        """The result is there, or cannot be had."""
+        self.conclude_ms = answer.worker_s * 1e3
+        if answer.error is not None:
+            self._blame(answer.error)
+            self.hopeless = True
+        else:
+            self.result, self.ready_s = answer.value, now_s
+
+    def blame(self, reason: Reason) -> None:
+        """Something besides the frames went wrong; it is told with the result."""
+        if reason not in self.faults:
+            self.faults.append(reason)
+
+    def _blame(self, error: VaoiError) -> None:
+        self.blame(Reason(code=error.code, message=error.message, action=error.action))
+        self.hopeless = self.hopeless or error.code == "worker-lost"
+
+    def _ask(self, tasks: Iterable[Task]) -> list[LinkJob]:
+        new = [task for task in tasks if task not in self.asked_s]
+        for task in new:
+            keys = [key for key in (task.a, task.b) if key is not None]
+            self.asked_s[task] = max(self.settled_s.get(key, self.barrier_s) for key in keys)
+        self.unanswered.update(new)
+        return [LinkJob(self.context, task, self._slots(task)) for task in new]
+
+    def _slots(self, task: Task) -> dict[FrameKey, int]:
+        keys = [key for key in (task.a, task.b) if key is not None]
+        return {key: slot for key in keys if (slot := self.frames[key].slot) is not None}

@@ -1,0 +1,42 @@
+"""The film of a run whose acquisition process died: what had arrived until then."""
+
+from __future__ import annotations
+
+from vaoi_station.acquisition.messages import RunFinished
+from vaoi_station.config import StationConfig
+from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
+from vaoi_station.runs.progress import Progress
+
+CAUSE = "the acquisition process ended before it arrived"
+
+
+def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
+    """What a recording of this station says of its cameras."""
+    return tuple(CameraHead(width=c.width, height=c.height, exposure_us=c.exposure_us) for c in config.cameras)
+
+
+def film_from_pieces(progress: Progress, config: StationConfig) -> RunFinished | None:
+    """Pulses and frames that were told of, the rest missing; None if not one row was known."""
+    rows = 0
+    while rows in progress.pulses:  # rows after a gap in the pulses have no certain time
+        rows += 1
+    if not rows:
+        return None
+    keys = [(camera, row) for camera in range(len(config.cameras)) for row in range(rows)]
+    frames = tuple(
+        progress.frames.get(key) or FrameRecord(camera=key[0], row=key[1], verdict=Verdict.MISSING, cause=CAUSE)
+        for key in keys
+    )
+    first_s = progress.pulses[0].time_s
+    head = RecordingHead(
+        format="vaoi-recording",
+        version=1,
+        cameras=camera_heads(config),
+        rows=rows,
+        trigger_period_s=config.line.trigger_period_s,
+        conveyor_mm_s=config.line.conveyor_mm_s,
+        missing=tuple((f.camera, f.row) for f in frames if f.verdict is Verdict.MISSING),
+        trigger_times_s=tuple(round(progress.pulses[row].time_s - first_s, 9) for row in range(rows)),
+    )
+    last_s = max((at for key, at in progress.settled_s.items() if key in progress.present), default=progress.barrier_s)
+    return RunFinished(progress.run, progress.context.bay, head, frames, last_s, "acquisition lost")
