@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from vaoi_station.geometry import Camera, Lens, System, apply
+
+Make = Callable[..., Camera]
+shared = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+tilts = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(-3.1, 3.1))
+places = st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(200, 900))
+offsets = st.lists(st.tuples(st.floats(-20, 20), st.floats(-15, 15)), min_size=1, max_size=5).map(np.array)
+LENS = Lens((695.5, 519.5), 868.8, (-0.0012, 0.0004))
+
+
+@shared
+@given(place=places, tilt=tilts, y_down=st.booleans(), focal=st.floats(0.9, 1.1))
+def test_foot_is_below_a_tilted_camera(
+    *, pinhole: Any, calibrated: Make, place: Any, tilt: Any, y_down: bool, focal: float
+) -> None:
+    camera = calibrated(pinhole(focal * 40 * place[2], place, tilt, y_down))
+    np.testing.assert_allclose(camera.foot_mm, place[:2], atol=1e-3)
+
+
+def test_foot_uses_the_principal_point_that_is_given(pinhole: Any, calibrated: Make) -> None:
+    straight = calibrated(pinhole(40 * 483.0, (10.0, 20.0, 483.0), (0.0, 0.0, 0.0)))
+    shifted = Camera(1392, 1040, straight.image_from_row, LENS, 483.0, principal_point_px=(735.5, 519.5))
+    assert straight.foot_mm == pytest.approx([10, 20])
+    assert shifted.foot_mm == pytest.approx([11, 20])
+
+
+def test_foot_does_not_depend_on_the_scale_of_the_matrix(pinhole: Any, calibrated: Make) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (10.0, 20.0, 483.0), (0.03, -0.02, 1.0)))
+    n = camera.image_from_row
+    for factor in (-1.0, 1e-4, 250.0):
+        scaled = Camera(1392, 1040, type(n)(factor * n.matrix, n.target, n.source), camera.lens, 483.0)
+        np.testing.assert_allclose(scaled.foot_mm, (10, 20), atol=1e-6)
+
+
+@shared
+@given(place=places, tilt=tilts, y_down=st.booleans(), around=offsets, height=st.floats(-5, 60))
+def test_project_sees_heights_as_a_pinhole_camera_does(
+    *, pinhole: Any, calibrated: Make, place: Any, tilt: Any, y_down: bool, around: Any, height: float
+) -> None:
+    truth = pinhole(40 * place[2], place, tilt, y_down)
+    p = around + np.array(place[:2])
+    expected = truth.project(np.column_stack([p, np.full(len(p), height)]))
+    np.testing.assert_allclose(calibrated(truth).project(p, height), expected, atol=1e-3)
+
+
+@shared
+@given(tilt=tilts, around=offsets, heights=st.lists(st.floats(-5, 60), min_size=5, max_size=5))
+def test_ground_undoes_project_at_heights(
+    pinhole: Any, calibrated: Make, tilt: Any, around: Any, heights: list[float]
+) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (100.0, -50.0, 483.0), tilt), lens=LENS)
+    p, h = around + np.array((100, -50)), np.array(heights[: len(around)])
+    np.testing.assert_allclose(camera.ground(camera.project(p, h), h), p, atol=1e-8)
+
+
+@shared
+@given(tilt=tilts, around=offsets, height=st.floats(-5, 60))
+def test_the_homography_of_a_plane_at_a_height_agrees_with_project(
+    pinhole: Any, calibrated: Make, tilt: Any, around: Any, height: float
+) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (100.0, -50.0, 483.0), tilt), lens=LENS)
+    p = around + np.array((100, -50))
+    undistorted = camera.image_from_row_at(height)(p)
+    np.testing.assert_allclose(camera.lens.distort(undistorted), camera.project(p, height), atol=1e-8)
+
+
+def test_parallax_points_to_the_foot(pinhole: Any, calibrated: Make) -> None:
+    """What is seen at 48.3 mm from the foot and stands 10 mm high is really 1 mm nearer to the foot."""
+    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.0, 0.0, 0.0)))
+    np.testing.assert_allclose(camera.parallax((48.3, 0)) * 10, (-1, 0), atol=1e-9)
+    np.testing.assert_allclose(camera.ground(camera.project((48.3, 0)), 10.0), (47.3, 0), atol=1e-9)
+
+
+def test_without_a_distance_heights_have_no_effect(pinhole: Any, calibrated: Make) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.02, 0.0, 0.0)), distance_known=False)
+    p = np.array([[5.0, 6.0]])
+    assert (camera.project(p, 30.0) == camera.project(p)).all()
+    assert (camera.ground((3, 4), 30.0) == camera.ground((3, 4))).all()
+    assert camera.image_from_row_at(30.0) is camera.image_from_row
+    np.testing.assert_allclose(camera.foot_mm, camera.row_from_image(camera.center_px))
+
+
+def test_resolution_is_that_of_the_middle_of_the_frame(pinhole: Any, calibrated: Make) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (7.0, 8.0, 483.0), (0.0, 0.0, 0.3)))
+    assert camera.center_px == (695.5, 519.5)
+    assert camera.px_per_mm == pytest.approx(40)
+
+
+@pytest.mark.parametrize(
+    ("y_down", "mirrors"), [(True, False), (False, True)], ids=["tester-y-down-the-image", "tester-y-up-the-image"]
+)
+def test_handedness_of_a_camera_matrix(pinhole: Any, calibrated: Make, y_down: bool, mirrors: bool) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.01, 0.0, 2.0), y_down))
+    assert camera.image_from_row.mirrors is mirrors
+
+
+def test_sees_ends_at_the_border_pixels_less_the_margin(pinhole: Any, calibrated: Make) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.0, 0.0, 0.0)))
+    p: list[list[float]] = [[0, 0], [1391, 1039], [1391.1, 5], [5, -0.1], [9.9, 500], [np.nan, 5]]
+    assert camera.sees(p).tolist() == [True, True, False, False, True, False]
+    assert camera.sees(p, margin_px=10).tolist() == [False] * 6
+
+
+def test_a_distant_neighbour_does_not_see_the_board_through_its_lens(pinhole: Any, calibrated: Make) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.0, 0.0, 0.0)), lens=LENS)
+    far = np.column_stack([np.linspace(20, 4000, 400), np.zeros(400)])
+    assert not camera.sees(camera.project(far)).any()
+
+
+def test_row_from_image_is_the_inverse(pinhole: Any, calibrated: Make) -> None:
+    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.01, 0.02, 0.3)))
+    assert (camera.row_from_image.target, camera.row_from_image.source) == (System.ROW, System.IMAGE)
+    np.testing.assert_allclose(apply(camera.image_from_row.matrix, camera.row_from_image((3, 4))), (3, 4), atol=1e-9)

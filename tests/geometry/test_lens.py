@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.geometry import Lens
+
+pixels = st.lists(st.tuples(st.floats(0, 1391), st.floats(0, 1039)), min_size=1, max_size=8).map(np.array)
+RADIUS = math.hypot(1392, 1040) / 2
+
+
+def test_the_polynomial_is_the_one_of_the_format() -> None:
+    lens = Lens((100.0, 50.0), 200.0, (0.1, 0.01))
+    rho2 = (30**2 + 40**2) / 200**2
+    k = 1 + 0.1 * rho2 + 0.01 * rho2**2
+    np.testing.assert_allclose(lens.undistort((130, 90)), (100 + 30 * k, 50 + 40 * k), rtol=1e-14)
+
+
+@given(
+    pixels,
+    st.tuples(st.floats(600, 800), st.floats(400, 600)),
+    st.lists(st.floats(-0.05, 0.15), min_size=1, max_size=3),
+)
+def test_distort_undoes_undistort(raw: np.ndarray, center: tuple[float, float], radial: list[float]) -> None:
+    lens = Lens(center, RADIUS, tuple(radial))
+    np.testing.assert_allclose(lens.distort(lens.undistort(raw)), raw, atol=1e-9)
+
+
+@given(pixels, st.floats(-0.25, 1.0))
+def test_undistort_undoes_distort_even_for_a_fisheye(undistorted: np.ndarray, a1: float) -> None:
+    lens = Lens((695.5, 519.5), RADIUS, (a1,))
+    inside = np.hypot(*(undistorted - lens.center_px).T) < 0.9 * RADIUS * min(1.0, lens.turning_point * 2 / 3)
+    np.testing.assert_allclose(lens.undistort(lens.distort(undistorted))[inside], undistorted[inside], atol=1e-9)
+
+
+def test_an_ideal_lens_changes_nothing() -> None:
+    lens = Lens((5.0, 5.0), 10.0, (0.0, 0.0))
+    assert lens.ideal
+    assert lens.distort([[1, 2]]).tolist() == lens.undistort([[1, 2]]).tolist() == [[1, 2]]
+
+
+def test_the_centre_stays_and_shapes_are_kept() -> None:
+    lens = Lens((10.0, 20.0), 100.0, (0.2,))
+    np.testing.assert_allclose(lens.distort((10, 20)), (10, 20), rtol=0)
+    assert lens.distort(np.zeros((3, 4, 2))).shape == (3, 4, 2)
+
+
+def test_turning_point_is_where_the_polynomial_stops_growing() -> None:
+    assert Lens((0, 0), 1.0, (-0.1,)).turning_point == pytest.approx(math.sqrt(1 / 0.3))
+    assert Lens((0, 0), 1.0, (0.3,)).turning_point == math.inf
+    assert Lens((0, 0), 1.0, (-0.1, 0.05)).turning_point == math.inf
+
+
+@pytest.mark.parametrize("a1", [-0.00115, -0.02, -0.1])
+def test_points_beyond_the_turning_point_never_fall_back_into_the_frame(a1: float) -> None:
+    """A camera is asked where it would see what its twelfth neighbour films; the answer is: far outside."""
+    lens = Lens((695.5, 519.5), RADIUS, (a1,))
+    out = np.geomspace(RADIUS, 100 * RADIUS, 200)
+    raw = lens.distort(np.column_stack([695.5 + out, np.full_like(out, 519.5)]))[:, 0] - 695.5
+    assert (np.diff(raw) > 0).all()
+    assert raw.min() >= RADIUS

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from vaoi_station.errors import InternalError
+from vaoi_station.geometry import Similarity, System
+from vaoi_station.geometry.robust import Failure, fit_similarity, huber_weights, median_sigma
+
+coordinates = st.floats(-300, 300)
+clouds = st.lists(st.tuples(coordinates, coordinates), min_size=2, max_size=8).map(np.array)
+
+
+def fit(q: object, p: object, *, mirrored: bool = False) -> Similarity | Failure:
+    return fit_similarity(np.array(q), np.array(p), System.TESTER, System.CAD, mirrored=mirrored)
+
+
+@given(clouds, st.floats(0.02, 30), st.floats(-math.pi, math.pi), st.tuples(coordinates, coordinates), st.booleans())
+def test_exact_points_give_the_exact_similarity(
+    p: np.ndarray, scale: float, angle: float, shift: tuple[float, float], mirrored: bool
+) -> None:
+    assume(np.ptp(p, axis=0).max() > 1)
+    truth = Similarity.of(scale, angle, shift, System.TESTER, System.CAD, mirrored=mirrored)
+    found = fit(truth(p), p, mirrored=mirrored)
+    assert isinstance(found, Similarity)
+    assert (found.target, found.source) == (System.TESTER, System.CAD)
+    assert found.mirrors is mirrored
+    np.testing.assert_allclose(found(p), truth(p), atol=1e-8)
+
+
+@given(clouds)
+def test_no_other_similarity_fits_noisy_points_better(p: np.ndarray) -> None:
+    assume(np.ptp(p, axis=0).max() > 1)
+    g = np.random.default_rng(len(p))
+    q = p @ np.array([[0.0, 1], [-1, 0]]) + (5, 6) + g.normal(0, 0.1, p.shape)
+    found = fit(q, p)
+    assert isinstance(found, Similarity)
+
+    def cost(s: Similarity) -> float:
+        return float(((s(p) - q) ** 2).sum())
+
+    for scale, angle, x, y in (
+        (1e-4, 0, 0, 0),
+        (-1e-4, 0, 0, 0),
+        (0, 1e-4, 0, 0),
+        (0, -1e-4, 0, 0),
+        (0, 0, 1e-2, -1e-2),
+    ):
+        shift = found.matrix[:2, 2] + (x, y)
+        other = Similarity.of(found.scale + scale, found.angle_rad + angle, shift, System.TESTER, System.CAD)
+        assert cost(found) <= cost(other) + 1e-9
+
+
+def test_handedness_is_told_never_guessed() -> None:
+    p = np.array([[0, 0], [10, 0], [0, 5.0]])
+    found = fit(p * (1, -1), p, mirrored=False)
+    assert isinstance(found, Similarity)
+    assert not found.mirrors
+    assert np.abs(found(p) - p * (1, -1)).max() > 1
+
+
+@pytest.mark.parametrize(
+    ("target", "source", "reason"),
+    [
+        ([[1, 2]], [[3, 4]], "1 point"),
+        ([[1, 2], [3, 4]], [[5, 6], [5, 6]], "all points coincide"),
+        ([[0.3, 2], [3, 4], [5, 5]], [[0.1, 0.7]] * 3, "all points coincide"),
+        ([[0.1, 0.7]] * 3, [[0.3, 2], [3, 4], [5, 5]], "target points coincide"),
+        ([[0, 0], [0, 0]], [[0, 0], [1, 0]], "target points coincide"),
+        ([[1, 0], [-1, 0], [0, 1], [0, -1]], [[1, 0], [-1, 0], [0, -1], [0, 1]], "nothing in common"),
+    ],
+)
+def test_what_fixes_nothing_fails_with_a_reason(target: object, source: object, reason: str) -> None:
+    found = fit(target, source)
+    assert isinstance(found, Failure)
+    assert reason in found.reason
+
+
+def test_unpaired_points_are_our_mistake() -> None:
+    with pytest.raises(InternalError, match="pairs"):
+        fit([[1, 2]], [[1, 2], [3, 4]])
+
+
+def test_huber_weights_fall_beyond_the_knee() -> None:
+    assert huber_weights(np.array([-1.0, 0.0, 1.5, 3.0, -6.0]), 1.5).tolist() == [1, 1, 1, 0.5, 0.25]
+
+
+def test_median_sigma_is_that_of_normal_data_and_unmoved_by_outliers() -> None:
+    r = np.random.default_rng(0).normal(0, 0.2, 20000)
+    assert median_sigma(r) == pytest.approx(0.2, rel=0.03)
+    assert median_sigma(np.append(r, [1e6] * 100)) == pytest.approx(0.2, rel=0.05)
+    assert math.isnan(median_sigma([]))

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.errors import InternalError
+from vaoi_station.geometry import Euclidean, Projective, Similarity, System, apply
+
+angles = st.floats(-math.pi, math.pi)
+shifts = st.tuples(st.floats(-500, 500), st.floats(-500, 500))
+scales = st.floats(0.02, 50)
+points = st.lists(shifts, min_size=1, max_size=6).map(np.array)
+similarities = st.builds(
+    lambda k, a, t, m: Similarity.of(k, a, t, System.TESTER, System.CAD, mirrored=m),
+    scales,
+    angles,
+    shifts,
+    st.booleans(),
+)
+motions = st.builds(lambda a, t: Euclidean.motion(a, t, System.ROW, System.TESTER), angles, shifts)
+tilts = st.floats(-1e-4, 1e-4)
+homographies = st.builds(
+    lambda k, a, t, g, h: Projective(
+        np.array([[1, 0, 0], [0, 1, 0], [g, h, 1]])
+        @ Similarity.of(k, a, t, System.IMAGE, System.ROW).matrix, System.IMAGE, System.ROW
+    ),
+    st.floats(5, 60), angles, shifts, tilts, tilts,
+)  # fmt: skip
+
+
+def test_apply_divides_by_the_homogeneous_part_and_keeps_the_shape() -> None:
+    m: list[list[float]] = [[2, 0, 1], [0, 2, 3], [0, 0.5, 1]]
+    assert apply(m, (4, 2)).tolist() == [4.5, 3.5]
+    assert apply(m, np.zeros((5, 4, 2))).shape == (5, 4, 2)
+
+
+@given(similarities, points)
+def test_inverse_undoes_a_similarity(tester_from_cad: Similarity, p: np.ndarray) -> None:
+    back = tester_from_cad.inverse()
+    assert (back.target, back.source) == (System.CAD, System.TESTER)
+    assert type(back) is Similarity
+    np.testing.assert_allclose(back(tester_from_cad(p)), p, atol=1e-7)
+
+
+@given(homographies, points)
+def test_inverse_undoes_a_homography(image_from_row: Projective, p: np.ndarray) -> None:
+    np.testing.assert_allclose(image_from_row.inverse()(image_from_row(p)), p, atol=1e-5)
+
+
+@given(homographies, motions, similarities, points)
+def test_a_product_is_one_after_the_other(n: Projective, d: Euclidean, c: Similarity, p: np.ndarray) -> None:
+    image_from_cad = n @ d @ c
+    assert (image_from_cad.target, image_from_cad.source) == (System.IMAGE, System.CAD)
+    np.testing.assert_allclose(image_from_cad(p), n(d(c(p))), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose((n @ (d @ c)).matrix, ((n @ d) @ c).matrix, rtol=1e-9, atol=1e-6)
+
+
+def test_a_product_is_of_the_more_general_kind() -> None:
+    n = Projective(np.diag([40, 40, 1.0]), System.IMAGE, System.ROW)
+    d = Euclidean.motion(0.1, (1, 2), System.ROW, System.TESTER)
+    c = Similarity.of(25.4, 0.2, (3, 4), System.TESTER, System.CAD)
+    e = Euclidean.identity(System.TESTER, System.TESTER)
+    assert type(n @ d) is Projective
+    assert type(d @ c) is Similarity
+    assert type(d @ e) is Euclidean
+
+
+def test_a_product_of_strangers_is_refused() -> None:
+    d = Euclidean.identity(System.ROW, System.TESTER)
+    with pytest.raises(InternalError, match="row_from_tester @ image_from_row: no neighbours"):
+        d @ Projective(np.eye(3), System.IMAGE, System.ROW)
+
+
+@given(motions, points)
+def test_a_motion_keeps_distances(d: Euclidean, p: np.ndarray) -> None:
+    q = d(p)
+    np.testing.assert_allclose(np.hypot(*(q - q[0]).T), np.hypot(*(p - p[0]).T), atol=1e-9)
+    assert not d.mirrors
+
+
+def test_angles_run_from_x_towards_y() -> None:
+    quarter = Euclidean.motion(math.pi / 2, (10, 0), System.ROW, System.TESTER)
+    np.testing.assert_allclose(quarter((1, 0)), (10, 1), atol=1e-12)
+
+
+@given(scales, angles, shifts, st.booleans())
+def test_a_similarity_tells_what_it_was_made_of(k: float, a: float, t: tuple[float, float], mirrored: bool) -> None:
+    made = Similarity.of(k, a, t, System.TESTER, System.CAD, mirrored=mirrored)
+    assert made.scale == pytest.approx(k)
+    assert math.cos(made.angle_rad - a) == pytest.approx(1)
+    assert made.mirrors is mirrored
+    np.testing.assert_allclose(made((0, 0)), t)
+    assert made.scale_at((3, 4)) == pytest.approx(k)
+
+
+def test_mirrored_flips_the_source_y_axis_first() -> None:
+    made = Similarity.of(2, math.pi / 2, (0, 0), System.IMAGE, System.CAD, mirrored=True)
+    np.testing.assert_allclose(made([[1, 0], [0, 1]]), [[0, 2], [2, 0]], atol=1e-12)
+
+
+@given(similarities, similarities)
+def test_handedness_multiplies(a: Similarity, b: Similarity) -> None:
+    same = Similarity(b.matrix, System.CAD, System.CROP)
+    assert (a @ same).mirrors is (a.mirrors is not b.mirrors)
+
+
+@given(homographies)
+def test_handedness_does_not_depend_on_the_scale_of_the_matrix(n: Projective) -> None:
+    assert Projective(-3 * n.matrix, n.target, n.source).mirrors is n.mirrors
+
+
+@given(homographies, shifts)
+def test_scale_at_is_the_root_of_the_area_ratio(n: Projective, p: tuple[float, float]) -> None:
+    e = 1e-3
+    corners = n(np.array(p) + np.array([[0, 0], [e, 0], [0, e]]))
+    (ax, ay), (bx, by) = corners[1] - corners[0], corners[2] - corners[0]
+    assert n.scale_at(p) == pytest.approx(math.sqrt(abs(ax * by - ay * bx)) / e, rel=1e-4)
+
+
+@pytest.mark.parametrize("bad", [np.eye(2), np.full((3, 3), np.nan), np.diag([1, 1, np.inf])])
+def test_what_is_no_finite_matrix_is_refused(bad: np.ndarray) -> None:
+    with pytest.raises(InternalError, match="image_from_row is not a finite 3×3 matrix"):
+        Projective(bad, System.IMAGE, System.ROW)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        [[1, 0, 0], [0, 2, 0], [0, 0, 1]],
+        [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]],
+        [[1, 0, 0], [0, 1, 0], [1e-4, 0, 1]],
+        [[1, 0, 0], [0, 1, 0], [0, 0, 2]],
+        [[0, 0, 0], [0, 0, 0], [0, 0, 1]],
+    ],
+)
+def test_what_stretches_shears_or_tilts_is_no_similarity(bad: list[list[float]]) -> None:
+    with pytest.raises(InternalError, match="tester_from_cad is no similarity"):
+        Similarity(np.array(bad), System.TESTER, System.CAD)
+
+
+@pytest.mark.parametrize("bad", [np.diag([2, 2, 1.0]), np.diag([1, -1, 1.0])])
+def test_what_scales_or_mirrors_is_no_motion(bad: np.ndarray) -> None:
+    with pytest.raises(InternalError, match="no rigid motion"):
+        Euclidean(bad, System.ROW, System.TESTER)
+
+
+def test_a_singular_matrix_has_no_inverse() -> None:
+    flat = Projective(np.array([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]]), System.IMAGE, System.ROW)
+    with pytest.raises(InternalError, match="singular"):
+        flat.inverse()
+
+
+def test_matrices_are_copied_and_read_only() -> None:
+    mine = np.eye(3)
+    made = Projective(mine, System.IMAGE, System.ROW)
+    mine[0, 0] = 7
+    assert made.matrix[0, 0] == 1
+    with pytest.raises(ValueError, match="read-only"):
+        made.matrix[0, 0] = 2
