@@ -15,7 +15,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.files.images import read_image
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation.bodies import Body, build_bodies
-from vaoi_station.simulation.canvas import Bytes, Canvas
+from vaoi_station.simulation.canvas import Bytes, Canvas, to_bytes
 from vaoi_station.simulation.layout import Part, mounting_holes, place_parts
 from vaoi_station.simulation.packages import Look
 from vaoi_station.simulation.routing import Copper, route
@@ -60,13 +60,6 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
     bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal * 255)
     return Artwork(parts, bodies, surface, metal, px_per_mm, canvas.origin_mm)
-
-
-def to_bytes(plane: Floats) -> Bytes:
-    """Rounded and clipped to 8 bit, read-only."""
-    result = np.clip(np.rint(plane), 0, 255).astype(np.uint8)
-    result.setflags(write=False)
-    return result
 
 
 def _paint_surface(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
@@ -115,7 +108,7 @@ def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) 
             x, y = w / 2 + 0.18, h / 2 + 0.18
             local = np.array([[-x, -y], [x, -y], [x, y], [-x, y], [-x, -y]])
         outlines.append(part.to_board(local))
-        _paint_ref(canvas, section, part)
+        _paint_ref(canvas, part)
         if part.package.look is Look.EPOXY and part.package.size[0] > 4:
             u, v, *_ = part.package.pads[0]
             canvas.disc(part.to_board_point(u, v - 0.9), 0.35, SILK)
@@ -126,15 +119,22 @@ def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) 
         canvas.text("REV B  MADE BY NOBODY", (w * 0.5 + 0.25 * w, h - 2.0), min(0.9, h / 40), SILK)
 
 
-def _paint_ref(canvas: Canvas, section: BoardSection, part: Part) -> None:
+def _paint_ref(canvas: Canvas, part: Part) -> None:
+    """The name beside the part: for chips, which stand side by side in groups, on the side that is free."""
     half_w, half_h = part.half_extent
-    tall = 1.0 if min(part.package.size) > 1.5 else 0.7
     x, y = part.place
-    if half_w >= half_h:
-        y += (-1 if y > tall * 2 + half_h else 1) * (half_h + 0.65 * tall + 0.05)
+    tall = 1.0 if min(part.package.size) > 1.5 else 0.65
+    away = 0.65 * tall + 0.1
+    beside = part.turned_deg % 180 == 0 if part.package.small else half_w < half_h
+    if not beside and part.package.small:
+        canvas.text(part.ref, (x, y - half_h - 0.15 - 0.38 * tall * len(part.ref)), tall, SILK, 90.0)
+    elif not beside:
+        y += -(half_h + away) if y > half_h + 2 * tall else half_h + away
         canvas.text(part.ref, (x, y), tall, SILK)
+    elif part.package.small:
+        canvas.text(part.ref, (x - half_w - 0.15 - 0.38 * tall * len(part.ref), y), tall, SILK)
     else:
-        x += (-1 if x > tall * 2 + half_w else 1) * (half_w + 0.65 * tall + 0.05)
+        x += -(half_w + away) if x > half_w + 2 * tall else half_w + away
         canvas.text(part.ref, (x, y), tall, SILK, 90.0)
 
 

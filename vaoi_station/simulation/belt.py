@@ -117,9 +117,12 @@ class Course:
 
 
 def course(
-    section: BeltSection, board_number: int, start_s: float, start_along_mm: float, across_mm: float, turned_deg: int
+    section: BeltSection, board_number: int, *, start_s: float, start_along_mm: float, across_mm: float, turned_deg: int
 ) -> Course:
-    """The way of board `board_number`; its offset and rotation on the belt follow from seed and number."""
+    """The way of board `board_number`; its offset and rotation on the belt follow from seed and number.
+
+    `turned_deg` counts counter-clockwise as the camera sees it, from tester y to tester x.
+    """
     g = np.random.default_rng([section.seed, 7002, board_number])
     offset, yaw = g.normal(0, section.offset_sigma_mm), g.normal(0, section.yaw_sigma_deg)
     return Course(
@@ -127,5 +130,5 @@ def course(
         start_s,
         start_along_mm,
         across_mm + section.offset_mm + float(offset),
-        math.radians(section.yaw_deg + float(yaw) + turned_deg),
+        math.radians(section.yaw_deg + float(yaw) - turned_deg),
     )

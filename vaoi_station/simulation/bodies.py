@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.simulation.canvas import Bytes, Canvas
+from vaoi_station.simulation.canvas import Bytes, Canvas, to_bytes
 from vaoi_station.simulation.layout import Part
 from vaoi_station.simulation.packages import Look
 
@@ -70,14 +70,16 @@ def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
     else:
         cover.box(part.place, part.package.body, 255.0, turned_deg=part.turned_deg)
     return Body(
-        part.ref,
-        outline,
-        part.body_height_mm,
-        grey * 0.75,
-        part.place,
-        *(_bytes(p) for p in (canvas.grey, canvas.metal * 255, cover.grey)),
-        origin,
-        px_per_mm,
+        ref=part.ref,
+        outline_mm=outline,
+        height_mm=part.body_height_mm,
+        side_grey=grey * 0.75,
+        middle_mm=part.place,
+        top=to_bytes(canvas.grey),
+        metal=to_bytes(canvas.metal * 255),
+        cover=to_bytes(cover.grey),
+        origin_mm=origin,
+        px_per_mm=px_per_mm,
     )
 
 
@@ -108,8 +110,9 @@ def _epoxy(canvas: Canvas, part: Part) -> None:
         canvas.text(_code(part, 2), part.place, 0.7, 120.0, part.turned_deg)
         return
     canvas.box(part.place, (w - 0.5, h - 0.5), 46.0, turned_deg=part.turned_deg)
-    canvas.disc(part.to_board_point(-w / 2 + 0.9, -h / 2 + 0.9), 0.9, 24.0)
-    tall, turned = min(1.1, w / 6, h / 6), part.turned_deg + (90 if h > w else 0)
+    inset = 0.6 if min(w, h) < 5 else 1.1
+    canvas.disc(part.to_board_point(-w / 2 + inset, -h / 2 + inset), inset, 24.0)
+    tall, turned = min(1.1, w / 6.5, h / 6.5), part.turned_deg + (90 if h > w else 0)
     for n, line in enumerate((_code(part, 6), _code(part, 5, 1), _code(part, 4, 2))):
         at = (n - 1) * 1.7 * tall
         place = part.to_board_point(at, 0.0) if h > w else part.to_board_point(0.0, at)
@@ -194,9 +197,3 @@ def _code(part: Part, length: int, line: int = 0) -> str:
 def _digits(part: Part) -> str:
     g = np.random.default_rng([9, *part.ref.encode()])
     return f"{g.integers(10, 99)}{g.integers(0, 5)}"
-
-
-def _bytes(plane: Floats) -> Bytes:
-    result = np.clip(np.rint(plane), 0, 255).astype(np.uint8)
-    result.setflags(write=False)
-    return result

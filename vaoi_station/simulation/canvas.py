@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 
-Plane = NDArray[np.float32]
+Plane = NDArray[np.floating[Any]]
 Bytes = NDArray[np.uint8]
 
 
@@ -130,6 +131,13 @@ class Canvas:
         for plane, value in ((self.grey, grey), (self.metal, metal)):
             part = plane[window]
             part += (np.float32(value) - part) * coverage
+
+
+def to_bytes(plane: Plane) -> Bytes:
+    """Rounded and clipped to 8 bit, read-only."""
+    result = np.clip(np.rint(plane), 0, 255).astype(np.uint8)
+    result.setflags(write=False)
+    return result
 
 
 def _span(offset: Plane, width: float) -> Plane:

@@ -113,6 +113,7 @@ class _Floor:
 
     def __init__(self, section: BoardSection) -> None:
         self.section = section
+        self.size = (section.width_mm, section.length_mm)
         self.g = np.random.default_rng([section.seed, 7010])
         self.parts: list[Part] = []
         self.numbers: Counter[str] = Counter()
@@ -130,34 +131,32 @@ class _Floor:
         misses = 0
         while len(self.parts) < wanted and misses < 40:
             package = SMALL[int(self.g.integers(len(SMALL)))]()
-            misses += not self._set(package, int(min(self.g.integers(2, 7), wanted - len(self.parts))))
+            misses += not self._set(package, min(int(self.g.integers(2, 7)), wanted - len(self.parts)))
         return tuple(self.parts)
 
     def _set(self, package: Package, count: int) -> bool:
         """Set a group of equal parts side by side; False where no place was found."""
         for _ in range(_TRIES):
-            turned = float(self.g.choice([0, 90, 180, 270]))
+            turned = 90.0 * int(self.g.integers(4))
             if package.name == "QFP-64" and self.numbers["U"] > 0:
                 turned += 45.0
             half = _half_extent(package, turned)
             step = (0.0, 2 * half[1] + 0.5) if turned % 180 == 0 else (2 * half[0] + 0.5, 0.0)
-            start = [
-                self.g.uniform(h + _EDGE_MM, max(s - h - _EDGE_MM, h + _EDGE_MM))
-                for h, s in zip(half, (self.section.width_mm, self.section.length_mm), strict=True)
-            ]
-            places = [(round(start[0] + n * step[0], 3), round(start[1] + n * step[1], 3)) for n in range(count)]
+            x, y = (self._anywhere(h, s) for h, s in zip(half, self.size, strict=True))
+            places = [(round(x + n * step[0], 3), round(y + n * step[1], 3)) for n in range(count)]
             if all(self._free(place, half) for place in places):
                 for place in places:
                     self._put(package, place, turned, half)
                 return True
         return False
 
+    def _anywhere(self, half: float, size: float) -> float:
+        least = half + _EDGE_MM
+        return float(self.g.uniform(least, max(size - least, least)))
+
     def _free(self, place: tuple[float, float], half: tuple[float, float]) -> bool:
         x, y = place
-        inside = all(
-            h + _EDGE_MM <= p <= s - h - _EDGE_MM
-            for p, h, s in zip(place, half, (self.section.width_mm, self.section.length_mm), strict=True)
-        )
+        inside = all(h + _EDGE_MM <= p <= s - h - _EDGE_MM for p, h, s in zip(place, half, self.size, strict=True))
         return inside and not any(
             abs(x - u) < half[0] + w + _GAP_MM and abs(y - v) < half[1] + h + _GAP_MM for u, v, w, h in self.taken
         )

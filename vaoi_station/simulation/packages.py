@@ -41,34 +41,40 @@ class Package:
     leads: tuple[Box, ...] = ()
 
     @property
+    def small(self) -> bool:
+        """Whether it is a chip that stands in groups."""
+        return self.look in (Look.RESISTOR, Look.CERAMIC)
+
+    @property
     def round(self) -> bool:
         """Whether the body is a cylinder."""
         return self.look is Look.CAN
 
 
-def chip(name: str, prefix: str, length: float, width: float, height: float, look: Look) -> Package:
+def chip(name: str, prefix: str, size: tuple[float, float], height: float, look: Look) -> Package:
     """Two-pole chip: resistor, capacitor."""
+    length, width = size
     pad = max(0.35 * length, 0.35)
     offset, tall = length / 2, width * 1.1
     pads = ((-offset, 0.0, pad, tall), (offset, 0.0, pad, tall))
-    return Package(name, prefix, (length + pad, tall), (length, width), height, look, pads)
+    return Package(name, prefix, (length + pad, tall), size, height, look, pads)
 
 
-def small_outline(name: str, prefix: str, pins: int, pitch: float, body: tuple[float, float], height: float) -> Package:
+def small_outline(name: str, *, pins: int, pitch: float, body: tuple[float, float], height: float) -> Package:
     """Gull-wing leads on the left and right (SOIC, TSSOP)."""
     reach, wide = 0.9, pitch * 0.4
     pads, leads = _row_pair(pins // 2, pitch, body[0], reach, wide)
-    return Package(name, prefix, (body[0] + 2 * reach + 0.4, body[1]), body, height, Look.EPOXY, pads, leads)
+    return Package(name, "U", (body[0] + 2 * reach + 0.4, body[1]), body, height, Look.EPOXY, pads, leads)
 
 
-def quad_flat(name: str, prefix: str, pins: int, pitch: float, body: float, height: float) -> Package:
+def quad_flat(name: str, *, pins: int, pitch: float, body: float, height: float) -> Package:
     """Leads on all four sides."""
     reach, wide = 1.0, pitch * 0.5
     pads, leads = _row_pair(pins // 4, pitch, body, reach, wide)
     turned = tuple((v, u, h, w) for u, v, w, h in pads)
     turned_leads = tuple((v, u, h, w) for u, v, w, h in leads)
     size = body + 2 * reach + 0.4
-    return Package(name, prefix, (size, size), (body, body), height, Look.EPOXY, pads + turned, leads + turned_leads)
+    return Package(name, "U", (size, size), (body, body), height, Look.EPOXY, pads + turned, leads + turned_leads)
 
 
 def sot23() -> Package:
@@ -111,33 +117,33 @@ def _row_pair(
 
 
 BIG: tuple[Callable[[], Package], ...] = (
-    lambda: quad_flat("QFP-64", "U", 64, 0.65, 12.0, 1.4),
+    lambda: quad_flat("QFP-64", pins=64, pitch=0.65, body=12.0, height=1.4),
     lambda: header(8, 2),
     lambda: socket(9.0, 7.0, 3.2),
     lambda: can_capacitor(6.3, 5.4),
-    lambda: small_outline("SOIC-16", "U", 16, 1.27, (3.9, 9.9), 1.5),
+    lambda: small_outline("SOIC-16", pins=16, pitch=1.27, body=(3.9, 9.9), height=1.5),
     lambda: Package("COIL", "L", (7.4, 6.6), (6.6, 6.6), 3.0, Look.COIL, ((-3.0, 0.0, 1.4, 3.0), (3.0, 0.0, 1.4, 3.0))),
-    lambda: small_outline("TSSOP-20", "U", 20, 0.65, (4.4, 6.5), 1.1),
+    lambda: small_outline("TSSOP-20", pins=20, pitch=0.65, body=(4.4, 6.5), height=1.1),
     lambda: can_capacitor(8.0, 6.2),
 )
 """One of each in turn, while there is room for them."""
 
 MIDDLE: tuple[Callable[[], Package], ...] = (
-    lambda: small_outline("SOIC-8", "U", 8, 1.27, (3.9, 4.9), 1.5),
+    lambda: small_outline("SOIC-8", pins=8, pitch=1.27, body=(3.9, 4.9), height=1.5),
     sot23,
     lambda: Package(
         "XTAL", "Y", (5.8, 3.2), (5.0, 3.2), 0.9, Look.CRYSTAL, ((-2.2, 0.0, 1.4, 2.4), (2.2, 0.0, 1.4, 2.4))
     ),
     sot23,
-    lambda: chip("1206", "C", 3.2, 1.6, 1.2, Look.CERAMIC),
-    lambda: chip("1210", "R", 3.2, 2.5, 0.6, Look.RESISTOR),
+    lambda: chip("1206", "C", (3.2, 1.6), 1.2, Look.CERAMIC),
+    lambda: chip("1210", "R", (3.2, 2.5), 0.6, Look.RESISTOR),
 )
 
 SMALL: tuple[Callable[[], Package], ...] = (
-    lambda: chip("0603", "R", 1.6, 0.8, 0.45, Look.RESISTOR),
-    lambda: chip("0402", "C", 1.0, 0.5, 0.5, Look.CERAMIC),
-    lambda: chip("0603", "C", 1.6, 0.8, 0.8, Look.CERAMIC),
-    lambda: chip("0402", "R", 1.0, 0.5, 0.35, Look.RESISTOR),
-    lambda: chip("0805", "C", 2.0, 1.25, 1.0, Look.CERAMIC),
-    lambda: chip("0805", "R", 2.0, 1.25, 0.5, Look.RESISTOR),
+    lambda: chip("0603", "R", (1.6, 0.8), 0.45, Look.RESISTOR),
+    lambda: chip("0402", "C", (1.0, 0.5), 0.5, Look.CERAMIC),
+    lambda: chip("0603", "C", (1.6, 0.8), 0.8, Look.CERAMIC),
+    lambda: chip("0402", "R", (1.0, 0.5), 0.35, Look.RESISTOR),
+    lambda: chip("0805", "C", (2.0, 1.25), 1.0, Look.CERAMIC),
+    lambda: chip("0805", "R", (2.0, 1.25), 0.5, Look.RESISTOR),
 )

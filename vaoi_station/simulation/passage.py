@@ -18,7 +18,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import RecordingHead
 from vaoi_station.simulation.faults import PassageFaults
 from vaoi_station.simulation.scene import Placement
-from vaoi_station.simulation.sensor import expose
+from vaoi_station.simulation.sensor import expose, generator
 from vaoi_station.simulation.timetable import Timetable, timetable
 from vaoi_station.simulation.truth import passage_truth
 
@@ -105,11 +105,24 @@ class Passage:
         """The frame of a camera exposed about a time under a light; `noise_key` chooses the noise."""
         twin, array = self.twin, self.twin.scenario.array
         light = twin.scenario.lights[light_name]
-        samples = twin.scene.view(twin.pinholes[camera], self.pose(t_s), twin.paint(light_name), light, self.placements)
+        samples = twin.scene.view(
+            twin.pinholes[camera],
+            self.pose(t_s),
+            paint=twin.paint(light_name),
+            light=light,
+            placements=self.placements,
+        )
         relative = array.exposure_us(camera) / array.reference_exposure_us
         brightness = relative * array.gain * light.camera_gain(camera) * self._flicker(noise_key)
-        noise = _generator(array.seed, 7005, self.board_number, noise_key, camera)
-        return expose(samples, array, self._motion_px(camera, t_s), brightness, twin.shade(camera, light_name), noise)
+        noise = generator(array.seed, 7005, self.board_number, noise_key, camera)
+        return expose(
+            samples,
+            array,
+            motion_px=self._motion_px(camera, t_s),
+            brightness=brightness,
+            shade=twin.shade(camera, light_name),
+            noise=noise,
+        )
 
     def frames(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
         """Every frame that arrives whole: camera, row, pixels; row by row."""
@@ -144,16 +157,14 @@ class Passage:
 
     def _flicker(self, row: int) -> float:
         array = self.twin.scenario.array
-        return 1 + array.flicker * float(_generator(array.seed, 7006, self.board_number, row).standard_normal())
+        return 1 + array.flicker * float(generator(array.seed, 7006, self.board_number, row).standard_normal())
 
     def _motion_px(self, camera: int, t_s: float) -> Floats:
         """Way of the board's picture across the middle of a frame during the exposure, (2,) px."""
+        if t_s >= self._times.course.stop_s:
+            return np.zeros(2)
         pinhole, seconds = self.twin.pinholes[camera], self.twin.scenario.array.exposure_us(camera) * 1e-6
         middle = np.array([[(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2]])
         place = apply(np.linalg.inv(self.pose(t_s)), pinhole.ground(middle, 0.0))
         before, after = (pinhole.project(apply(self.pose(t_s + d), place), 0.0)[0] for d in (-_SLOPE_S, _SLOPE_S))
         return np.asarray((after - before) / (2 * _SLOPE_S) * seconds)
-
-
-def _generator(*key: int) -> np.random.Generator:
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(key)))

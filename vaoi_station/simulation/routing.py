@@ -6,6 +6,7 @@ A raster of what is taken keeps traces from crossing; its cells are coarse, sinc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -36,6 +37,8 @@ def route(section: BoardSection, parts: tuple[Part, ...]) -> Copper:
     for part in parts:
         router.fan_out(part)
     router.bundles(round(section.density * section.width_mm * section.length_mm / 400))
+    for part in parts:
+        router.keep_vias_off(part)
     router.stitching_vias(round(section.density * section.width_mm * section.length_mm / 60))
     return Copper(tuple(router.traces), tuple(router.vias))
 
@@ -58,6 +61,12 @@ class _Router:
         for u, v, w, h in part.package.pads:
             corners = np.array([[-w, -h], [w, -h], [w, h], [-w, h]]) / 2 + (u, v)
             cv2.fillConvexPoly(self.taken, self._cells(part.to_board(corners)), 1)
+
+    def keep_vias_off(self, part: Part) -> None:
+        """No stitching vias under a part or its name."""
+        (x, y), (w, h) = part.place, part.half_extent
+        box = np.array([[x - w - 1.6, y - h - 1.6], [x + w, y - h - 1.6], [x + w, y + h], [x - w - 1.6, y + h]])
+        cv2.fillConvexPoly(self.taken, self._cells(box), 1)
 
     def fan_out(self, part: Part) -> None:
         """From most pads a trace goes out, bends, and ends in a via."""
@@ -106,10 +115,7 @@ class _Router:
         return True
 
     def _is_free(self, path: Floats, skip_mm: float) -> bool:
-        steps = [
-            np.linspace(a, b, max(int(np.hypot(*(b - a)) * _CELLS_PER_MM * 1.4), 2))
-            for a, b in zip(path[:-1], path[1:], strict=True)
-        ]
+        steps = [np.linspace(a, b, max(int(np.hypot(*(b - a)) * _CELLS_PER_MM * 1.4), 2)) for a, b in pairwise(path)]
         points = np.vstack(steps)
         if (points < 0.8).any() or (points > self.size - 0.8).any():
             return False

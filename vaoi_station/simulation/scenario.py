@@ -105,8 +105,8 @@ class BoardSection(Section):
     """The board type, generated from a seed, and how its CAD system describes it."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)] = "demo"
-    width_mm: Annotated[float, Field(ge=8, le=1000)] = 96.0
-    length_mm: Annotated[float, Field(ge=8, le=1000)] = 60.0
+    width_mm: Annotated[float, Field(ge=8, le=4000)] = 96.0
+    length_mm: Annotated[float, Field(ge=8, le=4000)] = 60.0
     density: Annotated[float, Field(ge=0, le=6)] = 2.0
     height_scale: NotNegative = 1.0
     fiducials: tuple[FiducialMark, ...] | None = None
@@ -155,6 +155,15 @@ class LineSection(Section):
     debounce_s: NotNegative = 0.005
     interval_s: Positive = 5.0
     lights: Annotated[tuple[str, ...], Field(min_length=1)] = ("ring",)
+
+
+class CalibrationBoardSection(Section):
+    """The board of crosses that calibrates the array; its own coordinates are the tester's."""
+
+    marks_per_axis: Annotated[int, Field(ge=2, le=40)] = 2
+    mark_mm: Positive = 2.0
+    board_grey: Annotated[float, Field(ge=0, le=255)] = 205.0
+    mark_grey: Annotated[float, Field(ge=0, le=255)] = 25.0
 
 
 class LightSection(Section):
@@ -260,6 +269,7 @@ class Scenario(Section):
     line: LineSection = LineSection()
     lights: dict[str, LightSection] = Field(default_factory=lambda: {"ring": LightSection()})
     faults: FaultSection = FaultSection()
+    calibration_board: CalibrationBoardSection = CalibrationBoardSection()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -269,11 +279,14 @@ class Scenario(Section):
         longest_us = max(self.array.exposures_us)
         if longest_us * 1e-6 >= self.line.period_s:
             raise ValueError(f"array.exposures_us has {longest_us} us, but pulses follow every {self.line.period_s} s")
+        self._check_faults()
+        return self
+
+    def _check_faults(self) -> None:
         faults = self.faults
         for fault in (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames):
             if fault.camera >= self.array.cameras:
                 raise ValueError(f"a fault names camera {fault.camera}, but there are {self.array.cameras} (from 0)")
-        return self
 
 
 def read_scenario(path: Path) -> Scenario:

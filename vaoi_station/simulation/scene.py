@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.simulation.artwork import Artwork, to_bytes
+from vaoi_station.simulation.artwork import Artwork
 from vaoi_station.simulation.bodies import Body
-from vaoi_station.simulation.canvas import Bytes, Plane
+from vaoi_station.simulation.canvas import Bytes, Plane, to_bytes
 from vaoi_station.simulation.lattice import OVERSAMPLING, Lattice
 from vaoi_station.simulation.pinholes import Pinhole
 from vaoi_station.simulation.scenario import BoardSection, LightSection
@@ -45,6 +45,26 @@ class Placement:
         return np.array([[c, -s], [s, c]])
 
 
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """One body of one board as one frame shows it."""
+
+    body: Body
+    placement: Placement
+    texture: Bytes
+    outline_mm: Floats
+    """In tester coordinates."""
+    z_mm: float
+    low_px: Floats
+    """The outline's raw pixels at its foot, and below at its top."""
+    top_px: Floats
+
+    def reach_mm(self, light: LightSection) -> Floats:
+        """From the end of its shadow on the board to the body, (2,)."""
+        length = self.body.height_mm / math.tan(math.radians(light.elevation_deg))
+        return length * np.array(light.direction)
+
+
 class Paint:
     """Textures under one light: metal is brighter or darker than it is under the plain one."""
 
@@ -72,6 +92,7 @@ class Scene:
         self,
         camera: Pinhole,
         pose: Floats,
+        *,
         paint: Paint,
         light: LightSection,
         placements: Mapping[str, Placement | None],
@@ -81,18 +102,34 @@ class Scene:
         Bodies further from the foot of the camera are drawn first: all lean outwards, none inwards.
         """
         image = self._surface(camera, pose, paint.surface)
-        standing = [(n, b, p) for n, b in enumerate(self.artwork.bodies) if (p := placements[b.ref]) is not None]
-        middles = apply(pose, np.array([b.middle_mm for _, b, _ in standing]).reshape(-1, 2))
-        order = np.argsort(-np.hypot(*(middles - camera.foot_mm).T), kind="stable")
-        visible = [drawn for k in order if (drawn := self._outlines(camera, pose, *standing[k][1:]))]
+        visible = self._visible(camera, pose, paint, placements)
         if light.shadow:
-            for body, _, placement, low, _ in visible:
-                _cast_shadow(image, self._shadow(camera, pose, body, placement, light), low, light.shadow)
-        numbers = {b.ref: n for n, b, _ in standing}
-        for body, z, placement, low, top in visible:
-            _draw_sides(image, low, top, body, light)
-            self._draw_top(image, camera, pose, body, placement, z, top, paint.tops[numbers[body.ref]])
+            for body in visible:
+                end = camera.project(body.outline_mm - body.reach_mm(light), body.z_mm)
+                _cast_shadow(image, end, body.low_px, light.shadow)
+        back: Floats = np.asarray(np.linalg.inv(pose), np.float64)
+        for body in visible:
+            _draw_sides(image, body, light)
+            _draw_top(image, camera, back, body)
         return image.astype(np.float32)
+
+    def _visible(
+        self, camera: Pinhole, pose: Floats, paint: Paint, placements: Mapping[str, Placement | None]
+    ) -> list[Standing]:
+        """The bodies a frame can show, those furthest from the camera's foot first."""
+        found = []
+        for body, texture in zip(self.artwork.bodies, paint.tops, strict=True):
+            placement = placements[body.ref]
+            if placement is None:
+                continue
+            outline = apply(pose, placement.to_board(body.outline_mm, body.middle_mm))
+            z = float(self.surface_z(np.array([body.middle_mm]))[0])
+            low, top = camera.project(outline, z), camera.project(outline, z + body.height_mm)
+            both, margin = np.vstack([low, top]), 2 * body.height_mm * body.px_per_mm + 2
+            size = np.array([camera.width_px, camera.height_px])
+            if (both.max(0) > -margin).all() and (both.min(0) < size + margin).all():
+                found.append(Standing(body, placement, texture, outline, z, low, top))
+        return sorted(found, key=lambda b: -float(np.hypot(*(b.outline_mm.mean(0) - camera.foot_mm))))
 
     def _surface(self, camera: Pinhole, pose: Floats, texture: Bytes) -> Bytes:
         size = np.array([camera.width_px, camera.height_px])
@@ -107,47 +144,6 @@ class Scene:
         shape = (camera.height_px * OVERSAMPLING, camera.width_px * OVERSAMPLING)
         x, y = lattice.spread(t[:, 0], shape), lattice.spread(t[:, 1], shape)
         return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderValue=round(self.belt_grey)))
-
-    def _outlines(
-        self, camera: Pinhole, pose: Floats, body: Body, placement: Placement
-    ) -> tuple[Body, float, Placement, Floats, Floats] | None:
-        """A body's outline at its foot and at its top in raw pixels, if the frame can show it."""
-        outline = apply(pose, placement.to_board(body.outline_mm, body.middle_mm))
-        z = float(self.surface_z(np.array([body.middle_mm]))[0])
-        low, top = camera.project(outline, z), camera.project(outline, z + body.height_mm)
-        both, margin = np.vstack([low, top]), 4.0 * body.px_per_mm
-        if (both.max(0) < -margin).any() or (both.min(0) > [camera.width_px + margin, camera.height_px + margin]).any():
-            return None
-        return body, z, placement, low, top
-
-    def _shadow(self, camera: Pinhole, pose: Floats, body: Body, placement: Placement, light: LightSection) -> Floats:
-        """Raw pixels of the end of a body's shadow on the board."""
-        outline = apply(pose, placement.to_board(body.outline_mm, body.middle_mm))
-        z = float(self.surface_z(np.array([body.middle_mm]))[0])
-        reach = body.height_mm / math.tan(math.radians(light.elevation_deg))
-        return camera.project(outline - reach * np.array(light.direction), z)
-
-    def _draw_top(
-        self,
-        image: Bytes,
-        camera: Pinhole,
-        pose: Floats,
-        body: Body,
-        placement: Placement,
-        z: float,
-        top: Floats,
-        texture: Bytes,
-    ) -> None:
-        lattice = Lattice.over(top.min(0) - 1, top.max(0) + 1, camera.width_px, camera.height_px)
-        if lattice is None:
-            return
-        seen = image[lattice.window]
-        place = apply(np.linalg.inv(pose), camera.ground(lattice.nodes_px, z + body.height_mm))
-        t = body.to_px(placement.to_nominal(place, body.middle_mm))
-        x, y = (lattice.spread(t[:, k], (seen.shape[0], seen.shape[1])) for k in (0, 1))
-        cover = cv2.remap(body.cover, x, y, cv2.INTER_LINEAR, borderValue=0).astype(np.float32) / 255
-        grey = cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-        seen[:] = np.rint(seen + (grey - seen) * cover).astype(np.uint8)
 
 
 def _lit(grey: Bytes, metal: Bytes, gain: float) -> Bytes:
@@ -166,8 +162,9 @@ def _fill(image: Bytes, raw_px: Floats, grey: float) -> None:
     cv2.fillConvexPoly(image, points, round(grey), cv2.LINE_AA, _SIXTEENTHS)
 
 
-def _draw_sides(image: Bytes, low: Floats, top: Floats, body: Body, light: LightSection) -> None:
+def _draw_sides(image: Bytes, standing: Standing, light: LightSection) -> None:
     """The walls between foot and top; the top, drawn later, hides those that face away."""
+    low, top = standing.low_px, standing.top_px
     if np.abs(top - low).max() < _LEAST_LEAN_PX:
         return
     middle = low.mean(0)
@@ -175,8 +172,23 @@ def _draw_sides(image: Bytes, low: Floats, top: Floats, body: Body, light: Light
         n = (k + 1) % len(low)
         outward = (low[k] + low[n]) / 2 - middle
         facing = float(outward @ light.direction) / (float(np.hypot(*outward)) + 1e-9)
-        grey = min(body.side_grey * (1 + 2 * light.shading * facing), 255.0)
+        grey = min(standing.body.side_grey * (1 + 2 * light.shading * facing), 255.0)
         _fill(image, np.array([low[k], low[n], top[n], top[k]]), grey)
+
+
+def _draw_top(image: Bytes, camera: Pinhole, board_from_tester: Floats, standing: Standing) -> None:
+    """The top at its height, blended by the share of each sample it covers."""
+    body, top = standing.body, standing.top_px
+    lattice = Lattice.over(top.min(0) - 1, top.max(0) + 1, camera.width_px, camera.height_px)
+    if lattice is None:
+        return
+    seen = image[lattice.window]
+    place = apply(board_from_tester, camera.ground(lattice.nodes_px, standing.z_mm + body.height_mm))
+    t = body.to_px(standing.placement.to_nominal(place, body.middle_mm))
+    x, y = (lattice.spread(t[:, k], (seen.shape[0], seen.shape[1])) for k in (0, 1))
+    cover = cv2.remap(body.cover, x, y, cv2.INTER_LINEAR, borderValue=0).astype(np.float32) / 255
+    grey = cv2.remap(standing.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen[:] = np.rint(seen + (grey.astype(np.float32) - seen) * cover).astype(np.uint8)
 
 
 def _cast_shadow(image: Bytes, end: Floats, low: Floats, depth: float) -> None:

@@ -21,6 +21,7 @@ _STEPS_PER_PX = 64
 def expose(
     samples: Plane,
     array: ArraySection,
+    *,
     motion_px: Floats,
     brightness: float,
     shade: Plane,
@@ -79,3 +80,8 @@ def vignette(array: ArraySection, camera: int) -> Plane:
     x0, y0 = g.normal(0, 0.15, 2)
     x, y = np.linspace(-1, 1, array.width_px) - x0, np.linspace(-1, 1, array.height_px) - y0
     return np.asarray(1 - array.vignetting * (x[None] ** 2 + y[:, None] ** 2) / 2, np.float32)
+
+
+def generator(*key: int) -> np.random.Generator:
+    """The random numbers of one key, whatever was drawn before."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(key)))

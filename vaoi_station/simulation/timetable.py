@@ -54,7 +54,8 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
     half = (board.length_mm if turned % 180 == 0 else board.width_mm) / 2
     barrier = belt.direction * line.barrier_mm
     start_s = board_number * line.interval_s
-    way = course(belt, board_number, start_s, 0.0, middle_of_array_mm(scenario), turned)
+    across = middle_of_array_mm(scenario)
+    way = course(belt, board_number, start_s=start_s, start_along_mm=0.0, across_mm=across, turned_deg=turned)
     lead = belt.direction * way.middle(line.approach_s)[1]
     way = replace(way, start_along_mm=barrier - half - lead)
 

@@ -109,6 +109,10 @@ class Twin:
             self._paints[light_name] = Paint(self.artwork, self.scenario.lights[light_name])
         return self._paints[light_name]
 
+    def vignetting(self, camera: int) -> Plane:
+        """Brightness of a camera's frame under even light, (h, w)."""
+        return vignette(self.scenario.array, camera)
+
     def shade(self, camera: int, light_name: str) -> Plane:
         """Vignetting of a camera and the slope of a light over its frame, (h, w)."""
         key = (camera, light_name)
@@ -116,7 +120,7 @@ class Twin:
             array, light = self.scenario.array, self.scenario.lights[light_name]
             x, y = np.linspace(-1, 1, array.width_px), np.linspace(-1, 1, array.height_px)
             slope = 1 + light.shading * 0.5 * (light.direction[0] * x[None] + light.direction[1] * y[:, None])
-            self._shades[key] = np.asarray(vignette(array, camera) * slope, np.float32)
+            self._shades[key] = np.asarray(self.vignetting(camera) * slope, np.float32)
         return self._shades[key]
 
 

@@ -1,0 +1,109 @@
+"""A recording of the calibration board: one row of crosses at rest, its layout, and the truth.
+
+The board lies so that its coordinates are the tester's; the array hangs a little off its nominal
+places, which is all a calibration has to find out.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vaoi_station.files import Recording, write_recording
+from vaoi_station.files.documents import write_json
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import RecordingHead
+from vaoi_station.simulation.artwork import Artwork
+from vaoi_station.simulation.canvas import Canvas, to_bytes
+from vaoi_station.simulation.scenario import BoardSection, LightSection
+from vaoi_station.simulation.scene import Paint, Scene
+from vaoi_station.simulation.sensor import expose, generator
+from vaoi_station.simulation.twin import TEXTURE_PER_PIXEL, Twin
+
+_BORDER_MM = 5.0
+_ARM = 0.25
+"""Width of an arm over the size of a cross."""
+
+
+def mark_places_mm(twin: Twin) -> Floats:
+    """Tester places (k, 2) of the crosses: a grid under every camera's nominal view."""
+    array, n = twin.scenario.array, twin.scenario.calibration_board.marks_per_axis
+    w, h = array.view_mm
+    x, y = (np.linspace(0.2, 0.8, n) - 0.5) * w, (np.linspace(0.18, 0.82, n) - 0.5) * h
+    return np.array([(i * array.pitch_mm + u, v) for i in range(array.cameras) for v in y for u in x])
+
+
+def layout(twin: Twin) -> dict[str, Any]:
+    """layout.json: what the board shows."""
+    size = twin.scenario.calibration_board.mark_mm
+    return {
+        "unit": "mm",
+        "mark": {"shape": "cross", "size": size, "width": size * _ARM, "polarity": _polarity(twin)},
+        "marks": [{"x": float(x), "y": float(y)} for x, y in mark_places_mm(twin)],
+    }
+
+
+def truth(twin: Twin) -> dict[str, Any]:
+    """truth.json of a calibration recording: N_i, and every lens (an ideal one as coefficient 0)."""
+    lenses = [p.lens for p in twin.pinholes]
+    return {
+        "camera_matrices": [p.plane().tolist() for p in twin.pinholes],
+        "distortion": [
+            {"center": list(e.center_px), "radius": e.radius_px, "radial": list(e.radial) or [0.0]} for e in lenses
+        ],
+    }
+
+
+def frames(twin: Twin) -> list[tuple[int, int, Any]]:
+    """(camera, 0, pixels) of every camera."""
+    scene, light, array = _scene(twin), LightSection(), twin.scenario.array
+    paint, result = Paint(scene.artwork, light), []
+    for i, pinhole in enumerate(twin.pinholes):
+        samples = scene.view(pinhole, np.eye(3), paint=paint, light=light, placements={})
+        image = expose(
+            samples,
+            array,
+            motion_px=np.zeros(2),
+            brightness=array.gain * array.exposure_us(i) / array.reference_exposure_us,
+            shade=twin.vignetting(i),
+            noise=generator(array.seed, 7007, i),
+        )
+        result.append((i, 0, image))
+    return result
+
+
+def write_calibration_recording(twin: Twin, directory: Path, *, with_truth: bool = True) -> Recording:
+    """Write the recording, `layout.json` beside it, and the truth if wanted."""
+    head = RecordingHead(
+        format="vaoi-recording",
+        version=1,
+        cameras=twin.heads,
+        rows=1,
+        trigger_period_s=twin.line.trigger_period_s,
+        conveyor_mm_s=(0.0, 0.0),
+    )
+    write_json(directory / "layout.json", layout(twin))
+    if with_truth:
+        write_json(directory / "truth.json", truth(twin))
+    return write_recording(directory, head, frames(twin))
+
+
+def _polarity(twin: Twin) -> str:
+    board = twin.scenario.calibration_board
+    return "dark" if board.mark_grey < board.board_grey else "light"
+
+
+def _scene(twin: Twin) -> Scene:
+    """The calibration board as a scene; its corner is the texture's origin in tester coordinates."""
+    array, board = twin.scenario.array, twin.scenario.calibration_board
+    w, h = array.view_mm
+    corner = (-w / 2 - _BORDER_MM, -h / 2 - _BORDER_MM)
+    size = (array.pitch_mm * (array.cameras - 1) + w + 2 * _BORDER_MM, h + 2 * _BORDER_MM)
+    canvas = Canvas.blank(corner, size, TEXTURE_PER_PIXEL * array.px_per_mm, board.board_grey)
+    for x, y in mark_places_mm(twin):
+        canvas.cross((x, y), board.mark_mm, board.mark_mm * _ARM, board.mark_grey)
+    surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal)
+    artwork = Artwork((), (), surface, metal, canvas.px_per_mm, canvas.origin_mm)
+    return Scene(BoardSection(fiducials=()), artwork, twin.scenario.belt.grey)
