@@ -16,6 +16,8 @@ from vaoi_station.geometry.transforms import Floats
 
 _NEWTON_STEPS = 30
 _CONVERGED = 1e-14
+_NEVER = 1e-12
+"""1 / ρ² of a turning point so far out that nothing is ever projected there."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,9 @@ class Lens:
     @cached_property
     def turning_point(self) -> float:
         """The smallest ρ at which the polynomial stops growing; infinite for a lens that never turns back."""
-        slope = [(2 * k + 1) * a for k, a in enumerate((1.0, *self.radial))]
-        roots = np.roots(slope[::-1])
-        real = [r.real for r in roots if abs(r.imag) < 1e-9 * abs(r) and r.real > 0]
-        return math.sqrt(min(real)) if real else math.inf
+        inverse = np.roots([(2 * k + 1) * a for k, a in enumerate((1.0, *self.radial))])  # roots in 1 / ρ²
+        real = [float(r.real) for r in inverse if abs(r.imag) < 1e-9 * abs(r) and r.real > _NEVER]
+        return 1 / math.sqrt(max(real)) if real else math.inf
 
     def _shrink(self, reach: Floats) -> Floats:
         """ρ_raw / ρ_undistorted for undistorted radii in units of R."""

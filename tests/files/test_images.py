@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.files.images import encode, encode_jpeg, encode_png, read_image, write_image
+
+g = np.random.default_rng(1)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        g.integers(0, 256, (20, 30), dtype=np.uint8),
+        g.integers(0, 65536, (20, 30), dtype=np.uint16),
+        g.integers(0, 256, (20, 30, 3), dtype=np.uint8),
+        g.integers(0, 65536, (20, 30, 3), dtype=np.uint16),
+    ],
+    ids=["grey-8", "grey-16", "colour-8", "colour-16"],
+)
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_frames_come_back_as_they_were(tmp_path: Path, image: np.ndarray, suffix: str) -> None:
+    path = tmp_path / f"c00_r000{suffix}"
+    write_image(path, image) if suffix == ".png" else path.write_bytes(encode(suffix, image, []))
+    found = read_image(path)
+    assert found.dtype == image.dtype
+    np.testing.assert_array_equal(found, image)
+
+
+def test_an_absent_frame_is_named(tmp_path: Path) -> None:
+    with pytest.raises(NotFoundError, match=r"c00_r000\.png: there is no such frame"):
+        read_image(tmp_path / "c00_r000.png")
+
+
+@pytest.mark.parametrize("part", [0.0, 0.01, 0.5, 0.99])
+def test_a_frame_cut_short_is_refused(tmp_path: Path, part: float) -> None:
+    content = encode_png(g.integers(0, 256, (64, 64), dtype=np.uint8))
+    path = tmp_path / "cut.png"
+    path.write_bytes(content[: int(part * len(content))])
+    with pytest.raises(InputError, match=r"cut\.png: is not a picture"):
+        read_image(path)
+
+
+def test_a_flipped_byte_is_refused(tmp_path: Path) -> None:
+    content = bytearray(encode_png(g.integers(0, 256, (64, 64), dtype=np.uint8)))
+    content[len(content) // 2] ^= 0xFF
+    (tmp_path / "bad.png").write_bytes(content)
+    with pytest.raises(InputError, match=r"bad\.png"):
+        read_image(tmp_path / "bad.png")
+
+
+def test_transparency_and_floats_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(cv2.imencode(".png", np.zeros((20, 20, 4), np.uint8))[1].tobytes())
+    with pytest.raises(InputError, match=r"a\.png: number of channels is 4, but must be 1"):
+        read_image(tmp_path / "a.png")
+    (tmp_path / "f.tiff").write_bytes(cv2.imencode(".tiff", np.zeros((20, 20), np.float32))[1].tobytes())
+    with pytest.raises(InputError, match=r"f\.tiff: pixel type is 'float32', but must be 8 or 16 bit"):
+        read_image(tmp_path / "f.tiff")
+
+
+def test_a_directory_is_no_frame(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_image(tmp_path)
+
+
+def test_jpeg_keeps_the_upper_byte_of_16_bit() -> None:
+    ramp = np.full((32, 32), 0x80FF, np.uint16)
+    found = cv2.imdecode(np.frombuffer(encode_jpeg(ramp), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert found is not None
+    assert found.dtype == np.uint8
+    assert abs(int(found.mean()) - 0x80) <= 1

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.errors import InputError
+from vaoi_station.files import read_stitch, write_stitch
+from vaoi_station.files.documents import read_json
+
+Write = Callable[..., Path]
+EYE = np.eye(3).tolist()
+
+
+@pytest.fixture
+def document() -> dict[str, Any]:
+    """One camera, two rows, the second of them unplaced."""
+    return {
+        "format": "vaoi-stitch",
+        "version": 1,
+        "method": "row-joint",
+        "image_matrices": [[[[40.0, 0.0, 600.0], [0.0, 40.0, 500.0], [0.0, 0.0, 1.0]], None]],
+        "cad_matrix": None,
+        "row_motion": [EYE, [[1.0, 0.0, 0.0], [0.0, 1.0, 12.5], [0.0, 0.0, 1.0]]],
+        "status": "degraded",
+        "reasons": ["row 1 shows nothing"],
+        "quality": {"rms_px": 0.02, "rows": [{"sd": 0.01}, None]},
+    }
+
+
+def test_a_result_round_trips_with_its_nulls(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
+    stitch = read_stitch(write(document))
+    assert stitch.image_from_tester(0, 1) is None
+    assert stitch.tester_from_cad is None
+    write_stitch(tmp_path / "again.json", stitch)
+    assert read_json(tmp_path / "again.json") == document
+
+
+def test_options_round_trip(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
+    surface = {
+        "lift_mm": 0.1,
+        "tilt_mm": [0.0, 0.1],
+        "bow_mm": [0.1, 0.0, 0.2],
+        "about": [1.0, 2.0],
+        "half_span": [3.0, 4.0],
+    }
+    document |= {"surface": surface, "components": {"U1": [[0, 0, 1.5, 2.5]]}, "cad_matrix": EYE, "x_run": 7}
+    write_stitch(tmp_path / "again.json", read_stitch(write(document)))
+    assert read_json(tmp_path / "again.json") == document
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"version": 3}, "version is 3, but must be 1. Use a newer"),
+        ({"format": "vaoi-recording"}, "format is 'vaoi-recording'"),
+        ({"status": "fine"}, "status: "),
+        ({"image_matrices": [[EYE, None], [EYE]]}, r"image_matrices has cameras of \[1, 2\] rows"),
+        ({"row_motion": [EYE]}, "row_motion has 1 entries, must have one per row: 2"),
+        ({"image_matrices": [[EYE, [[1, 2], [3, 4]]]]}, r"image_matrices\.0\.1: has shape \(2, 2\)"),
+        ({"verdict": 1}, r"unknown key\(s\) 'verdict'"),
+    ],
+)
+def test_faulty_documents_are_refused_with_file_and_key(
+    write: Write, document: dict[str, Any], change: dict[str, Any], complaint: str
+) -> None:
+    with pytest.raises(InputError, match=rf"document\.json: (.*: )?{complaint}"):
+        read_stitch(write(document | change))
