@@ -6,7 +6,10 @@ import sys
 
 import typer
 
+from vaoi_station.cli.cut import cut
 from vaoi_station.cli.plan import plan
+from vaoi_station.cli.simulate import simulate
+from vaoi_station.cli.stitch import stitch
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
 
 app = typer.Typer(
@@ -24,6 +27,9 @@ def vaoi() -> None:
 
 
 app.command()(plan)
+app.command()(simulate)
+app.command()(stitch)
+app.command()(cut)
 
 
 def main() -> None:

@@ -1,0 +1,130 @@
+"""The place of a mark to a few hundredths of a pixel.
+
+Circles by the intersection of their edge gradients (Förstner and Gülch 1987), every other mark by its
+point symmetry: the centre about which the picture best equals itself turned by 180°. Neither depends
+on brightness, gain or how much of the rim is bare.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.marks.artwork import Shape, coverage
+from vaoi_station.marks.search import SURROUND, rim_mask
+
+_STEPS = 6
+_LEAST_SCORE = 0.75
+_LEAST_CONTRAST = 8.0
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A mark found: where, how surely, how alike the artwork, and whether it is light on dark."""
+
+    px: Floats
+    sigma_px: float
+    score: float
+    light: bool
+
+
+def locate(image: NDArray[np.uint8], near_px: Floats, shape: Shape, size_px: float) -> Mark | Failure:
+    """Refine a mark near a place that is right to a third of its size.
+
+    Args:
+        image: (h, w) full frame.
+        near_px: (2,) raw pixels.
+        shape: of the mark.
+        size_px: its size in this image.
+    """
+    half = int(np.ceil(SURROUND * size_px / 2)) + 4
+    x, y = (round(float(v)) for v in near_px)
+    if not (half <= x < image.shape[1] - half and half <= y < image.shape[0] - half):
+        return Failure(f"the mark at ({x}, {y}) px is cut off by the frame's border")
+    patch = image[y - half : y + half + 1, x - half : x + half + 1].astype(np.float32)
+    start = np.array([half, half], dtype=np.float64) + (np.asarray(near_px) - (x, y))
+    found = _by_gradients(patch, start, size_px) if shape == "circle" else _by_symmetry(patch, start, size_px)
+    if isinstance(found, Failure):
+        return found
+    center, sigma = found
+    score, contrast = _likeness(patch, center, shape, size_px)
+    if abs(contrast) < _LEAST_CONTRAST:
+        return Failure(f"contrast {abs(contrast):.0f} of the mark at ({x}, {y}) px is below {_LEAST_CONTRAST:.0f}")
+    if score < _LEAST_SCORE:
+        return Failure(f"correlation {score:.2f} of the mark at ({x}, {y}) px is below {_LEAST_SCORE}")
+    return Mark(center + (x - half, y - half), sigma, score, contrast > 0)
+
+
+def _by_gradients(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:
+    """Centre of a circle: the point nearest to all lines along the gradients of its edge."""
+    smooth = cv2.GaussianBlur(patch, (0, 0), 0.8)
+    gx = np.zeros_like(smooth)
+    gy = np.zeros_like(smooth)
+    gx[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) / 2
+    gy[1:-1] = (smooth[2:] - smooth[:-2]) / 2
+    yy, xx = np.mgrid[: patch.shape[0], : patch.shape[1]].astype(np.float64)
+    a, b, c = (gy * gy).astype(np.float64), (gx * gy).astype(np.float64), (gx * gx).astype(np.float64)
+    center, normal, w = start, np.eye(2), np.ones_like(a)
+    for _ in range(_STEPS):
+        r = np.hypot(xx - center[0], yy - center[1])
+        w = np.exp(-0.5 * ((r - size_px / 2) / max(0.1 * size_px, 1.5)) ** 2)
+        normal = np.array([[(w * a).sum(), -(w * b).sum()], [-(w * b).sum(), (w * c).sum()]])
+        right = np.array([(w * (a * xx - b * yy)).sum(), (w * (c * yy - b * xx)).sum()])
+        if np.linalg.det(normal) < 1e-6 * max(np.trace(normal), 1e-6) ** 2:
+            return Failure("no round edge: the gradients run all one way")
+        moved = np.linalg.solve(normal, right)
+        if np.abs(moved - start).max() > size_px / 3 + 2:
+            return Failure("no round edge near the predicted place")
+        center, step = moved, float(np.abs(moved - center).max())
+        if step < 1e-3:
+            break
+    offset = gy * (xx - center[0]) - gx * (yy - center[1])
+    variance = float((w * w * offset**2).sum() / max((w * w).sum(), 1e-9))
+    spread = np.linalg.inv(normal) * variance * (w * w).sum() / max(w.sum(), 1e-9)
+    return center, float(np.sqrt(max(np.trace(spread) / 2, 0.005**2)))
+
+
+def _by_symmetry(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:
+    """Centre of point symmetry: Gauss-Newton on I(c + u) − I(c − u)."""
+    smooth = cv2.GaussianBlur(patch, (0, 0), 0.8)
+    reach = int(np.ceil(0.62 * size_px)) + 1
+    v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float32)
+    gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3) / 8
+    gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3) / 8
+    center, normal, e = start, np.eye(2), np.zeros_like(u)
+    for _ in range(4 * _STEPS):
+        fore, back = (center[0] + u, center[1] + v), (center[0] - u, center[1] - v)
+        e = _at(smooth, fore) - _at(smooth, back)
+        jx, jy = _at(gx, fore) - _at(gx, back), _at(gy, fore) - _at(gy, back)
+        normal = np.array([[(jx * jx).sum(), (jx * jy).sum()], [(jx * jy).sum(), (jy * jy).sum()]], dtype=np.float64)
+        if np.linalg.det(normal) < 1e-6 * max(np.trace(normal), 1e-6) ** 2:
+            return Failure("no point symmetry: the picture changes in one direction only")
+        step = np.linalg.solve(normal, [(jx * e).sum(), (jy * e).sum()])
+        center = center - np.clip(step, -1.5, 1.5)
+        if np.abs(center - start).max() > size_px / 3 + 2:
+            return Failure("no centre of symmetry near the predicted place")
+        if np.abs(step).max() < 1e-3:
+            break
+    spread = np.linalg.inv(normal) * float((e * e).mean())
+    return center, float(np.sqrt(max(np.trace(spread) / 2, 0.005**2)))
+
+
+def _at(image: NDArray[np.float32], at: tuple[NDArray[np.float32], NDArray[np.float32]]) -> NDArray[np.float32]:
+    x, y = (np.asarray(v, dtype=np.float32) for v in at)
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _likeness(patch: NDArray[np.float32], center: Floats, shape: Shape, size_px: float) -> tuple[float, float]:
+    """Correlation with the artwork at the place found, and contrast (light minus dark) in grey levels."""
+    at = (float(center[0]), float(center[1]))
+    ideal = cv2.GaussianBlur(coverage(shape, size_px, patch.shape[0], at), (0, 0), 0.7)
+    weight = rim_mask(patch.shape[0], size_px, at)
+    p, q = patch - np.average(patch, weights=weight), ideal - np.average(ideal, weights=weight)
+    norm = float((weight * q * q).sum())
+    gain = float((weight * p * q).sum()) / max(norm, 1e-9)
+    return abs(gain) * float(np.sqrt(norm / max(float((weight * p * p).sum()), 1e-9))), gain

@@ -1,0 +1,256 @@
+"""The CAD mapping (section 3.3.4): which sightings are the board's fiducials, and a first C.
+
+Handedness follows from board type and cameras, never from the data. The board's fiducials are the
+set of sightings whose distances, direction and likeness fit the CAD data best; with the outline known,
+the texture that was linked must lie on the board.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment import FiducialPoints, similar
+from vaoi_station.stitching.evidence import Sightings
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.sight import kind_of, mark_kinds
+
+_SAME_PLACE_MM = 0.4
+_SCALE_SIGMA = 1.0e-3
+_SCORE_SIGMA = 0.02
+_TEXTURE_MARGIN_MM = 1.0
+_SCALE_LIMIT = 4e-3
+_SLACK_MM = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The board type's plane, in mm and turned so that no mirror is left between it and the tester."""
+
+    board_type: BoardType
+    mirrored: bool
+    """Whether C changes handedness."""
+
+    def flat(self, cad: Floats) -> Floats:
+        """CAD points (k, 2) in CAD units with y flipped where C mirrors: what `adjustment.similar` takes."""
+        return np.asarray(cad, dtype=np.float64) * (1.0, -1.0 if self.mirrored else 1.0)
+
+    def matrix(self, c: Floats) -> Floats:
+        """C as a 3×3 matrix, CAD → tester."""
+        a, b, x, y = c
+        f = -1.0 if self.mirrored else 1.0
+        return np.array([[a, -b * f, x], [b, a * f, y], [0, 0, 1.0]])
+
+    @property
+    def fiducials(self) -> Floats:
+        """(k, 2) flat places of the board's fiducials."""
+        return self.flat(np.array([(f.x, f.y) for f in self.board_type.fiducials]).reshape(-1, 2))
+
+
+def board_frame(board_type: BoardType, camera: Camera) -> Frame:
+    """Handedness by `formats.md`: CAD → image mirrors exactly when y up differs from bottom side."""
+    return Frame(board_type, board_type.mirrors != camera.image_from_row.mirrors)
+
+
+def expected_angle(frame: Frame, camera: Camera, expectation: Expectation) -> float:
+    """Direction in the tester of the flat x axis, if the board lies as expected."""
+    upright = np.pi if frame.board_type.side == "bottom" else 0.0
+    turn = upright + expectation.angle_rad
+    middle = np.asarray(camera.center_px)
+    way = camera.row_from_image(np.stack([middle, middle + (np.cos(turn), np.sin(turn))]))
+    return float(np.arctan2(*(way[1] - way[0])[::-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Sightings gathered over frames: places on the board (tester mm), kind, likeness."""
+
+    mm: Floats
+    kind: NDArray[np.int_]
+    score: Floats
+
+
+def gather(sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion) -> Places:
+    """One place per mark of the board, however many frames saw it."""
+    found = []
+    for s in sightings:
+        if len(s.px):
+            camera, row = s.task.a
+            at = motion.board(np.full(len(s.px), row), cameras[camera].ground(s.px))
+            found += [(float(v), int(k), p) for v, k, p in zip(s.score, s.kind, at, strict=True)]
+    found.sort(key=lambda f: -f[0])
+    kept: list[tuple[float, int, Floats]] = []
+    for f in found:
+        if not any(k[1] == f[1] and np.hypot(*(k[2] - f[2])) < _SAME_PLACE_MM for k in kept):
+            kept.append(f)
+    return Places(
+        np.array([k[2] for k in kept]).reshape(-1, 2),
+        np.array([k[1] for k in kept], dtype=np.int_),
+        np.array([k[0] for k in kept]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A first C and how it was chosen."""
+
+    c: Floats
+    cost: float
+    fiducials: tuple[int, ...]
+    """Numbers of the fiducials it rests on."""
+
+
+def find_board(
+    frame: Frame, places: Places, angle_rad: float, expectation: Expectation, texture_mm: Floats
+) -> Hypothesis | Failure:
+    """The similarity under which sightings are the board's fiducials.
+
+    Args:
+        frame: the board type.
+        places: sightings on the board.
+        angle_rad: expected direction of the flat x axis.
+        expectation: tolerances, and where the board should lie.
+        texture_mm: (k, 2) places with texture (linked points), all of which lie on the board.
+    """
+    board_type, flat = frame.board_type, frame.fiducials
+    if len(flat) < 2:
+        return Failure(f"board type {board_type.name!r} has {len(flat)} fiducials; two are needed for the CAD mapping")
+    kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
+    best: Hypothesis | None = None
+    nearest: tuple[float, str] = (np.inf, "")
+    for i, j in combinations(range(len(flat)), 2):
+        for c, pair in _pairs(flat[i], flat[j], places, kinds[i], kinds[j], board_type.mm_per_unit):
+            turn = _wrapped(float(np.arctan2(c[1], c[0])) - angle_rad)
+            scale = float(np.hypot(c[0], c[1])) / board_type.mm_per_unit - 1
+            off = max(abs(turn) / expectation.angle_tolerance_rad, abs(scale) / _SCALE_LIMIT)
+            if off > 1:
+                what = f"turned by {np.degrees(turn):.1f}°, scale off by {scale:.2%}"
+                nearest = min(nearest, (off, what))
+                continue
+            cost, used = _cost(frame, c, places, kinds, pair, (i, j))
+            cost += (scale / _SCALE_SIGMA) ** 2 + (2 * turn / expectation.angle_tolerance_rad) ** 2
+            cost += _misplaced(frame, c, texture_mm, expectation)
+            if best is None or cost < best.cost:
+                best = Hypothesis(c, cost, used)
+    if best is not None:
+        return best
+    seen = f"{len(places.mm)} place(s) look like fiducials"
+    hint = f"; the nearest fit is {nearest[1]}" if nearest[1] else ""
+    return Failure(f"the fiducials of {board_type.name!r} are not where they should be: {seen}, no pair fits{hint}")
+
+
+def assign(
+    frame: Frame, c: Floats, sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion
+) -> tuple[FiducialPoints, list[int]]:
+    """The sightings that are the fiducials under a first C, and which fiducial each is."""
+    board_type, flat = frame.board_type, frame.fiducials
+    kinds = np.array([mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials])
+    expected = similar(c, flat)
+    rows, ground, lean, cad, sigma, res, which = [], [], [], [], [], [], []
+    for s in sightings:
+        if not len(s.px):
+            continue
+        number, row = s.task.a
+        camera = cameras[number]
+        g = camera.ground(s.px)
+        at = motion.board(np.full(len(g), row), g)
+        for f in range(len(flat)):
+            distance = np.where(s.kind == kinds[f], np.hypot(*(at - expected[f]).T), np.inf)
+            k = int(distance.argmin())
+            if distance[k] < _SAME_PLACE_MM:
+                rows.append(row)
+                ground.append(g[k])
+                lean.append(camera.parallax(g[k]))
+                cad.append(flat[f])
+                resolution = camera.image_from_row.scale_at(g[k])
+                sigma.append(s.sigma_px[k] / resolution)
+                res.append(resolution)
+                which.append(f)
+    points = FiducialPoints(
+        np.array(rows, dtype=np.int_),
+        np.array(ground).reshape(-1, 2),
+        np.array(lean).reshape(-1, 2),
+        np.array(cad).reshape(-1, 2),
+        np.array(sigma),
+        np.array(res),
+    )
+    return points, which
+
+
+def _pairs(
+    f: Floats, g: Floats, places: Places, kind_f: int, kind_g: int, mm_per_unit: float
+) -> list[tuple[Floats, tuple[int, int]]]:
+    """Every ordered pair of places at the distance of two fiducials, with the similarity it fixes."""
+    of, og = np.flatnonzero(places.kind == kind_f), np.flatnonzero(places.kind == kind_g)
+    if not len(of) or not len(og):
+        return []
+    to = complex(*(g - f))
+    arrow = (places.mm[og][None, :] - places.mm[of][:, None]) @ np.array([1, 1j])
+    slack = 2 * _SCALE_LIMIT * abs(to) * mm_per_unit + _SLACK_MM
+    near = np.abs(np.abs(arrow) - abs(to) * mm_per_unit) <= slack
+    out = []
+    for k, n in np.argwhere(near):
+        turn = complex(arrow[k, n]) / to
+        shift = complex(*places.mm[of[k]]) - turn * complex(*f)
+        out.append((np.array([turn.real, turn.imag, shift.real, shift.imag]), (int(of[k]), int(og[n]))))
+    return out
+
+
+def _cost(
+    frame: Frame, c: Floats, places: Places, kinds: list[int], pair: tuple[int, int], chosen: tuple[int, int]
+) -> tuple[float, tuple[int, ...]]:
+    """How unlike fiducials the matched places are; every fiducial that is not seen costs as much as a poor one."""
+    expected = similar(c, frame.fiducials)
+    cost, used = 0.0, []
+    for f, at in enumerate(expected):
+        if f in chosen:
+            k = pair[chosen.index(f)]
+            cost += ((1 - places.score[k]) / _SCORE_SIGMA) ** 2
+            used.append(f)
+            continue
+        distance = np.where(places.kind == kinds[f], np.hypot(*(places.mm - at).T), np.inf)
+        k = int(distance.argmin())
+        if distance[k] < _SAME_PLACE_MM:
+            cost += ((1 - places.score[k]) / _SCORE_SIGMA) ** 2
+            used.append(f)
+        else:
+            cost += 50.0
+    return cost, tuple(used)
+
+
+def outside_share(frame: Frame, c: Floats, texture_mm: Floats) -> float:
+    """Share of the textured places that lie off the board, were C this one; fixtures and bare outlines tell nothing."""
+    board_type = frame.board_type
+    if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
+        return 0.0
+    low, high = board_type.extent()
+    a, b, x, y = c
+    cad = ((texture_mm - (x, y)) @ np.array([1, 1j])) / complex(a, b)
+    flat = np.stack([cad.real, cad.imag], -1) * (1.0, -1.0 if frame.mirrored else 1.0)
+    margin = _TEXTURE_MARGIN_MM / board_type.mm_per_unit
+    return float(((flat < low - margin) | (flat > high + margin)).any(1).mean())
+
+
+def _misplaced(frame: Frame, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
+    """Cost of texture off the board, and of a board far from where it is expected."""
+    cost = 400.0 * max(outside_share(frame, c, texture_mm) - 0.02, 0.0)
+    low, high = frame.board_type.extent()
+    corners = frame.flat(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
+    corner = similar(c, corners).min(0)
+    for at, expected in zip(corner, expectation.corner_mm, strict=True):
+        if expected is not None:
+            cost += ((float(at) - expected) / expectation.tolerance_mm) ** 2
+    return cost
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)

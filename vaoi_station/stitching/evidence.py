@@ -1,0 +1,66 @@
+"""Tasks, and the evidence they return: which point of one image is which of another, and where marks are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats
+
+FrameKey = tuple[int, int]
+"""Camera and row."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One independent piece of work on one or two frames."""
+
+    kind: Literal["rows", "neighbours", "marks"]
+    a: FrameKey
+    b: FrameKey | None = None
+    dt_s: float = 0.0
+    """Time between the two frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """Points of frame `task.a` found again in frame `task.b`; blind to CAD, with points to spare."""
+
+    task: Task
+    a_px: Floats
+    """(k, 2) raw pixels in frame a."""
+    b_px: Floats
+    """(k, 2) raw pixels in frame b."""
+    information: Floats
+    """(k, 2, 2) inverse covariance of b_px − a_px by image noise, px⁻²: an edge is sure only across."""
+    score: Floats
+    """(k,) zero-mean normalised correlation at the place found."""
+    note: str = ""
+    """Why there are none, or few."""
+    coarse_px: tuple[float, float] | None = None
+    """Where the coarse search found the motion to differ from the nominal one."""
+
+    @staticmethod
+    def none(task: Task, note: str) -> Links:
+        """Evidence of having looked and found nothing."""
+        return Links(task, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), note)
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Places in one frame that look like a fiducial of the board type."""
+
+    task: Task
+    px: Floats
+    """(k, 2) raw pixels."""
+    sigma_px: Floats
+    """(k,) standard deviation of the place."""
+    score: Floats
+    """(k,) correlation with the artwork."""
+    kind: np.ndarray
+    """(k,) index into `mark_kinds(board_type)`."""
+
+
+Evidence = Links | Sightings

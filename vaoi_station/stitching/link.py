@@ -1,0 +1,114 @@
+"""Links between two frames: choose well-textured places, find the coarse motion, match to sub-pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.coarse import find_shift
+from vaoi_station.stitching.evidence import Links, Task
+from vaoi_station.stitching.overlap import overlap_box, predict
+from vaoi_station.stitching.patches import TILE_PX, fits, match
+from vaoi_station.stitching.prepare import Prepared
+
+_POINTS = 80
+"""Places per pair of frames: enough that losing half of them to tall parts costs nothing."""
+_LEAST_SCORE = 0.80
+_WORST_SIGMA_PX = 0.30
+_SLIP_SHARE, _PLAY_MM = 0.15, 1.0
+"""How far the belt's motion may differ from the nominal one: a share of it, and some play."""
+
+
+def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera, shift_mm: Floats) -> Links:
+    """Links between two rows of one camera, the board having moved by about `shift_mm` (2,)."""
+    box = overlap_box(camera_a, camera_b, shift_mm)
+    if box is None:
+        return Links.none(task, "the frames do not overlap")
+    middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
+    offset = (predict(middle, camera_a, camera_b, shift_mm) - middle)[0]
+    reach = _PLAY_MM * camera_a.px_per_mm + _SLIP_SHARE * np.abs(offset)
+    coarse = find_shift(a, b, box, offset, reach)
+    if isinstance(coarse, Failure):
+        return Links.none(task, coarse.reason)
+    return _fine(task, a, b, camera_a, camera_b, shift_mm, coarse.px)
+
+
+def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera) -> Links:
+    """Links between neighbouring cameras in one row; N_i alone predict them."""
+    return _fine(task, a, b, camera_a, camera_b, np.zeros(2), np.zeros(2))
+
+
+def _fine(
+    task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera, shift_mm: Floats, correction_px: Floats
+) -> Links:
+    box = overlap_box(camera_a, camera_b, shift_mm)
+    if box is None:
+        return Links.none(task, "the frames do not overlap")
+    a_px = choose_places(a, _reduced(box, a.grey.shape, correction_px))
+    guess = predict(a_px.astype(np.float64), camera_a, camera_b, shift_mm) + correction_px
+    inside = fits(b.grey.shape, guess) & fits(a.grey.shape, a_px.astype(np.float64))
+    a_px, guess = a_px[inside], guess[inside]
+    if not len(a_px):
+        return Links.none(task, "no textured place in the overlap")
+    m = match(a.grey, b.grey, a_px, guess)
+    sigma = np.sqrt(1 / np.maximum(np.linalg.eigvalsh(m.information)[:, 0], 1e-9))
+    good = m.found & (m.score >= _LEAST_SCORE) & (sigma <= _WORST_SIGMA_PX) & ~_saturated(a, a_px)
+    if not good.any():
+        return Links.none(task, f"none of {len(a_px)} places was found again with correlation ≥ {_LEAST_SCORE}")
+    return Links(
+        task,
+        a_px[good].astype(np.float64),
+        m.b_px[good],
+        m.information[good],
+        m.score[good],
+        coarse_px=(float(correction_px[0]), float(correction_px[1])),
+    )
+
+
+def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POINTS) -> NDArray[np.int_]:
+    """The best-textured place of each cell of a grid laid over a box of the frame, (k, 2) whole pixels."""
+    x0, y0, x1, y1 = (-(-v // 4) for v in box[:2] + (box[2] - 3, box[3] - 3))
+    w, h = x1 - x0, y1 - y0
+    if w < 1 or h < 1:
+        return np.zeros((0, 2), dtype=np.int_)
+    cell = max(int(np.sqrt(w * h / count)), 4)
+    nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
+    sx, sy = max(w // nx, 1), max(h // ny, 1)
+    cut = a.corners[y0 : y0 + ny * sy, x0 : x0 + nx * sx]
+    ny, nx = cut.shape[0] // sy, cut.shape[1] // sx
+    cells = cut[: ny * sy, : nx * sx].reshape(ny, sy, nx, sx).swapaxes(1, 2).reshape(ny * nx, sy * sx)
+    best = cells.argmax(1)
+    value = cells[np.arange(len(cells)), best]
+    n = np.arange(len(cells))
+    x = x0 + (n % nx) * sx + best % sx
+    y = y0 + (n // nx) * sy + best // sx
+    keep = value > _least_corner(value)
+    return np.asarray(np.stack([x, y], -1)[keep] * 4 + 2, dtype=np.int_)
+
+
+def _least_corner(values: NDArray[np.float32]) -> float:
+    """Places far weaker than the good ones are noise or bare belt."""
+    return max(0.003 * float(np.percentile(values, 90)), 1e-5)
+
+
+def _reduced(
+    box: tuple[int, int, int, int], shape: tuple[int, ...], correction_px: Floats
+) -> tuple[int, int, int, int]:
+    """The overlap after the coarse correction, kept off both frames' borders by half a tile."""
+    m = TILE_PX // 2 + 1
+    cx, cy = correction_px
+    x0, y0, x1, y1 = box[0] - min(cx, 0), box[1] - min(cy, 0), box[2] - max(cx, 0), box[3] - max(cy, 0)
+    return (
+        max(int(x0) + m, m),
+        max(int(y0) + m, m),
+        min(int(x1) - m, shape[1] - m),
+        min(int(y1) - m, shape[0] - m),
+    )
+
+
+def _saturated(a: Prepared, a_px: NDArray[np.int_]) -> NDArray[np.bool_]:
+    """Whether the middle of a patch is blown out."""
+    return np.asarray(a.grey[a_px[:, 1], a_px[:, 0]] >= a.saturated)

@@ -1,0 +1,39 @@
+"""Where two frames show the same: predicted from the cameras and the belt's nominal motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+
+
+def predict(a_px: Floats, a: Camera, b: Camera, shift_mm: Floats) -> Floats:
+    """Raw pixels in frame b of points of the plane seen at raw pixels (k, 2) of frame a, after a shift on the belt."""
+    return b.project(a.ground(a_px) + shift_mm)
+
+
+def overlap_box(a: Camera, b: Camera, shift_mm: Floats, margin_px: float = 0.0) -> tuple[int, int, int, int] | None:
+    """The part of frame a that frame b shows too: x0, y0, x1, y1 in pixels (ends excluded), or None.
+
+    Found by carrying b's frame back into a and cutting there; exact for shifts, and for the small
+    rotations of a camera array within a pixel or two.
+    """
+    w, h = b.width_px - 1.0, b.height_px - 1.0
+    corners = np.array([[0, 0], [w, 0], [w, h], [0, h]])
+    back = predict(corners, b, a, -np.asarray(shift_mm))
+    x0 = max(back[[0, 3], 0].max(), 0.0) + margin_px
+    y0 = max(back[[0, 1], 1].max(), 0.0) + margin_px
+    x1 = min(back[[1, 2], 0].min(), a.width_px - 1.0) - margin_px
+    y1 = min(back[[2, 3], 1].min(), a.height_px - 1.0) - margin_px
+    if x1 - x0 < 2 or y1 - y0 < 2:
+        return None
+    return int(np.ceil(x0)), int(np.ceil(y0)), int(x1) + 1, int(y1) + 1
+
+
+def overlap_share(camera: Camera, shift_mm: Floats) -> float:
+    """Share of a frame that is still in view after a shift on the belt."""
+    box = overlap_box(camera, camera, shift_mm)
+    if box is None:
+        return 0.0
+    return (box[2] - box[0]) * (box[3] - box[1]) / (camera.width_px * camera.height_px)

@@ -1,0 +1,170 @@
+"""Sub-pixel matching of many small patches at once.
+
+Two steps: pyramid-free Lucas-Kanade in OpenCV on a mosaic of tiles, which brings every patch within a
+few hundredths of a pixel, then Gauss-Newton in float with gain and offset, which removes the rest and
+yields the information matrix (structure tensor over noise) of every match. Tiles are blurred by
+1.2 px first: that takes away most of the interpolation's pull towards whole pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+
+WINDOW_PX = 21
+"""Side of the patch that is compared."""
+TILE_PX = 37
+"""Side of what is cut out around it: room for blur, interpolation and a wrong prediction."""
+REACH_PX = 6.0
+"""A patch that moves further from its prediction has lost its way."""
+_BLUR_PX = 1.2
+_STEPS = 3
+_NOISE_FLOOR = 0.5
+"""Grey levels; no camera is better after rounding to whole numbers and blurring."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """What came of each of k patches; `found` says which can be used at all."""
+
+    b_px: Floats
+    information: Floats
+    score: Floats
+    found: NDArray[np.bool_]
+
+
+def fits(shape: tuple[int, ...], px: Floats) -> NDArray[np.bool_]:
+    """Whether tiles around positions (k, 2) lie inside an image."""
+    half = TILE_PX // 2
+    at = np.round(px)
+    limit = np.array([shape[1], shape[0]]) - half - 1
+    return np.asarray(((at >= half) & (at <= limit)).all(-1))
+
+
+def match(a: NDArray[np.uint8], b: NDArray[np.uint8], a_px: NDArray[np.int_], guess_px: Floats) -> Matches:
+    """Find patches of image a in image b.
+
+    Args:
+        a: first image.
+        b: second image.
+        a_px: (k, 2) whole pixels in a, `fits(a)`.
+        guess_px: (k, 2) where they are expected in b, `fits(b)`; right to a few pixels.
+    """
+    anchor = np.round(guess_px).astype(int)
+    tiles_a, tiles_b = _tiles(a, a_px), _tiles(b, anchor)
+    moved = _lucas_kanade(tiles_a, tiles_b, guess_px - anchor)
+    smooth_a, smooth_b = _smooth(tiles_a), _smooth(tiles_b)
+    moved, hessian, score, noise = _gauss_newton(smooth_a, smooth_b, moved)
+    b_px = anchor + moved
+    near = np.abs(b_px - guess_px).max(-1) <= REACH_PX
+    return Matches(b_px, hessian / noise[:, None, None] ** 2, score, near & np.isfinite(score))
+
+
+def _tiles(image: NDArray[np.uint8], at: NDArray[np.int_]) -> NDArray[np.uint8]:
+    half = TILE_PX // 2
+    return np.asarray(sliding_window_view(image, (TILE_PX, TILE_PX))[at[:, 1] - half, at[:, 0] - half])
+
+
+def _smooth(tiles: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Blurred tiles in float; stacked in one tall image, whose seams the window never touches."""
+    tall = tiles.reshape(-1, TILE_PX).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(tall, (0, 0), _BLUR_PX)).reshape(tiles.shape)
+
+
+def _lucas_kanade(tiles_a: NDArray[np.uint8], tiles_b: NDArray[np.uint8], start: Floats) -> Floats:
+    """Displacement (k, 2) of each tile's middle, by OpenCV, on mosaics of all tiles."""
+    k = len(tiles_a)
+    across = int(np.ceil(np.sqrt(k)))
+    mosaic_a, mosaic_b = (_mosaic(t, across) for t in (tiles_a, tiles_b))
+    n = np.arange(k)
+    middle = np.stack([n % across, n // across], -1) * TILE_PX + TILE_PX // 2
+    points = middle.astype(np.float32).reshape(-1, 1, 2)
+    first = (middle + start).astype(np.float32).reshape(-1, 1, 2)
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        mosaic_a,
+        mosaic_b,
+        points,
+        first,
+        winSize=(WINDOW_PX, WINDOW_PX),
+        maxLevel=0,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
+        minEigThreshold=1e-6,
+    )
+    moved = found.reshape(-1, 2).astype(np.float64) - middle
+    lost = (status.ravel() == 0) | (np.abs(moved - start).max(-1) > REACH_PX)
+    return np.asarray(np.where(lost[:, None], start, moved))
+
+
+def _mosaic(tiles: NDArray[np.uint8], across: int) -> NDArray[Any]:
+    down = -(-len(tiles) // across)
+    full = np.zeros((down * across, TILE_PX, TILE_PX), dtype=np.uint8)
+    full[: len(tiles)] = tiles
+    flat = full.reshape(down, across, TILE_PX, TILE_PX).swapaxes(1, 2).reshape(down * TILE_PX, across * TILE_PX)
+    return np.asarray(cv2.GaussianBlur(flat, (0, 0), _BLUR_PX))
+
+
+def _gauss_newton(
+    a: NDArray[np.float32], b: NDArray[np.float32], moved: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Refine displacements by inverse-compositional Gauss-Newton with gain and offset.
+
+    Returns:
+        moved (k, 2) px, structure tensor (k, 2, 2), score (k,), noise (k,) in grey levels.
+    """
+    half, w = TILE_PX // 2, WINDOW_PX // 2
+    inner = slice(half - w, half + w + 1)
+    gx = (a[:, inner, half - w + 1 : half + w + 2] - a[:, inner, half - w - 1 : half + w]) / 2
+    gy = (a[:, half - w + 1 : half + w + 2, inner] - a[:, half - w - 1 : half + w, inner]) / 2
+    k = len(a)
+    t = a[:, inner, inner].reshape(k, -1)
+    tm = t - t.mean(1, keepdims=True)
+    norm = np.maximum((tm * tm).sum(1), 1e-6)
+    slope = np.stack([gx.reshape(k, -1), gy.reshape(k, -1)], 1)
+    slope -= slope.mean(2, keepdims=True)
+    slope -= (slope @ tm[:, :, None] / norm[:, None, None]) * tm[:, None, :]
+    hessian = (slope @ slope.swapaxes(1, 2)).astype(np.float64)
+    inverse = np.linalg.inv(hessian + 1e-6 * np.eye(2))
+    limit = TILE_PX // 2 - w - 2.0
+    score = residual = np.zeros(k)
+    for step in range(_STEPS + 1):
+        moved = np.clip(moved, -limit, limit)
+        s = _shifted(b, moved).reshape(k, -1)
+        s -= s.mean(1, keepdims=True)
+        gain = np.maximum((s * tm).sum(1) / norm, 1e-3)
+        error = s / gain[:, None] - tm
+        energy = np.maximum((s * s).sum(1), 1e-6)
+        score = ((s * tm).sum(1) / np.sqrt(energy * norm)).astype(np.float64)
+        residual = error.std(1).astype(np.float64)
+        if step < _STEPS:
+            moved = moved - (inverse @ (slope @ error[:, :, None]).astype(np.float64))[:, :, 0]
+    return moved, hessian, score, np.maximum(residual, _NOISE_FLOOR)
+
+
+def _shifted(b: NDArray[np.float32], moved: Floats) -> NDArray[np.float32]:
+    """The window of every tile, moved by its own displacement (k, 2), by separable cubic convolution."""
+    k = len(b)
+    half, w = TILE_PX // 2, WINDOW_PX // 2
+    whole = np.floor(moved).astype(int)
+    weights = _cubic((moved - whole).astype(np.float32))
+    size = WINDOW_PX + 3
+    x0, y0 = whole[:, 0] + half - w - 1, whole[:, 1] + half - w - 1
+    view = sliding_window_view(b, (size, size), axis=(1, 2))
+    cut = view[np.arange(k), y0, x0]
+    rows = sum(cut[:, :, t : t + WINDOW_PX] * weights[:, 0, t, None, None] for t in range(4))
+    return np.asarray(sum(rows[:, t : t + WINDOW_PX] * weights[:, 1, t, None, None] for t in range(4)))
+
+
+def _cubic(f: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights (…, 4) of Keys' cubic convolution (a = −½) at fractions f."""
+    f2, f3 = f * f, f * f * f
+    return np.stack(
+        [(-f3 + 2 * f2 - f) / 2, (3 * f3 - 5 * f2 + 2) / 2, (-3 * f3 + 4 * f2 + f) / 2, (f3 - f2) / 2], -1
+    ).astype(np.float32)

@@ -1,0 +1,104 @@
+"""Sightings: places of one frame that look like a fiducial of the board type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.marks import Mark, locate, search
+from vaoi_station.marks.artwork import Shape
+from vaoi_station.marks.search import reduction
+from vaoi_station.model import BoardType, Fiducial
+from vaoi_station.stitching.evidence import Sightings, Task
+from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.prepare import Prepared, halved
+
+_MOST_PER_FRAME = 12
+
+
+def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:
+    """The different fiducials of a board type: shape and size in mm, in order of appearance."""
+    return tuple(dict.fromkeys(kind_of(f, board_type) for f in board_type.fiducials))
+
+
+def kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
+    """Shape and size in mm."""
+    return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
+
+
+def sight_marks(task: Task, frame: Prepared, camera: Camera, board_type: BoardType | None) -> Sightings:
+    """Every place of the frame that looks like one of the board's fiducials."""
+    found: list[tuple[Mark, int]] = []
+    for kind, (shape, size_mm) in enumerate(mark_kinds(board_type) if board_type else ()):
+        size_px = size_mm * camera.px_per_mm
+        small, factor = _reduced(frame, reduction(size_px))
+        places, _ = search(small, shape, size_px / factor, _MOST_PER_FRAME)
+        for place in (places + 0.5) * factor - 0.5:
+            mark = locate(frame.grey, place, shape, size_px)
+            if isinstance(mark, Mark):
+                found.append((mark, kind))
+    return Sightings(
+        task,
+        np.array([m.px for m, _ in found]).reshape(-1, 2),
+        np.array([m.sigma_px for m, _ in found]),
+        np.array([m.score for m, _ in found]),
+        np.array([k for _, k in found], dtype=np.int_),
+    )
+
+
+def _reduced(frame: Prepared, factor: int) -> tuple[NDArray[np.uint8], int]:
+    """The frame reduced by a power of two, block means; of the copies there are, the nearest is halved on."""
+    image, at = (frame.quarter, 4) if factor >= 4 else (frame.grey, 1)
+    while at < factor:
+        image, at = halved(image), at * 2
+    return image, at
+
+
+def look_again(
+    board_type: BoardType,
+    cad_matrix: Floats,
+    cameras: Sequence[Camera],
+    motion: Motion,
+    sightings: Sequence[Sightings],
+    grey: Callable[[int, int], NDArray[np.uint8] | None],
+) -> list[Sightings]:
+    """The sightings, and every fiducial that must be in a frame and was not among them.
+
+    Once a first C is known a fiducial is looked for only where it must be; a frame in which a look-alike
+    pushed it off the list is asked again.
+    """
+    kinds = mark_kinds(board_type)
+    board = apply(cad_matrix, np.array([(f.x, f.y) for f in board_type.fiducials]))
+    out = []
+    for s in sightings:
+        number, row = s.task.a
+        camera, shape_of = cameras[number], [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
+        px = camera.project(motion.row_from_tester(row)(board))
+        extra: list[tuple[Mark, int]] = []
+        for n in np.flatnonzero(camera.sees(px)):
+            shape, size_mm = kinds[shape_of[n]]
+            size_px = size_mm * camera.px_per_mm
+            if len(s.px) and np.hypot(*(s.px - px[n]).T).min() < size_px / 3:
+                continue
+            image = grey(number, row)
+            if image is None:
+                continue
+            mark = locate(image, px[n], shape, size_px)
+            if isinstance(mark, Mark):
+                extra.append((mark, shape_of[n]))
+        out.append(_with(s, extra) if extra else s)
+    return out
+
+
+def _with(s: Sightings, extra: list[tuple[Mark, int]]) -> Sightings:
+    return Sightings(
+        s.task,
+        np.vstack([s.px, [m.px for m, _ in extra]]),
+        np.append(s.sigma_px, [m.sigma_px for m, _ in extra]),
+        np.append(s.score, [m.score for m, _ in extra]),
+        np.append(s.kind, [k for _, k in extra]).astype(np.int_),
+    )

@@ -1,0 +1,238 @@
+"""The verdict on a stitch, and the numbers it rests on.
+
+ok: every position is good to a third of a pixel by its own standard deviation, and nothing contradicts
+the model. degraded: usable, with the reason. failed: component positions cannot be given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Status
+from vaoi_station.stitching.adjustment import Adjusted, Problem, similar_jacobian
+from vaoi_station.stitching.cad import Frame, outside_share
+from vaoi_station.stitching.evidence import FrameKey, Links
+from vaoi_station.stitching.motion import measured_velocity
+from vaoi_station.stitching.start import tied_rows
+
+_OK_SIGMA_PX = 0.20
+_FIDUCIAL_LIMIT_PX = 0.30
+_SEAM_LIMIT_PX = 0.30
+_FLOOR_LIMIT_PX = 0.30
+_SCALE_LIMIT = 1e-3
+_OUTSIDE_LIMIT = 0.03
+_MODEL_PX = 0.03
+"""Standard deviation of what no residual shows: calibration, artwork, flatness."""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """All that was found out about a run."""
+
+    frame: Frame | None
+    cameras: tuple[Camera, ...]
+    present: frozenset[FrameKey]
+    links: tuple[Links, ...]
+    problem: Problem
+    adjusted: Adjusted
+    cad_failure: str | None
+    which: tuple[int, ...]
+    """Number of the fiducial of every sighting used."""
+
+    @property
+    def rows(self) -> int:
+        """The paper's m."""
+        return len(self.adjusted.motion.angle)
+
+    @cached_property
+    def placed(self) -> tuple[bool, ...]:
+        """Rows with at least one good frame; of the others there is nothing to place."""
+        rows = {row for _, row in self.present}
+        return tuple(j in rows for j in range(self.rows))
+
+    @cached_property
+    def px_per_mm(self) -> float:
+        """Mean resolution of the array."""
+        return float(np.mean([c.px_per_mm for c in self.cameras]))
+
+    @cached_property
+    def tied(self) -> list[np.ndarray]:
+        """Groups of rows that links tie together, of those rows that show texture."""
+        o = self.problem.links
+        used = (self.adjusted.weight > 0.1) & (o.p != o.q)
+        linked = set(o.p[used]) | set(o.q[used])
+        if self.problem.fiducials is not None and self.adjusted.similarity is not None:
+            linked |= set(self.problem.fiducials.row)
+        return [g for g in tied_rows(o, self.rows, used) if any(r in linked for r in g)]
+
+    @cached_property
+    def seams_px(self) -> dict[tuple[int, int], float]:
+        """Median misfit between neighbouring cameras of one row, on the bare board: height or a moved camera."""
+        o = self.problem.links
+        out = {}
+        for i in range(len(self.cameras) - 1):
+            pairs = {n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i}
+            use = np.isin(o.group, list(pairs)) & (self.problem.component < 0)
+            if use.sum() >= 12:
+                step = (o.b_mm[use] - o.a_mm[use]) * o.px_per_mm[use, None]
+                out[i, i + 1] = float(np.hypot(*np.median(step, axis=0)))
+        return out
+
+    def sigma_px(self) -> tuple[list[float], float | None]:
+        """Predicted standard deviation (per axis) of the board's middle in every row, and of the worst corner."""
+        if self.frame is None or self.adjusted.similarity is None:
+            return [self._row_sigma(j, None) for j in range(self.rows)], None
+        low, high = self.frame.board_type.extent()
+        box = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+        flat = self.frame.flat(np.vstack([box, box.mean(0)]))
+        rows = [self._row_sigma(j, flat[4:]) for j in range(self.rows)]
+        c = similar_jacobian(flat[:4])
+        at = slice(3 * self.rows, 3 * self.rows + 4)
+        spread = np.einsum("kif,fg,kig->k", c, self.adjusted.covariance[at, at], c) / 2
+        return rows, float(np.hypot(np.sqrt(spread.max()) * self.px_per_mm, _MODEL_PX))
+
+    def _row_sigma(self, row: int, flat: Floats | None) -> float:
+        m = self.rows
+        j = np.zeros((2, self.adjusted.covariance.shape[0]))
+        j[:, 3 * row + 1 : 3 * row + 3] = np.eye(2)
+        if flat is not None:
+            j[:, 3 * m : 3 * m + 4] = -similar_jacobian(flat)[0]
+        variance = float(np.trace(j @ self.adjusted.covariance @ j.T)) / 2
+        return float(np.hypot(np.sqrt(max(variance, 0.0)) * self.px_per_mm, _MODEL_PX))
+
+
+def judge(f: Findings) -> tuple[Status, tuple[str, ...]]:
+    """Status and the reasons, in words and numbers."""
+    if f.cad_failure is not None:
+        return Status.FAILED, (f.cad_failure, *_complaints(f))
+    complaints = _complaints(f)
+    return (Status.DEGRADED if complaints else Status.OK), tuple(complaints)
+
+
+def _complaints(f: Findings) -> list[str]:
+    out = []
+    if not any(len(e.a_px) for e in f.links):
+        out.append("no texture was found in any frame: is there a board?")
+    if len(f.tied) > 1:
+        parts = ", ".join(f"{g.min()}–{g.max()}" for g in f.tied)
+        out.append(f"nothing ties rows {parts} to one another: their distance is the belt's nominal one")
+    if f.adjusted.floor_px > _FLOOR_LIMIT_PX:
+        out.append(
+            f"links scatter by {f.adjusted.floor_px:.2f} px (limit {_FLOOR_LIMIT_PX}): the board is not rigid or flat"
+        )
+    for (i, j), px in f.seams_px.items():
+        if px > _SEAM_LIMIT_PX:
+            out.append(
+                f"cameras {i} and {j} disagree by {px:.2f} px (limit {_SEAM_LIMIT_PX}): "
+                "the board lies above or below the calibrated plane, or a camera has moved"
+            )
+    if f.frame is not None and f.adjusted.similarity is not None and f.cad_failure is None:
+        out += _cad_complaints(f, f.frame, f.adjusted.similarity)
+    return out
+
+
+def _cad_complaints(f: Findings, frame: Frame, c: Floats) -> list[str]:
+    out = []
+    board_type = frame.board_type
+    seen = set(f.which)
+    for n, fiducial in enumerate(board_type.fiducials):
+        at = [k for k, w in enumerate(f.which) if w == n]
+        if n not in seen:
+            if len(seen) < 2:
+                out.append(f"fiducial {fiducial.name} was not found; one alone does not fix the board")
+            continue
+        off = float(np.hypot(*f.adjusted.fiducial_px[at].T).mean())
+        if off > _FIDUCIAL_LIMIT_PX:
+            out.append(f"fiducial {fiducial.name} lies {off:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})")
+    scale = float(np.hypot(c[0], c[1])) / board_type.mm_per_unit - 1
+    if abs(scale) > _SCALE_LIMIT:
+        out.append(
+            f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}): "
+            "it lies above or below the calibrated plane, or is another type"
+        )
+    o = f.problem.links
+    use = (f.adjusted.weight > 0.5) & (o.p != o.q)
+    off_board = outside_share(frame, c, f.adjusted.motion.board(o.p[use], o.a_mm[use]))
+    if off_board > _OUTSIDE_LIMIT:
+        out.append(
+            f"{off_board:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}): another type, or turned?"
+        )
+    _, worst = f.sigma_px()
+    if worst is not None and worst > _OK_SIGMA_PX:
+        out.append(f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX})")
+    return out
+
+
+def quality_of(f: Findings) -> dict[str, Any]:
+    """The numbers behind the verdict."""
+    a = f.adjusted
+    rows, worst = f.sigma_px()
+    velocity = None
+    if f.tied:
+        group = max(f.tied, key=len)
+        velocity = measured_velocity(a.motion, f.problem.times_s, group)
+    nominal = float(np.hypot(*f.problem.velocity_mm_s))
+    used = a.weight > 0.1
+    return {
+        "links": {
+            kind: {"found": sum(len(e.a_px) for e in f.links if e.task.kind == kind), "used": _used(f, kind, used)}
+            for kind in ("rows", "neighbours")
+        },
+        "unlinked": [
+            {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
+        ],
+        "residual_px": {
+            "median": _rounded(float(np.median(a.link_px[used]))) if used.any() else None,
+            "scatter": _rounded(a.floor_px),
+            "sigma0": _rounded(a.sigma0),
+        },
+        "seams_px": {f"{i}-{j}": _rounded(v) for (i, j), v in f.seams_px.items()},
+        "fiducials": _fiducials(f),
+        "scale_error": _scale_error(f),
+        "row_sigma_px": [_rounded(v) for v in rows],
+        "cad_sigma_px": _rounded(worst) if worst is not None else None,
+        "belt": {
+            "nominal_mm_s": [float(v) for v in f.problem.velocity_mm_s],
+            "measured_mm_s": None if velocity is None else [_rounded(float(v)) for v in velocity],
+            "speed_error": None if velocity is None else _rounded(float(np.hypot(*velocity)) / nominal - 1, 6),
+        },
+    }
+
+
+def _used(f: Findings, kind: str, used: np.ndarray) -> int:
+    groups = [n for n, e in enumerate(f.problem.links.groups) if e.task.kind == kind]
+    return int(used[np.isin(f.problem.links.group, groups)].sum())
+
+
+def _fiducials(f: Findings) -> list[dict[str, Any]]:
+    if f.frame is None or f.cad_failure is not None:
+        return []
+    out = []
+    for n, fiducial in enumerate(f.frame.board_type.fiducials):
+        at = [k for k, w in enumerate(f.which) if w == n]
+        residual = f.adjusted.fiducial_px[at].mean(0) if at else None
+        out.append(
+            {
+                "name": fiducial.name,
+                "sightings": len(at),
+                "residual_px": None if residual is None else [_rounded(float(v)) for v in residual],
+            }
+        )
+    return out
+
+
+def _scale_error(f: Findings) -> float | None:
+    if f.frame is None or f.adjusted.similarity is None or f.cad_failure is not None:
+        return None
+    a, b = f.adjusted.similarity[:2]
+    return _rounded(float(np.hypot(a, b)) / f.frame.board_type.mm_per_unit - 1, 7)
+
+
+def _rounded(value: float, digits: int = 4) -> float:
+    return round(value, digits)

@@ -1,0 +1,153 @@
+"""A run as a list of tasks: which there are, when they become possible, and how one is done.
+
+Tasks depend on frames alone, never on one another, so they may run anywhere, in any order, as soon
+as their frames are there; the evidence they return is the same in the live station and offline.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Stitch
+from vaoi_station.stitching.conclude import conclude
+from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings, Task
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.link import link_frames, link_neighbours
+from vaoi_station.stitching.overlap import overlap_share
+from vaoi_station.stitching.prepare import Prepared, prepare
+from vaoi_station.stitching.sight import sight_marks
+
+_KEPT_FRAMES = 8
+"""Prepared frames a desk remembers: enough for the neighbours of a row of several cameras."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is known before a board is filmed; the same for all its frames."""
+
+    cameras: tuple[Camera, ...]
+    conveyor_mm_s: tuple[float, float]
+    trigger_period_s: float
+    board_type: BoardType | None
+    expectation: Expectation = field(default_factory=Expectation)
+    method: Literal["auto"] = "auto"
+
+
+def possible_tasks(
+    new: FrameKey, present: Collection[FrameKey], times_s: Mapping[int, float], setup: Setup
+) -> tuple[Task, ...]:
+    """The tasks that a newly arrived good frame makes possible.
+
+    Args:
+        new: camera and row of the frame.
+        present: all good frames so far, with or without `new`.
+        times_s: time of each row's pulse, by row.
+        setup: what is known beforehand.
+    """
+    frames = {*present, new}
+    return tuple(t for t in _tasks_of(new, times_s, setup) if t.a in frames and (t.b is None or t.b in frames))
+
+
+def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: Setup) -> tuple[Task, ...]:
+    """The canonical tasks of a finished run, in a fixed order: the evidence a result is made from."""
+    frames = set(present)
+    tasks = {task: None for key in sorted(frames) for task in possible_tasks(key, frames, times_s, setup)}
+    for task in _bridges(frames, times_s, setup):
+        tasks.setdefault(task)
+    return tuple(tasks)
+
+
+class Desk:
+    """Where a worker does the tasks of one run; remembers the frames it has prepared."""
+
+    def __init__(self, setup: Setup, frame: Callable[[int, int], NDArray[Any] | None]) -> None:
+        self._setup = setup
+        self._frame = frame
+        self._prepared: OrderedDict[FrameKey, Prepared] = OrderedDict()
+
+    def perform(self, task: Task) -> Links | Sightings:
+        """Do one task; a task that finds nothing returns evidence with a note, never an error."""
+        setup = self._setup
+        if task.kind == "marks":
+            return sight_marks(task, self._get(task.a), setup.cameras[task.a[0]], setup.board_type)
+        assert task.b is not None
+        a, b = self._get(task.a), self._get(task.b)
+        camera_a, camera_b = setup.cameras[task.a[0]], setup.cameras[task.b[0]]
+        if task.kind == "neighbours":
+            return link_neighbours(task, a, b, camera_a, camera_b)
+        shift_mm = np.asarray(setup.conveyor_mm_s) * task.dt_s
+        return link_frames(task, a, b, camera_a, camera_b, shift_mm)
+
+    def conclude(self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]) -> Stitch:
+        """The result of the run, when every frame has its verdict.
+
+        Args:
+            times_s: (m,) time of every row's pulse, in the order of rows.
+            present: the good frames.
+            evidence: of `all_tasks`; what else was gathered while filming is left aside.
+        """
+        s = self._setup
+        canonical = set(all_tasks(present, dict(enumerate(times_s)), s))
+        return conclude(
+            s.cameras,
+            s.board_type,
+            s.expectation,
+            np.asarray(s.conveyor_mm_s, dtype=np.float64),
+            np.asarray(times_s, dtype=np.float64),
+            present,
+            [e for e in evidence if e.task in canonical],
+            lambda camera, row: self._get((camera, row)).grey,
+        )
+
+    def _get(self, key: FrameKey) -> Prepared:
+        if key in self._prepared:
+            self._prepared.move_to_end(key)
+            return self._prepared[key]
+        pixels = self._frame(*key)
+        if pixels is None:
+            raise LookupError(f"frame of camera {key[0]}, row {key[1]} is not there")
+        self._prepared[key] = prepare(pixels)
+        if len(self._prepared) > _KEPT_FRAMES:
+            self._prepared.popitem(last=False)
+        return self._prepared[key]
+
+
+def _tasks_of(key: FrameKey, times_s: Mapping[int, float], setup: Setup) -> list[Task]:
+    """Every task a frame takes part in, whether its partner is there or not."""
+    camera, row = key
+    tasks = [
+        _link((camera, p), (camera, q), times_s)
+        for p, q in ((row - 1, row), (row, row + 1))
+        if p in times_s and q in times_s
+    ]
+    for left in (camera - 1, camera):
+        if 0 <= left < len(setup.cameras) - 1:
+            tasks.append(Task("neighbours", (left, row), (left + 1, row)))
+    if setup.board_type is not None and setup.board_type.fiducials:
+        tasks.append(Task("marks", key))
+    return tasks
+
+
+def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: Setup) -> list[Task]:
+    """Links across rows that were lost, wherever the frames before and after still overlap."""
+    tasks = []
+    for i, camera in enumerate(setup.cameras):
+        rows = sorted(r for c, r in frames if c == i)
+        for p, q in pairwise(rows):
+            task = _link((i, p), (i, q), times_s)
+            if q - p > 1 and overlap_share(camera, np.asarray(setup.conveyor_mm_s) * task.dt_s) > 0:
+                tasks.append(task)
+    return tasks
+
+
+def _link(a: FrameKey, b: FrameKey, times_s: Mapping[int, float]) -> Task:
+    return Task("rows", a, b, round(times_s[b[1]] - times_s[a[1]], 6))
