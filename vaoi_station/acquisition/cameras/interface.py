@@ -14,6 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.errors import VaoiError
+
 
 @dataclass(frozen=True)
 class Slot:
@@ -64,10 +66,18 @@ class CameraHealth:
     incomplete: int = 0
 
 
+@dataclass(frozen=True)
+class DeviceFault:
+    """A device's own thread ran into trouble; it goes the way of its news."""
+
+    device: str
+    error: VaoiError
+
+
 class CameraDevice(Protocol):
     """One camera of the array, opened and in trigger mode."""
 
-    def start(self, arrivals: SimpleQueue[Arrival]) -> None:
+    def start(self, arrivals: SimpleQueue[Arrival | DeviceFault]) -> None:
         """Begin to deliver; every finished slot is announced in `arrivals`."""
 
     def queue(self, slot: Slot) -> None:
@@ -77,7 +87,7 @@ class CameraDevice(Protocol):
         """Withdraw the slots that were queued and not used; their numbers."""
 
     def read_clock(self) -> ClockReading:
-        """Compare the camera's clock with the host's."""
+        """Compare the camera's clock with the host's; called from a thread of its own, as it may take seconds."""
 
     def health(self) -> CameraHealth:
         """The camera's state; never blocks."""

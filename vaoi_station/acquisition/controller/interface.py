@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Protocol
 
-from vaoi_station.acquisition.cameras.interface import ClockReading
+from vaoi_station.acquisition.cameras.interface import ClockReading, DeviceFault
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class PulseFired(ControllerEvent):
 
     index: int
     light: str = ""
+    exposures_us: tuple[float, ...] = ()
+    """Exposure of every camera, where it varies from row to row."""
 
 
 @dataclass(frozen=True)
@@ -66,23 +68,29 @@ class RunEnded(ControllerEvent):
 
     pulses: int
     reason: str
-    """"clear" (board left, tail over) or "max-rows" (the board did not leave in time)."""
+    """"clear" (board left, tail over), "max-rows" (the board did not leave in time) or "disarmed"."""
 
 
 class Controller(Protocol):
     """The trigger controller; it stays armed for one passage after another until disarmed."""
 
-    def start(self, events: SimpleQueue[ControllerEvent]) -> None:
+    def start(self, events: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
         """Begin to report events."""
 
     def arm(self, plan: TriggerPlan) -> None:
         """From now on every passage of the barrier is a run with this plan."""
 
     def disarm(self) -> None:
-        """Ignore the barrier; a run under way is ended with the next pulse left out."""
+        """Ignore the barrier; a run under way is ended with the next pulse left out.
+
+        All events up to then, its RunEnded included, have been reported when this returns.
+        """
 
     def read_clock(self) -> ClockReading:
-        """Compare the controller's clock with the host's."""
+        """Compare the controller's clock with the host's; called from a thread of its own."""
+
+    def health(self) -> str:
+        """A sentence on its state; never blocks."""
 
     def close(self) -> None:
         """Outputs off, port closed."""

@@ -1,0 +1,27 @@
+"""A camera that shows what it once recorded."""
+
+from __future__ import annotations
+
+import time
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.cameras.delivering import DeliveringCamera, Exposure
+from vaoi_station.acquisition.device_clock import DeviceClock
+
+
+class ReplayCamera(DeliveringCamera):
+    """Its clock is the recording's: time stamps are the recorded trigger times themselves."""
+
+    def __init__(self, number: int, clock: DeviceClock) -> None:
+        super().__init__(number, clock.read_exactly)
+        self._ids = count(1)
+
+    def play(self, time_s: float, pixels: NDArray[np.uint8] | None) -> None:
+        """Deliver a frame now that was exposed at `time_s`; None: it is missing in the recording."""
+        frame_id = next(self._ids)
+        if pixels is not None:
+            now_s = time.monotonic()
+            self.expose(Exposure(frame_id, time_s, now_s, now_s, pixels))

@@ -1,0 +1,207 @@
+"""A controller that fires when the recorded one did, or as soon as the last row has been taken.
+
+Device times are the recording's trigger times, shifted by a whole number of ns per run, so that results
+are exactly those of the recording stitched from its files.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count
+from queue import SimpleQueue
+from typing import Protocol
+
+from vaoi_station.acquisition.cameras.interface import ClockReading, DeviceFault
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    BarrierClear,
+    ControllerEvent,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.errors import InputError, VaoiError
+
+LEAD_S = 0.05
+"""From the barrier to the first pulse, and from arming to the barrier."""
+GAP_S = 1.0
+"""Between two runs on the device's clock, at least."""
+
+
+@dataclass(frozen=True)
+class RecordedRow:
+    """One pulse of a recording; `time_s` relative to the first, rounded to ns."""
+
+    time_s: float
+    light: str
+    exposures_us: tuple[float, ...]
+    show: Callable[[float], int]
+    """Let the cameras deliver, at a device time; returns how many frames will come."""
+
+
+class Pace(Protocol):
+    """When a replay goes on that does not follow the clock; `stop()` ends every waiting."""
+
+    def before_run(self, stop: Callable[[], bool]) -> None:
+        """Wait until a run may begin."""
+
+    def before_pulse(self, stop: Callable[[], bool]) -> None:
+        """Wait until the next row may be shown."""
+
+    def shown(self, frames: int) -> None:
+        """So many frames are on their way."""
+
+    def wake(self) -> None:
+        """Waiters look at `stop` again."""
+
+
+class ReplayController:
+    """Plays runs, each a list of rows, while armed."""
+
+    def __init__(
+        self, runs: Iterator[list[RecordedRow]], clock: DeviceClock, pause_s: float, pace: Pace | None
+    ) -> None:
+        """With a `pace` time does not matter: what is due comes when the pace lets it, and there are no pauses."""
+        self._runs, self._clock, self._pause_s, self._pace = runs, clock, pause_s, pace
+        self._numbers = count()
+        self._change = threading.Condition()
+        self._plan: TriggerPlan | None = None
+        self._episode = 0
+        """Counts arming, so that a run of an earlier one notices."""
+        self._in_run = self._closing = False
+        self._pulses = 0
+        self._played = 0
+        self._last_end_s = 0.0
+        self._thread: threading.Thread | None = None
+
+    def start(self, events: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
+        """Begin to report events."""
+        self._events = events
+        self._thread = threading.Thread(target=self._play_all, name="controller")
+        self._thread.start()
+
+    def arm(self, plan: TriggerPlan) -> None:
+        """From now on recordings are played."""
+        with self._change:
+            self._plan, self._episode = plan, self._episode + 1
+            self._change.notify_all()
+
+    def disarm(self) -> None:
+        """End a run under way; the rest of its recording is skipped."""
+        with self._change:
+            self._plan = None
+            if self._in_run:
+                self._end_run(self._clock.now_s(), "disarmed")
+            self._wake()
+
+    def read_clock(self) -> ClockReading:
+        """The clock of the replay."""
+        return self._clock.read_exactly()
+
+    def health(self) -> str:
+        """How much was played."""
+        return f"replay: {self._played} runs played"
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._change:
+            self._plan, self._closing = None, True
+            self._wake()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _play_all(self) -> None:
+        while True:
+            try:
+                run = next(self._runs, None)
+            except VaoiError as error:
+                self._events.put(DeviceFault("replay", error))
+                return
+            if run is None or not self._wait_armed():
+                return
+            self._play(run)
+            self._played += 1
+            if self._pace is None:
+                self._wait_until_host(time.monotonic() + self._pause_s, lambda: self._closing)
+
+    def _play(self, run: list[RecordedRow]) -> None:
+        with self._change:
+            episode, plan = self._episode, self._plan
+        if plan is None:
+            return
+
+        def stop() -> bool:
+            return self._closing or self._plan is None or self._episode != episode
+
+        if len(run) > plan.max_rows:
+            limit = f"at least the {len(run)} rows of the recording"
+            self._events.put(DeviceFault("replay", InputError.field("trigger plan", "max_rows", plan.max_rows, limit)))
+            return
+        if self._pace is not None:
+            self._pace.before_run(stop)
+        barrier_s = max(self._clock.now_s() + LEAD_S, self._last_end_s + GAP_S if self._pace else 0.0)
+        first_s = round(barrier_s + LEAD_S, 9)
+        if not self._wait_until(barrier_s, stop) or not self._begin_run(barrier_s, stop):
+            return
+        for index, row in enumerate(run):
+            device_s = first_s + row.time_s
+            if not self._wait_until(device_s, stop) or not self._fire(index, row, device_s, stop):
+                return
+        with self._change:
+            if not stop():
+                self._put(BarrierClear(next(self._numbers), first_s + run[-1].time_s))
+                self._end_run(first_s + run[-1].time_s, "clear")
+
+    def _begin_run(self, barrier_s: float, stop: Callable[[], bool]) -> bool:
+        with self._change:
+            if stop():
+                return False
+            self._in_run, self._pulses = True, 0
+            self._put(BarrierBlocked(next(self._numbers), barrier_s))
+            return True
+
+    def _fire(self, index: int, row: RecordedRow, device_s: float, stop: Callable[[], bool]) -> bool:
+        with self._change:
+            if stop():
+                return False
+            self._pulses += 1
+            self._last_end_s = device_s
+            self._put(PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us))
+            frames = row.show(device_s)
+            if self._pace is not None:
+                self._pace.shown(frames)
+            return True
+
+    def _end_run(self, time_s: float, reason: str) -> None:
+        self._in_run = False
+        self._put(RunEnded(next(self._numbers), time_s, self._pulses, reason))
+
+    def _put(self, event: ControllerEvent) -> None:
+        self._events.put(event)
+
+    def _wait_until(self, device_s: float, stop: Callable[[], bool]) -> bool:
+        """Until it is time for what happens at a device time; False if stopped."""
+        if self._pace is not None:
+            self._pace.before_pulse(stop)
+            return not stop()
+        return self._wait_until_host(self._clock.host_s(device_s), stop)
+
+    def _wait_until_host(self, host_s: float, stop: Callable[[], bool]) -> bool:
+        with self._change:
+            while not stop() and (left_s := host_s - time.monotonic()) > 0:
+                self._change.wait(left_s)
+            return not stop()
+
+    def _wake(self) -> None:
+        self._change.notify_all()
+        if self._pace is not None:
+            self._pace.wake()
+
+    def _wait_armed(self) -> bool:
+        with self._change:
+            self._change.wait_for(lambda: self._closing or self._plan is not None)
+            return not self._closing

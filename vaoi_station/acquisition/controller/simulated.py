@@ -1,0 +1,128 @@
+"""A controller that does in real time what the firmware does, with a clock and a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from itertools import count
+from queue import SimpleQueue
+
+from vaoi_station.acquisition.cameras.interface import ClockReading, DeviceFault
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    ControllerEvent,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
+from vaoi_station.acquisition.device_clock import DeviceClock
+
+Edge = tuple[float, bool]
+"""Time by the controller's clock, and whether the barrier is interrupted from then on."""
+
+
+class SimulatedController:
+    """Obeys a `TriggerRule`; what it fires goes to `fire`, what it reports to the host also to `heard`."""
+
+    def __init__(
+        self,
+        clock: DeviceClock,
+        *,
+        accept: Callable[[TriggerPlan], TriggerPlan],
+        fire: Callable[[PulseFired], None],
+        armed: Callable[[bool], None],
+        over: Callable[[], None],
+    ) -> None:
+        """`accept` may complete a plan or refuse it; `armed` and `over` tell the line how things stand."""
+        self.clock = clock
+        self._accept, self._fire, self._armed, self._over = accept, fire, armed, over
+        self._numbers = count()
+        self._change = threading.Condition()
+        self._edges: deque[Edge] = deque()
+        self._rule: TriggerRule | None = None
+        self._closing = False
+        self._runs = 0
+        self._thread: threading.Thread | None = None
+
+    def start(self, events: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
+        """Begin to report events."""
+        self._events = events
+        self._thread = threading.Thread(target=self._work, name="controller")
+        self._thread.start()
+
+    def arm(self, plan: TriggerPlan) -> None:
+        """Watch the barrier from now on."""
+        rule = TriggerRule(self._accept(plan), self._numbers)
+        with self._change:
+            self._rule = rule
+            self._edges.clear()
+            self._change.notify()
+        self._armed(True)
+
+    def disarm(self) -> None:
+        """No further pulse; a run under way ends."""
+        with self._change:
+            if self._rule is not None:
+                self._report(self._rule.stop(self.clock.now_s()))
+            self._rule = None
+            self._edges.clear()
+        self._armed(False)
+        self._over()
+
+    def let_pass(self, edges: Sequence[Edge]) -> None:
+        """The barrier will change so; in order of time."""
+        with self._change:
+            self._edges.extend(edges)
+            self._change.notify()
+
+    def read_clock(self) -> ClockReading:
+        """Compare clocks."""
+        return self.clock.read()
+
+    def health(self) -> str:
+        """How many boards it saw."""
+        return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._change:
+            self._closing, self._rule = True, None
+            self._change.notify()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _work(self) -> None:
+        with self._change:
+            while not self._closing:
+                ended = self._step(self.clock.now_s())
+                if ended:
+                    self._over()
+                self._change.wait(self._wait_s())
+
+    def _step(self, now_s: float) -> bool:
+        """Everything that is due by now; whether a run has ended."""
+        if self._rule is None:
+            return False
+        events: list[ControllerEvent] = []
+        while self._edges and self._edges[0][0] <= now_s:
+            time_s, blocked = self._edges.popleft()
+            events += self._rule.advance(time_s)
+            self._rule.edge(time_s, blocked)
+        events += self._rule.advance(now_s)
+        self._report(events)
+        return any(isinstance(e, RunEnded) for e in events)
+
+    def _report(self, events: Sequence[ControllerEvent]) -> None:
+        for event in events:
+            if isinstance(event, PulseFired):
+                self._fire(event)
+            self._runs += isinstance(event, BarrierBlocked)
+            self._events.put(event)
+
+    def _wait_s(self) -> float | None:
+        if self._rule is None:
+            return None
+        times = [t for t in (self._rule.due_s(), self._edges[0][0] if self._edges else None) if t is not None]
+        return max(self.clock.host_s(min(times)) - self.clock.host_s(self.clock.now_s()), 0.0) if times else None

@@ -1,0 +1,142 @@
+"""What the firmware does with the barrier: debounce, delay, steady pulses, tail, end. Pure logic.
+
+Times are seconds of the controller's clock. Pulse j of a passage is due at edge + delay + j · period,
+computed from the edge each time, so that no error adds up. An edge counts when it has lasted
+`debounce_s`; the passage is dated by the edge itself. A pulse is fired if it is due no later than the
+tail's end. A board that blocks the barrier again within its tail (a cut-out) goes on being the same run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    BarrierBounce,
+    BarrierClear,
+    ControllerEvent,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.errors import InputError
+
+
+@dataclass
+class _Passage:
+    first_s: float
+    fired: int = 0
+    clear_s: float | None = None
+
+
+class TriggerRule:
+    """Fed with edges and the time of day, it says what to fire and report, in order of time."""
+
+    def __init__(self, plan: TriggerPlan, numbers: count[int]) -> None:
+        check_plan(plan)
+        self.plan = plan
+        self._numbers = numbers
+        self._raw = False
+        self._blocked = False
+        self._pending_s: float | None = None
+        """When the raw level last changed, while that may still be a bounce."""
+        self._passage: _Passage | None = None
+        self._bounces: list[tuple[float, float]] = []
+
+    @property
+    def passing(self) -> bool:
+        """Whether a run is under way."""
+        return self._passage is not None
+
+    def edge(self, time_s: float, blocked: bool) -> None:
+        """The barrier changed; call `advance(time_s)` first."""
+        if blocked == self._raw:
+            return
+        self._raw = blocked
+        if self._pending_s is None:
+            self._pending_s = time_s
+        else:
+            self._bounces.append((self._pending_s, time_s - self._pending_s))
+            self._pending_s = None
+
+    def due_s(self) -> float | None:
+        """When `advance` has something to do, if no edge comes before."""
+        if self._bounces:
+            return self._bounces[0][0]
+        return min((t for t in (self._confirm_s(), self._pulse_s()) if t is not None), default=None)
+
+    def advance(self, now_s: float) -> list[ControllerEvent]:
+        """Everything due by now."""
+        events: list[ControllerEvent] = [BarrierBounce(next(self._numbers), *bounce) for bounce in self._bounces]
+        self._bounces.clear()
+        while True:
+            confirm_s, pulse_s = self._confirm_s(), self._pulse_s()
+            if confirm_s is not None and confirm_s <= now_s and (pulse_s is None or confirm_s <= pulse_s):
+                events += self._confirm()
+            elif pulse_s is not None and pulse_s <= now_s:
+                events += self._fire(pulse_s)
+            else:
+                return events
+
+    def stop(self, now_s: float) -> list[ControllerEvent]:
+        """Disarmed: no further pulse; a run under way ends."""
+        if self._passage is None:
+            return []
+        return self._end(now_s, "disarmed")
+
+    def _confirm_s(self) -> float | None:
+        return None if self._pending_s is None else self._pending_s + self.plan.debounce_s
+
+    def _pulse_s(self) -> float | None:
+        if self._passage is None:
+            return None
+        return self._passage.first_s + self._passage.fired * self.plan.period_s
+
+    def _confirm(self) -> list[ControllerEvent]:
+        """The level has lasted: it is real."""
+        assert self._pending_s is not None
+        edge_s, self._pending_s, self._blocked = self._pending_s, None, self._raw
+        if self._blocked:
+            if self._passage is not None:
+                self._passage.clear_s = None
+                return []
+            self._passage = _Passage(edge_s + self.plan.start_delay_s)
+            return [BarrierBlocked(next(self._numbers), edge_s)]
+        if self._passage is None:
+            return []
+        self._passage.clear_s = edge_s
+        return [BarrierClear(next(self._numbers), edge_s), *self._end_if_over(edge_s + self.plan.debounce_s)]
+
+    def _fire(self, time_s: float) -> list[ControllerEvent]:
+        assert self._passage is not None
+        index, lights = self._passage.fired, self.plan.lights
+        light = lights[index % len(lights)] if lights else ""
+        self._passage.fired += 1
+        return [PulseFired(next(self._numbers), time_s, index, light), *self._end_if_over(time_s)]
+
+    def _end_if_over(self, now_s: float) -> list[ControllerEvent]:
+        assert self._passage is not None
+        if self._passage.fired >= self.plan.max_rows:
+            return self._end(now_s, "max-rows")
+        next_s, clear_s = self._pulse_s(), self._passage.clear_s
+        assert next_s is not None
+        over = clear_s is not None and next_s > clear_s + self.plan.tail_s
+        return self._end(now_s, "clear") if over else []
+
+    def _end(self, now_s: float, reason: str) -> list[ControllerEvent]:
+        assert self._passage is not None
+        pulses, self._passage = self._passage.fired, None
+        return [RunEnded(next(self._numbers), now_s, pulses, reason)]
+
+
+def check_plan(plan: TriggerPlan) -> None:
+    """InputError for a plan no controller can follow."""
+    if plan.period_s <= 0:
+        raise InputError.field("trigger plan", "period_s", plan.period_s, "above 0")
+    if plan.max_rows < 1:
+        raise InputError.field("trigger plan", "max_rows", plan.max_rows, "at least 1")
+    for key in ("start_delay_s", "tail_s"):
+        if not getattr(plan, key) >= plan.debounce_s >= 0:
+            limit = f"no shorter than debounce_s, {plan.debounce_s} s"
+            raise InputError.field("trigger plan", key, getattr(plan, key), limit, "An edge is sure only then.")

@@ -1,0 +1,66 @@
+"""One board of the twin, made ready for the belt: its barrier edges, its pulses, its frames rendered.
+
+The controller fires by what the barrier shows, bounces included; so its pulses are predicted with the
+firmware's own rule, and frames are rendered for the times that will really be fired.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.controller.interface import ControllerEvent, PulseFired, TriggerPlan
+from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
+from vaoi_station.simulation import Passage
+
+FAR_S = 1e4
+
+
+class SimulatedBoard:
+    """All times are seconds since the passage's start."""
+
+    def __init__(self, passage: Passage, plan: TriggerPlan, cameras: int) -> None:
+        self.passage = passage
+        self.edges = barrier_edges(passage)
+        self.pulses = predict_pulses(self.edges, plan)
+        self._left = [(c, r) for r in range(len(self.pulses)) for c in range(cameras)]
+        self._frames: dict[tuple[int, int], NDArray[np.uint8]] = {}
+
+    @property
+    def ready(self) -> bool:
+        """Whether all frames are rendered."""
+        return not self._left
+
+    def render_one(self) -> None:
+        """Render one more frame."""
+        camera, row = self._left.pop(0)
+        pulse = self.pulses[row]
+        image = self.passage.frame_at(camera, pulse.time_s, pulse.light, row)
+        self._frames[camera, row] = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
+
+    def pixels(self, camera: int, row: int) -> NDArray[np.uint8]:
+        """The flat bytes of a frame; a board that sticks looks the same in every further row."""
+        return self._frames[camera, min(row, len(self.pulses) - 1)]
+
+
+def barrier_edges(passage: Passage) -> list[tuple[float, bool]]:
+    """When the barrier changes and to what: the truth, turned to its opposite during bounces."""
+    toggles = [passage.blocked_s, passage.clear_s]
+    for bounce in passage.faults.bounces:
+        toggles += [bounce.at_s, bounce.at_s + bounce.duration_s]
+    finite = sorted(t for t in toggles if math.isfinite(t))
+    return [(0.0, False), *((t, n % 2 == 0) for n, t in enumerate(finite))]
+
+
+def predict_pulses(edges: list[tuple[float, bool]], plan: TriggerPlan) -> list[PulseFired]:
+    """The pulses the controller will fire for these edges."""
+    rule = TriggerRule(plan, count())
+    events: list[ControllerEvent] = []
+    for time_s, blocked in edges:
+        events += rule.advance(time_s)
+        rule.edge(time_s, blocked)
+    events += rule.advance(FAR_S)
+    return [e for e in events if isinstance(e, PulseFired)]

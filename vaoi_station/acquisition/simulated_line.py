@@ -1,0 +1,146 @@
+"""The conveyor of a simulated station: prepares boards and lets one after another pass the barrier.
+
+Boards come only while the controller is armed: whoever feeds the line waits for the station. A board is
+let onto the belt when all its frames are rendered, and nothing is rendered while a board passes, so that
+the twin's arithmetic does not disturb the station it tests.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from queue import SimpleQueue
+
+from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
+from vaoi_station.acquisition.controller.interface import ControllerEvent, PulseFired, TriggerPlan
+from vaoi_station.acquisition.controller.simulated import SimulatedController
+from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.simulated_board import SimulatedBoard
+from vaoi_station.errors import InternalError, VaoiError
+from vaoi_station.simulation import Twin
+
+AHEAD = 2
+"""Boards kept ready."""
+LEAD_S = 0.02
+SAME_TIME_S = 1e-6
+
+
+class SimulatedLine:
+    """Owns the belt; cameras and controller are told what happens on it."""
+
+    def __init__(
+        self,
+        twin: Twin,
+        plan: TriggerPlan,
+        cameras: tuple[SimulatedCamera, ...],
+        clock: DeviceClock,
+        boards: int,
+        interval_s: float,
+    ) -> None:
+        self._twin, self._plan, self._cameras, self._clock = twin, plan, cameras, clock
+        self._boards, self._interval_s = boards, interval_s
+        self._change = threading.Condition()
+        self._ready: deque[SimulatedBoard] = deque()
+        self._prepared = 0
+        self._board: SimulatedBoard | None = None
+        self._start_s = 0.0
+        self._next_host_s = float("-inf")
+        self._armed = self._passing = self._closing = False
+        self._thread: threading.Thread | None = None
+
+    def start(self, controller: SimulatedController, faults: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
+        """Begin to prepare boards."""
+        self._controller, self._faults = controller, faults
+        self._thread = threading.Thread(target=self._work, name="line")
+        self._thread.start()
+
+    def set_armed(self, armed: bool) -> None:
+        """Boards come, or wait."""
+        with self._change:
+            self._armed = armed
+            self._change.notify()
+
+    def set_over(self) -> None:
+        """The run has ended; the next board may come."""
+        with self._change:
+            self._passing = False
+            self._change.notify()
+
+    def fire(self, event: PulseFired) -> None:
+        """The controller triggers all cameras: they see what the twin shows at this time."""
+        board, row = self._board, event.index
+        if board is None or not self._agrees(board, event):
+            error = InternalError(f"pulse {row} was fired at {event.time_s} s, when the twin did not expect one.")
+            self._faults.put(DeviceFault("simulated line", error))
+            return
+        host_s, faults = self._clock.host_s(event.time_s), board.passage.faults
+        for n, camera in enumerate(self._cameras):
+            camera.trigger(
+                host_s,
+                board.pixels(n, row),
+                lost=faults.lost(n, row),
+                late_s=faults.late_s(n, row),
+                share=faults.received_share(n, row),
+            )
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._change:
+            self._closing = True
+            self._change.notify()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _agrees(self, board: SimulatedBoard, event: PulseFired) -> bool:
+        if event.index >= len(board.pulses):
+            return board.passage.faults.stuck is not None
+        return abs(board.pulses[event.index].time_s + self._start_s - event.time_s) < SAME_TIME_S
+
+    def _work(self) -> None:
+        try:
+            while not self._closing:
+                if self._may_pass():
+                    self._let_pass()
+                elif not self._passing and self._to_prepare():
+                    self._prepare()
+                else:
+                    self._wait()
+        except VaoiError as error:
+            self._faults.put(DeviceFault("simulated line", error))
+
+    def _may_pass(self) -> bool:
+        ready = bool(self._ready) and self._ready[0].ready
+        return ready and self._armed and not self._passing and time.monotonic() >= self._next_host_s
+
+    def _to_prepare(self) -> bool:
+        if self._ready and not self._ready[-1].ready:
+            return True
+        return len(self._ready) < AHEAD and (self._boards == 0 or self._prepared < self._boards)
+
+    def _prepare(self) -> None:
+        """One frame more, or the next board begun."""
+        if not self._ready or self._ready[-1].ready:
+            passage = self._twin.passage(self._prepared)
+            self._ready.append(SimulatedBoard(passage, self._plan, len(self._cameras)))
+            self._prepared += 1
+        elif not self._ready[-1].ready:
+            self._ready[-1].render_one()
+
+    def _let_pass(self) -> None:
+        with self._change:
+            if not self._armed:
+                return
+            board, now_s = self._ready.popleft(), time.monotonic()
+            self._start_s = self._clock.device_s(now_s + LEAD_S)
+            self._board, self._passing = board, True
+            self._next_host_s = now_s + self._interval_s
+        self._controller.let_pass([(self._start_s + t, blocked) for t, blocked in board.edges])
+
+    def _wait(self) -> None:
+        with self._change:
+            if self._closing or self._may_pass() or (not self._passing and self._to_prepare()):
+                return
+            waiting_for_time = self._armed and self._ready and not self._passing
+            self._change.wait(max(self._next_host_s - time.monotonic(), 0.0) if waiting_for_time else None)
