@@ -352,6 +352,10 @@ class FrameRecord(Noun):
     camera_time_s: float | None = None
     pulse_error_us: float | None = None
     """Time stamp minus pulse time, after mapping both clocks to the host's."""
+    exposure_us: float | None = None
+    """Exposure time of the frame, where it is known."""
+    light: str = ""
+    """Light pattern of its row."""
 
 
 class Pulse(Noun):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import threading
 import time
 from collections.abc import Iterator
@@ -15,9 +14,11 @@ from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
 from vaoi_station.api import create_app
+from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.errors import GoneError, InternalError, NotFoundError, StateError
+from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
-from vaoi_station.rendering.temporary import View
+from vaoi_station.rendering.temporary import View, render, views_of
 from vaoi_station.runs import facade as f
 
 CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
@@ -50,6 +51,9 @@ class HeldStation:
         self.holders: dict[tuple[str, str], f.LeaseStatus] = {}
         self.broken = False
         self.closed = False
+        matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
+        n = Projective(matrix, System.IMAGE, System.ROW)
+        self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0)) for _ in range(CAMERAS))
 
     # what happens to it
 
@@ -107,12 +111,12 @@ class HeldStation:
             raise RuntimeError("a secret path /etc/passwd")
         done = self._finished()
         camera = [f.CameraStatus(camera=i, name=f"cam{i}", connected=True) for i in range(CAMERAS)]
+        worker = f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
         return f.StationSnapshot(
-            name="test", state=self.state, since=NOW, reasons=self.reasons, armed_with=self.armed, cameras=tuple(camera),
-            controller="ok", processes=(f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0,
-            heartbeat_age_s=0.1),), ring=f.RingStatus(path="ring", size_bytes=1, bays=(), leases=()), versions=VERSIONS,
-            retention=f.Retention(runs_in_memory=3, lease_s=600, frames="until their memory is needed", results="always",
-            events="always"), last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
+            name="test", state=self.state, since=NOW, reasons=self.reasons, armed_with=self.armed,
+            cameras=tuple(camera), controller="ok", processes=(worker,), ring=f.RingStatus(path="ring", size_bytes=1, bays=(), leases=()), versions=VERSIONS,
+            retention=f.Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
+            last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
             boards_missed=0,
         )  # fmt: skip
 
@@ -152,7 +156,9 @@ class HeldStation:
         del self.types[name]
 
     def runs(self, limit: int = 50, before: str | None = None) -> tuple[f.RunSummary, ...]:
-        older = [r for r in sorted(self.filmed.values(), key=lambda r: r.id, reverse=True) if not before or r.id < before]
+        older = [
+            r for r in sorted(self.filmed.values(), key=lambda r: r.id, reverse=True) if not before or r.id < before
+        ]
         keep = set(f.RunSummary.model_fields)
         return tuple(f.RunSummary(**{k: v for k, v in r if k in keep}) for r in older[:limit])
 
@@ -188,8 +194,8 @@ class HeldStation:
     def stitch(self, run: str) -> Stitch:
         if self.run(run).verdict is None:
             raise StateError(f"Run {run} is still being stitched.", action="Ask again in a moment.")
-        m = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
-        motion = [np.array([[1, 0, 10.0 * j], [0, 1, 0], [0, 0, 1]]) for j in range(ROWS)]
+        m = self.cameras[0].image_from_row.matrix
+        motion = [np.array([[1, 0, -5.0 * j], [0, 1, 0], [0, 0, 1]]) for j in range(ROWS)]
         images = tuple(tuple(None if (i, j) == (1, 2) else m @ d for j, d in enumerate(motion)) for i in range(CAMERAS))
         return Stitch(
             method="held", image_matrices=images, cad_matrix=np.eye(3), row_motion=tuple(motion), status=Status.OK
@@ -215,20 +221,44 @@ class HeldStation:
         self.run(run)
         return tuple(
             f.ComponentSummary(
-                address=c.address, ref=c.ref, panel=c.panel, center_mm=c.center, width_mm=c.width, height_mm=c.height,
-                rotation_deg=c.rotation, tester_mm=c.center, views=2,
-            )  # fmt: skip
+                address=c.address,
+                ref=c.ref,
+                panel=c.panel,
+                center_mm=c.center,
+                width_mm=c.width,
+                height_mm=c.height,
+                rotation_deg=c.rotation,
+                tester_mm=c.center,
+                views=2,
+            )
             for c in self.types["demo-board"].components
         )
 
     def views(self, run: str, ref: str, px_per_mm: float | None = None, min_coverage: float = 0.5) -> tuple[View, ...]:
-        raise NotImplementedError
+        board_type = self.types["demo-board"]
+        component = board_type.component(ref)
+        if component is None:
+            raise NotFoundError(f"There is no component {ref!r}.", code="unknown-component")
+        return views_of(
+            component, board_type, self.stitch(run), self.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage
+        )
 
     def image(
-        self, run: str, ref: str, k: int, *, px_per_mm: float | None = None, format: f.ImageFormat = "png",
+        self,
+        run: str,
+        ref: str,
+        k: int,
+        *,
+        px_per_mm: float | None = None,
+        format: f.ImageFormat = "png",
         min_coverage: float = 0.5,
-    ) -> bytes:  # fmt: skip
-        raise NotImplementedError
+    ) -> bytes:
+        views = self.views(run, ref, px_per_mm, min_coverage)
+        if k >= len(views):
+            raise NotFoundError(f"{ref} has {len(views)} views; there is no view {k}.")
+        pixels, _ = self.frame(run, views[k].camera, views[k].row)
+        crop = render(views[k], pixels, self.cameras[views[k].camera])
+        return encode_image(crop, ImageFormat(format))[0]
 
     def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[f.EventRecord, ...]:
         until = time.monotonic() + timeout_s
@@ -239,3 +269,22 @@ class HeldStation:
 
     def _finished(self) -> list[f.RunDetail]:
         return [r for _, r in sorted(self.filmed.items()) if r.verdict is not None]
+
+
+def _scene(random: np.random.Generator, camera: int, row: int) -> NDArray[np.uint8]:
+    """A grey frame with something to recognise: noise, a bright square, its camera and row."""
+    image = random.integers(40, 90, (HEIGHT, WIDTH), dtype=np.uint8)
+    image[80:160, 100:200] = 200
+    cv2.putText(image, f"{camera}/{row}", (110, 135), cv2.FONT_HERSHEY_SIMPLEX, 1.2, 20, 2)
+    return image
+
+
+@pytest.fixture
+def station() -> HeldStation:
+    return HeldStation()
+
+
+@pytest.fixture
+def client(station: HeldStation) -> Iterator[TestClient]:
+    with TestClient(create_app(station), raise_server_exceptions=False) as client:
+        yield client

@@ -30,7 +30,7 @@ def create_app(conductor: Conductor) -> FastAPI:
     services = Services(conductor, Hub(conductor))
 
     @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         async with services.hub.listening():
             yield
 

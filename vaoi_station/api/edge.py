@@ -55,7 +55,9 @@ class Edge:
             await self._app(scope, receive, send)
             return
         if _foreign(headers):
-            detail = f"The command came from a page of {headers['origin']!r:.100}, not of {headers.get('host', '')!r:.100}."
+            detail = (
+                f"The command came from a page of {headers.get('origin', 'another site'):.100}, not of this station."
+            )
             await problem_response(path, "foreign-origin", detail)(scope, receive, send)
             return
         body = await self._body(headers, receive)

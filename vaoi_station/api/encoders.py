@@ -34,11 +34,13 @@ MEDIA_TYPES = {
     ImageFormat.RAW: "application/octet-stream",
 }
 
+_NAMES = {"jpg": ImageFormat.JPEG, "tif": ImageFormat.TIFF, **{str(f): f for f in ImageFormat}}
+
 
 def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
     """The format to answer in; `?format=` outranks Accept, PNG is the default. NotAcceptableError lists the offer."""
     if asked is not None:
-        found = {"jpg": ImageFormat.JPEG, "tif": ImageFormat.TIFF, **{str(f): f for f in ImageFormat}}.get(asked.lower())
+        found = _NAMES.get(asked.lower())
         if found is None:
             raise NotAcceptableError(f"format is {asked!r:.40}, but the offer is {_offer(names=True)}.")
         return found
@@ -65,7 +67,7 @@ def accepted(header: str) -> list[tuple[str, float]]:
 
 def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
     """How welcome a media type is: the most specific range that covers it decides, 0 if none does."""
-    for pattern in (media_type, f"{media_type.split('/')[0]}/*", "*/*"):
+    for pattern in (media_type, f"{media_type.partition('/')[0]}/*", "*/*"):
         for media, q in ranges:
             if media == pattern:
                 return q

@@ -28,7 +28,13 @@ def install(app: FastAPI) -> None:
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
             app.openapi_schema = tidied(
-                get_openapi(title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes)
+                get_openapi(
+                    title=app.title,
+                    version=app.version,
+                    description=DESCRIPTION,
+                    routes=app.routes,
+                    separate_input_output_schemas=False,
+                )
             )
         return app.openapi_schema
 
@@ -45,6 +51,7 @@ def tidied(document: dict[str, Any]) -> dict[str, Any]:
         schemas[shape.__name__].pop("$defs", None)
     for schema in schemas.values():
         _optional_not_null(schema)
+        _plain_lists(schema)
     refusal = {"description": "Refused.", "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
     for operations in document["paths"].values():
         for operation in operations.values():
@@ -58,14 +65,23 @@ def tidied(document: dict[str, Any]) -> dict[str, Any]:
 
 def _optional_not_null(schema: dict[str, Any]) -> None:
     """Fields that may be null become fields that may be left out."""
-    if schema.get("title") == "Matrices":
-        return  # the format of the file has nulls that mean something
     for name, field in schema.get("properties", {}).items():
+        if (schema.get("title"), name) == ("Matrices", "cad_matrix"):
+            continue  # in the format of the file this null means something
         plain = _not_null(field)
         if plain is not field:
             schema["properties"][name] = plain
             if name in schema.get("required", []):
                 schema["required"].remove(name)
+
+
+def _plain_lists(schema: Any) -> None:
+    """Tuples of one kind become lists of that kind with a fixed length, which older generators understand too."""
+    for part in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
+        _plain_lists(part)
+    if isinstance(schema, dict) and (kinds := schema.get("prefixItems")) and all(k == kinds[0] for k in kinds):
+        del schema["prefixItems"]
+        schema["items"] = kinds[0]
 
 
 def _not_null(schema: dict[str, Any]) -> dict[str, Any]:

@@ -18,9 +18,7 @@ BoardTypeName = Annotated[
 ]
 Camera = Annotated[int, Path(description="Camera, from 0.", ge=0, le=9999)]
 Row = Annotated[int, Path(description="Row, from 0.", ge=0, le=99999)]
-Address = Annotated[
-    str, Path(description="Component: `ref`, or `panel/ref` on a panel.", min_length=1, max_length=200)
-]
+Address = Annotated[str, Path(description="Component: `ref`, or `panel/ref` on a panel.", min_length=1, max_length=200)]
 PxPerMm = Annotated[
     float | None,
     Query(
@@ -43,8 +41,4 @@ FormatName = Annotated[
     str | None,
     Query(description="png, jpeg, tiff, npy or raw; outranks Accept.", max_length=20),
 ]
-TimeoutS = Annotated[
-    float, Query(description="Longest wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)
-]
-MAX_PICTURE_PX = 64_000_000
-"""Largest temporary image that is rendered on request, in pixels."""
+TimeoutS = Annotated[float, Query(description="Longest wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]

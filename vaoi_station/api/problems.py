@@ -10,12 +10,13 @@ import logging
 import uuid
 from collections.abc import Mapping
 from http import HTTPStatus
-from typing import Annotated, Any
+from typing import Any
+from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, Field, WithJsonSchema
+from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
 from vaoi_station.errors import VaoiError
@@ -42,10 +43,7 @@ class Problem(BaseModel):
     code: str
     action: str = Field(description="A sentence the operator can follow.")
     instance: str = Field(description="The address that was asked for.")
-    errors: Annotated[
-        list[Fault] | None,
-        WithJsonSchema({"type": "array", "items": {"$ref": "#/components/schemas/Fault"}}),
-    ] = Field(default=None, description="Each field that is wrong; only where fields are.")
+    errors: list[Fault] | None = Field(default=None, description="Each field that is wrong; only where fields are.")
 
 
 KINDS: dict[str, tuple[int, str, str]] = {
@@ -114,7 +112,7 @@ def problem_response(
         detail=detail,
         code=code,
         action=action or kind[2],
-        instance=request_path,
+        instance=quote(request_path),
         errors=errors,
     )
     extra = {"Cache-Control": "no-store", **(headers or {})}

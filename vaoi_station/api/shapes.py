@@ -70,21 +70,26 @@ class ViewEntry(Shape):
     camera: int
     row: int
     coverage: float = Field(description="Part of the component that the frame shows, 0 … 1.")
+    off_center: float = Field(
+        description="Distance from the frame's middle, in half diagonals: small is seen straight from above."
+    )
     width_px: int
     height_px: int
     px_per_mm: float
-    exposure_us: float | None = Field(description="Exposure time of the frame.")
-    light: str | None = Field(description="Light pattern of the row.")
+    exposure_us: float | None = Field(default=None, description="Exposure time of the frame, where it is known.")
+    light: str | None = Field(default=None, description="Light pattern of the row, where one was named.")
     crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of this image.")
     cad_from_crop: Matrix3
     image_from_crop: Matrix3 = Field(
-        description="Pixels of this image to pixels of the frame, undistorted where the lens is calibrated."
+        description="Pixels of this image to pixels of the frame; undistorted ones, if `distorted` is true."
+    )
+    distorted: bool = Field(
+        description="Whether the lens bends the frame; the image itself is straight, that has been seen to."
     )
     url: str = Field(description="Where this image is.")
-    frame_url: str = Field(description="Where the frame is from which it is taken.")
 
 
-class Component(Shape):
+class ComponentViews(Shape):
     """All views of one component."""
 
     address: str

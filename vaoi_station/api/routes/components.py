@@ -9,16 +9,25 @@ from fastapi import APIRouter, Path, Request, Response
 
 from vaoi_station.api.caching import IMMUTABLE, LIVE, conditional
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
-from vaoi_station.api.parameters import MAX_PICTURE_PX, Address, FormatName, MinCoverage, PxPerMm, RunId
+from vaoi_station.api.parameters import Address, FormatName, MinCoverage, PxPerMm, RunId
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import Component, ComponentEntry, ComponentList
+from vaoi_station.api.shapes import ComponentEntry, ComponentList, ComponentViews
 from vaoi_station.api.views import picture_query, view_entry
-from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.runs.facade import ComponentSummary
+from vaoi_station.runs.facade import ImageFormat as Rendered
 from vaoi_station.runs.state import FINISHED
 
 Index = Annotated[int, Path(description="Which of the component's views, from 0.", ge=0, le=99_999)]
+
+RENDERED_AS: dict[ImageFormat, Rendered] = {
+    ImageFormat.PNG: "png",
+    ImageFormat.JPEG: "jpeg",
+    ImageFormat.TIFF: "tiff",
+    ImageFormat.NPY: "npy",
+    ImageFormat.RAW: "npy",
+}
+"""What the conductor is asked for; raw is an npy without its header."""
 
 
 def router(services: Services) -> APIRouter:
@@ -26,7 +35,7 @@ def router(services: Services) -> APIRouter:
     routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
     conductor, ask = services.conductor, services.commands.ask
 
-    async def answer(request: Request, run: str, content: ComponentList | Component) -> Response:
+    async def answer(request: Request, run: str, content: ComponentList | ComponentViews) -> Response:
         done = (await ask(conductor.run, run)).state in FINISHED
         body = content.model_dump_json(exclude_none=True).encode()
         return conditional(request, body, "application/json", cache=IMMUTABLE if done else LIVE)
@@ -35,18 +44,19 @@ def router(services: Services) -> APIRouter:
     async def list_components(request: Request, run: RunId) -> Response:
         """Components of the board type the run was filmed with, and where they were."""
         found = await ask(conductor.components, run)
-        entries = [_entry(c, f"{request.url.path}/{quote(c.address)}") for c in found]
+        entries = [_entry(c, f"{quote(request.url.path)}/{quote(c.address)}") for c in found]
         return await answer(request, run, ComponentList(components=entries))
 
     @routes.get("/{ref:path}/images/{k}", response_class=Response, responses=PICTURE)
     async def get_component_image(
+        *,
         request: Request,
         run: RunId,
         ref: Address,
         k: Index,
         px_per_mm: PxPerMm = None,
         min_coverage: MinCoverage = 0.5,
-        format: FormatName = None,  # noqa: A002
+        format: FormatName = None,
         accept: Accept = None,
     ) -> Response:
         """Temporary image k of the component: upright, CAD-aligned, from one frame.
@@ -56,25 +66,29 @@ def router(services: Services) -> APIRouter:
         image_format = choose_format(format, accept)
 
         def picture() -> tuple[bytes, dict[str, str]]:
-            _refuse_giants(services, run, ref, k, px_per_mm, min_coverage)
-            wire = "npy" if image_format is ImageFormat.RAW else image_format.value
-            content = conductor.image(run, ref, k, px_per_mm=px_per_mm, format=wire, min_coverage=min_coverage)
+            content = conductor.image(
+                run, ref, k, px_per_mm=px_per_mm, format=RENDERED_AS[image_format], min_coverage=min_coverage
+            )
             return raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})
 
         content, headers = await services.pictures.ask(picture)
         return conditional(request, content, MEDIA_TYPES[image_format], headers=headers)
 
-    @routes.get("/{ref:path}", response_model=Component)
+    @routes.get("/{ref:path}", response_model=ComponentViews)
     async def get_component(
         request: Request, run: RunId, ref: Address, px_per_mm: PxPerMm = None, min_coverage: MinCoverage = 0.5
     ) -> Response:
         """The frames that show a component, and the address of the temporary image each gives."""
         views = await ask(conductor.views, run, ref, px_per_mm, min_coverage)
-        run_url = request.url.path.partition("/components/")[0]
+        frames = {(f.camera, f.row): f for f in (await ask(conductor.run, run)).frames}
+        address = quote(request.url.path)
         query = picture_query(px_per_mm, min_coverage)
-        entries = [view_entry(k, view, run_url, quote(ref), query) for k, view in enumerate(views)]
+        entries = [
+            view_entry(k, view, frames[view.camera, view.row], f"{address}/images/{k}{query}")
+            for k, view in enumerate(views)
+        ]
         resolution = entries[0].px_per_mm if entries else None
-        return await answer(request, run, Component(address=ref, px_per_mm=resolution, views=entries))
+        return await answer(request, run, ComponentViews(address=ref, px_per_mm=resolution, views=entries))
 
     return routes
 
@@ -83,24 +97,3 @@ def _entry(component: ComponentSummary, url: str) -> ComponentEntry:
     fields = component.model_dump()
     fields["panel"] = None if component.panel is None else str(component.panel)
     return ComponentEntry(**fields, url=url)
-
-
-def _refuse_giants(
-    services: Services, run: str, ref: str, k: int, px_per_mm: float | None, min_coverage: float
-) -> None:
-    """Nobody renders more than MAX_PICTURE_PX by one request."""
-    views = services.conductor.views(run, ref, px_per_mm, min_coverage)
-    if k >= len(views):
-        raise NotFoundError(
-            f"{ref} has {len(views)} views in run {run} (from 0); there is no view {k}.",
-            action="The list of views is at the component's address.",
-        )
-    entry = view_entry(k, views[k], "", "", "")
-    if entry.width_px * entry.height_px > MAX_PICTURE_PX:
-        raise InputError.field(
-            "query",
-            "px_per_mm",
-            px_per_mm,
-            f"so small that {ref} has at most {MAX_PICTURE_PX // 10**6} megapixels; "
-            f"it would be {entry.width_px} × {entry.height_px}",
-        )

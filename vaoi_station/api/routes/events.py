@@ -37,7 +37,7 @@ def router(services: Services) -> APIRouter:
         return newest if after is None else min(after, newest)
 
     @routes.get("/events", response_class=EventSourceResponse)
-    async def stream_events(after: Annotated[int, Depends(start)]) -> AsyncIterator[ServerSentEvent]:
+    async def stream_events(after: int = Depends(start)) -> AsyncIterator[ServerSentEvent]:
         """Every event as one message whose id is its number, in order and without gaps.
 
         Resume with `Last-Event-ID` (browsers do it by themselves) or `?after=`; without either, only what

@@ -26,11 +26,12 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/{camera}/{row}", response_class=Response, responses=PICTURE)
     async def get_frame(
+        *,
         request: Request,
         run: RunId,
         camera: Camera,
         row: Row,
-        format: FormatName = None,  # noqa: A002
+        format: FormatName = None,
         accept: Accept = None,
         incomplete: Annotated[
             Literal["refuse", "show"], Query(description="Whether a frame with holes is answered.")

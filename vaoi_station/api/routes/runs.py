@@ -48,14 +48,15 @@ def router(services: Services) -> APIRouter:
         return _detail(request, run)
 
     @routes.get("/next", response_model=RunDetail, responses={204: {"description": "None finished in time."}})
-    async def wait_for_next_run(request: Request, after: Cursor = None, timeout: TimeoutS = 30.0) -> Response:  # noqa: ASYNC109
+    async def wait_for_next_run(request: Request, after: Cursor = None, timeout: TimeoutS = 30.0) -> Response:
         """Long poll: the first run that finished after the run `after`, at once if there is one; 204 on time-out.
 
         Without `after`: the first run that finishes after this call. A caller that follows the ids sees
         every finished run once.
         """
-        run = await _next(services, after, timeout)
-        return Response(status_code=204, headers={"Cache-Control": LIVE}) if run is None else _detail(request, run, LIVE)
+        if (run := await _next(services, after, timeout)) is None:
+            return Response(status_code=204, headers={"Cache-Control": LIVE})
+        return _detail(request, run, LIVE)
 
     @routes.get("/{run}", response_model=RunDetail)
     async def get_run(request: Request, run: RunId) -> Response:

@@ -28,6 +28,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.post("/arm", response_model_exclude_none=True)
     async def arm_station(
+        *,
         response: Response,
         request: Annotated[ArmRequest, Body(default_factory=ArmRequest)],
         board_type: Text = None,
