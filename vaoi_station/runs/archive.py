@@ -160,6 +160,7 @@ class Archive:
         with self._news:
             self._announced = dossier.finish_number
             self._news.notify_all()
+        self._events.add("run", summary_line(dossier.detail), state=dossier.detail.state, run=dossier.detail.id)
 
     def _number_of(self, run: str) -> int:
         """Where a run stands in the order of ends; one that has not ended stands at the end."""
@@ -190,6 +191,13 @@ class Archive:
 
 
 _EMPTY = Timeline(frames_settled_s=(), tasks=(), last_frame_s=0.0, ready_s=None)
+
+
+def summary_line(detail: RunDetail) -> str:
+    """What the log says of a run that has ended."""
+    words = "; ".join(reason.message for reason in detail.reasons) or "The matrices are there."
+    ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
+    return words if ms is None else f"{words} {ms:.0f} ms after the last frame."
 
 
 def _in_state(shape: R, state: RunState) -> R:

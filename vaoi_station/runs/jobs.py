@@ -61,16 +61,21 @@ class LinkJob:
 
 @dataclass(frozen=True)
 class ConcludeJob:
-    """All evidence of a run to one result."""
+    """All evidence of a run to one result; frames are needed for a second look at fiducials."""
 
-    run: str
-    setup: Setup
+    context: RunContext
     head: RecordingHead
-    present: tuple[FrameKey, ...]
+    slots: Mapping[FrameKey, int]
+    """The good frames."""
     evidence: tuple[Evidence, ...]
 
     priority = Priority.CONCLUDE
     affinity: int | None = None
+
+    @property
+    def run(self) -> str:
+        """The run it belongs to."""
+        return self.context.run
 
     def __str__(self) -> str:
         return f"the conclusion of run {self.run}"

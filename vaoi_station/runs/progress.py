@@ -124,7 +124,7 @@ class Progress:
             return None
         self.concluding = True
         evidence = tuple(self.evidence[t] for t in self.needed if t in self.evidence)
-        return ConcludeJob(self.run, self.order.setup, self.film.head, self.present, evidence)
+        return ConcludeJob(self.context, self.film.head, self._slots(self.present), evidence)
 
     def concluded(self, answer: Answer, now_s: float) -> None:
         """The result is there, or cannot be had."""
@@ -147,11 +147,13 @@ class Progress:
     def _ask(self, tasks: Iterable[Task]) -> list[LinkJob]:
         new = [task for task in tasks if task not in self.asked_s]
         for task in new:
-            keys = [key for key in (task.a, task.b) if key is not None]
-            self.asked_s[task] = max(self.settled_s.get(key, self.barrier_s) for key in keys)
+            self.asked_s[task] = max(self.settled_s.get(key, self.barrier_s) for key in _frames_of(task))
         self.unanswered.update(new)
-        return [LinkJob(self.context, task, self._slots(task)) for task in new]
+        return [LinkJob(self.context, task, self._slots(_frames_of(task))) for task in new]
 
-    def _slots(self, task: Task) -> dict[FrameKey, int]:
-        keys = [key for key in (task.a, task.b) if key is not None]
+    def _slots(self, keys: Iterable[FrameKey]) -> dict[FrameKey, int]:
         return {key: slot for key in keys if (slot := self.frames[key].slot) is not None}
+
+
+def _frames_of(task: Task) -> list[FrameKey]:
+    return [key for key in (task.a, task.b) if key is not None]

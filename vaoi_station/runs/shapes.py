@@ -248,7 +248,7 @@ class ComponentSummary(Shape):
     tester_mm: tuple[float, float] | None
     """Place at the first row, tester coordinates; None without a CAD mapping."""
     views: int
-    """Frames that show at least half of it."""
+    """Frames in which its middle lies."""
 
 
 class EventRecord(Shape):

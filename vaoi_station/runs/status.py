@@ -1,0 +1,107 @@
+"""The station at one moment, as a status page shows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vaoi_station.config import StationConfig
+from vaoi_station.runs.accounts import versions
+from vaoi_station.runs.core import Core
+from vaoi_station.runs.shapes import (
+    CameraStatus,
+    LeaseStatus,
+    ProcessStatus,
+    Reason,
+    Retention,
+    RingStatus,
+    StationSnapshot,
+)
+from vaoi_station.runs.state import StationState
+from vaoi_station.store.documents import EVENTS_KEPT
+
+
+def snapshot_of(
+    core: Core,
+    config: StationConfig,
+    *,
+    ring: tuple[Path, int],
+    processes: tuple[ProcessStatus, ...],
+    last_run: str | None,
+    last_event: int,
+) -> StationSnapshot:
+    """Everything a status page shows; `ring` is path and size in bytes. Called in the conductor's thread."""
+    filming = core.book.filming
+    return StationSnapshot(
+        name=config.name,
+        state=core.state,
+        since=core.since,
+        reasons=_reasons(core, config),
+        armed_with=core.orders.shown(),
+        cameras=_cameras(core, config),
+        controller=core.health.controller if core.health else "",
+        processes=processes,
+        ring=RingStatus(
+            path=str(ring[0]),
+            size_bytes=ring[1],
+            bays=core.memory.bays(),
+            leases=tuple(
+                LeaseStatus(run=le.run, holder=le.holder, purpose=le.purpose, expires_in_s=core.leases.remaining_s(le))
+                for le in core.leases.all()
+            ),
+        ),
+        versions=versions(),
+        retention=_retention(config),
+        last_run=last_run,
+        filming=filming[0].run if filming else None,
+        last_event=last_event,
+        boards_missed=core.boards_missed,
+    )
+
+
+def _reasons(core: Core, config: StationConfig) -> tuple[Reason, ...]:
+    """What the station has to say for itself, and cameras that are not there."""
+    lost = [
+        Reason(
+            code="camera-lost",
+            message=f"Camera {config.cameras[k].name} is not connected. {camera.message}".strip(),
+            action="Check its cable and power; it is opened again by itself.",
+        )
+        for k, camera in enumerate(core.health.cameras if core.health else ())
+        if not camera.connected
+    ]
+    return (*core.reasons.values(), *lost)
+
+
+def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
+    if core.health is None:
+        waiting = core.state in (StationState.STARTING, StationState.FAULTED)
+        word = "not open yet" if waiting else "no news yet"
+        return tuple(
+            CameraStatus(camera=k, name=c.name, connected=False, message=word) for k, c in enumerate(config.cameras)
+        )
+    return tuple(
+        CameraStatus(
+            camera=k,
+            name=config.cameras[k].name,
+            connected=seen.connected,
+            message=seen.message,
+            temperature_c=seen.temperature_c,
+            delivered=seen.delivered,
+            incomplete=seen.incomplete,
+        )
+        for k, seen in enumerate(core.health.cameras)
+    )
+
+
+def _retention(config: StationConfig) -> Retention:
+    runs = config.ring.runs
+    return Retention(
+        runs_in_memory=runs,
+        lease_s=config.ring.lease_s,
+        frames=(
+            f"Frames of at most {runs} runs are in memory. While the line is armed, one place is kept for the next "
+            "board; the oldest finished run nobody holds makes room. A restart of the station loses all frames."
+        ),
+        results=f"Results and the records of runs are kept in {config.data}, also over restarts.",
+        events=f"The last {EVENTS_KEPT} events are kept, also over restarts.",
+    )
