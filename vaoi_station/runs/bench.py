@@ -34,7 +34,6 @@ from vaoi_station.runs.jobs import (
     RunContext,
 )
 from vaoi_station.runs.shapes import ImageFormat
-from vaoi_station.stitching.conclude import conclude
 from vaoi_station.stitching.evidence import Evidence, FrameKey
 from vaoi_station.stitching.work import Desk
 
@@ -101,7 +100,7 @@ class Bench:
             case LinkJob():
                 return self._link(job)
             case ConcludeJob():
-                return _conclude(job)
+                return self._conclude(job)
             case RenderJob():
                 return self._render(job)
 
@@ -109,6 +108,16 @@ class Bench:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
         return self._guarded(job.context.bay, job.context.generation, lambda: opened.desk.perform(job.task))
+
+    def _conclude(self, job: ConcludeJob) -> Concluded:
+        opened = self._runs[job.run]
+        opened.slots.update(job.slots)
+        stitch = self._guarded(
+            job.context.bay,
+            job.context.generation,
+            lambda: opened.desk.conclude(job.head.row_times_s(), tuple(job.slots), job.evidence),
+        )
+        return Concluded(stitch, json.dumps(stitch_document(stitch), allow_nan=False))
 
     def _render(self, job: RenderJob) -> bytes:
         frame = self._ring.frame(job.slot)
@@ -136,8 +145,3 @@ def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:
             file = io.BytesIO()
             np.save(file, image)
             return file.getvalue()
-
-
-def _conclude(job: ConcludeJob) -> Concluded:
-    stitch = conclude(job.setup, job.head, job.present, job.evidence)
-    return Concluded(stitch, json.dumps(stitch_document(stitch), allow_nan=False))

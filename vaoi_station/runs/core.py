@@ -193,7 +193,8 @@ class Core:
             self._rearm()
 
     def _on_armed(self, _: said.Armed) -> None:
-        if self.state is StationState.ARMING:
+        if self.state is StationState.ARMING and not self._disarm_sent:
+            self.reasons.clear()
             self._step(StationStep.ARMED)
             for waiter in self._arming:
                 waiter.set_result(None)
@@ -251,6 +252,8 @@ class Core:
 
     def _on_trouble(self, report: said.Trouble) -> None:
         self._blame(report.code, report.message, report.action)
+        if self.state is StationState.ARMING:
+            self._fail_arming(report)
 
     # --- how it goes about it
 
@@ -298,6 +301,16 @@ class Core:
             return
         self._step(StationStep.ARM)
         self._parts.acquisition.send(said.Arm(trigger_plan(self._config)))
+
+    def _fail_arming(self, trouble: said.Trouble) -> None:
+        """The cameras or the controller cannot; memory comes back with the answer to the disarming."""
+        self.orders.cancel(time.monotonic())
+        for waiter in self._arming:
+            waiter.set_exception(
+                DeviceError(f"Arming failed: {trouble.message}", action=trouble.action, code=trouble.code)
+            )
+        self._arming = []
+        self._send_disarm()
 
     def _arm_those_who_waited(self) -> None:
         waiting, self._after_disarm = self._after_disarm, []

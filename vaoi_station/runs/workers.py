@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InternalError, StateError
-from vaoi_station.runs.jobs import Answer, CloseRun, Hello, Job, LinkJob, OpenRun, Priority
+from vaoi_station.runs.jobs import Answer, CloseRun, Hello, Job, OpenRun, Priority, RenderJob
 from vaoi_station.runs.shapes import ProcessStatus
 from vaoi_station.runs.worker_process import work
 
@@ -258,7 +258,7 @@ class WorkerPool:
     def _hand(self, worker: _Worker, queued: _Queued) -> None:
         assert worker.connection is not None
         worker.job, worker.since_s = queued, time.monotonic()
-        if isinstance(queued.job, LinkJob) and queued.job.run not in worker.opened:
+        if not isinstance(queued.job, RenderJob) and queued.job.run not in worker.opened:
             worker.opened.add(queued.job.run)
             _send(worker.connection, OpenRun(queued.job.context))
         _send(worker.connection, queued.job)
