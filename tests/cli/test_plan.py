@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from vaoi_station.cli import app
+from vaoi_station.errors import InputError, NotFoundError
+
+
+def vaoi_plan(*options: str) -> Result:
+    return CliRunner().invoke(app, ["plan", *options])
+
+
+def test_the_papers_figures_for_programs() -> None:
+    result = vaoi_plan("--example", "paper", "--json")
+    assert result.exit_code == 0
+    document = json.loads(result.stdout)
+    assert document["requirements"]["width_mm"] == 400
+    assert {c["name"] for c in document["constraints"] if c["ok"] is False} == {"cameras", "frame rate"}
+    assert all("margin" in c for c in document["constraints"])
+    figures = {f["name"]: f for f in document["paper"]}
+    assert {name: f["paper"] for name, f in figures.items()} == {
+        "cameras needed": 12,
+        "focal length at d_max": 77.7,
+        "distance for the 75 mm lens": 483,
+        "f-number": None,
+        "longest exposure": 250,
+        "lowest frame rate": 8,
+        "data rate": 1111.8,
+        "capture duration": 5,
+    }
+    for name in ("focal length at d_max", "distance for the 75 mm lens", "longest exposure", "data rate"):
+        assert figures[name]["computed"] == pytest.approx(figures[name]["paper"], rel=1e-3)
+
+
+def test_the_papers_figures_for_people() -> None:
+    text = vaoi_plan("--example", "paper").stdout
+    for figure in (
+        "77.7 mm",
+        "483 mm",
+        "250 µs",
+        "8.00 frames/s",
+        "1111.8 Mbit/s",
+        "12.07",
+        "8.08",
+        "VIOLATED",
+        "open",
+    ):
+        assert figure in text
+
+
+def test_options_change_an_example() -> None:
+    document = json.loads(vaoi_plan("--example", "paper", "--cameras", "13", "--frame-rate-hz", "8.1", "--json").stdout)
+    assert document["ok"] is True
+    assert "paper" not in document
+
+
+def test_requirements_of_ones_own() -> None:
+    result = vaoi_plan(
+        *("--width-mm", "200", "--resolution-px-per-mm", "20", "--speed-mm-s", "50", "--sensor-width-mm", "11.3"),
+        *("--sensor-px-h", "2448", "--sensor-px-v", "2048", "--distance-max-mm", "600", "--json"),
+    )
+    assert result.exit_code == 0
+    document = json.loads(result.stdout)
+    assert document["array"]["cameras"] == 2
+    assert document["data"]["rows"] is None
+
+
+def test_what_is_missing_is_named_by_its_option() -> None:
+    result = vaoi_plan("--width-mm", "200", "--sensor-px-h", "2448")
+    assert isinstance(result.exception, InputError)
+    assert "--resolution-px-per-mm, --speed-mm-s, --sensor-px-v" in str(result.exception)
+    assert "--width-mm" not in str(result.exception)
+
+
+def test_nonsense_is_refused_by_field_value_and_limit() -> None:
+    result = vaoi_plan("--example", "paper", "--speed-mm-s", "0")
+    assert isinstance(result.exception, InputError)
+    assert "speed_mm_s is 0.0, but must be a finite number above 0" in str(result.exception)
+
+
+def test_an_unknown_example_is_refused() -> None:
+    result = vaoi_plan("--example", "line 3")
+    assert isinstance(result.exception, NotFoundError)
+    assert "example 'line 3' does not exist. The only example is 'paper'." in str(result.exception)
+
+
+def test_help_loads_nothing_heavy() -> None:
+    """`vaoi --help` must answer at once: the commands import what they need when they run."""
+    code = (
+        "import sys, vaoi_station.cli\n"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'numpy', 'cv2', 'pydantic', 'fastapi', 'uvicorn'}))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert loaded.stdout.strip() == "[]"
