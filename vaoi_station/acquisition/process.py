@@ -1,0 +1,178 @@
+"""The acquisition process: one inbox, one loop; everything else happens in threads of devices.
+
+The station starts it with `spawn` and talks to it over one pipe. Commands, controller events, arrivals,
+clock readings and faults meet in one queue, so that the loop is the only one to think. When the pipe ends
+it closes its devices and goes; when a device fails it says so and stays.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import queue
+import signal
+import threading
+import time
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, DeviceFault
+from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
+from vaoi_station.acquisition.devices import Devices, open_devices
+from vaoi_station.acquisition.messages import Arm, Disarm, Grant, Health, Ready, Report, Shutdown
+from vaoi_station.acquisition.reports import trouble
+from vaoi_station.acquisition.ring import Ring, RingLayout
+from vaoi_station.acquisition.session import Session
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import InternalError, StateError, VaoiError
+
+HEALTH_S = 0.5
+FIRST_READINGS = 8
+"""Clock readings before the process is ready."""
+
+
+def run_acquisition(config: StationConfig, ring_path: Path, connection: Connection) -> None:
+    """Film until told to stop, or until the other end of the pipe is gone."""
+    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to answer, by Shutdown
+    try:
+        with Ring.attach(ring_path, writable=True) as ring:
+            _check_layout(ring, config)
+            devices = open_devices(config)
+            try:
+                _Loop(config, ring, devices, connection).run()
+            finally:
+                devices.close()
+    except VaoiError as error:
+        _last_words(connection, error)
+    except (BrokenPipeError, ConnectionResetError):
+        pass  # the station is gone; there is nobody to tell
+    finally:
+        connection.close()
+
+
+class _Disarmed:
+    """Put into the inbox behind the last event of an armed controller."""
+
+
+class _Loop:
+    def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
+        self._devices, self._connection = devices, connection
+        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._clocks = [ClockModel("controller"), *(ClockModel(f"camera {c.name}") for c in config.cameras)]
+        self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
+        sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
+        self._clocked = list(zip(self._clocks, sources, strict=True))
+        self._closing = threading.Event()
+
+    def run(self) -> None:
+        """Start the devices, then think about one message after another."""
+        for camera in self._devices.cameras:
+            camera.start(self._inbox)
+        self._devices.controller.start(self._inbox)
+        for _ in range(FIRST_READINGS):
+            self._read_clocks()
+        woken, waker = multiprocessing.Pipe(duplex=False)
+        threads = [
+            threading.Thread(target=self._listen, args=(woken,), name="commands"),
+            threading.Thread(target=self._watch_clocks, name="clocks"),
+        ]
+        for thread in threads:
+            thread.start()
+        try:
+            self._send(Ready(len(self._devices.cameras)))
+            self._think()
+        finally:
+            self._closing.set()
+            waker.close()
+            for thread in threads:
+                thread.join()
+            woken.close()
+
+    def _think(self) -> None:
+        health_s = time.monotonic()
+        while True:
+            now_s = time.monotonic()
+            if now_s >= health_s:
+                self._send(self._health(now_s))
+                health_s = now_s + HEALTH_S
+            deadline_s = min(health_s, self._session.deadline_s() or health_s)
+            try:
+                item = self._inbox.get(timeout=max(deadline_s - now_s, 0.0))
+            except queue.Empty:
+                self._session.tick(time.monotonic())
+                continue
+            if isinstance(item, Shutdown):
+                return
+            try:
+                self._handle(item, time.monotonic())
+            except VaoiError as error:
+                self._send(trouble(error))
+
+    def _handle(self, item: object, now_s: float) -> None:
+        if isinstance(item, Arrival):
+            self._session.arrived(item, now_s)
+        elif isinstance(item, ControllerEvent):
+            self._session.heard(item, now_s)
+        elif isinstance(item, Grant):
+            self._session.grant(item)
+        elif isinstance(item, Arm):
+            self._session.arm(item.plan)
+        elif isinstance(item, Disarm):
+            self._devices.controller.disarm()
+            self._inbox.put(_Disarmed())
+        elif isinstance(item, _Disarmed):
+            self._session.disarmed(now_s)
+        elif isinstance(item, DeviceFault):
+            self._send(trouble(item.error, item.device))
+        elif isinstance(item, tuple):
+            clock, reading = item
+            clock.add(reading)
+        else:
+            raise InternalError(f"the acquisition process was told {item!r}, which it does not know.")
+
+    def _send(self, report: Report) -> None:
+        self._connection.send(report)
+
+    def _health(self, now_s: float) -> Health:
+        cameras = tuple(camera.health() for camera in self._devices.cameras)
+        return Health(cameras, self._devices.controller.health(), now_s)
+
+    def _listen(self, woken: Connection) -> None:
+        """Commands into the inbox; the end of the pipe is a Shutdown."""
+        command: object = None
+        while not isinstance(command, Shutdown):
+            if woken in wait([self._connection, woken]):
+                return
+            try:
+                command = self._connection.recv()
+            except (EOFError, OSError):
+                command = Shutdown()
+            self._inbox.put(command)
+
+    def _watch_clocks(self) -> None:
+        """Readings twice a second, from a thread of their own: a camera that is gone lets one wait for seconds."""
+        while not self._closing.wait(HEALTH_S):
+            for clock, source in self._clocked:
+                try:
+                    reading = source.read_clock()
+                except VaoiError as error:
+                    self._inbox.put(DeviceFault(clock.name, error))
+                else:
+                    self._inbox.put((clock, reading))
+
+    def _read_clocks(self) -> None:
+        for clock, source in self._clocked:
+            clock.add(source.read_clock())
+
+
+def _check_layout(ring: Ring, config: StationConfig) -> None:
+    if ring.layout != RingLayout.of(config):
+        raise StateError(f"{ring.path}: was made for another configuration.", action="Restart the station.")
+
+
+def _last_words(connection: Connection, error: VaoiError) -> None:
+    with contextlib.suppress(OSError):  # the station is gone; there is nobody to tell
+        connection.send(trouble(error))
