@@ -9,6 +9,7 @@ import typer
 from vaoi_station.cli.cut import cut
 from vaoi_station.cli.plan import plan
 from vaoi_station.cli.record import record
+from vaoi_station.cli.serve import serve
 from vaoi_station.cli.simulate import simulate
 from vaoi_station.cli.stitch import stitch
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
@@ -29,6 +30,7 @@ def vaoi() -> None:
 
 app.command()(plan)
 app.command()(simulate)
+app.command()(serve)
 app.command()(record)
 app.command()(stitch)
 app.command()(cut)

@@ -89,8 +89,10 @@ class _Life:
 class AcquisitionLink:
     """Reports come up through `hear`, deaths through `lost`, both in the link's own thread."""
 
-    def __init__(self, launch: Launch, hear: Callable[[Report], None], lost: Callable[[str], None]) -> None:
-        self._launch, self._hear, self._lost = launch, hear, lost
+    def __init__(self, launch: Launch) -> None:
+        self._launch = launch
+        self._hear: Callable[[Report], None] = lambda _: None
+        self._lost: Callable[[str], None] = lambda _: None
         self._lock = threading.Lock()
         self._life: _Life | None = None
         self._restarts = 0
@@ -98,8 +100,9 @@ class AcquisitionLink:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
 
-    def start(self) -> None:
+    def start(self, hear: Callable[[Report], None], lost: Callable[[str], None]) -> None:
         """Start the process and listen to it."""
+        self._hear, self._lost = hear, lost
         self._thread.start()
 
     def send(self, command: Command) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
-import sys
+
+from vaoi_station.runs.logs import start_log
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -20,4 +20,4 @@ def settle_in(one_thread: bool) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if one_thread:
         os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    logging.basicConfig(level=logging.INFO, stream=sys.stdout, format="%(levelname)s %(name)s: %(message)s")
+    start_log()

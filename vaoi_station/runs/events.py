@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import deque
@@ -10,8 +11,11 @@ from vaoi_station.runs.moments import utc
 from vaoi_station.runs.shapes import EventRecord
 from vaoi_station.store import EventRow, Store
 
+_log = logging.getLogger(__name__)
+
 RECENT = 1000
 """Events served from memory; older ones come from the store."""
+_TROUBLES = frozenset({"trouble", "board-missed", "process"})
 
 
 class EventLog:
@@ -42,6 +46,8 @@ class EventLog:
             self._recent.append(event)
             self._last = event.number
             self._news.notify_all()
+        level = logging.WARNING if kind in _TROUBLES else logging.INFO
+        _log.log(level, "%s%s: %s", kind, f" {run}" if run else "", f"{message} {action}".strip())
         return event
 
     def read(self, after: int, timeout_s: float, limit: int) -> tuple[EventRecord, ...]:

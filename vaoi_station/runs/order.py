@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from vaoi_station.model import BoardType
+from vaoi_station.config import Line
+from vaoi_station.model import BoardType, Calibration, CameraHead
+from vaoi_station.runs.moments import utc
 from vaoi_station.runs.shapes import ArmedWith
 from vaoi_station.stitching.work import Setup
+from vaoi_station.store import Store
 
 
 @dataclass(frozen=True)
@@ -62,3 +65,23 @@ class Orders:
     def shown(self) -> ArmedWith | None:
         """As a status page shows it; None while nothing is ordered."""
         return None if self.order is None else self.order.shown(self.runs_left)
+
+
+class OrderDesk:
+    """Makes orders: everything that can be wrong with a board type on this line is found before a board comes."""
+
+    def __init__(self, line: Line, calibration: Calibration, heads: tuple[CameraHead, ...], store: Store) -> None:
+        self._line, self._store = line, store
+        self._cameras = calibration.cameras(heads)
+        self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
+
+    def __call__(self, board_type: BoardType, board_id: str | None, job_id: str | None) -> Order:
+        """The order for boards of a type."""
+        setup = Setup(
+            cameras=self._cameras,
+            conveyor_mm_s=self._line.conveyor_mm_s,
+            trigger_period_s=self._line.trigger_period_s,
+            board_type=board_type,
+        )
+        digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
+        return Order(board_type, board_id, job_id, setup, digest, self._calibration_digest)

@@ -65,9 +65,9 @@ class _Worker:
 class WorkerPool:
     """The workers; `submit` from any thread, answers come in the pool's own thread."""
 
-    def __init__(self, count: int, ring_path: Path, lost: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(self, count: int, ring_path: Path) -> None:
         self._ring_path = ring_path
-        self._lost = lost
+        self._lost: Callable[[str], None] = lambda _: None
         self._spawn = multiprocessing.get_context("spawn")
         self._workers = [_Worker(k) for k in range(count)]
         self._queues: dict[Priority, deque[_Queued]] = {p: deque() for p in Priority}
@@ -76,8 +76,9 @@ class WorkerPool:
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
 
-    def start(self) -> None:
-        """Start the processes; jobs may be submitted before they are ready."""
+    def start(self, lost: Callable[[str], None]) -> None:
+        """Start the processes; jobs may be submitted before they are ready. `lost` hears of every death."""
+        self._lost = lost
         self._thread.start()
 
     def submit(self, job: Job, done: Done) -> None:

@@ -1,0 +1,20 @@
+"""`vaoi serve --config station.toml`: the whole service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def serve(
+    config: Annotated[Path, typer.Option(help="The station's configuration.")] = Path("station.toml"),
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="In place of [api] port; 0: any free one.")] = None,
+    log_json: Annotated[bool, typer.Option("--log-json", help="Log JSON objects, one per line.")] = False,
+) -> None:
+    """Film boards, stitch them, and answer by REST, until stopped."""
+    from vaoi_station import station
+    from vaoi_station.config import read_config
+
+    station.serve(read_config(config), port, log_json)
