@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import cv2
+import httpx2
 import numpy as np
 import pytest
+import uvicorn
 from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
@@ -111,10 +114,11 @@ class HeldStation:
             raise RuntimeError("a secret path /etc/passwd")
         done = self._finished()
         camera = [f.CameraStatus(camera=i, name=f"cam{i}", connected=True) for i in range(CAMERAS)]
+        ring = f.RingStatus(path="ring", size_bytes=1, bays=(), leases=())
         worker = f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
         return f.StationSnapshot(
             name="test", state=self.state, since=NOW, reasons=self.reasons, armed_with=self.armed,
-            cameras=tuple(camera), controller="ok", processes=(worker,), ring=f.RingStatus(path="ring", size_bytes=1, bays=(), leases=()), versions=VERSIONS,
+            cameras=tuple(camera), controller="ok", processes=(worker,), ring=ring, versions=VERSIONS,
             retention=f.Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
             boards_missed=0,
@@ -288,3 +292,40 @@ def station() -> HeldStation:
 def client(station: HeldStation) -> Iterator[TestClient]:
     with TestClient(create_app(station), raise_server_exceptions=False) as client:
         yield client
+
+
+class Served:
+    """The application behind a real socket on loopback, and a client for it."""
+
+    def __init__(self, station: HeldStation) -> None:
+        self.station = station
+        self.app = create_app(station)
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}"
+        config = uvicorn.Config(self.app, log_level="warning", timeout_graceful_shutdown=5, ws="none")
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [self._socket]}, daemon=True)
+        self._thread.start()
+        self.client = httpx2.Client(base_url=self.url, timeout=20)
+        self.client.get("/healthz")  # answered as soon as the application has started
+
+    def stop(self) -> None:
+        """As the station does it: its log ends, then the server."""
+        self.station.close()
+        self._server.should_exit = True
+        self._thread.join(timeout=30)
+        self.client.close()
+        self._socket.close()
+
+
+@pytest.fixture
+def served(station: HeldStation) -> Iterator[Served]:
+    server = Served(station)
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def serve() -> Callable[[HeldStation], Served]:
+    """For tests that stop a server themselves."""
+    return Served

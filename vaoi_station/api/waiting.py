@@ -51,7 +51,8 @@ class Hub:
         self._listener = Threads(1)
         self._news = asyncio.Event()
         self._newest = 0
-        self._waiting = 0
+        self.waiting = 0
+        """Long polls and streams at this moment."""
         self.closed = False
 
     @asynccontextmanager
@@ -74,13 +75,13 @@ class Hub:
     @asynccontextmanager
     async def place(self) -> AsyncIterator[None]:
         """Room for one who waits; BusyError when too many do."""
-        if self._waiting >= MAX_WAITING:
-            raise BusyError(f"{self._waiting} callers are waiting for news, which is the limit.")
-        self._waiting += 1
+        if self.waiting >= MAX_WAITING:
+            raise BusyError(f"{self.waiting} callers are waiting for news, which is the limit.")
+        self.waiting += 1
         try:
             yield
         finally:
-            self._waiting -= 1
+            self.waiting -= 1
 
     async def events(self, after: int, timeout_s: float) -> tuple[EventRecord, ...]:
         """Events numbered above `after`, oldest first; waits for one, and is empty on time-out or at the end."""

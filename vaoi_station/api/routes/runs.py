@@ -104,7 +104,8 @@ def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Respon
 async def _next(services: Services, after: str | None, timeout_s: float) -> RunDetail | None:
     """Wait on the hub, without a thread, and look whenever something has happened."""
     hub, ask, conductor = services.hub, services.commands.ask, services.conductor
-    until, seen = time.monotonic() + timeout_s, hub.newest
+    until = time.monotonic() + timeout_s
+    seen = hub.newest if after is not None else (await ask(conductor.snapshot)).last_event
     async with hub.place():
         while True:
             if after is not None and (run := await ask(conductor.next_run, after, 0.0)) is not None:

@@ -1,0 +1,88 @@
+"""Server-sent events over a real connection."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from itertools import islice
+from typing import Any
+
+import pytest
+
+
+def messages(response: Any) -> Iterator[dict[str, str]]:
+    """The stream as a browser reads it: fields up to an empty line; comments are skipped."""
+    fields: dict[str, str] = {}
+    for line in response.iter_lines():
+        if not line:
+            if fields:
+                yield fields
+            fields = {}
+        elif not line.startswith(":"):
+            name, _, value = line.partition(":")
+            fields[name] = value.removeprefix(" ")
+
+
+def news(response: Any, count: int) -> list[dict[str, Any]]:
+    found = (m for m in messages(response) if m.get("event") != "heartbeat")
+    return [{"id": int(m["id"]), **json.loads(m["data"])} for m in islice(found, count)]
+
+
+def test_what_happens_arrives_in_order_with_its_number(served: Any) -> None:
+    with served.client.stream("GET", "/api/v1/events") as response:
+        assert response.headers["content-type"].startswith("text/event-stream")
+        stream = messages(response)
+        assert next(stream)["event"] == "heartbeat"
+        run = served.station.film()
+        first, second = (json.loads(m["data"]) for m in islice(stream, 2))
+    assert (first["number"], first["state"], first["run"]) == (1, "stitching", run)
+    assert (second["number"], second["state"], second["run"]) == (2, "ready", run)
+
+
+@pytest.mark.parametrize("header", [True, False])
+def test_a_client_resumes_behind_the_last_event_it_knows(served: Any, header: bool) -> None:
+    for _ in range(3):
+        served.station.film()
+    asked = {"headers": {"Last-Event-ID": "2"}} if header else {"params": {"after": 2}}
+    with served.client.stream("GET", "/api/v1/events", **asked) as response:
+        assert [m["id"] for m in news(response, 4)] == [3, 4, 5, 6]
+
+
+def test_the_header_of_a_reconnecting_browser_outranks_its_address(served: Any) -> None:
+    served.station.film()
+    served.station.film()
+    headers = {"Last-Event-ID": "3"}
+    with served.client.stream("GET", "/api/v1/events", params={"after": 0}, headers=headers) as response:
+        assert [m["id"] for m in news(response, 1)] == [4]
+
+
+def test_a_client_that_knows_more_than_there_is_begins_at_the_newest(served: Any) -> None:
+    served.station.film()
+    with served.client.stream("GET", "/api/v1/events", headers={"Last-Event-ID": "9000"}) as response:
+        stream = messages(response)
+        assert json.loads(next(stream)["data"])["last_event"] == 2
+        served.station.film()
+        assert next(stream)["id"] == "3"
+
+
+def test_a_silent_station_gives_signs_of_life(served: Any) -> None:
+    with served.client.stream("GET", "/api/v1/events") as response:
+        beats = list(islice(messages(response), 2))
+    assert [b["event"] for b in beats] == ["heartbeat", "heartbeat"]
+    assert json.loads(beats[1]["data"])["state"] == "idle"
+    assert "id" not in beats[1]
+
+
+@pytest.mark.parametrize("wrong", ["x", "-1", "1.5", "9" * 40])
+def test_an_event_id_that_is_none_is_refused(client: Any, wrong: str) -> None:
+    answer = client.get("/api/v1/events", headers={"Last-Event-ID": wrong})
+    assert answer.status_code == 422
+    assert "Last-Event-ID" in answer.json()["detail"]
+
+
+def test_streams_end_when_the_station_stops(served: Any) -> None:
+    with served.client.stream("GET", "/api/v1/events") as response:
+        stream = messages(response)
+        next(stream)
+        served.station.tell("station", "Stopping.", state="stopping")
+        assert [json.loads(m["data"])["state"] for m in stream] == ["stopping"]

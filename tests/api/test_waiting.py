@@ -1,0 +1,126 @@
+"""The long poll, and that those who wait hold up nobody."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx2
+import pytest
+
+from vaoi_station.api import waiting
+from vaoi_station.api.waiting import Hub
+from vaoi_station.errors import BusyError, StateError
+
+NEXT = "/api/v1/runs/next"
+
+
+def test_a_time_out_is_an_empty_answer(client: Any) -> None:
+    answer = client.get(NEXT, params={"timeout": 0.05})
+    assert (answer.status_code, answer.content) == (204, b"")
+    assert answer.headers["cache-control"] == "no-store"
+
+
+def test_a_run_that_finished_already_is_answered_at_once(client: Any, station: Any) -> None:
+    first, second = station.film(), station.film(board_id="B2")
+    answer = client.get(NEXT, params={"after": first, "timeout": 30})
+    assert (answer.json()["id"], answer.json()["board_id"]) == (second, "B2")
+    assert client.get(NEXT, params={"after": second, "timeout": 0}).status_code == 204
+
+
+def test_an_unknown_run_to_wait_behind_is_refused(client: Any) -> None:
+    assert client.get(NEXT, params={"after": "r999999", "timeout": 30}).status_code == 404
+
+
+@pytest.mark.parametrize("timeout", ["-1", "61", "nan", "inf", "soon"])
+def test_the_wait_is_bounded(client: Any, timeout: str) -> None:
+    assert client.get(NEXT, params={"timeout": timeout}).status_code == 422
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_caller_wakes_when_a_run_finishes(served: Any, follows: bool) -> None:
+    known = served.station.film()
+    unfinished = served.station.film(finish=False)
+    with ThreadPoolExecutor() as pool:
+        params = {"timeout": 30, **({"after": known} if follows else {})}
+        waiting = pool.submit(served.client.get, NEXT, params=params)
+        served.station.tell("trouble", "something else", code="cable")
+        assert not waiting.done()
+        wait_for_callers(served, 1)
+        served.station.finish(unfinished)
+        assert waiting.result(timeout=20).json()["id"] == unfinished
+
+
+def test_following_the_ids_every_run_is_seen_once(served: Any) -> None:
+    seen = [served.station.film()]
+    with ThreadPoolExecutor() as pool:
+        filming = pool.submit(lambda: [served.station.film() for _ in range(20)])
+        while len(seen) < 21:
+            seen.append(served.client.get(NEXT, params={"after": seen[-1], "timeout": 20}).json()["id"])
+        assert seen[1:] == filming.result()
+
+
+def test_many_waiting_callers_hold_up_neither_commands_nor_pictures(served: Any) -> None:
+    run = served.station.film()
+    limits = httpx2.Limits(max_connections=200)
+    with ThreadPoolExecutor(100) as pool, httpx2.Client(base_url=served.url, timeout=30, limits=limits) as client:
+        waiting = [pool.submit(client.get, NEXT, params={"after": run, "timeout": 60}) for _ in range(100)]
+        wait_for_callers(served, 100)
+        assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
+        assert served.client.get(f"/api/v1/runs/{run}/frames/0/0").status_code == 200
+        last = served.station.film()
+        assert {w.result(timeout=30).json()["id"] for w in waiting} == {last}
+
+
+def test_slow_pictures_do_not_hold_up_commands(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = served.station.film()
+    begun, go_on = threading.Semaphore(0), threading.Event()
+    frame = served.station.frame
+
+    def slow(*args: Any) -> Any:
+        begun.release()
+        go_on.wait(20)
+        return frame(*args)
+
+    monkeypatch.setattr(served.station, "frame", slow)
+    with ThreadPoolExecutor(20) as pool:
+        pictures = [pool.submit(served.client.get, f"/api/v1/runs/{run}/frames/0/0") for _ in range(20)]
+        for _ in range(waiting.PICTURE_THREADS):
+            begun.acquire()
+        assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
+        go_on.set()
+        assert {p.result().status_code for p in pictures} == {200}
+
+
+def test_too_many_callers_are_sent_away(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(waiting, "MAX_WAITING", 1)
+
+    async def crowd() -> None:
+        hub = Hub(station)
+        async with hub.place():
+            with pytest.raises(BusyError, match="1 callers are waiting"):
+                async with hub.place():
+                    pass
+
+    asyncio.run(crowd())
+
+
+def test_a_log_that_cannot_be_read_ends_the_waiting(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: Any) -> Any:
+        raise StateError("the log is closed")
+
+    async def wait() -> tuple[Any, bool]:
+        hub = Hub(station)
+        monkeypatch.setattr(station, "events", broken)
+        async with hub.listening():
+            return await hub.events(0, 30), hub.closed
+
+    assert asyncio.run(wait()) == ((), True)
+
+
+def wait_for_callers(served: Any, count: int) -> None:
+    """Look until so many callers wait; each look is a request that the server answers between theirs."""
+    while served.app.state.hub.waiting < count:
+        served.client.get("/healthz")
