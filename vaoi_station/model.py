@@ -295,6 +295,13 @@ class Surface(Noun):
     about: Point = (0.0, 0.0)
     half_span: Point = (1.0, 1.0)
 
+    def height_mm(self, cad: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height (…,) of the board's surface at CAD points (…, 2)."""
+        at = np.clip((np.asarray(cad) - self.about) / self.half_span, -1.2, 1.2)
+        u, v = at[..., 0], at[..., 1]
+        terms = (*self.tilt_mm, *self.bow_mm)
+        return np.asarray(self.lift_mm + sum(c * b for c, b in zip(terms, (u, v, u * u, u * v, v * v), strict=True)))
+
 
 class Stitch(Noun):
     """A result: M_ij, C, D_j, the verdict and its evidence; immutable once written."""

@@ -63,30 +63,32 @@ def locate(image: NDArray[np.uint8], near_px: Floats, shape: Shape, size_px: flo
 def _by_gradients(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:
     """Centre of a circle: the point nearest to all lines along the gradients of its edge."""
     smooth = cv2.GaussianBlur(patch, (0, 0), 0.8)
-    gx = np.zeros_like(smooth)
-    gy = np.zeros_like(smooth)
-    gx[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) / 2
-    gy[1:-1] = (smooth[2:] - smooth[:-2]) / 2
-    yy, xx = np.mgrid[: patch.shape[0], : patch.shape[1]].astype(np.float64)
-    a, b, c = (gy * gy).astype(np.float64), (gx * gy).astype(np.float64), (gx * gx).astype(np.float64)
-    center, normal, w = start, np.eye(2), np.ones_like(a)
+    gx, gy = ((smooth[1:-1, 2:] - smooth[1:-1, :-2]) / 2).ravel(), ((smooth[2:, 1:-1] - smooth[:-2, 1:-1]) / 2).ravel()
+    side = patch.shape[0] - 2
+    middle = (side - 1) / 2
+    at = np.arange(side, dtype=np.float32) - np.float32(middle)
+    x, y = np.tile(at, side), np.repeat(at, side)
+    a, b, c = gy * gy, gx * gy, gx * gx
+    sums = np.stack([a, -b, c, a * x - b * y, c * y - b * x])
+    begin = start - 1 - middle
+    center, normal, w = begin, np.eye(2), np.ones_like(x)
     for _ in range(_STEPS):
-        r = np.hypot(xx - center[0], yy - center[1])
-        w = np.exp(-0.5 * ((r - size_px / 2) / max(0.1 * size_px, 1.5)) ** 2)
-        normal = np.array([[(w * a).sum(), -(w * b).sum()], [-(w * b).sum(), (w * c).sum()]])
-        right = np.array([(w * (a * xx - b * yy)).sum(), (w * (c * yy - b * xx)).sum()])
-        if np.linalg.det(normal) < 1e-6 * max(np.trace(normal), 1e-6) ** 2:
+        r = np.sqrt((x - np.float32(center[0])) ** 2 + (y - np.float32(center[1])) ** 2)
+        w = np.exp(-0.5 * ((r - np.float32(size_px / 2)) / np.float32(max(0.1 * size_px, 1.5))) ** 2)
+        aa, ab, bb, ra, rb = (float(v) for v in sums @ w)
+        normal = np.array([[aa, ab], [ab, bb]])
+        determinant = aa * bb - ab * ab
+        if determinant < 1e-6 * max(aa + bb, 1e-6) ** 2:
             return Failure("no round edge: the gradients run all one way")
-        moved = np.linalg.solve(normal, right)
-        if np.abs(moved - start).max() > size_px / 3 + 2:
+        moved = np.array([bb * ra - ab * rb, aa * rb - ab * ra]) / determinant
+        if np.abs(moved - begin).max() > size_px / 3 + 2:
             return Failure("no round edge near the predicted place")
         center, step = moved, float(np.abs(moved - center).max())
         if step < 1e-3:
             break
-    offset = gy * (xx - center[0]) - gx * (yy - center[1])
-    variance = float((w * w * offset**2).sum() / max((w * w).sum(), 1e-9))
-    spread = np.linalg.inv(normal) * variance * (w * w).sum() / max(w.sum(), 1e-9)
-    return center, float(np.sqrt(max(np.trace(spread) / 2, 0.005**2)))
+    offset = gy * (x - np.float32(center[0])) - gx * (y - np.float32(center[1]))
+    spread = np.linalg.inv(normal) * float((w * w * offset * offset).sum()) / max(float(w.sum()), 1e-9)
+    return center + 1 + middle, float(np.sqrt(max(np.trace(spread) / 2, 0.005**2)))
 
 
 def _by_symmetry(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:

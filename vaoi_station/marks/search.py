@@ -14,7 +14,7 @@ from vaoi_station.marks.artwork import Shape, coverage
 SURROUND = 2.0
 """Diameter of the compared disc in sizes of the mark: the mark, and the bare rim that board makers leave around it."""
 _SMALLEST_PX = 5.0
-_LEAST_SCORE = 0.60
+_LEAST_SCORE = 0.75
 _LEAST_VARIANCE = 4.0
 """Grey levels squared; below that a place is flat."""
 

@@ -88,10 +88,9 @@ def views_of(
     views = []
     for i, camera in enumerate(cameras):
         for j in range(len(stitch.image_matrices[i])):
-            image_from_tester = stitch.image_from_tester(i, j)
-            if image_from_tester is None:
+            if stitch.image_matrices[i][j] is None:
                 continue
-            image_from_crop = image_from_tester @ stitch.tester_from_cad @ crop_from_cad.inverse()
+            image_from_crop = _image_from_cad(stitch, camera, i, j, component) @ crop_from_cad.inverse()
             coverage = _coverage(camera, image_from_crop, grid)
             if coverage < max(min_coverage, 1e-9):
                 continue
@@ -145,6 +144,18 @@ def crop_of(component: Component, board_type: BoardType, px_per_mm: float) -> tu
     y0 = box[0 if y_down else 1, 1]
     matrix = np.array([[sx, 0, -sx * x0 - 0.5], [0, sy, -sy * y0 - 0.5], [0, 0, 1.0]])
     return width, height, Projective(matrix, System.CROP, System.CAD)
+
+
+def _image_from_cad(stitch: Stitch, camera: Camera, i: int, j: int, component: Component) -> Projective:
+    """CAD to undistorted pixels of one frame, in the plane in which the component's footprint lies."""
+    assert stitch.tester_from_cad is not None
+    if stitch.surface is None:
+        image_from_tester = stitch.image_from_tester(i, j)
+        assert image_from_tester is not None
+        return image_from_tester @ stitch.tester_from_cad
+    height = float(stitch.surface.height_mm(np.array(component.center)))
+    row_from_tester = Projective(stitch.row_motion[j], System.ROW, System.TESTER)
+    return camera.image_from_row_at(height) @ row_from_tester @ stitch.tester_from_cad
 
 
 def _coverage(camera: Camera, image_from_crop: Projective, grid: Floats) -> float:

@@ -25,7 +25,7 @@ _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
 """… and beyond so many count no more."""
-_PAIR_SIGMA_PX = 0.010
+_PAIR_SIGMA_PX = 0.006
 """What the links of one pair of frames share and does not average out (interpolation, light, calibration)."""
 _FLOOR_PX = (0.010, 5.0)
 """Range of the scatter of single links beyond image noise."""
@@ -50,8 +50,8 @@ class FiducialPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
-    """Basis functions of the board's height: values per link, prior sigmas in mm."""
+class SurfaceBasis:
+    """Basis functions of the board's height: values per link and sighting, prior sigmas in mm."""
 
     at_links: Floats
     """(k, f)."""
@@ -70,7 +70,7 @@ class Problem:
     """(k,) number of the component a link lies on, −1 for the bare board."""
     fiducials: FiducialPoints | None = None
     nominal_scale: float = 1.0
-    surface: Surface | None = None
+    surface: SurfaceBasis | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Adjusted:
     link_sigma: Floats
     """(k,) residual of each link in standard deviations."""
     link_px: Floats
-    """(k,) residual of each link in px."""
+    """(k, 2) residual of each link in px, along the tester's axes."""
     weight: Floats
     """(k,) final robust weight; 0: not used."""
     fiducial_px: Floats
@@ -316,13 +316,13 @@ class _Solver:
         o, s = self.p.links, self.p.fiducials
         covariance = np.asarray(np.linalg.inv(self.normal), dtype=np.float64)
         covariance[:3] = covariance[:, :3] = 0
-        used = px = sigma = np.zeros(0)
+        used, sigma, px = np.zeros(0), np.zeros(0), np.zeros((0, 2))
         sigma0 = 1.0
         if len(o):
             residual, _ = self._residuals()
             self._weights(residual)
             used, sigma = self.robust, self.sigma
-            px = np.hypot(*(residual * o.px_per_mm[:, None]).T)
+            px = residual * o.px_per_mm[:, None]
             sigma0 = float(np.sqrt(np.average(sigma**2, weights=np.maximum(used, 1e-9))))
         heights = np.full(self.n_components, np.nan)
         told = np.bincount(self.p.component[self.p.component >= 0], minlength=self.n_components) >= 3

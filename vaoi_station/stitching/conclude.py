@@ -20,7 +20,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.adjustment import Adjusted, FiducialPoints, Problem, adjust
+from vaoi_station.stitching.adjustment import Adjusted, FiducialPoints, Problem, SurfaceBasis, adjust
 from vaoi_station.stitching.cad import Frame, assign, board_frame, expected_angle, find_board, gather
 from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
@@ -29,6 +29,7 @@ from vaoi_station.stitching.motion import Motion, nominal_motion
 from vaoi_station.stitching.observations import Observations, observe
 from vaoi_station.stitching.sight import look_again
 from vaoi_station.stitching.start import chained
+from vaoi_station.stitching.surface import SIGMA_MM, basis_on_board, described
 from vaoi_station.stitching.verdict import Findings, judge, quality_of
 
 FrameSource = Callable[[int, int], NDArray[np.uint8] | None]
@@ -129,21 +130,28 @@ def _map_cad(
         return guess, problem, []
     seen = look_again(frame.board_type, frame.matrix(guess.c), cameras, moved.motion, sightings, grey)
     points, _ = assign(frame, guess.c, seen, cameras, moved.motion)
-    first = adjust(_with_board(problem, points, frame, moved.motion, guess.c), moved.motion, guess.c)
+    tall_view = all(camera.working_distance_mm is not None for camera in cameras)
+    rough = _with_board(problem, points, frame, moved.motion, guess.c, tall_view=tall_view)
+    first = adjust(rough, moved.motion, guess.c)
     assert first.similarity is not None
     points, which = assign(frame, first.similarity, seen, cameras, first.motion)
-    whole = _with_board(problem, points, frame, first.motion, first.similarity)
+    whole = _with_board(problem, points, frame, first.motion, first.similarity, tall_view=tall_view)
     return adjust(whole, first.motion, first.similarity), whole, which
 
 
-def _with_board(problem: Problem, points: FiducialPoints, frame: Frame, motion: Motion, c: Floats) -> Problem:
-    """The problem with fiducials, and with every link told which component it lies on."""
+def _with_board(
+    problem: Problem, points: FiducialPoints, frame: Frame, motion: Motion, c: Floats, *, tall_view: bool
+) -> Problem:
+    """The problem with fiducials, the surface (where cameras know their height), and the component of every link."""
     on_board = motion.board(problem.links.p, problem.links.a_mm)
+    marks = motion.board(points.row, points.ground_mm)
+    at_links, at_marks = (basis_on_board(frame.board_type, frame.matrix(c), at) for at in (on_board, marks))
     return replace(
         problem,
         component=component_of(frame, c, on_board),
         fiducials=points,
         nominal_scale=frame.board_type.mm_per_unit,
+        surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if tall_view else None,
     )
 
 
@@ -158,9 +166,12 @@ def _result(findings: Findings, status: Any, reasons: tuple[str, ...], quality: 
     d = [motion.row_from_tester(j) for j in range(len(motion.angle))]
     c = findings.adjusted.similarity
     matrix = None if c is None or findings.frame is None or findings.cad_failure else findings.frame.matrix(c)
-    components = None
+    components = surface = None
     if matrix is not None and findings.frame is not None:
-        components = footprint_views(findings.frame.board_type, matrix, findings.cameras, d)
+        board_type = findings.frame.board_type
+        if len(findings.adjusted.surface_mm):
+            surface = described(board_type, findings.adjusted.surface_mm)
+        components = footprint_views(board_type, matrix, findings.cameras, d, surface)
     return Stitch(
         method="auto",
         image_matrices=tuple(
@@ -174,5 +185,6 @@ def _result(findings: Findings, status: Any, reasons: tuple[str, ...], quality: 
         status=status,
         reasons=reasons,
         quality=quality,
+        surface=surface,
         components=components,
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from vaoi_station.geometry import Camera, Euclidean
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import BoardType
+from vaoi_station.model import BoardType, Surface
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.observations import Ints
 
@@ -33,17 +33,23 @@ def component_of(frame: Frame, c: Floats, board_mm: Floats) -> Ints:
 
 
 def footprint_views(
-    board_type: BoardType, cad_matrix: Floats, cameras: Sequence[Camera], motion: Sequence[Euclidean]
+    board_type: BoardType,
+    cad_matrix: Floats,
+    cameras: Sequence[Camera],
+    motion: Sequence[Euclidean],
+    surface: Surface | None,
 ) -> dict[str, tuple[tuple[int, int, float, float], ...]]:
     """Raw pixels of the centre of each footprint in every frame that shows it: {address: [(camera, row, x, y)]}."""
     parts = board_type.components
     if not parts:
         return {}
-    board = apply(cad_matrix, np.array([p.center for p in parts]))
+    centers = np.array([p.center for p in parts])
+    board = apply(cad_matrix, centers)
+    height = surface.height_mm(centers) if surface else np.zeros(len(parts))
     views: list[list[tuple[int, int, float, float]]] = [[] for _ in parts]
     for i, camera in enumerate(cameras):
         for j, d in enumerate(motion):
-            px = camera.project(d(board))
+            px = camera.project(d(board), height)
             for n in np.flatnonzero(camera.sees(px, -_BEYOND_PX)):
                 views[n].append((i, j, round(float(px[n, 0]), 4), round(float(px[n, 1]), 4)))
     return {p.address: tuple(v) for p, v in zip(parts, views, strict=True)}

@@ -15,11 +15,12 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
-from vaoi_station.stitching.adjustment import Adjusted, Problem, similar_jacobian
+from vaoi_station.stitching.adjustment import Adjusted, Problem
 from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.evidence import FrameKey, Links
 from vaoi_station.stitching.motion import measured_velocity
 from vaoi_station.stitching.start import tied_rows
+from vaoi_station.stitching.uncertainty import predicted_sigma
 
 _OK_SIGMA_PX = 0.20
 _FIDUCIAL_LIMIT_PX = 0.30
@@ -27,8 +28,6 @@ _SEAM_LIMIT_PX = 0.30
 _FLOOR_LIMIT_PX = 0.30
 _SCALE_LIMIT = 1e-3
 _OUTSIDE_LIMIT = 0.03
-_MODEL_PX = 0.03
-"""Standard deviation of what no residual shows: calibration, artwork, flatness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +56,6 @@ class Findings:
         return tuple(j in rows for j in range(self.rows))
 
     @cached_property
-    def px_per_mm(self) -> float:
-        """Mean resolution of the array."""
-        return float(np.mean([c.px_per_mm for c in self.cameras]))
-
-    @cached_property
     def tied(self) -> list[np.ndarray]:
         """Groups of rows that links tie together, of those rows that show texture."""
         o = self.problem.links
@@ -80,31 +74,8 @@ class Findings:
             pairs = {n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i}
             use = np.isin(o.group, list(pairs)) & (self.problem.component < 0)
             if use.sum() >= 12:
-                step = (o.b_mm[use] - o.a_mm[use]) * o.px_per_mm[use, None]
-                out[i, i + 1] = float(np.hypot(*np.median(step, axis=0)))
+                out[i, i + 1] = float(np.hypot(*np.median(self.adjusted.link_px[use], axis=0)))
         return out
-
-    def sigma_px(self) -> tuple[list[float], float | None]:
-        """Predicted standard deviation (per axis) of the board's middle in every row, and of the worst corner."""
-        if self.frame is None or self.adjusted.similarity is None:
-            return [self._row_sigma(j, None) for j in range(self.rows)], None
-        low, high = self.frame.board_type.extent()
-        box = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-        flat = self.frame.flat(np.vstack([box, box.mean(0)]))
-        rows = [self._row_sigma(j, flat[4:]) for j in range(self.rows)]
-        c = similar_jacobian(flat[:4])
-        at = slice(3 * self.rows, 3 * self.rows + 4)
-        spread = np.einsum("kif,fg,kig->k", c, self.adjusted.covariance[at, at], c) / 2
-        return rows, float(np.hypot(np.sqrt(spread.max()) * self.px_per_mm, _MODEL_PX))
-
-    def _row_sigma(self, row: int, flat: Floats | None) -> float:
-        m = self.rows
-        j = np.zeros((2, self.adjusted.covariance.shape[0]))
-        j[:, 3 * row + 1 : 3 * row + 3] = np.eye(2)
-        if flat is not None:
-            j[:, 3 * m : 3 * m + 4] = -similar_jacobian(flat)[0]
-        variance = float(np.trace(j @ self.adjusted.covariance @ j.T)) / 2
-        return float(np.hypot(np.sqrt(max(variance, 0.0)) * self.px_per_mm, _MODEL_PX))
 
 
 def judge(f: Findings) -> tuple[Status, tuple[str, ...]]:
@@ -130,7 +101,7 @@ def _complaints(f: Findings) -> list[str]:
         if px > _SEAM_LIMIT_PX:
             out.append(
                 f"cameras {i} and {j} disagree by {px:.2f} px (limit {_SEAM_LIMIT_PX}): "
-                "the board lies above or below the calibrated plane, or a camera has moved"
+                "a camera has moved, or the board is bent more than a board may"
             )
     if f.frame is not None and f.adjusted.similarity is not None and f.cad_failure is None:
         out += _cad_complaints(f, f.frame, f.adjusted.similarity)
@@ -163,7 +134,7 @@ def _cad_complaints(f: Findings, frame: Frame, c: Floats) -> list[str]:
         out.append(
             f"{off_board:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}): another type, or turned?"
         )
-    _, worst = f.sigma_px()
+    worst = predicted_sigma(f.cameras, frame, f.adjusted, f.present).worst_px
     if worst is not None and worst > _OK_SIGMA_PX:
         out.append(f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX})")
     return out
@@ -172,7 +143,7 @@ def _cad_complaints(f: Findings, frame: Frame, c: Floats) -> list[str]:
 def quality_of(f: Findings) -> dict[str, Any]:
     """The numbers behind the verdict."""
     a = f.adjusted
-    rows, worst = f.sigma_px()
+    sigma = predicted_sigma(f.cameras, f.frame if f.cad_failure is None else None, a, f.present)
     velocity = None
     if f.tied:
         group = max(f.tied, key=len)
@@ -188,15 +159,15 @@ def quality_of(f: Findings) -> dict[str, Any]:
             {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
         ],
         "residual_px": {
-            "median": _rounded(float(np.median(a.link_px[used]))) if used.any() else None,
+            "median": _rounded(float(np.median(np.hypot(*a.link_px[used].T)))) if used.any() else None,
             "scatter": _rounded(a.floor_px),
             "sigma0": _rounded(a.sigma0),
         },
         "seams_px": {f"{i}-{j}": _rounded(v) for (i, j), v in f.seams_px.items()},
         "fiducials": _fiducials(f),
         "scale_error": _scale_error(f),
-        "row_sigma_px": [_rounded(v) for v in rows],
-        "cad_sigma_px": _rounded(worst) if worst is not None else None,
+        "row_sigma_px": [_rounded(v) for v in sigma.rows_px],
+        "cad_sigma_px": _rounded(sigma.worst_px) if sigma.worst_px is not None else None,
         "belt": {
             "nominal_mm_s": [float(v) for v in f.problem.velocity_mm_s],
             "measured_mm_s": None if velocity is None else [_rounded(float(v)) for v in velocity],

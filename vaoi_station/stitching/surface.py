@@ -1,0 +1,48 @@
+"""The board's height above the calibrated plane: lift, tilt and bow.
+
+A board thicker than the calibration board, or bowed, is the largest error of the planar model. What
+one camera sees from row to row cannot tell a higher board from a faster belt; the overlap with its
+neighbour, whose baseline is in N_i, and the CAD distance of the fiducials can. The surface is a
+polynomial of second degree in u, v = −1 … 1 over the board; a poorly seen coefficient stays near zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import BoardType, Surface
+
+SIGMA_MM = np.array([1.0, 0.15, 0.15, 0.5, 0.2, 0.5])
+"""Prior standard deviation of lift, tilt along u and v, and the coefficients of u², uv, v²."""
+
+
+def basis(board_type: BoardType, cad: Floats) -> Floats:
+    """Values (k, 6) of the basis functions at CAD points (k, 2)."""
+    about, half = frame_of(board_type)
+    u, v = np.clip((np.asarray(cad) - about) / half, -1.2, 1.2).T
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], -1)
+
+
+def basis_on_board(board_type: BoardType, cad_matrix: Floats, board_mm: Floats) -> Floats:
+    """The same for points (k, 2) of the board in tester coordinates."""
+    return basis(board_type, apply(np.linalg.inv(cad_matrix), board_mm))
+
+
+def frame_of(board_type: BoardType) -> tuple[Floats, Floats]:
+    """Middle and half span of the board in CAD units: where u and v are 0 and 1."""
+    low, high = board_type.extent()
+    return (low + high) / 2, np.maximum((high - low) / 2, 1e-9)
+
+
+def described(board_type: BoardType, coefficients_mm: Floats) -> Surface:
+    """The surface as results carry it."""
+    about, half = frame_of(board_type)
+    c = [round(float(v), 5) for v in coefficients_mm]
+    return Surface(
+        lift_mm=c[0],
+        tilt_mm=(c[1], c[2]),
+        bow_mm=(c[3], c[4], c[5]),
+        about=(float(about[0]), float(about[1])),
+        half_span=(float(half[0]), float(half[1])),
+    )
