@@ -1,0 +1,44 @@
+"""layout.json: the marks of a calibration board, beside a recording of one row that shows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from vaoi_station.files.documents import parse, read_json, write_json
+from vaoi_station.model import MM_PER_UNIT, Noun, Place, Positive
+
+
+class LayoutMark(Noun):
+    """How every mark of the board looks, in the unit of the layout."""
+
+    shape: Literal["cross"] = "cross"
+    size: Positive
+    width: Positive
+    """Of one arm."""
+    polarity: Literal["dark", "light"] = "dark"
+
+
+class Layout(Noun):
+    """Where the marks are, in coordinates that become the tester's."""
+
+    unit: Literal["mm", "inch", "mil"] = "mm"
+    mark: LayoutMark
+    marks: Annotated[tuple[Place, ...], Field(min_length=4)]
+
+    @property
+    def mm_per_unit(self) -> float:
+        """Size of one unit."""
+        return MM_PER_UNIT[self.unit]
+
+
+def read_layout(path: Path) -> Layout:
+    """Read the layout of a calibration board."""
+    return parse(Layout, read_json(path), path)
+
+
+def write_layout(path: Path, layout: Layout) -> None:
+    """Write a layout whole or not at all."""
+    write_json(path, layout.model_dump(mode="json", exclude_none=True))
