@@ -1,7 +1,7 @@
 """What a generated board looks like: its surface as one texture, and one small texture per body.
 
 Greys are those of a red solder mask under red light, at gain 1. The surface texture has a rim of belt,
-so that the board's edge is blended exactly.
+so that the board ends where it should.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
 
 
 def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
-    """Everything off the board, by exact coverage of its edge."""
+    """Everything off the board, with its edge at its exact place."""
     mask = Canvas(np.zeros_like(canvas.grey), np.zeros_like(canvas.metal), canvas.origin_mm, canvas.px_per_mm)
     w, h = section.width_mm, section.length_mm
     mask.box((w / 2, h / 2), (w, h), 1.0)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import RecordingHead
 from vaoi_station.simulation.faults import PassageFaults
@@ -83,6 +84,7 @@ class Passage:
     @cached_property
     def placements(self) -> dict[str, Placement | None]:
         """How every part of this board was set; None for one that is absent."""
+        self._check_absent()
         sigma = self.twin.scenario.board.placement_sigma_mm
         g = np.random.default_rng([self.twin.scenario.board.seed, 7040, self.board_number])
         result: dict[str, Placement | None] = {}
@@ -154,6 +156,12 @@ class Passage:
     def truth(self) -> dict[str, Any]:
         """The truth in the format of truth.json."""
         return passage_truth(self.twin, [self.pose(t) for t in self.pulse_times_s])
+
+    def _check_absent(self) -> None:
+        known = {p.ref for p in self.twin.parts}
+        for n, fault in enumerate(self.twin.scenario.faults.absent_parts):
+            if fault.ref not in known:
+                raise InputError.field("scenario", f"faults.absent_parts.{n}.ref", fault.ref, "a part of this board")
 
     def _flicker(self, row: int) -> float:
         array = self.twin.scenario.array

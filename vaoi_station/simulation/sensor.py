@@ -14,8 +14,8 @@ from vaoi_station.simulation.canvas import Plane
 from vaoi_station.simulation.lattice import OVERSAMPLING
 from vaoi_station.simulation.scenario import ArraySection
 
-_LEAST_MOTION_PX = 1e-3
-_STEPS_PER_PX = 64
+_LEAST_MOTION = 1e-3
+_STEPS_PER_SAMPLE = 64
 
 
 def expose(
@@ -38,10 +38,9 @@ def expose(
         noise: source of shot and read noise; None for a noiseless sensor.
     """
     h, w = samples.shape[0] // OVERSAMPLING, samples.shape[1] // OVERSAMPLING
-    image: Plane = cv2.resize(samples, (w, h), interpolation=cv2.INTER_AREA)
-    kernel = motion_kernel(motion_px)
-    if kernel.size > 1:
-        image = cv2.filter2D(image, -1, kernel)
+    kernel = motion_kernel(motion_px * OVERSAMPLING)
+    moved: Plane = cv2.filter2D(samples, -1, kernel) if kernel.size > 1 else samples
+    image: Plane = cv2.resize(moved, (w, h), interpolation=cv2.INTER_AREA)
     if array.psf_px:
         image = cv2.GaussianBlur(image, (0, 0), array.psf_px)
     image = image * shade * np.float32(brightness)
@@ -54,22 +53,22 @@ def expose(
     return np.asarray(np.clip(np.rint(image), 0, 255).astype(np.uint8))
 
 
-def motion_kernel(motion_px: Floats) -> Plane:
+def motion_kernel(way: Floats) -> Plane:
     """The integral of a bilinearly interpolated picture along a straight way, centred; sums to 1.
 
     Args:
-        motion_px: (2,) the way, x and y.
+        way: (2,) x and y, in samples.
     """
-    length = math.hypot(*motion_px)
-    if length < _LEAST_MOTION_PX:
+    length = math.hypot(*way)
+    if length < _LEAST_MOTION:
         return np.ones((1, 1), np.float32)
-    steps = max(int(length * _STEPS_PER_PX), _STEPS_PER_PX)
+    steps = max(int(length * _STEPS_PER_SAMPLE), _STEPS_PER_SAMPLE)
     at = (np.arange(steps) + 0.5) / steps - 0.5
     hats = []
-    for way in motion_px:
-        reach = math.ceil(abs(way) / 2)
+    for part in way:
+        reach = math.ceil(abs(part) / 2)
         cells = np.arange(-reach, reach + 1)
-        hats.append(np.clip(1 - np.abs(cells[None] - at[:, None] * way), 0, 1))
+        hats.append(np.clip(1 - np.abs(cells[None] - at[:, None] * part), 0, 1))
     kernel = hats[1].T @ hats[0] / steps
     return np.asarray(kernel / kernel.sum(), np.float32)
 

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from vaoi_station.errors import InputError
+from vaoi_station.simulation import Twin
+
+Make = Callable[..., Twin]
+FAULTS = {
+    "lost_frames": [{"board": 1, "camera": 0, "row": 2}],
+    "lost_rows": [{"row": 3}],
+    "late_frames": [{"board": 1, "camera": 0, "row": 0, "delay_s": 0.2}],
+    "incomplete_frames": [{"board": 1, "camera": 0, "row": 1, "share": 0.4}],
+    "bounces": [{"board": 1, "at_s": 0.05, "duration_s": 0.002}, {"at_s": -0.02, "duration_s": 0.001}],
+}
+
+
+def test_faults_befall_whom_they_are_meant_for(make: Make) -> None:
+    twin = make(faults=FAULTS)
+    hit, other = twin.passage(1).faults, twin.passage(0).faults
+    assert [hit.lost(0, r) for r in range(5)] == [False, False, True, True, False]
+    assert [other.lost(0, r) for r in range(5)] == [False, False, False, True, False]
+    assert (hit.late_s(0, 0), hit.late_s(0, 1), other.late_s(0, 0)) == (0.2, 0.0, 0.0)
+    assert (hit.received_share(0, 1), hit.received_share(0, 2), other.received_share(0, 1)) == (0.4, 0.0, 1.0)
+    assert hit.stuck is None
+
+
+def test_bounces_count_from_the_interruption_in_order(make: Make) -> None:
+    passage = make(faults=FAULTS).passage(1)
+    assert [b.at_s - passage.blocked_s for b in passage.faults.bounces] == pytest.approx([-0.02, 0.05])
+    assert len(make(faults=FAULTS).passage(0).faults.bounces) == 1
+
+
+def test_frames_that_do_not_arrive_whole_are_missing_in_a_recording(make: Make) -> None:
+    passage = make(faults=FAULTS).passage(1)
+    assert passage.head().missing == ((0, 1), (0, 2), (0, 3))
+    assert [(c, r) for c, r, _ in passage.frames()] == [(0, r) for r in range(passage.rows) if r not in (1, 2, 3)]
+    assert len(passage.render_all()) == passage.rows
+
+
+def test_an_absent_part_shows_its_pads(small: Twin) -> None:
+    ref = small.parts[0].ref
+    faults = small.scenario.faults.model_validate({"absent_parts": [{"board": 1, "ref": ref}]})
+    twin = Twin(small.scenario.model_copy(update={"faults": faults}))
+    assert twin.passage(1).placements[ref] is None
+    assert twin.passage(0).placements[ref] is not None
+    camera, row, *_ = twin.passage(1).truth()["views"][ref][0]
+    assert not np.array_equal(twin.passage(1).frame(camera, row), small.passage(1).frame(camera, row))
+
+
+def test_an_absent_part_must_be_one_of_the_board_s(make: Make) -> None:
+    twin = make(faults={"absent_parts": [{"ref": "X99"}]})
+    with pytest.raises(InputError, match="X99"):
+        twin.passage(0).frame(0, 0)

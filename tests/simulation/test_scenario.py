@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.simulation import Scenario, read_scenario, scenario_path
+from vaoi_station.simulation.scenario import Section
+
+DOC = Path(__file__).parents[2] / "docs" / "twin.md"
+
+
+def test_an_empty_file_is_a_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "empty.toml"
+    path.write_text("")
+    assert read_scenario(path) == Scenario()
+
+
+@pytest.mark.parametrize("name", ["demo", "small"])
+def test_shipped_scenarios_read(name: str) -> None:
+    assert read_scenario(scenario_path(name)).board.name == name
+
+
+def test_an_unknown_name_tells_the_known_ones() -> None:
+    with pytest.raises(NotFoundError, match="demo, small"):
+        scenario_path("nothing")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[array]\ncamera = 3", "array.camera"),
+        ("[belt]\nspeed_mm_s = -1.0", "belt.speed_mm_s.*greater than 0"),
+        ("[belt]\ndirection = 2", "belt.direction"),
+        ("[board]\nlift_mm = nan", "board.lift_mm"),
+        ("[board]\nfiducials = [{x_mm = 200.0, y_mm = 1.0}]", "lies off the board"),
+        ('[line]\nlights = ["dome"]', "dome.*ring"),
+        ("[array]\nexposures_us = [200000.0]", "exposures_us has 200000"),
+        ("[[faults.lost_frames]]\ncamera = 3\nrow = 0", "names camera 3"),
+        ("[[faults.incomplete_frames]]\ncamera = 0\nrow = 0\nshare = 1.0", "share"),
+    ],
+)
+def test_refusals_name_file_key_and_limit(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=told) as caught:
+        read_scenario(path)
+    assert "bad.toml" in str(caught.value)
+
+
+def test_a_photograph_is_found_beside_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "photo.toml"
+    path.write_text('[board]\nphotograph = "board.png"')
+    assert read_scenario(path).board.photograph == tmp_path / "board.png"
+
+
+def test_default_fiducials_tell_all_turns_apart() -> None:
+    section = Scenario().board
+    w, h = section.width_mm, section.length_mm
+    places = {(round(m.x_mm / w, 3), round(m.y_mm / h, 3)) for m in section.marks}
+    turned = {(round(1 - x, 3), round(1 - y, 3)) for x, y in places}
+    assert places != turned
+
+
+def _tables(model: type[BaseModel], path: str) -> dict[str, type[BaseModel]]:
+    found: dict[str, type[BaseModel]] = {}
+    for name, field in model.model_fields.items():
+        here = f"{path}.{name}" if path else name
+        for part in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            for inner in (part, *getattr(part, "__args__", ())):
+                if isinstance(inner, type) and issubclass(inner, Section):
+                    listed = "[]" if inner is not field.annotation and "dict" not in str(field.annotation) else ""
+                    key = f"{here}.NAME" if "dict" in str(field.annotation) else here + listed
+                    found[key] = inner
+                    found |= _tables(inner, key)
+    return found
+
+
+def test_every_key_is_documented() -> None:
+    tables = _tables(Scenario, "")
+    assert {"array", "board.fiducials[]", "lights.NAME", "faults.stuck[]"} <= set(tables)
+    chapters = {c.splitlines()[0].strip("`[]").rstrip("`"): c for c in DOC.read_text().split("\n### ")[1:]}
+    for table, model in tables.items():
+        chapter = next(
+            (c for title, c in chapters.items() if title.removesuffix("]") in (table, table.rstrip("[]"))), ""
+        )
+        keys = [k for k in model.model_fields if not any(t.startswith(f"{table}.{k}") for t in tables)]
+        missing = [key for key in keys if f"\n| `{key}` |" not in chapter]
+        assert not missing, f"docs/twin.md: [{table}] lacks {missing}"

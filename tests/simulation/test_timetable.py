@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import apply
+from vaoi_station.simulation import Twin
+
+Make = Callable[..., Twin]
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_board_s_front_meets_the_barrier_when_it_is_blocked(make: Make, direction: int) -> None:
+    twin = make(belt={"direction": direction}, line={"barrier_mm": -10.0 * direction})
+    passage = twin.passage(3)
+    front, rear = (20.0, 0.0) if direction == 1 else (0.0, 20.0)
+    assert passage.blocked_s == pytest.approx(twin.scenario.line.approach_s, abs=1e-6)
+    assert apply(passage.pose(passage.blocked_s), (15.0, front))[1] == pytest.approx(-10 * direction, abs=1e-3)
+    assert apply(passage.pose(passage.clear_s), (15.0, rear))[1] == pytest.approx(-10 * direction, abs=1e-3)
+
+
+def test_pulses_follow_the_plan(small: Twin) -> None:
+    passage, line = small.passage(0), small.scenario.line
+    times = np.array(passage.pulse_times_s)
+    assert times[0] == pytest.approx(passage.blocked_s + line.start_delay_s)
+    assert np.allclose(np.diff(times), line.period_s)
+    assert times[-1] <= passage.clear_s + line.tail_s < times[-1] + line.period_s
+    assert passage.rows <= small.line.rows_of_longest_board
+
+
+def test_the_first_row_sees_the_leading_edge_and_the_last_the_trailing_one(small: Twin) -> None:
+    passage, half = small.passage(0), small.scenario.array.view_mm[1] / 2
+    front = apply(passage.pose(passage.pulse_times_s[0]), (30.0, 40.0))[1]
+    rear = apply(passage.pose(passage.pulse_times_s[-1]), (30.0, 0.0))[1]
+    assert -half < front < 0
+    assert 0 < rear < half
+
+
+def test_a_stuck_board_blocks_until_the_largest_number_of_rows(make: Make) -> None:
+    twin = make(faults={"stuck": [{"board": 1, "row": 1}]}, line={"longest_board_mm": 60.0})
+    stuck, free = twin.passage(1), twin.passage(0)
+    assert math.isinf(stuck.clear_s)
+    assert stuck.faults.stuck == 1
+    assert stuck.rows == twin.line.rows_of_longest_board > free.rows
+    places = [stuck.pose(t) for t in stuck.pulse_times_s]
+    assert not np.allclose(places[0], places[1])
+    assert all(np.array_equal(places[1], p) for p in places[2:])
+    assert np.array_equal(stuck.frame(0, 2), stuck.frame(0, 3))
+
+
+def test_a_turned_board_takes_as_long_as_its_width(make: Make) -> None:
+    twin = make(faults={"turned": [{"board": 2, "turned_deg": 90}]})
+    upright, turned = twin.passage(1), twin.passage(2)
+    assert turned.turned_deg == 90
+    assert (turned.clear_s - turned.blocked_s) / (upright.clear_s - upright.blocked_s) == pytest.approx(1.5, abs=0.05)

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import apply
+from vaoi_station.simulation import Twin
+from vaoi_station.simulation.filming import write_passage
+
+SCORER = Path(__file__).parents[3] / "shared" / "cases" / "score.py"
+
+
+def test_one_rigid_motion_per_row_moves_all_cameras(small: Twin) -> None:
+    truth = small.passage(2).truth()
+    for i, planes in enumerate(truth["image_matrices"]):
+        n = small.calibration.camera_matrices[i]
+        assert np.allclose(planes[0], n)
+        for j, m in enumerate(planes):
+            d = np.array(truth["row_motion"][j])
+            assert np.allclose(m, n @ d)
+            assert np.allclose(d[:2, :2] @ d[:2, :2].T, np.eye(2), atol=1e-12)
+            assert np.linalg.det(d) == pytest.approx(1)
+
+
+def test_views_are_the_projected_footprints(small: Twin) -> None:
+    truth, board = small.passage(2).truth(), small.board_type
+    assert set(truth["heights"]) == {c.ref for c in board.components}
+    assert set(truth["views"]) >= {"U1", "R1"}
+    centres = {c.ref: c.center for c in board.components}
+    for ref, seen in truth["views"].items():
+        for i, j, u, v in seen:
+            m = np.array(truth["image_matrices"][i][j]) @ np.array(truth["cad_matrix"])
+            assert np.abs(apply(m, centres[ref]) - (u, v)).max() < 1e-3
+
+
+@pytest.mark.cases
+def test_the_scorer_of_the_cases_accepts_a_recording(small: Twin, tmp_path: Path) -> None:
+    if not SCORER.is_file():
+        assert not os.environ.get("CI"), f"{SCORER} is missing"
+        pytest.skip(f"{SCORER} is not beside the checkout")
+    case = tmp_path / "case"
+    write_passage(small.passage(0), case)
+    truth = json.loads((case / "truth.json").read_text())
+    result = {k: truth[k] for k in ("image_matrices", "cad_matrix", "row_motion")} | {"status": "ok"}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    done = subprocess.run(
+        [sys.executable, str(SCORER), str(case), str(tmp_path / "result.json")],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    score = json.loads(done.stdout)
+    assert score["cad_px"]["max"] < 1e-3
+    assert score["rigid"] < 1e-6
+    assert score["views"] > 50
