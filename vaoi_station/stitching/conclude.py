@@ -21,12 +21,13 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.stitching.adjustment import Adjusted, FiducialPoints, Problem, SurfaceBasis, adjust
-from vaoi_station.stitching.cad import Frame, assign, board_frame, expected_angle, find_board, gather
+from vaoi_station.stitching.cad import Frame, Hypothesis, assign, board_frame, expected_angle, find_board, gather
 from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.footprints import component_of, footprint_views
 from vaoi_station.stitching.motion import Motion, nominal_motion
 from vaoi_station.stitching.observations import Observations, observe
+from vaoi_station.stitching.orientation import Orientation, check
 from vaoi_station.stitching.sight import look_again
 from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import SIGMA_MM, basis_on_board, described
@@ -89,7 +90,7 @@ def conclude(
         found = Failure("no board type was given, so there is no CAD mapping")
     else:
         frame = board_frame(board_type, cameras[0])
-        found, problem, which = _map_cad(frame, cameras, expectation, problem, moved, sightings, grey)
+        found, problem, which = _map_cad(frame, cameras, expectation, problem, moved, sightings, present, grey)
     stages.done("cad")
     final = moved if isinstance(found, Failure) else found
     findings = Findings(
@@ -119,6 +120,7 @@ def _map_cad(
     problem: Problem,
     moved: Adjusted,
     sightings: list[Sightings],
+    present: Collection[FrameKey],
     grey: FrameSource,
 ) -> tuple[Adjusted | Failure, Problem, list[int]]:
     """Find the fiducials, look for them again where they must be, and adjust everything together."""
@@ -128,6 +130,14 @@ def _map_cad(
     guess = find_board(frame, places, angle, expectation, texture)
     if isinstance(guess, Failure):
         return guess, problem, []
+    turned = find_board(frame, places, angle + np.pi, expectation, texture)
+    if isinstance(turned, Hypothesis) and len(turned.fiducials) >= len(guess.fiducials):
+        frames = sorted(present)
+        seen_as = check(
+            frame.board_type, frame.matrix(guess.c), frame.matrix(turned.c), cameras, moved.motion, frames, grey
+        )
+        if seen_as is not None and seen_as.contradicts:
+            return _turned_round(frame, seen_as), problem, []
     seen = look_again(frame.board_type, frame.matrix(guess.c), cameras, moved.motion, sightings, grey)
     points, _ = assign(frame, guess.c, seen, cameras, moved.motion)
     tall_view = all(camera.working_distance_mm is not None for camera in cameras)
@@ -137,6 +147,13 @@ def _map_cad(
     points, which = assign(frame, first.similarity, seen, cameras, first.motion)
     whole = _with_board(problem, points, frame, first.motion, first.similarity, tall_view=tall_view)
     return adjust(whole, first.motion, first.similarity), whole, which
+
+
+def _turned_round(frame: Frame, seen_as: Orientation) -> Failure:
+    return Failure(
+        f"the board lies turned by 180°, or is of another type than {frame.board_type.name!r}: by its {seen_as.evidence} "
+        f"the pictures fit the turned board (edge contrast {seen_as.turned:.0f} against {seen_as.as_placed:.0f} grey levels)"
+    )
 
 
 def _with_board(

@@ -1,0 +1,188 @@
+"""Does the board lie as assumed, or turned round? Two fiducials often fit both ways.
+
+Where fiducials alone leave it open, the pictures decide: the board's outline is a step from board to
+belt, and parts have edges where the CAD data put them. Both are measured for the board as placed and
+for the board turned by half a turn about the same fiducials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.evidence import FrameKey
+from vaoi_station.stitching.motion import Motion
+
+GreySource = Callable[[int, int], NDArray[np.uint8] | None]
+_PIECE_MM = 4.0
+"""Length over which an edge is averaged, so that texture cancels and the edge stays."""
+_SAMPLES = 12
+_NEAR_MM, _FAR_MM = 0.12, 0.45
+"""Where the two sides of an edge are compared."""
+_APART_MM = 0.4
+"""Edges that lie closer together both ways tell nothing."""
+_MARGIN_MM = 1.0
+_CLEAR = {"outline": 1.5, "components": 2.5}
+_LEAST_STEP = {"outline": 5.0, "components": 10.0}
+"""By which factor, and to how many grey levels, one orientation must stand out; parts are the weaker evidence."""
+_LEAST_PIECES = 4
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """What the pictures say: median edge contrast (grey levels) as placed and turned, and on what."""
+
+    evidence: str
+    as_placed: float
+    turned: float
+
+    @property
+    def contradicts(self) -> bool:
+        """The board rather lies turned round."""
+        return _stands_out(self.evidence, self.turned, self.as_placed)
+
+    @property
+    def confirms(self) -> bool:
+        """The board lies as assumed."""
+        return _stands_out(self.evidence, self.as_placed, self.turned)
+
+
+def _stands_out(evidence: str, one: float, other: float) -> bool:
+    return one > _CLEAR[evidence] * other and one > _LEAST_STEP[evidence]
+
+
+def check(
+    board_type: BoardType,
+    placed: Floats,
+    turned: Floats,
+    cameras: Sequence[Camera],
+    motion: Motion,
+    present: Sequence[FrameKey],
+    grey: GreySource,
+) -> Orientation | None:
+    """Compare the board as placed with the board turned round.
+
+    Args:
+        board_type: outline and components.
+        placed: C as found, 3×3, CAD → tester.
+        turned: C of the turned board that fits the same fiducials.
+        cameras: the array.
+        motion: of the rows.
+        present: the good frames.
+        grey: their pixels.
+
+    Returns:
+        The first evidence that decides, the outline before the parts; the last one if none does; None
+        if there is nothing to compare.
+    """
+    best = None
+    for evidence, lines in (("outline", _outline(board_type)), ("components", _parts(board_type))):
+        pieces = _pieces(lines, board_type.mm_per_unit)
+        if not len(pieces):
+            continue
+        apart = _apart(pieces, placed, turned)
+        a = _steps(pieces[apart], placed, cameras, motion, present, grey)
+        b = _steps(pieces[apart], turned, cameras, motion, present, grey)
+        if min(len(a), len(b)) < _LEAST_PIECES:
+            continue
+        best = Orientation(evidence, float(np.median(a)), float(np.median(b)))
+        if best.contradicts or best.confirms:
+            return best
+    return best
+
+
+def _outline(board_type: BoardType) -> list[Floats]:
+    if board_type.outline is None:
+        return []
+    points = np.array(board_type.outline, dtype=np.float64)
+    if len(points) == 2:
+        low, high = points.min(0), points.max(0)
+        points = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+    return [points]
+
+
+def _parts(board_type: BoardType) -> list[Floats]:
+    return [board_type.footprint(c) for c in board_type.components]
+
+
+def _pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
+    """Straight pieces (k, 2, 2) of closed polygons, each a few mm long; shorter edges as they are."""
+    pieces = []
+    for polygon in polygons:
+        for a, b in zip(polygon, np.roll(polygon, -1, 0), strict=True):
+            n = max(int(np.hypot(*(b - a)) * mm_per_unit / _PIECE_MM), 1)
+            t = np.linspace(0, 1, n + 1)[:, None]
+            ends = a + t * (b - a)
+            pieces += [(ends[k], ends[k + 1]) for k in range(n)]
+    return np.array(pieces).reshape(-1, 2, 2)
+
+
+def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
+    """Pieces that lie clear of every piece of the other hypothesis, across their own direction."""
+    a, b = apply(placed, pieces), apply(turned, pieces)
+    along = a[:, 1] - a[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    middle_a, middle_b = a.mean(1), b.mean(1)
+    offset = np.abs(((middle_b[None] - middle_a[:, None]) * normal[:, None]).sum(-1))
+    length = np.abs(((middle_b[None] - middle_a[:, None]) * (normal[:, ::-1] * (1, -1))[:, None]).sum(-1))
+    beside = length < _PIECE_MM
+    nearest = np.where(beside, offset, np.inf).min(1)
+    return np.asarray(nearest > _APART_MM)
+
+
+def _steps(
+    pieces: Floats,
+    cad_matrix: Floats,
+    cameras: Sequence[Camera],
+    motion: Motion,
+    present: Sequence[FrameKey],
+    grey: GreySource,
+) -> Floats:
+    """Contrast across every piece that some frame shows, in grey levels."""
+    board = apply(cad_matrix, pieces)
+    points = _both_sides(board)
+    chosen = _nearest_frame(board.mean(1), cameras, motion, present)
+    out = np.full(len(pieces), np.nan)
+    for n in np.unique(chosen[chosen >= 0]):
+        number, row = present[n]
+        camera, image, mine = cameras[number], grey(*present[n]), np.flatnonzero(chosen == n)
+        px = camera.project(motion.row_from_tester(row)(points[mine]))
+        inside = camera.sees(px).all((1, 2))
+        if image is None or not inside.any():
+            continue
+        at = px[inside].astype(np.float32).reshape(-1, 1, 2)
+        value = cv2.remap(image, at, None, cv2.INTER_LINEAR).reshape(len(at) // points[0, 0].size, 2, -1)
+        out[mine[inside]] = np.abs(value[:, 0].mean(1) - value[:, 1].mean(1))
+    return np.asarray(out[np.isfinite(out)])
+
+
+def _both_sides(board: Floats) -> Floats:
+    """Sample points (k, 2 sides, samples, 2) along straight pieces (k, 2, 2) of the board."""
+    along = board[:, 1] - board[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    line = (board[:, :1] + t[None, :, None] * along[:, None])[:, None, None]
+    off = np.array([[-1.0], [1.0]]) * np.linspace(_NEAR_MM, _FAR_MM, 3)
+    points = line + off[None, :, :, None, None] * normal[:, None, None, None]
+    return np.asarray(points.reshape(len(board), 2, -1, 2))
+
+
+def _nearest_frame(
+    middle: Floats, cameras: Sequence[Camera], motion: Motion, present: Sequence[FrameKey]
+) -> NDArray[np.int_]:
+    """For each board point (k, 2) the number of the frame that shows it closest to its middle; −1 for none."""
+    best, chosen = np.full(len(middle), np.inf), np.full(len(middle), -1)
+    for n, (number, row) in enumerate(present):
+        camera = cameras[number]
+        px = camera.project(motion.row_from_tester(row)(middle))
+        off = np.hypot(*(px - camera.center_px).T)
+        take = camera.sees(px, _MARGIN_MM * camera.px_per_mm) & (off < best)
+        best[take], chosen[take] = off[take], n
+    return chosen
