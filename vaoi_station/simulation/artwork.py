@@ -153,7 +153,7 @@ def _paint_pads(canvas: Canvas, part: Part) -> None:
 
 
 def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
-    """Bare copper inside a ring without mask; drawn last, on even ground, by exact coverage."""
+    """Bare copper inside a ring without mask; drawn last, on even ground, at its exact place."""
     place, d = (mark.x_mm, mark.y_mm), mark.diameter_mm
     canvas.disc(place, 2.2 * d, LAMINATE)
     if mark.shape == "circle":
