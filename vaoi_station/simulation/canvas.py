@@ -24,6 +24,11 @@ from vaoi_station.geometry.transforms import Floats
 Plane = NDArray[np.floating[Any]]
 Bytes = NDArray[np.uint8]
 
+_FINE = 4
+"""Finer steps per pixel and axis where a turned edge meets the pixels at an angle."""
+_LARGE_PX = 64
+"""Half diagonal from which a turned box is painted on the pixels themselves: long edges even out."""
+
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
@@ -120,8 +125,13 @@ class Canvas:
         window, u, v = self._window(x, y, radius, radius)
         a = math.radians(turned_deg)
         c, s = math.cos(a), math.sin(a)
-        along, across = c * u[None] - s * v[:, None], s * u[None] + c * v[:, None]
-        return window, np.asarray(_span(along, w) * _span(across, h))
+        if radius > _LARGE_PX:
+            along, across = c * u[None] - s * v[:, None], s * u[None] + c * v[:, None]
+            return window, np.asarray(_span(along, w) * _span(across, h))
+        (fine_u, hats_u), (fine_v, hats_v) = _finely(u), _finely(v)
+        along, across = c * fine_u[None] - s * fine_v[:, None], s * fine_u[None] + c * fine_v[:, None]
+        inside = _span(along * _FINE, w * _FINE) * _span(across * _FINE, h * _FINE)
+        return window, np.asarray(hats_v @ inside @ hats_u.T)
 
     def _window(self, x: float, y: float, half_w: float, half_h: float) -> tuple[tuple[slice, slice], Plane, Plane]:
         """The pixels a shape can touch, and their offsets from its middle along x and along y."""
@@ -135,6 +145,15 @@ class Canvas:
         for plane, value in ((self.grey, grey), (self.metal, metal)):
             part = plane[window]
             part += (np.float32(value) - part) * coverage
+
+
+def _finely(offset: Plane) -> tuple[Plane, Plane]:
+    """Offsets (n,) → finer ones (k,), and the hats (n, k) about the given ones that sum them up."""
+    if not offset.size:
+        return offset, np.zeros((0, 0), np.float32)
+    fine = np.arange((len(offset) + 1) * _FINE + 1, dtype=np.float32) / _FINE - 1
+    hats = np.clip(1 - np.abs(fine[None] - np.arange(len(offset))[:, None]), 0, 1) / _FINE
+    return fine + offset[0], np.asarray(hats, np.float32)
 
 
 def to_bytes(plane: Plane) -> Bytes:
