@@ -297,11 +297,12 @@ def client(station: HeldStation) -> Iterator[TestClient]:
 class Served:
     """The application behind a real socket on loopback, and a client for it."""
 
-    def __init__(self, station: HeldStation) -> None:
+    def __init__(self, station: HeldStation, port: int = 0) -> None:
         self.station = station
         self.app = create_app(station)
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}"
+        self._socket = socket.create_server(("127.0.0.1", port))
+        self.port = self._socket.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}"
         config = uvicorn.Config(self.app, log_level="warning", timeout_graceful_shutdown=5, ws="none")
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [self._socket]}, daemon=True)
@@ -326,6 +327,6 @@ def served(station: HeldStation) -> Iterator[Served]:
 
 
 @pytest.fixture
-def serve() -> Callable[[HeldStation], Served]:
+def serve() -> Callable[..., Served]:
     """For tests that stop a server themselves."""
     return Served

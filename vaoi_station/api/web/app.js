@@ -64,6 +64,7 @@ function showStation(now) {
   draw($("state-shape"), known);
   setText($("state-word"), word);
   setText($("what-to-do"), first?.action || sentence);
+  setText($("armed-with"), now.armed_with ? texts.armedWith(now.armed_with) : "");
   showReasons(now.reasons);
   setText($("name"), now.name);
   setText($("version"), `VAOI station ${now.versions.station}`);
@@ -83,10 +84,13 @@ function showAge(old, seconds) {
   document.body.classList.toggle("stale", old);
   banner.hidden = !old;
   if (old) {
-    setText(banner, shown ? texts.stale(seconds) : texts.connecting);
+    setText($("stale-age"), texts.noData(seconds));
+    setText($("stale-text"), shown ? texts.old : texts.connecting);
     if (!stale) draw($("state-shape"), "unknown");
     setText($("state-word"), texts.states.unknown[0]);
     setText($("what-to-do"), "");
+  } else {
+    setText($("stale-text"), "");
   }
   if (stale && !old) refresh();
   stale = old;

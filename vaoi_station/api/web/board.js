@@ -130,14 +130,20 @@ function picture(run, ref, view) {
   const address = new URL(view.url, location.href);
   address.searchParams.set("format", "jpeg");
   address.searchParams.set("of", run.started);
-  image.src = address.href;
   image.alt = texts.alt(ref, view);
-  image.onerror = () => {
-    figure.classList.add("unloadable");
-    caption.textContent = texts.picturesGone;
-  };
   const caption = document.createElement("figcaption");
   caption.textContent = texts.caption(view) + texts.whole(Math.floor(view.coverage * 100 + 0.5));
   figure.append(image, caption);
+  const leaveOut = (why) => {
+    figure.classList.add("unloadable");
+    caption.textContent = texts.caption(view) + why;
+  };
+  const frame = run.frames.find((f) => f.camera === view.camera && f.row === view.row);
+  if (frame?.verdict === "incomplete") {
+    leaveOut(texts.holes);
+  } else {
+    image.onerror = () => leaveOut(texts.unloadable);
+    image.src = address.href;
+  }
   return figure;
 }

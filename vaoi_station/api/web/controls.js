@@ -43,7 +43,7 @@ export class Controls {
   }
 
   enable(on) {
-    for (const id of ["arm", "disarm", "board-type", "board-id"]) $(id).disabled = !on;
+    for (const id of ["arm", "disarm", "board-type", "board-id", "component"]) $(id).disabled = !on;
   }
 
   async #command(call, done) {

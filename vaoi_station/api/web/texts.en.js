@@ -46,12 +46,19 @@ export const texts = {
   caption: (view) => `camera ${view.camera}, row ${view.row}`,
   alt: (ref, view) => `${ref}, seen by camera ${view.camera} in row ${view.row}`,
   whole: (percent) => (percent >= 100 ? "" : `, ${percent} % of it`),
+  holes: ", left out: frame incomplete",
+  unloadable: ", not available",
   picturesGone: "The pictures of this board are no longer in memory.",
   noPictures: "No frame shows this component.",
   noComponents: "This board type has no components.",
+  armedWith: (armed) =>
+    [`Board type ${armed.board_type}`, armed.board_id && `board ${armed.board_id}`, armed.job_id && `job ${armed.job_id}`]
+      .filter(Boolean)
+      .join(", ") + ".",
   armedFor: (type) => `Armed for ${type}.`,
   disarmed: "Disarmed.",
   noAnswer: "The station did not answer. Try again.",
-  stale: (s) => `No data for ${s} s: what is shown below is old. Check the station and the network.`,
-  connecting: "Connecting to the station …",
+  noData: (s) => `No data for ${s} s:`,
+  old: "what is shown below is old. Check the station and the network.",
+  connecting: "the station does not answer. Check that it runs, and the network.",
 };

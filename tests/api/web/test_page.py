@@ -1,0 +1,210 @@
+"""The operator's page in a real browser, against the service on loopback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from vaoi_station.model import Status
+
+pytestmark = pytest.mark.browser
+
+
+def test_it_says_the_state_and_what_to_do(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    expect(page.locator("#state-word")).to_have_text("Not armed")
+    expect(page.locator("#what-to-do")).to_have_text("Choose the board type and press Arm.")
+    expect(page.locator("#verdict-word")).to_have_text("No board yet")
+    expect(page).to_have_title("Not armed – test")
+
+
+def test_a_fault_is_told_by_word_shape_colour_and_sentence(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    expect(page.locator("#state-shape")).to_have_attribute("data-mark", "idle")
+    served.station.fault("camera-lost", "Camera 2 does not answer.", "Check the cable of camera 2.")
+    expect(page.locator("#state-word")).to_have_text("Fault")
+    expect(page.locator("#what-to-do")).to_have_text("Check the cable of camera 2.")
+    expect(page.locator("#reasons li")).to_have_text(["Camera 2 does not answer."])
+    expect(page.locator("#state-shape")).to_have_attribute("data-mark", "faulted")
+    expect(page.locator("#state-word")).to_have_css("color", "rgb(176, 0, 32)")
+
+
+def test_only_faults_are_red(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    for state, word in (("armed", "Ready"), ("filming", "Filming"), ("blocked", "Memory full"), ("idle", "Not armed")):
+        served.station.state = state
+        served.station.tell("station", state=state)
+        expect(page.locator("#state-word")).to_have_text(word)
+        expect(page.locator("#state-shape")).to_have_attribute("data-mark", state)
+        expect(page.locator("#state-word")).not_to_have_css("color", "rgb(176, 0, 32)")
+
+
+def test_the_last_board_and_its_pictures_come_by_themselves(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    expect(page.locator("#verdict-word")).to_have_text("No board yet")
+    served.station.film(board_id="SN-1")
+    expect(page.locator("#verdict-word")).to_have_text("Pictures good")
+    expect(page.locator("#facts")).to_contain_text("SN-1")
+    expect(page.locator("#facts")).to_contain_text("10 of 12 good (1 incomplete, 1 missing), 4 rows × 3 cameras")
+    expect(page.locator("#component")).to_have_value("U1")
+    wait_for_pictures(page, 11)
+    served.station.film(verdict=Status.DEGRADED, board_id="SN-2")
+    expect(page.locator("#verdict-word")).to_have_text("Pictures with reservations")
+    expect(page.locator("#facts")).to_contain_text("SN-2")
+    wait_for_pictures(page, 11)
+
+
+def test_a_frame_with_holes_is_left_out_and_named(page: Page, served: Any) -> None:
+    served.station.film()
+    page.goto(served.url)
+    left_out = page.locator("figure.unloadable")
+    expect(left_out).to_have_count(1)
+    expect(left_out).to_contain_text("camera 0, row 1, left out: frame incomplete")
+
+
+def test_another_component_can_be_chosen_and_stays_chosen(page: Page, served: Any) -> None:
+    served.station.film()
+    page.goto(served.url)
+    page.locator("#component").select_option("2/R1")
+    wait_for_pictures(page, 3)
+    expect(page.locator("figure img").first).to_have_attribute("alt", "2/R1, seen by camera 0 in row 3")
+    served.station.film(board_id="next")
+    expect(page.locator("#facts")).to_contain_text("next")
+    expect(page.locator("#component")).to_have_value("2/R1")
+
+
+def test_pictures_whose_memory_is_gone_are_not_shown(page: Page, served: Any) -> None:
+    run = served.station.film()
+    page.goto(served.url)
+    wait_for_pictures(page, 11)
+    served.station.release(run)
+    expect(page.locator("#pictures")).to_have_text("The pictures of this board are no longer in memory.")
+
+
+def test_arming_works_by_keyboard_alone(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    expect(page.locator("#board-type")).to_have_value("demo-board")
+    reach(page, "arm")
+    page.keyboard.press("Enter")
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#armed-with")).to_have_text("Board type demo-board.")
+    reach(page, "disarm")
+    page.keyboard.press("Space")
+    expect(page.locator("#state-word")).to_have_text("Not armed")
+
+
+def test_a_scanner_gives_the_board_id_and_arms_with_its_enter(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    expect(page.locator("#board-type")).to_have_value("demo-board")
+    reach(page, "board-id")
+    page.keyboard.type("SN-77")
+    page.keyboard.press("Enter")
+    expect(page.locator("#armed-with")).to_have_text("Board type demo-board, board SN-77.")
+    expect(page.locator("#board-id")).to_have_value("")
+
+
+def test_a_refusal_is_told_with_its_remedy(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    expect(page.locator("#board-type")).to_have_value("demo-board")
+    served.station.types.clear()
+    page.locator("#arm").click()
+    expect(page.locator("#answer")).to_have_text("There is no board type 'demo-board'. Teach it.")
+    expect(page.locator("#state-word")).to_have_text("Not armed")
+
+
+def test_old_data_look_old_and_recover(page: Page, station: Any, serve: Callable[..., Any]) -> None:
+    server = serve(station)
+    station.arm("demo-board")
+    page.goto(server.url)
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    server.stop()
+    expect(page.locator("body")).to_have_class("stale")
+    expect(page.locator("#stale-age")).to_contain_text("No data for")
+    expect(page.locator("#state-word")).to_have_text("Unknown")
+    expect(page.locator("#arm")).to_be_disabled()
+
+
+def test_a_page_that_lost_the_stream_finds_it_again(page: Page, station: Any, serve: Callable[..., Any]) -> None:
+    server = serve(station)
+    page.goto(server.url)
+    expect(page.locator("#state-word")).to_have_text("Not armed")
+    server.stop()
+    expect(page.locator("#stale")).to_be_visible()
+    station.closed = False
+    station.arm("demo-board")
+    again = serve(station, server.port)
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#stale")).to_be_hidden()
+    expect(page.locator("#arm")).to_be_enabled()
+    again.stop()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1920, 1080)])
+def test_it_fits_the_screen_with_targets_for_gloves(page: Page, served: Any, width: int, height: int) -> None:
+    served.station.film(board_id="SN-1")
+    page.set_viewport_size({"width": width, "height": height})
+    page.goto(served.url)
+    wait_for_pictures(page, 11)
+    assert page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == [
+        width,
+        height,
+    ]
+    for target in page.locator("button, select, input, a").all():
+        box = target.bounding_box()
+        assert box is not None
+        assert min(box["width"], box["height"]) >= 56, target
+        assert box["y"] + box["height"] <= height
+
+
+def test_words_stand_out_from_their_ground(page: Page, served: Any) -> None:
+    served.station.film(verdict=Status.DEGRADED)
+    served.station.fault("x", "Message.", "Action.")
+    page.goto(served.url)
+    wait_for_pictures(page, 11)
+    words = (
+        "h1, h2, #version, nav a, #state-word, #what-to-do, #reasons li, label, select, button, #verdict-word, dt, dd"
+    )
+    for element in [*page.locator(words).all(), *page.locator("figcaption").all()]:
+        assert contrast(element) >= 4.5, element
+
+
+def test_the_drawn_interface_needs_no_network(page: Page, served: Any) -> None:
+    page.goto(f"{served.url}/docs")
+    expect(page.locator(".opblock")).to_have_count(21)
+
+
+def wait_for_pictures(page: Page, count: int) -> None:
+    """Until every picture that can be shown has been."""
+    expect(page.locator("figure")).to_have_count(count)
+    for image in page.locator("figure:not(.unloadable) img").all():
+        expect(image).not_to_have_js_property("naturalWidth", 0)
+
+
+def reach(page: Page, target: str) -> None:
+    """Walk there with the tabulator key; what has the focus must show it."""
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.id") == target:
+            assert page.locator(f"#{target}").evaluate("e => getComputedStyle(e).outlineStyle") == "solid"
+            return
+    pytest.fail(f"{target} cannot be reached by keyboard")
+
+
+def contrast(element: Locator) -> float:
+    """Contrast of an element's text and what is behind it, as WCAG has it."""
+    ink, ground = element.evaluate("""e => {
+        const ink = getComputedStyle(e).color;
+        while (e && getComputedStyle(e).backgroundColor === "rgba(0, 0, 0, 0)") e = e.parentElement;
+        return [ink, e ? getComputedStyle(e).backgroundColor : "rgb(255, 255, 255)"];
+    }""")
+    lighter, darker = sorted((luminance(ink), luminance(ground)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def luminance(color: str) -> float:
+    parts = [float(p) / 255 for p in color.removeprefix("rgb(").removesuffix(")").split(",")]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
