@@ -132,7 +132,7 @@ class ReplayConfig(Section):
     pace: Literal["original", "fast"] = "original"
     """With the original timing, or as fast as the frames are taken."""
     pause_s: NotNegative = 1.0
-    """Time between two runs."""
+    """Time between two runs at the original pace; a fast replay does not pause."""
 
 
 class RingConfig(Section):

@@ -65,7 +65,10 @@ class Disarmed:
 
 @dataclass(frozen=True)
 class RunStarted:
-    """A board interrupted the barrier."""
+    """A board is being filmed: its first pulse was fired. `host_time_s` is when it interrupted the barrier.
+
+    That may be before the run ahead of it is finished, if that one still waits for late frames.
+    """
 
     run: str
     bay: int
@@ -91,7 +94,11 @@ class FrameSettled:
 
 @dataclass(frozen=True)
 class RunFinished:
-    """Every (camera, row) has its verdict; nothing of this run will change any more."""
+    """Every (camera, row) has its verdict; nothing of this run will change any more.
+
+    Runs finish in the order of their boards but where one has to wait for late frames (0.5 s at most).
+    In `head` frames that are not whole count as missing; `frames` is ordered by camera, then row.
+    """
 
     run: str
     bay: int
@@ -107,7 +114,7 @@ class RunFinished:
 
 @dataclass(frozen=True)
 class BoardMissed:
-    """A board passed while no memory was granted: nothing of it was filmed."""
+    """A board passed and nothing of it was filmed: no memory was granted, or no pulse was fired."""
 
     host_time_s: float
     reason: str

@@ -92,17 +92,18 @@ class _Loop:
             woken.close()
 
     def _think(self) -> None:
-        health_s = time.monotonic()
+        health_s = ticked_s = time.monotonic()
         while True:
             now_s = time.monotonic()
             if now_s >= health_s:
                 self._send(self._health(now_s))
                 health_s = now_s + HEALTH_S
-            deadline_s = min(health_s, self._session.deadline_s() or health_s)
+            if now_s >= self._session.deadline_s(ticked_s):
+                self._session.tick(now_s)
+                ticked_s = now_s
             try:
-                item = self._inbox.get(timeout=max(deadline_s - now_s, 0.0))
+                item = self._inbox.get(timeout=min(health_s, self._session.deadline_s(ticked_s)) - now_s)
             except queue.Empty:
-                self._session.tick(time.monotonic())
                 continue
             if isinstance(item, Shutdown):
                 return

@@ -144,13 +144,13 @@ class Recorder:
             self._sheets.remove(sheet)
         return out
 
-    def next_deadline_s(self) -> float | None:
-        """Host time at which `settle` may decide something without further news."""
-        ages = [a.host_time_s + self.limits.unexplained_s for a, _ in self._waiting]
-        ages += [a.host_time_s + self.limits.lag_s for a in self._unnamed if not self._told(a)]
-        ages += [a.host_time_s + self.limits.unexplained_s for a in self._unnamed]
-        ages += [s.deadline_s for s in self.open_runs if s.pulse_count is not None]
-        return min(ages, default=None)
+    def next_deadline_s(self, after_s: float) -> float | None:
+        """The first host time after `after_s` at which `settle` may decide something without further news."""
+        limits = self.limits
+        times = [a.host_time_s + limits.unexplained_s for a, _ in self._waiting]
+        times += [a.host_time_s + age_s for a in self._unnamed for age_s in (limits.lag_s, limits.unexplained_s)]
+        times += [s.deadline_s for s in self.open_runs]
+        return min((t for t in times if t > after_s), default=None)
 
     def _told(self, arrival: Arrival) -> bool:
         return self._known_until_s >= arrival.host_time_s
@@ -217,10 +217,12 @@ class Recorder:
             sheet.finished = True
             return []
         overdue = now_s >= sheet.deadline_s
+        unripe = {a.camera for a in self._unnamed if not self._ripe(a, now_s)}
         out: list[Outcome] = []
         for camera in range(len(self._camera_clocks)):
             named = {a: row for a, (s, row) in self._name(camera, now_s).items() if s is sheet}
-            if named and (overdue or set(named.values()) == set(sheet.open_rows(camera))):
+            settles_all = camera not in unripe and set(named.values()) == set(sheet.open_rows(camera))
+            if named and (overdue or settles_all):
                 for arrival, row in named.items():
                     self._unnamed.remove(arrival)
                     out.append(self._take(sheet, row, arrival, Verdict.INCOMPLETE))

@@ -73,10 +73,10 @@ class Session:
         self._edge_s = 0.0
         self._disarming = False
 
-    def deadline_s(self) -> float | None:
-        """When `tick` has something to do, if nothing happens before."""
-        times = [t for t in (self._recorder.next_deadline_s(), self._silent_s) if t is not None]
-        return min(times)
+    def deadline_s(self, after_s: float) -> float:
+        """The first time after `after_s` when `tick` has something to do; infinite if there is none."""
+        times = (self._recorder.next_deadline_s(after_s), self._silent_s)
+        return min(t for t in times if t is not None)
 
     def tick(self, now_s: float) -> None:
         """Deadlines."""

@@ -1,0 +1,142 @@
+"""The firmware's rule: from the barrier's edges to pulses, exactly and without drift."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import count
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    BarrierBounce,
+    BarrierClear,
+    ControllerEvent,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
+from vaoi_station.errors import InputError
+
+PLAN = TriggerPlan(start_delay_s=0.3, period_s=0.1, tail_s=0.45, max_rows=20, debounce_s=0.005, lights=("a", "b"))
+
+
+def run(plan: TriggerPlan, edges: list[tuple[float, bool]], steps: list[float] | None = None) -> list[ControllerEvent]:
+    """All events for edges, asked at the edges, at `steps`, and long after."""
+    rule = TriggerRule(plan, count())
+    events: list[ControllerEvent] = []
+    moments = sorted([(t, 0, b) for t, b in edges] + [(t, 1, False) for t in steps or []])
+    for time_s, kind, blocked in moments:
+        events += rule.advance(time_s)
+        if kind == 0:
+            rule.edge(time_s, blocked)
+    return events + rule.advance(1e6)
+
+
+def pulses(events: list[ControllerEvent]) -> list[PulseFired]:
+    return [e for e in events if isinstance(e, PulseFired)]
+
+
+def ended(events: list[ControllerEvent], time_s: float) -> tuple[int, str]:
+    """Pulses and reason of a run that ended at a time."""
+    last = events[-1]
+    assert isinstance(last, RunEnded)
+    assert last.time_s == pytest.approx(time_s)
+    return last.pulses, last.reason
+
+
+def test_a_passage_from_edge_to_end() -> None:
+    events = run(PLAN, [(1.0, True), (1.52, False)])
+    assert isinstance(events[0], BarrierBlocked)
+    assert [p.time_s for p in pulses(events)] == pytest.approx([1.3 + 0.1 * k for k in range(7)])
+    assert [p.light for p in pulses(events)] == ["a", "b", "a", "b", "a", "b", "a"]
+    assert [type(e) for e in events if isinstance(e, BarrierClear | RunEnded)] == [BarrierClear, RunEnded]
+    assert ended(events, 1.9) == (7, "clear")
+    assert [e.number for e in events] == list(range(len(events)))
+
+
+def test_a_board_that_sticks_ends_at_the_most_rows_and_the_next_is_seen() -> None:
+    events = run(replace(PLAN, max_rows=4), [(1.0, True), (9.0, False), (10.0, True), (10.1, False)])
+    ends = [e for e in events if isinstance(e, RunEnded)]
+    assert [(e.pulses, e.reason) for e in ends] == [(4, "max-rows"), (3, "clear")]
+
+
+def test_short_interruptions_are_bounces_and_fire_nothing() -> None:
+    events = run(PLAN, [(1.0, True), (1.002, False)])
+    (bounce,) = events
+    assert isinstance(bounce, BarrierBounce)
+    assert bounce.time_s == 1.0
+    assert bounce.duration_s == pytest.approx(0.002)
+
+
+def test_bounces_during_a_passage_change_nothing_but_are_told() -> None:
+    quiet = run(PLAN, [(1.0, True), (1.5, False)])
+    events = run(PLAN, [(1.0, True), (1.2, False), (1.203, True), (1.5, False), (1.6, True), (1.601, False)])
+    assert [p.time_s for p in pulses(events)] == [p.time_s for p in pulses(quiet)]
+    assert sum(isinstance(e, BarrierBounce) for e in events) == 2
+
+
+def test_a_cut_out_does_not_end_the_run() -> None:
+    events = run(PLAN, [(1.0, True), (1.3, False), (1.5, True), (1.9, False)])
+    assert [type(e) for e in events if isinstance(e, BarrierBlocked | RunEnded)] == [BarrierBlocked, RunEnded]
+    assert pulses(events)[-1].time_s == pytest.approx(2.3)
+
+
+def test_a_hand_in_the_barrier_ends_without_a_pulse() -> None:
+    events = run(replace(PLAN, tail_s=0.1), [(1.0, True), (1.05, False)])
+    assert pulses(events) == []
+    assert ended(events, 1.055) == (0, "clear")
+
+
+@given(
+    st.floats(0, 1e5),
+    st.floats(0.01, 3),
+    st.floats(0.01, 0.5),
+    st.lists(st.floats(0, 5), max_size=30),
+    st.integers(1, 40),
+)
+def test_when_it_is_asked_does_not_matter(
+    start_s: float, passing_s: float, period_s: float, asked_s: list[float], max_rows: int
+) -> None:
+    plan = replace(PLAN, period_s=period_s, max_rows=max_rows)
+    edges = [(start_s, True), (start_s + passing_s, False)]
+    at_once, step_by_step = run(plan, edges), run(plan, edges, [start_s + t for t in asked_s])
+    assert at_once == step_by_step
+    for k, pulse in enumerate(pulses(at_once)):
+        assert pulse.index == k
+        assert pulse.time_s == start_s + plan.start_delay_s + k * period_s, "no error adds up"
+        assert pulse.time_s <= start_s + passing_s + max(plan.tail_s, plan.debounce_s)
+
+
+def test_disarming_ends_a_run_at_once() -> None:
+    rule = TriggerRule(PLAN, count())
+    assert rule.stop(0.0) == []
+    rule.edge(1.0, True)
+    rule.advance(1.35)
+    assert rule.passing
+    assert rule.stop(1.36) == [RunEnded(2, 1.36, 1, "disarmed")]
+    assert rule.due_s() is None
+
+
+def test_due_times_lead_from_one_event_to_the_next() -> None:
+    rule = TriggerRule(PLAN, count())
+    rule.edge(1.0, True)
+    assert rule.due_s() == pytest.approx(1.005)
+    rule.advance(1.005)
+    assert rule.due_s() == pytest.approx(1.3)
+    rule.edge(1.1, False)
+    rule.edge(1.101, True)
+    assert rule.due_s() == pytest.approx(1.1), "a bounce is told at once"
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [({"period_s": 0.0}, "period_s"), ({"max_rows": 0}, "max_rows"), ({"tail_s": 0.001}, "tail_s"),
+     ({"start_delay_s": 0.004}, "start_delay_s"), ({"debounce_s": float("nan")}, "start_delay_s")],
+)  # fmt: skip
+def test_plans_nobody_can_follow_are_refused(change: dict[str, float], key: str) -> None:
+    with pytest.raises(InputError, match=key):
+        TriggerRule(replace(PLAN, **change), count())  # type: ignore[arg-type]

@@ -1,0 +1,75 @@
+"""Clock models: their bound holds for whatever readings keep their own."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.acquisition.cameras.interface import ClockReading
+from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.errors import DeviceError
+
+readings = st.lists(st.tuples(st.floats(0, 100), st.floats(1e-6, 0.05), st.floats(-1, 1)), min_size=1, max_size=40).map(
+    sorted
+)
+
+
+@given(readings, st.floats(-1e6, 1e6), st.floats(-100, 100), st.floats(0, 200))
+def test_the_bound_holds(
+    taken: list[tuple[float, float, float]], offset_s: float, drift_ppm: float, asked_s: float
+) -> None:
+    true = DeviceClock(offset_s, drift_ppm, origin_s=5000.0)
+    model = ClockModel("camera")
+    for at_s, bound_s, lie in taken:
+        host_s = 5000.0 + at_s
+        model.add(ClockReading(true.device_s(host_s), host_s + lie * bound_s, bound_s))
+    assert model.restarts == 0
+    device_s = true.device_s(5000.0 + asked_s)
+    assert abs(model.host_s(device_s) - (5000.0 + asked_s)) <= model.bound_s(device_s) + 1e-9
+    assert model.device_s(model.host_s(device_s)) == pytest.approx(device_s, abs=1e-6)
+
+
+def test_short_round_trips_decide() -> None:
+    model = ClockModel("camera")
+    for k in range(20):
+        good = k % 4 == 0
+        model.add(ClockReading(float(k), 100.0 + k + (0.0 if good else 0.004), 1e-5 if good else 0.005))
+    assert model.host_s(10.0) == pytest.approx(110.0, abs=1e-4)
+    assert model.bound_s() < 1e-4
+
+
+def test_drift_is_measured() -> None:
+    true = DeviceClock(10.0, 42.0, origin_s=0.0)
+    model = ClockModel("controller")
+    for k in range(60):
+        model.add(ClockReading(true.device_s(k * 0.5), k * 0.5, 2e-5))
+    assert model.drift_ppm == pytest.approx(-42.0, abs=1.0)
+
+
+def test_nothing_is_known_before_the_first_reading() -> None:
+    model = ClockModel("controller")
+    assert model.bound_s() == math.inf
+    with pytest.raises(DeviceError, match="controller: its clock has never been read"):
+        model.host_s(1.0)
+
+
+def test_a_loose_clock_is_refused() -> None:
+    model = ClockModel("camera c0")
+    model.add(ClockReading(0.0, 0.0, 0.002))
+    with pytest.raises(DeviceError, match=r"camera c0: its clock is known to ± 2\.000 ms, but must be to 0\.500 ms"):
+        model.require(0.0005)
+    model.add(ClockReading(0.001, 0.001, 0.0001))
+    model.require(0.0005)
+
+
+def test_a_clock_that_jumps_starts_anew() -> None:
+    model = ClockModel("controller")
+    for k in range(10):
+        model.add(ClockReading(float(k), 100.0 + k, 1e-4))
+    model.add(ClockReading(0.5, 110.0, 1e-4))
+    assert model.restarts == 1
+    assert model.host_s(1.5) == pytest.approx(111.0, abs=1e-3)

@@ -1,0 +1,84 @@
+"""`vaoi record`: a process of its own films, and runs become recordings, whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.filming import film
+from vaoi_station.acquisition.keeping import keep_run
+from vaoi_station.acquisition.messages import RunFinished
+from vaoi_station.acquisition.ring import Ring
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import DeviceError, GoneError, InputError, StateError
+from vaoi_station.files import open_recording, read_calibration
+from vaoi_station.simulation import Twin, read_scenario
+
+FAULT = "[[faults.lost_frames]]\ncamera = 1\nrow = 2\n"
+
+Make = Callable[..., StationConfig]
+
+
+def test_filmed_boards_become_recordings_of_what_the_twin_showed(make_config: Make, tiny: str, tmp_path: Path) -> None:
+    config = make_config(tiny + FAULT)
+    kept: list[Path] = []
+
+    def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
+        target = tmp_path / "kept" / finished.run
+        keep_run(target, finished, ring, generation, {"calibration.json": config.calibration})
+        kept.append(target)
+
+    notices: list[str] = []
+    film(config, 4, keep, notices.append)
+    assert [k.name for k in kept] == ["001", "002", "003", "004"], "more runs than bays"
+    assert any("Armed" in n for n in notices)
+    assert config.simulation is not None
+    twin = Twin(read_scenario(config.simulation.scenario))
+    recording = open_recording(kept[0])
+    head = twin.passage(0).head()
+    assert recording.head.missing == ((1, 2),)
+    assert recording.head.trigger_times_s == head.trigger_times_s
+    assert (recording.head.model_extra or {})["x_verdicts"][0]["verdict"] == "missing"
+    assert np.array_equal(np.asarray(recording.frame(0, 3)), twin.passage(0).frame(0, 3))
+    read_calibration(kept[0] / "calibration.json", cameras=2)
+    assert list((tmp_path / "shm").iterdir()) == []
+    assert [p.name for p in (tmp_path / "kept").iterdir() if p.name.startswith(".")] == []
+
+
+def test_a_recording_is_never_overwritten_nor_left_half(make_config: Make, tmp_path: Path) -> None:
+    config = make_config()
+    target = tmp_path / "kept" / "one"
+    failures: list[str] = []
+
+    def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
+        with pytest.raises(GoneError):
+            keep_run(target, finished, ring, generation - 1)
+        with pytest.raises(FileNotFoundError):
+            keep_run(target, finished, ring, generation, {"board.json": tmp_path / "absent.json"})
+        assert list(target.parent.iterdir()) == []
+        keep_run(target, finished, ring, generation)
+        with pytest.raises(StateError, match="exists already"):
+            keep_run(target, finished, ring, generation)
+        failures.append("all told")
+
+    film(config, 1, keep, lambda _: None)
+    assert failures == ["all told"]
+
+
+def test_boards_that_will_never_come_are_not_waited_for(make_config: Make) -> None:
+    config = make_config()
+    assert config.simulation is not None
+    few = config.model_copy(update={"simulation": config.simulation.model_copy(update={"boards": 2})})
+    with pytest.raises(InputError, match=r"simulation\.boards is 2, but must be 0 or at least 3"):
+        film(few, 3, lambda *_: None, lambda _: None)
+
+
+def test_a_device_that_does_not_open_is_told_with_its_remedy(make_config: Make, tmp_path: Path, tiny: str) -> None:
+    config = make_config()
+    (tmp_path / "scenario.toml").write_text(tiny.replace("cameras = 2", "cameras = 3"))
+    with pytest.raises(DeviceError, match=r"array\.cameras is 3, but must be 2"):
+        film(config, 1, lambda *_: None, lambda _: None)
+    assert list((tmp_path / "shm").iterdir()) == []

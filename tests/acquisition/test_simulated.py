@@ -1,0 +1,273 @@
+"""The simulated station end to end: the real main of the process, over a real pipe, in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.filming import trigger_plan
+from vaoi_station.acquisition.messages import (
+    Arm,
+    BoardMissed,
+    FrameSettled,
+    Health,
+    PulseSeen,
+    RunFinished,
+    RunStarted,
+    Trouble,
+)
+from vaoi_station.acquisition.ring_layout import OK
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
+from vaoi_station.model import Verdict
+from vaoi_station.simulation import Passage, Twin, read_scenario
+
+Start = Callable[[StationConfig], Any]
+Make = Callable[..., StationConfig]
+
+
+def passage(config: StationConfig, number: int = 0) -> Passage:
+    assert config.simulation is not None
+    return Twin(read_scenario(config.simulation.scenario)).passage(number)
+
+
+def test_a_board_is_filmed_row_by_row_as_the_twin_shows_it(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.grant("one", 0)
+    bench.arm()
+    finished = bench.until(RunFinished)
+    truth = passage(bench.config)
+    assert finished.run == "one"
+    assert finished.reason == "clear"
+    assert finished.head.missing == ()
+    assert finished.head.trigger_times_s == truth.head().trigger_times_s
+    assert finished.head.lights == truth.lights
+    assert [(f.camera, f.row) for f in finished.frames] == [(c, r) for c in range(2) for r in range(truth.rows)]
+    for frame in finished.frames:
+        assert (frame.verdict, frame.cause) == (Verdict.OK, "")
+        assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
+        assert bench.ring.record(frame.slot)[:3] == (bench.generations[0], OK, frame.row)
+        assert abs(frame.pulse_error_us) < 1000
+    assert [p.pulse.index for p in bench.of(PulseSeen)] == list(range(truth.rows))
+    assert len(bench.of(FrameSettled)) == 2 * truth.rows
+    assert len(bench.of(RunStarted)) == 1
+    assert finished.last_frame_host_s >= bench.of(RunStarted)[0].host_time_s
+    bench.until(Health)
+    assert all(c.connected for c in bench.of(Health)[-1].cameras)
+
+
+def test_boards_back_to_back_go_into_bays_of_their_own(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    for n in range(3):
+        bench.grant(f"run {n}", n)
+    bench.arm()
+    for n in range(3):
+        finished = bench.until(RunFinished)
+        assert (finished.run, finished.bay) == (f"run {n}", n)
+        truth = passage(bench.config, n)
+        for frame in finished.frames:
+            assert bench.ring.layout.place(frame.slot)[:2] == (n, frame.camera)
+            assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
+
+
+FAULTS = """
+[[faults.lost_frames]]
+board = 0
+camera = 0
+row = 1
+[[faults.lost_rows]]
+board = 0
+row = 3
+[[faults.incomplete_frames]]
+board = 0
+camera = 1
+row = 2
+share = 0.4
+[[faults.late_frames]]
+board = 0
+camera = 1
+row = 4
+delay_s = 0.3
+"""
+
+
+def test_every_fault_ends_as_a_verdict_with_its_cause(start: Start, make_config: Make, tiny: str) -> None:
+    bench = start(make_config(tiny + FAULTS))
+    for n in range(2):
+        bench.grant(f"run {n}", n)
+    bench.arm()
+    runs = [bench.until(RunFinished) for _ in range(2)]
+    first, second = sorted(runs, key=lambda r: r.run)  # the first one waits for its late frames
+    verdicts = {(f.camera, f.row): f for f in first.frames if f.verdict is not Verdict.OK}
+    assert set(verdicts) == {(0, 1), (0, 3), (1, 3), (1, 2)}
+    assert "lost on the way: the camera counted it" in verdicts[0, 1].cause
+    torn = verdicts[1, 2]
+    truth = passage(bench.config)
+    if torn.verdict is Verdict.INCOMPLETE:
+        pixels, whole = bench.ring.frame(torn.slot), truth.frame(1, 2)
+        got_through = round(0.4 * pixels.size)
+        assert np.array_equal(pixels.flat[:got_through], whole.flat[:got_through])
+        assert not pixels.flat[got_through:].any(), "holes are black"
+    else:
+        assert torn.verdict is Verdict.MISSING, "rows 2 and 3 are both possible"
+    late = next(f for f in first.frames if (f.camera, f.row) == (1, 4))
+    assert late.verdict is Verdict.OK
+    for finished, board in ((first, truth), (second, passage(bench.config, 1))):
+        for frame in finished.frames:
+            if frame.verdict is Verdict.OK:
+                assert bench.ring.layout.place(frame.slot)[0] == finished.bay
+                assert np.array_equal(bench.ring.frame(frame.slot), board.frame(frame.camera, frame.row))
+    assert {f.verdict for f in second.frames} == {Verdict.OK}
+
+
+def test_a_board_without_memory_is_missed_and_the_next_is_filmed(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.arm()
+    missed = bench.until(BoardMissed)
+    assert "no memory" in missed.reason
+    bench.grant("after", 1)
+    finished = bench.until(RunFinished)
+    assert finished.run == "after"
+    boards = len(bench.of(BoardMissed))
+    truth = passage(bench.config, boards)
+    for frame in finished.frames:
+        assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
+
+
+BOUNCES = """
+[[faults.bounces]]
+at_s = 0.1
+duration_s = 0.002
+[[faults.bounces]]
+at_s = 0.001
+duration_s = 0.001
+[[faults.bounces]]
+at_s = -0.05
+duration_s = 0.002
+"""
+
+
+def test_a_bouncing_barrier_is_one_board_and_frames_show_the_pulses_really_fired(
+    start: Start, make_config: Make, tiny: str
+) -> None:
+    bench = start(make_config(tiny + BOUNCES))
+    bench.grant("one", 0)
+    bench.arm()
+    finished = bench.until(RunFinished)
+    assert len(bench.of(RunStarted)) == 1
+    assert bench.of(Trouble) == []
+    assert finished.head.missing == ()
+    truth = passage(bench.config)
+    assert finished.head.rows == truth.rows
+    shifted_s = 0.002  # the edge counts that lasts, after the bounce at the leading edge
+    first = truth.frame_at(0, truth.pulse_times_s[0] + shifted_s, truth.lights[0], 0)
+    assert np.array_equal(bench.ring.frame(finished.frames[0].slot), first)
+
+
+def test_a_board_that_sticks_ends_at_the_most_rows(start: Start, make_config: Make, tiny: str) -> None:
+    bench = start(make_config(tiny + "[[faults.stuck]]\nboard = 0\nrow = 1\n"))
+    for n in range(2):
+        bench.grant(f"run {n}", n)
+    bench.arm()
+    stuck, following = bench.until(RunFinished), bench.until(RunFinished)
+    assert stuck.reason == "max-rows"
+    assert stuck.head.rows == bench.config.line.rows_of_longest_board
+    assert stuck.head.missing == ()
+    assert following.reason == "clear"
+    assert following.head.missing == ()
+
+
+def test_disarming_gives_unused_memory_back_and_arming_again_films(start: Start, make_config: Make) -> None:
+    config = make_config(interval_s=30.0)
+    bench = start(config)
+    bench.grant("one", 0)
+    bench.grant("two", 1)
+    bench.arm()
+    bench.until(RunFinished)
+    unused = bench.disarm().unused
+    assert [(g.run, g.bay) for g in unused] == [("two", 1)]
+    assert bench.disarm().unused == ()
+
+
+def test_disarming_while_a_board_passes_finishes_the_run_with_what_it_has(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseSeen)
+    bench.disarm()
+    (finished,) = bench.of(RunFinished)
+    assert finished.reason == "disarmed"
+    assert 1 <= finished.head.rows < passage(bench.config).rows
+    bench.grant("two", 1)
+    bench.arm()
+    assert bench.until(RunFinished).head.missing == ()
+
+
+def test_a_plan_the_scenario_was_not_made_for_is_refused_and_the_process_lives(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    plan = trigger_plan(bench.config)
+    for change, key in (
+        ({"period_s": 0.2}, "period_s"),
+        ({"max_rows": 500}, "max_rows"),
+        ({"lights": ("x",)}, "lights"),
+    ):
+        bench.send(Arm(replace(plan, **change)))
+        assert key in bench.until(Trouble).message
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(RunFinished)
+
+
+def test_another_plan_while_armed_and_idle_is_taken_and_while_filming_refused(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    plan = trigger_plan(bench.config)
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseSeen)
+    bench.send(Arm(replace(plan, max_rows=plan.max_rows - 1)))
+    assert "passing" in bench.until(Trouble).message
+    bench.until(RunFinished)
+
+
+def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseSeen)
+    bench.connection.close()
+    bench.thread.join(30)
+    assert not bench.thread.is_alive()
+
+
+def test_a_scenario_of_another_array_is_told_before_anything_starts(
+    start: Callable[..., Any], make_config: Make, tmp_path: Path, tiny: str
+) -> None:
+    config = make_config()
+    (tmp_path / "scenario.toml").write_text(tiny.replace("width_px = 96", "width_px = 80"))
+    bench = start(config, ready=False)
+    trouble = bench.until(Trouble)
+    assert "width_px is 80, but must be 96" in trouble.message
+    assert trouble.action
+
+
+def test_a_ring_of_another_configuration_is_refused(start: Callable[..., Any], make_config: Make) -> None:
+    from vaoi_station.acquisition.process import _check_layout
+
+    config = make_config()
+    bench = start(config)
+    with pytest.raises(Exception, match="another configuration"):
+        _check_layout(bench.ring, make_config(ring={"directory": config.ring.directory, "runs": 5}))
+
+
+def test_unknown_lights_are_an_input_error(make_config: Make) -> None:
+    from vaoi_station.acquisition.simulated import accept_plan
+
+    plan = trigger_plan(make_config())
+    assert accept_plan(plan, replace(plan, lights=("a",))).lights == ("a",)
+    with pytest.raises(InputError, match="lights"):
+        accept_plan(replace(plan, lights=("b",)), replace(plan, lights=("a",)))

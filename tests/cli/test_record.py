@@ -1,0 +1,85 @@
+"""`vaoi record` from the outside: files appear whole, refusals come before filming."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from vaoi_station.cli import app
+from vaoi_station.errors import StateError
+from vaoi_station.files import open_recording, write_calibration
+from vaoi_station.simulation import Twin, read_scenario
+
+SCENARIO = """
+[array]
+cameras = 1
+width_px = 96
+height_px = 72
+px_per_mm = 4.0
+[board]
+width_mm = 20.0
+length_mm = 20.0
+density = 0.5
+[line]
+barrier_mm = -20.0
+start_delay_s = 0.12
+period_s = 0.05
+tail_s = 0.2
+longest_board_mm = 22.0
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A station of the tiny twin, as files."""
+    (tmp_path / "scenario.toml").write_text(SCENARIO)
+    twin = Twin(read_scenario(tmp_path / "scenario.toml"))
+    write_calibration(tmp_path / "calibration.json", twin.calibration)
+    (tmp_path / "shm").mkdir()
+    line = twin.line.model_dump(mode="json", exclude={"expected_board"}, exclude_none=True)
+    keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in line.items())
+    path = tmp_path / "station.toml"
+    path.write_text(
+        f"""name = "record"
+calibration = "calibration.json"
+board_types = "types"
+data = "data"
+[line]
+{keys}
+[[cameras]]
+name = "c0"
+width = 96
+height = 72
+exposure_us = 250
+[simulation]
+scenario = "scenario.toml"
+interval_s = 0.01
+[ring]
+directory = "shm"
+"""
+    )
+    return path
+
+
+def test_runs_are_kept_with_their_calibration(config: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out), "--runs", "2"])
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in out.iterdir()) == ["run-001", "run-002"]
+    for run in out.iterdir():
+        assert open_recording(run).head.missing == ()
+        assert (run / "calibration.json").is_file()
+    assert "ended by 'clear'" in done.output
+
+
+def test_one_run_is_the_directory_itself_and_never_overwrites(config: Path, tmp_path: Path) -> None:
+    out = tmp_path / "one"
+    arguments = ["record", "--config", str(config), "--out", str(out)]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert open_recording(out).head.rows > 1
+    refused = CliRunner().invoke(app, arguments)
+    assert isinstance(refused.exception, StateError)
+    assert "exists already" in str(refused.exception)
