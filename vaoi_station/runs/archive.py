@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.errors import DeviceError, NotFoundError, StateError
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.runs.accounts import detail_of, summary_of, timeline_of
@@ -44,6 +44,7 @@ class Archive:
         self._events = events
         self._news = threading.Condition()
         self._recent: OrderedDict[str, Dossier] = OrderedDict()
+        self._under_way: set[str] = set()
         last = store.last_finished()
         self._finished = last.finish_number or 0 if last else 0
         """Given out; the newest may not have been announced yet."""
@@ -53,6 +54,8 @@ class Archive:
 
     def begin(self, progress: Progress) -> None:
         """A run has begun; should the station die, its trace remains."""
+        with self._news:
+            self._under_way.add(progress.run)
         self._store.save_run(_row(progress, detail_of(progress), None))
 
     def finish(self, progress: Progress) -> RunDetail:
@@ -63,6 +66,7 @@ class Archive:
             detail, self._finished, order.board_type, order.setup.cameras, progress.stitch, timeline_of(progress)
         )
         with self._news:
+            self._under_way.discard(progress.run)
             self._remember(dossier)
         row = _row(progress, detail, self._finished)
         document = progress.result.document if progress.result else None
@@ -83,11 +87,13 @@ class Archive:
         with self._news:
             if run in self._recent:
                 return self._recent[run]
+            if run in self._under_way:
+                raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
         row = self._store.run(run)
         if row is None:
             raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
         if row.finish_number is None:
-            raise StateError(f"Run {run} is {row.state}; it has no result yet.", action="Wait for it by runs/next.")
+            raise DeviceError(f"The end of run {run} could not be written.", action="Check space on the data disk.")
         dossier = self._parsed(row)
         with self._news:
             return self._recent.get(run) or self._remember(dossier)

@@ -178,7 +178,10 @@ class StationConductor:
 
     def run(self, run: str) -> RunDetail:
         """One run, also while it is filmed."""
-        return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
+        try:
+            return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
+        except StateError:  # it has begun between the two questions
+            return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
 
     def latest(self) -> RunDetail | None:
         """The run that finished last."""

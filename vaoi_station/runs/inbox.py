@@ -79,15 +79,21 @@ class Inbox:
     def _run(self) -> None:
         next_tick = time.monotonic() + self._tick_s
         while not self._closed.is_set():
-            try:
-                work = self._messages.get(timeout=max(0.0, next_tick - time.monotonic()))
-            except Empty:
-                work = self._tick
-                next_tick = time.monotonic() + self._tick_s
+            work = self._next(next_tick)
+            if work is None:
+                work, next_tick = self._tick, time.monotonic() + self._tick_s
             try:
                 work()
             except Exception:  # noqa: BLE001  one message that fails must not end the station; it is in the log
                 _log.exception("a message to the conductor failed")
+
+    def _next(self, until_s: float) -> Callable[[], Any] | None:
+        """The next message; None when it is time to tick, however many are waiting."""
+        try:
+            left_s = until_s - time.monotonic()
+            return self._messages.get(timeout=left_s) if left_s > 0 else None
+        except Empty:
+            return None
 
 
 def _stopping() -> StateError:

@@ -1,0 +1,408 @@
+"""A conductor on a small ring, with a scripted acquisition process and scripted workers."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition import messages as said
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.errors import NotFoundError
+from vaoi_station.files import write_board_type
+from vaoi_station.model import (
+    BoardType,
+    Calibration,
+    CameraHead,
+    Component,
+    Fiducial,
+    FrameRecord,
+    Pulse,
+    RecordingHead,
+    Status,
+    Stitch,
+    Verdict,
+)
+from vaoi_station.runs.acquisition_link import AcquisitionLink, Process
+from vaoi_station.runs.archive import Archive
+from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.runs.core import Parts
+from vaoi_station.runs.events import EventLog
+from vaoi_station.runs.jobs import Answer, Concluded, ConcludeJob, Job, LinkJob
+from vaoi_station.runs.moments import RunIds
+from vaoi_station.runs.order import OrderDesk
+from vaoi_station.runs.salvage import camera_heads
+from vaoi_station.stitching.evidence import Links, Task
+from vaoi_station.store import BoardTypeDirectory, Database, Store
+
+R = TypeVar("R")
+PATIENCE_S = 20.0
+WIDTH, HEIGHT, PX_PER_MM = 64, 48, 2.0
+PERIOD_S, SPEED_MM_S = 0.1, 100.0
+
+
+def a_board_type(name: str = "small") -> BoardType:
+    return BoardType(
+        name=name,
+        outline=((0, 0), (40, 30)),
+        fiducials=(Fiducial(name="F1", x=5, y=5, diameter=1), Fiducial(name="F2", x=35, y=25, diameter=1)),
+        components=(Component(ref="U1", center=(10, 10), width=4, height=4),),
+    )
+
+
+def a_calibration(cameras: int = 2) -> Calibration:
+    matrices = [[[PX_PER_MM, 0, -30 * i * PX_PER_MM], [0, PX_PER_MM, 0], [0, 0, 1]] for i in range(cameras)]
+    return Calibration.model_validate(
+        {"format": "vaoi-calibration", "version": 1, "unit": "mm", "camera_matrices": matrices}
+    )
+
+
+def a_config(directory: Path, runs: int = 3, cameras: int = 2) -> StationConfig:
+    (directory / "ring").mkdir(exist_ok=True)
+    return StationConfig(
+        name="test",
+        calibration=directory / "calibration.json",
+        board_types=directory / "board-types",
+        data=directory / "data",
+        workers=2,
+        line=Line(
+            conveyor_mm_s=(0.0, SPEED_MM_S), barrier_mm=0.0, start_delay_s=0.0,
+            trigger_period_s=PERIOD_S, tail_s=0.0, longest_board_mm=50.0,
+        ),
+        cameras=tuple(
+            CameraConfig(name=f"c{i}", backend="replay", width=WIDTH, height=HEIGHT, exposure_us=100.0)
+            for i in range(cameras)
+        ),
+        controller={"backend": "replay"},
+        replay=ReplayConfig(recordings=(directory,)),
+        ring=RingConfig(directory=directory / "ring", runs=runs),
+    )  # fmt: skip
+
+
+def a_stitch(head: RecordingHead, status: Status = Status.OK, reasons: tuple[str, ...] = ()) -> Stitch:
+    """What a perfect stitch of the small rig would be."""
+    rows = [np.array([[1, 0, 0], [0, 1, 1.01 * SPEED_MM_S * t], [0, 0, 1.0]]) for t in head.row_times_s()]
+    cameras = a_calibration(len(head.cameras)).camera_matrices
+    return Stitch(
+        method="auto",
+        image_matrices=tuple(tuple(n @ d for d in rows) for n in cameras),
+        cad_matrix=np.array([[1, 0, 0], [0, -1, 30.0], [0, 0, 1]]),
+        row_motion=tuple(rows),
+        status=status,
+        reasons=reasons,
+    )
+
+
+@dataclass
+class ScriptedWorkers:
+    """Does links at once unless told to keep them, and concludes with `result`."""
+
+    keep: bool = False
+    kept: list[tuple[Job, Callable[[Answer], None]]] = field(default_factory=list)
+    done: list[Job] = field(default_factory=list)
+    closed: list[str] = field(default_factory=list)
+    result: Callable[[RecordingHead], Stitch] = a_stitch
+
+    def submit(self, job: Job, done: Callable[[Answer], None]) -> None:
+        if self.keep:
+            self.kept.append((job, done))
+        else:
+            self.perform(job, done)
+
+    def perform(self, job: Job, done: Callable[[Answer], None]) -> None:
+        self.done.append(job)
+        if isinstance(job, LinkJob):
+            done(Answer(Links.none(job.task, "scripted"), None, 0.001))
+        elif isinstance(job, ConcludeJob):
+            done(Answer(Concluded(stitch := self.result(job.head), stitch.model_dump_json()), None, 0.002))
+        else:
+            done(Answer(b"picture", None, 0.001))
+
+    def let_go(self) -> None:
+        self.keep = False
+        for job, done in self.kept:
+            self.perform(job, done)
+        self.kept.clear()
+
+    def close_run(self, run: str) -> None:
+        self.closed.append(run)
+
+    def tasks(self, run: str) -> list[Task]:
+        return [job.task for job in self.done if isinstance(job, LinkJob) and job.run == run]
+
+
+class FakeProcess:
+    """A process that is a thread's idea of one: it 'dies' when told to."""
+
+    def __init__(self) -> None:
+        self._here, self._there = multiprocessing.Pipe(duplex=False)
+        self.pid, self.exitcode = 4711, None
+
+    @property
+    def sentinel(self) -> int:
+        return self._here.fileno()
+
+    def kill(self) -> None:
+        self.die(-9)
+
+    def die(self, code: int) -> None:
+        if self.exitcode is None:
+            self.exitcode: int | None = code
+            self._there.close()
+
+    def join(self, timeout: float | None = None) -> None:
+        assert self.exitcode is not None
+
+    def close(self) -> None:
+        self._here.close()
+
+
+class Peer:
+    """The acquisition process, played by the test."""
+
+    def __init__(self) -> None:
+        self.lives: list[tuple[FakeProcess, Connection[Any, Any]]] = []
+        self._born = threading.Condition()
+        self.grants: list[said.Grant] = []
+
+    def launch(self) -> tuple[Process, Connection[Any, Any]]:
+        here, there = multiprocessing.Pipe()
+        process = FakeProcess()
+        with self._born:
+            self.lives.append((process, there))
+            self._born.notify_all()
+        return process, here
+
+    def life(self, number: int) -> None:
+        """Wait for the process's n-th life."""
+        with self._born:
+            assert self._born.wait_for(lambda: len(self.lives) >= number, PATIENCE_S)
+
+    @property
+    def connection(self) -> Connection[Any, Any]:
+        return self.lives[-1][1]
+
+    def say(self, *reports: said.Report) -> None:
+        for report in reports:
+            self.connection.send(report)
+
+    def expect(self, kind: type[R]) -> R:
+        assert self.connection.poll(PATIENCE_S), f"no {kind.__name__} came"
+        command = self.connection.recv()
+        assert isinstance(command, kind), command
+        return command
+
+    def die(self, code: int = -9) -> None:
+        process, connection = self.lives[-1]
+        connection.close()
+        process.die(code)
+
+    def close(self) -> None:
+        for process, connection in self.lives:
+            connection.close()
+            process.die(0)
+
+
+@dataclass
+class Rig:
+    """A conductor and all it conducts."""
+
+    config: StationConfig
+    conductor: StationConductor
+    ring: Ring
+    peer: Peer
+    workers: ScriptedWorkers
+    link: AcquisitionLink
+    store: Store
+    archive: Archive
+
+    def ready(self) -> None:
+        self.peer.life(1)
+        self.peer.say(said.Ready(len(self.config.cameras)))
+        self.until("idle")
+
+    def until(self, state: str) -> None:
+        """Wait for a state of the station; the event log tells of every change."""
+        self.wait_for(lambda: self.conductor.snapshot().state == state, f"the station to be {state}")
+
+    def wait_for(self, true: Callable[[], bool], what: str) -> None:
+        deadline, seen = time.monotonic() + PATIENCE_S, 0
+        while not true():
+            assert time.monotonic() < deadline, f"waited for {what}: {self.conductor.snapshot()}"
+            records = self.conductor.events(seen, 0.2)
+            seen = records[-1].number if records else seen
+
+    def wait_run(self, run: str, true: Callable[[Any], bool], what: str) -> None:
+        """Wait for something about a run that may not have begun yet."""
+
+        def met() -> bool:
+            try:
+                return true(self.conductor.run(run))
+            except NotFoundError:
+                return False
+
+        self.wait_for(met, what)
+
+    def arm(self, **options: Any) -> said.Grant:
+        """Arm, playing the other side; the grant that came with it."""
+        outcome: list[Any] = []
+
+        def call() -> None:
+            try:
+                outcome.append(self.conductor.arm("small", **options))
+            except Exception as error:  # noqa: BLE001  handed to the test's own thread
+                outcome.append(error)
+
+        caller = threading.Thread(target=call)
+        caller.start()
+        grant = self.peer.expect(said.Grant)
+        self.peer.expect(said.Arm)
+        self.peer.say(said.Armed())
+        caller.join(PATIENCE_S)
+        if isinstance(outcome[0], Exception):
+            raise outcome[0]
+        return grant
+
+    def begin(self, grant: said.Grant, at_s: float | None = None) -> float:
+        """A board interrupts the barrier."""
+        at_s = time.monotonic() if at_s is None else at_s
+        self.peer.say(said.RunStarted(grant.run, grant.bay, at_s))
+        return at_s
+
+    def row(self, grant: said.Grant, row: int, verdicts: dict[int, Verdict] | None = None) -> list[FrameRecord]:
+        """One pulse, and a frame per camera filled with its number."""
+        self.peer.say(said.PulseSeen(grant.run, Pulse(index=row, time_s=100 + row * PERIOD_S)))
+        records = []
+        for camera in range(len(self.config.cameras)):
+            verdict = (verdicts or {}).get(camera, Verdict.OK)
+            slot = None if verdict is Verdict.MISSING else self.ring.slot(grant.bay, camera, row)
+            if slot is not None:
+                self.ring.memory(slot)[:] = frame_value(camera, row)
+            record = FrameRecord(
+                camera=camera, row=row, verdict=verdict, cause="" if verdict is Verdict.OK else "scripted", slot=slot
+            )
+            records.append(record)
+            self.peer.say(said.FrameSettled(grant.run, record, time.monotonic()))
+        return records
+
+    def finish(self, grant: said.Grant, records: list[FrameRecord]) -> None:
+        """Every frame has its verdict."""
+        rows = 1 + max(r.row for r in records)
+        head = RecordingHead(
+            format="vaoi-recording",
+            version=1,
+            cameras=tuple(CameraHead(width=WIDTH, height=HEIGHT, exposure_us=100) for _ in self.config.cameras),
+            rows=rows,
+            trigger_period_s=PERIOD_S,
+            conveyor_mm_s=(0.0, SPEED_MM_S),
+            missing=tuple((r.camera, r.row) for r in records if r.verdict is not Verdict.OK),
+        )
+        ordered = tuple(sorted(records, key=lambda r: (r.camera, r.row)))
+        self.peer.say(said.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), "clear"))
+
+    def board(self, grant: said.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:
+        """A whole passage."""
+        self.begin(grant)
+        records = [r for row in range(rows) for r in self.row(grant, row, verdicts if row == 1 else None)]
+        self.finish(grant, records)
+
+    def result_of(self, run: str) -> Any:
+        """Wait for a run's end."""
+        self.wait_for(lambda: self._ended(run), f"run {run} to end")
+        return self.conductor.run(run)
+
+    def _ended(self, run: str) -> bool:
+        latest = self.conductor.latest()
+        return latest is not None and latest.id >= run
+
+
+def frame_value(camera: int, row: int) -> int:
+    return 10 + 20 * camera + row
+
+
+def end_link(link: AcquisitionLink, peer: Peer) -> None:
+    """The scripted process does not read Shutdown; it ends when it is closed."""
+    ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
+    ending.start()
+    peer.close()
+    ending.join()
+
+
+@pytest.fixture
+def board_type() -> BoardType:
+    return a_board_type()
+
+
+@pytest.fixture
+def calibration() -> Calibration:
+    return a_calibration()
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> StationConfig:
+    return a_config(tmp_path)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    opened = Store(Database(tmp_path / "data" / "station.db"))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def make_stitch() -> Callable[..., Stitch]:
+    return a_stitch
+
+
+@pytest.fixture
+def make_config() -> Callable[..., StationConfig]:
+    return a_config
+
+
+@pytest.fixture
+def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
+    """Builds rigs; whatever happens, their threads end and their ring is unlinked."""
+    ends: list[Callable[[], object]] = []
+
+    def make(**options: Any) -> Rig:
+        config = a_config(tmp_path, **options)
+        write_board_type(config.board_types / "small.json", a_board_type())
+        ring = Ring.create(ring_path(config), RingLayout.of(config))
+        ends.append(ring.close)
+        events = EventLog(store)
+        archive, peer, workers = Archive(store, events), Peer(), ScriptedWorkers()
+        link = AcquisitionLink(peer.launch)
+        conductor = StationConductor(
+            Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run())),
+            ring,
+            BoardTypeDirectory(config.board_types),
+            OrderDesk(config.line, a_calibration(), camera_heads(config), store),
+            lambda: (link.status(),),
+        )
+        ends.append(conductor.close)
+        conductor.start()
+        ends.append(lambda: end_link(link, peer))
+        link.start(conductor.hear, conductor.acquisition_lost)
+        return Rig(config, conductor, ring, peer, workers, link, store, archive)
+
+    yield make
+    for end in reversed(ends):
+        end()
+
+
+@pytest.fixture
+def rig(make_rig: Callable[..., Rig]) -> Rig:
+    """A rig that is idle, in a ring of three runs."""
+    made = make_rig()
+    made.ready()
+    return made
