@@ -20,7 +20,8 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.motion import SPEED_TOLERANCE, STEP_TOLERANCE, SWAY_MM, YAW_RAD, Motion
 from vaoi_station.stitching.observations import Ints, Observations
 
-_ITERATIONS = 8
+_ITERATIONS = 15
+_CONVERGED_MM = 2e-6
 _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
@@ -108,7 +109,7 @@ def adjust(problem: Problem, start: Motion, similarity: Floats | None = None) ->
     """
     solver = _Solver(problem, start, similarity)
     for _ in range(_ITERATIONS):
-        if solver.step() < 1e-7:
+        if solver.step() < _CONVERGED_MM:
             break
     return solver.result()
 
@@ -123,7 +124,8 @@ class _Solver:
         self.beta = np.zeros(self.f)
         self.n_components = int(problem.component.max(initial=-1)) + 1
         self.heights = np.zeros(self.n_components)
-        self.floor_px = 0.05
+        self.same_row = problem.links.p == problem.links.q
+        self.floor_px = {False: 0.05, True: 0.05}
         self.size = 3 * self.m + (4 if problem.fiducials else 0) + self.f
         self.normal = np.eye(self.size)
 
@@ -168,21 +170,27 @@ class _Solver:
     def _weights(self, residual: Floats) -> Floats:
         """Weight matrices (k, 2, 2) mm⁻², robust and with what a pair of frames shares taken into account."""
         o = self.p.links
-        scale = (self.floor_px / o.px_per_mm) ** 2
+        floor_px = np.where(self.same_row, self.floor_px[True], self.floor_px[False])
+        scale = (floor_px / o.px_per_mm) ** 2
         information = np.linalg.inv(o.noise_mm2 + scale[:, None, None] * np.eye(2))
         chi = np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", residual, information, residual), 0) / 2)
         self.sigma = chi
         self.robust = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
         per_pair = np.bincount(o.group, self.robust, minlength=len(o.groups))
-        share = 1 / (1 + per_pair * (_PAIR_SIGMA_PX / self.floor_px) ** 2)
-        return np.asarray(information * (self.robust * share[o.group])[:, None, None])
+        share = 1 / (1 + per_pair[o.group] * (_PAIR_SIGMA_PX / floor_px) ** 2)
+        return np.asarray(information * (self.robust * share)[:, None, None])
 
     def _update_floor(self, residual: Floats) -> None:
-        """The scatter of single links, from those on the bare board (they are the ones the model should explain)."""
+        """The scatter of single links, from those on the bare board (they are the ones the model should explain).
+
+        Links between rows and between cameras have each their own: a lifted board first shows as a large
+        scatter of the latter, which keeps their weight until the surface explains it.
+        """
         bare = self.p.component < 0
-        px = (residual * self.p.links.px_per_mm[:, None])[bare]
-        if len(px) >= 20:
-            self.floor_px = float(np.clip(median_sigma(px), *_FLOOR_PX))
+        for kind in (False, True):
+            px = (residual * self.p.links.px_per_mm[:, None])[bare & (self.same_row == kind)]
+            if len(px) >= 20:
+                self.floor_px[kind] = float(np.clip(median_sigma(px), *_FLOOR_PX))
 
     def _add_links(self, normal: Floats, right: Floats) -> None:
         o = self.p.links
@@ -331,7 +339,17 @@ class _Solver:
         if s is not None and self.c is not None:
             fiducial_px = self._fiducial_terms(s)[0] * s.px_per_mm[:, None]
         return Adjusted(
-            self.motion, self.c, self.beta, heights, covariance, sigma, px, used, fiducial_px, self.floor_px, sigma0
+            self.motion,
+            self.c,
+            self.beta,
+            heights,
+            covariance,
+            sigma,
+            px,
+            used,
+            fiducial_px,
+            self.floor_px[False],
+            sigma0,
         )
 
 

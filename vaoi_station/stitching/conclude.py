@@ -139,20 +139,17 @@ def _map_cad(
         if seen_as is not None and seen_as.contradicts:
             return _turned_round(frame, seen_as), problem, []
     seen = look_again(frame.board_type, frame.matrix(guess.c), cameras, moved.motion, sightings, grey)
-    points, _ = assign(frame, guess.c, seen, cameras, moved.motion)
+    points, which = assign(frame, guess.c, seen, cameras, moved.motion)
     tall_view = all(camera.working_distance_mm is not None for camera in cameras)
-    rough = _with_board(problem, points, frame, moved.motion, guess.c, tall_view=tall_view)
-    first = adjust(rough, moved.motion, guess.c)
-    assert first.similarity is not None
-    points, which = assign(frame, first.similarity, seen, cameras, first.motion)
-    whole = _with_board(problem, points, frame, first.motion, first.similarity, tall_view=tall_view)
-    return adjust(whole, first.motion, first.similarity), whole, which
+    whole = _with_board(problem, points, frame, moved.motion, guess.c, tall_view=tall_view)
+    return adjust(whole, moved.motion, guess.c), whole, which
 
 
 def _turned_round(frame: Frame, seen_as: Orientation) -> Failure:
+    contrast = f"{seen_as.turned:.0f} against {seen_as.as_placed:.0f} grey levels"
     return Failure(
-        f"the board lies turned by 180°, or is of another type than {frame.board_type.name!r}: by its {seen_as.evidence} "
-        f"the pictures fit the turned board (edge contrast {seen_as.turned:.0f} against {seen_as.as_placed:.0f} grey levels)"
+        f"the board lies turned by 180°, or is of another type than {frame.board_type.name!r}: "
+        f"by its {seen_as.evidence} the pictures fit the turned board (edge contrast {contrast})"
     )
 
 

@@ -55,7 +55,7 @@ def _fine(
         return Links.none(task, "no textured place in the overlap")
     m = match(a.grey, b.grey, a_px, guess)
     sigma = np.sqrt(1 / np.maximum(np.linalg.eigvalsh(m.information)[:, 0], 1e-9))
-    good = m.found & (m.score >= _LEAST_SCORE) & (sigma <= _WORST_SIGMA_PX) & ~_saturated(a, a_px)
+    good = m.found & (m.score >= _LEAST_SCORE) & (sigma <= _WORST_SIGMA_PX)
     if not good.any():
         return Links.none(task, f"none of {len(a_px)} places was found again with correlation ≥ {_LEAST_SCORE}")
     return Links(
@@ -107,8 +107,3 @@ def _reduced(
         min(int(x1) - m, shape[1] - m),
         min(int(y1) - m, shape[0] - m),
     )
-
-
-def _saturated(a: Prepared, a_px: NDArray[np.int_]) -> NDArray[np.bool_]:
-    """Whether the middle of a patch is blown out."""
-    return np.asarray(a.grey[a_px[:, 1], a_px[:, 0]] >= a.saturated)

@@ -9,6 +9,7 @@ of the array so that angle and shift hardly depend on one another:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -43,9 +44,16 @@ class Motion:
 
     def row_from_tester(self, row: int) -> Euclidean:
         """The paper's D_j."""
-        turn = Euclidean.motion(float(self.angle[row]), (0, 0), System.TESTER, System.ROW)
-        shift = self.pivot + self.shift[row] - turn(self.pivot)
-        return Euclidean.motion(float(self.angle[row]), shift, System.TESTER, System.ROW).inverse()
+        return self._rows[row]
+
+    @cached_property
+    def _rows(self) -> tuple[Euclidean, ...]:
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        x, y = (self.pivot + self.shift).T
+        px, py = self.pivot
+        shifts = np.stack([px - c * x - s * y, py + s * x - c * y], -1)
+        turned = zip(self.angle, shifts, strict=True)
+        return tuple(Euclidean.motion(-float(a), t, System.ROW, System.TESTER) for a, t in turned)
 
     def in_gauge(self) -> Motion:
         """The same motion with D_0 the identity (the convention of results)."""

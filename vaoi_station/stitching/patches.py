@@ -26,6 +26,7 @@ REACH_PX = 6.0
 """A patch that moves further from its prediction has lost its way."""
 _BLUR_PX = 1.2
 _STEPS = 3
+_SATURATED, _SATURATED_SHARE = 254, 0.02
 _NOISE_FLOOR = 0.5
 """Grey levels; no camera is better after rounding to whole numbers and blurring."""
 
@@ -64,12 +65,19 @@ def match(a: NDArray[np.uint8], b: NDArray[np.uint8], a_px: NDArray[np.int_], gu
     moved, hessian, score, noise = _gauss_newton(smooth_a, smooth_b, moved)
     b_px = anchor + moved
     near = np.abs(b_px - guess_px).max(-1) <= REACH_PX
-    return Matches(b_px, hessian / noise[:, None, None] ** 2, score, near & np.isfinite(score))
+    clear = ~_blown_out(tiles_a) & ~_blown_out(tiles_b)
+    return Matches(b_px, hessian / noise[:, None, None] ** 2, score, near & clear & np.isfinite(score))
 
 
 def _tiles(image: NDArray[np.uint8], at: NDArray[np.int_]) -> NDArray[np.uint8]:
     half = TILE_PX // 2
     return np.asarray(sliding_window_view(image, (TILE_PX, TILE_PX))[at[:, 1] - half, at[:, 0] - half])
+
+
+def _blown_out(tiles: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Whether so much of a patch is saturated that its edges have moved: clipping widens what is bright."""
+    inner = slice(TILE_PX // 2 - WINDOW_PX // 2, TILE_PX // 2 + WINDOW_PX // 2 + 1)
+    return np.asarray((tiles[:, inner, inner] >= _SATURATED).mean((1, 2)) > _SATURATED_SHARE)
 
 
 def _smooth(tiles: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -32,11 +32,6 @@ class Prepared:
         """Smaller eigenvalue of the structure tensor of `quarter`: how well a place is fixed in both directions."""
         return np.asarray(cv2.cornerMinEigenVal(self.quarter, 3, ksize=3), dtype=np.float32)
 
-    @property
-    def saturated(self) -> float:
-        """Grey value from which a pixel tells nothing."""
-        return 254.0
-
 
 def prepare(pixels: NDArray[Any]) -> Prepared:
     """Make the copies of a frame (h, w) or (h, w, 3), 8 or 16 bit."""

@@ -20,7 +20,7 @@ from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.evidence import FrameKey, Links
 from vaoi_station.stitching.motion import measured_velocity
 from vaoi_station.stitching.start import tied_rows
-from vaoi_station.stitching.uncertainty import predicted_sigma
+from vaoi_station.stitching.uncertainty import Sigma, predicted_sigma
 
 _OK_SIGMA_PX = 0.20
 _FIDUCIAL_LIMIT_PX = 0.30
@@ -48,6 +48,12 @@ class Findings:
     def rows(self) -> int:
         """The paper's m."""
         return len(self.adjusted.motion.angle)
+
+    @cached_property
+    def sigma(self) -> Sigma:
+        """Predicted standard deviations."""
+        frame = self.frame if self.cad_failure is None else None
+        return predicted_sigma(self.cameras, frame, self.adjusted, self.present)
 
     @cached_property
     def placed(self) -> tuple[bool, ...]:
@@ -134,7 +140,7 @@ def _cad_complaints(f: Findings, frame: Frame, c: Floats) -> list[str]:
         out.append(
             f"{off_board:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}): another type, or turned?"
         )
-    worst = predicted_sigma(f.cameras, frame, f.adjusted, f.present).worst_px
+    worst = f.sigma.worst_px
     if worst is not None and worst > _OK_SIGMA_PX:
         out.append(f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX})")
     return out
@@ -143,7 +149,7 @@ def _cad_complaints(f: Findings, frame: Frame, c: Floats) -> list[str]:
 def quality_of(f: Findings) -> dict[str, Any]:
     """The numbers behind the verdict."""
     a = f.adjusted
-    sigma = predicted_sigma(f.cameras, f.frame if f.cad_failure is None else None, a, f.present)
+    sigma = f.sigma
     velocity = None
     if f.tied:
         group = max(f.tied, key=len)
