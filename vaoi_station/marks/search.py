@@ -1,4 +1,7 @@
-"""Where in a frame something looks like a mark: one correlation at a size where the mark is a few pixels wide."""
+"""Where in a frame something looks like a mark: one correlation at a size where the mark is a few pixels wide.
+
+The compared square is the one that fits into the bare rim, so that what lies beyond does not matter.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,6 @@ SURROUND = 2.0
 """Diameter of the compared disc in sizes of the mark: the mark, and the bare rim that board makers leave around it."""
 _SMALLEST_PX = 5.0
 _LEAST_SCORE = 0.75
-_LEAST_VARIANCE = 4.0
-"""Grey levels squared; below that a place is flat."""
 
 
 def reduction(size_px: float) -> int:
@@ -36,31 +37,19 @@ def search(image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 1
     Returns:
         Positions (k, 2) in pixels of `image`, good to about half a pixel, and scores (k,) in 0…1.
     """
-    side = max(2 * round(SURROUND * size_px / 2) + 1, 7)
+    side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
     if min(image.shape) < side:
         return np.zeros((0, 2)), np.zeros(0)
-    surface = np.abs(_correlation(image.astype(np.float32), shape, size_px, side))
+    template = np.round(coverage(shape, size_px, side) * 200 + 20).astype(np.uint8)
+    surface = np.abs(cv2.matchTemplate(image, template, cv2.TM_CCOEFF_NORMED))
+    surface[~(surface <= 1)] = 0  # windows without any contrast
     near = max(round(size_px / 2), 1)
     peaks = (surface == cv2.dilate(surface, np.ones((2 * near + 1, 2 * near + 1)))) & (surface >= _LEAST_SCORE)
     y, x = np.nonzero(peaks)
     best = np.argsort(-surface[y, x], kind="stable")[:most]
-    return np.stack([x[best], y[best]], -1).astype(np.float64), surface[y[best], x[best]].astype(np.float64)
+    return np.stack([x[best], y[best]], -1) + (side - 1) / 2, surface[y[best], x[best]].astype(np.float64)
 
 
 def rim_mask(side_px: int, size_px: float, center_px: tuple[float, float] | None = None) -> NDArray[np.float32]:
     """Weights (side, side) of the disc that is compared: the mark and its rim."""
     return coverage("circle", SURROUND * size_px, side_px, center_px)
-
-
-def _correlation(image: NDArray[np.float32], shape: Shape, size_px: float, side: int) -> NDArray[np.float32]:
-    """Zero-mean normalised correlation with the artwork over the disc, for every pixel; 0 where nothing varies."""
-    mask = rim_mask(side, size_px)
-    total = float(mask.sum())
-    template = coverage(shape, size_px, side)
-    template = (template - float((template * mask).sum()) / total) * mask
-    product = cv2.filter2D(image, cv2.CV_32F, template, borderType=cv2.BORDER_REFLECT)
-    mean = cv2.filter2D(image, cv2.CV_32F, mask / total, borderType=cv2.BORDER_REFLECT)
-    square = cv2.filter2D(image * image, cv2.CV_32F, mask / total, borderType=cv2.BORDER_REFLECT)
-    variance = np.maximum(square - mean * mean, _LEAST_VARIANCE) * total
-    energy = float((template * template / np.maximum(mask, 1e-6)).sum())
-    return np.asarray(product / np.sqrt(variance * energy), dtype=np.float32)

@@ -9,7 +9,6 @@ yields the information matrix (structure tensor over noise) of every match. Tile
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +24,7 @@ TILE_PX = 37
 REACH_PX = 6.0
 """A patch that moves further from its prediction has lost its way."""
 _BLUR_PX = 1.2
-_STEPS = 3
+_STEPS = 2
 _SATURATED, _SATURATED_SHARE = 254, 0.02
 _NOISE_FLOOR = 0.5
 """Grey levels; no camera is better after rounding to whole numbers and blurring."""
@@ -59,13 +58,14 @@ def match(a: NDArray[np.uint8], b: NDArray[np.uint8], a_px: NDArray[np.int_], gu
         guess_px: (k, 2) where they are expected in b, `fits(b)`; right to a few pixels.
     """
     anchor = np.round(guess_px).astype(int)
-    tiles_a, tiles_b = _tiles(a, a_px), _tiles(b, anchor)
-    moved = _lucas_kanade(tiles_a, tiles_b, guess_px - anchor)
-    smooth_a, smooth_b = _smooth(tiles_a), _smooth(tiles_b)
-    moved, hessian, score, noise = _gauss_newton(smooth_a, smooth_b, moved)
+    raw_a, raw_b = _tiles(a, a_px), _tiles(b, anchor)
+    smooth_a, smooth_b = _smooth(raw_a), _smooth(raw_b)
+    moved = _lucas_kanade(smooth_a, smooth_b, guess_px - anchor)
+    tiles_a, tiles_b = (_unmosaic(m, len(a_px)) for m in (smooth_a, smooth_b))
+    moved, hessian, score, noise = _gauss_newton(tiles_a, tiles_b, moved)
     b_px = anchor + moved
     near = np.abs(b_px - guess_px).max(-1) <= REACH_PX
-    clear = ~_blown_out(tiles_a) & ~_blown_out(tiles_b)
+    clear = ~_blown_out(raw_a) & ~_blown_out(raw_b)
     return Matches(b_px, hessian / noise[:, None, None] ** 2, score, near & clear & np.isfinite(score))
 
 
@@ -80,24 +80,37 @@ def _blown_out(tiles: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray((tiles[:, inner, inner] >= _SATURATED).mean((1, 2)) > _SATURATED_SHARE)
 
 
+def _across(count: int) -> int:
+    return int(np.ceil(np.sqrt(count)))
+
+
 def _smooth(tiles: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Blurred tiles in float; stacked in one tall image, whose seams the window never touches."""
-    tall = tiles.reshape(-1, TILE_PX).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(tall, (0, 0), _BLUR_PX)).reshape(tiles.shape)
+    """All tiles side by side in one picture, blurred; the compared windows never touch the seams."""
+    across = _across(len(tiles))
+    down = -(-len(tiles) // across)
+    full = np.zeros((down * across, TILE_PX, TILE_PX), dtype=np.float32)
+    full[: len(tiles)] = tiles
+    flat = full.reshape(down, across, TILE_PX, TILE_PX).swapaxes(1, 2).reshape(down * TILE_PX, across * TILE_PX)
+    return np.asarray(cv2.GaussianBlur(flat, (0, 0), _BLUR_PX))
 
 
-def _lucas_kanade(tiles_a: NDArray[np.uint8], tiles_b: NDArray[np.uint8], start: Floats) -> Floats:
-    """Displacement (k, 2) of each tile's middle, by OpenCV, on mosaics of all tiles."""
-    k = len(tiles_a)
-    across = int(np.ceil(np.sqrt(k)))
-    mosaic_a, mosaic_b = (_mosaic(t, across) for t in (tiles_a, tiles_b))
-    n = np.arange(k)
+def _unmosaic(mosaic: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    """The tiles (k, side, side) of a mosaic."""
+    down, across = mosaic.shape[0] // TILE_PX, mosaic.shape[1] // TILE_PX
+    tiles = mosaic.reshape(down, TILE_PX, across, TILE_PX).swapaxes(1, 2).reshape(-1, TILE_PX, TILE_PX)
+    return np.ascontiguousarray(tiles[:count])
+
+
+def _lucas_kanade(mosaic_a: NDArray[np.float32], mosaic_b: NDArray[np.float32], start: Floats) -> Floats:
+    """Displacement (k, 2) of each tile's middle, by OpenCV, on the mosaics rounded to 8 bit."""
+    n = np.arange(len(start))
+    across = _across(len(start))
     middle = np.stack([n % across, n // across], -1) * TILE_PX + TILE_PX // 2
     points = middle.astype(np.float32).reshape(-1, 1, 2)
     first = (middle + start).astype(np.float32).reshape(-1, 1, 2)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        mosaic_a,
-        mosaic_b,
+        np.rint(mosaic_a).astype(np.uint8),
+        np.rint(mosaic_b).astype(np.uint8),
         points,
         first,
         winSize=(WINDOW_PX, WINDOW_PX),
@@ -109,14 +122,6 @@ def _lucas_kanade(tiles_a: NDArray[np.uint8], tiles_b: NDArray[np.uint8], start:
     moved = found.reshape(-1, 2).astype(np.float64) - middle
     lost = (status.ravel() == 0) | (np.abs(moved - start).max(-1) > REACH_PX)
     return np.asarray(np.where(lost[:, None], start, moved))
-
-
-def _mosaic(tiles: NDArray[np.uint8], across: int) -> NDArray[Any]:
-    down = -(-len(tiles) // across)
-    full = np.zeros((down * across, TILE_PX, TILE_PX), dtype=np.uint8)
-    full[: len(tiles)] = tiles
-    flat = full.reshape(down, across, TILE_PX, TILE_PX).swapaxes(1, 2).reshape(down * TILE_PX, across * TILE_PX)
-    return np.asarray(cv2.GaussianBlur(flat, (0, 0), _BLUR_PX))
 
 
 def _gauss_newton(
