@@ -75,19 +75,19 @@ def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
 
 
 def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[str, str]]:
-    """The bytes of a picture (h, w) or (h, w, 3), and the headers that describe them."""
+    """The bytes of a picture (h, w) or (h, w, 3), and the headers that describe them; the stride is for raw only."""
     headers = describe(image)
-    if image_format is ImageFormat.PNG:
-        return encode_png(image), headers
+    if image_format is ImageFormat.RAW:
+        return _rgb(image).tobytes(), headers
+    del headers["X-Image-Stride"]
     if image_format is ImageFormat.JPEG:
         return encode_jpeg(image), headers | {"X-Image-Dtype": "uint8"}
+    if image_format is ImageFormat.PNG:
+        return encode_png(image), headers
     if image_format is ImageFormat.TIFF:
         return encode(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1]), headers
-    pixels = _rgb(image)
-    if image_format is ImageFormat.RAW:
-        return pixels.tobytes(), headers
     buffer = io.BytesIO()
-    np.save(buffer, pixels, allow_pickle=False)
+    np.save(buffer, _rgb(image), allow_pickle=False)
     return buffer.getvalue(), headers
 
 

@@ -10,7 +10,7 @@ import asyncio
 import logging
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 from typing import TypeVar
 
@@ -37,9 +37,14 @@ class Threads:
     def __init__(self, threads: int) -> None:
         self._limiter = anyio.CapacityLimiter(threads)
 
-    async def ask(self, call: Callable[..., T], *args: object, **kwargs: object) -> T:
+    async def ask(self, call: Callable[..., T], *args: object) -> T:
         """Run a blocking call in a thread; waits for a free one."""
-        return await anyio.to_thread.run_sync(partial(call, *args, **kwargs), limiter=self._limiter)
+        return await anyio.to_thread.run_sync(partial(call, *args), limiter=self._limiter)
+
+    async def listen(self, call: Callable[..., T], *args: object) -> T:
+        """The same for calls that change nothing: who asked may go away, and the thread ends by itself."""
+        task = partial(call, *args)
+        return await anyio.to_thread.run_sync(task, limiter=self._limiter, abandon_on_cancel=True)
 
 
 class Hub:
@@ -65,7 +70,9 @@ class Hub:
             yield
         finally:
             self.close()
-            await task
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
 
     def close(self) -> None:
         """End every stream and long poll; call from the event loop."""
@@ -111,7 +118,7 @@ class Hub:
         while not self.closed:
             asked = time.monotonic()
             try:
-                records = await self._listener.ask(self._conductor.events, self._newest, LISTEN_S)
+                records = await self._listener.listen(self._conductor.events, self._newest, LISTEN_S)
             except VaoiError as error:
                 log.error("events cannot be read any more: %s", error)
                 self.close()

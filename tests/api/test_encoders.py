@@ -1,0 +1,96 @@
+"""Choosing a format, and what travels in it."""
+
+from __future__ import annotations
+
+import io
+from contextlib import suppress
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, describe, encode_image, raw_from_npy
+from vaoi_station.api.problems import NotAcceptableError
+
+SHAPES = st.one_of(st.tuples(*[st.integers(1, 12)] * 2), st.tuples(*[st.integers(1, 12)] * 2, st.just(3)))
+IMAGES = st.sampled_from([np.uint8, np.uint16]).flatmap(lambda kind: arrays(kind, SHAPES))
+EXACT = [ImageFormat.PNG, ImageFormat.TIFF, ImageFormat.NPY, ImageFormat.RAW]
+
+
+@pytest.mark.parametrize(
+    ("asked", "accept", "expected"),
+    [
+        (None, None, "png"),
+        (None, "*/*", "png"),
+        (None, "image/*", "png"),
+        (None, "image/jpeg", "jpeg"),
+        (None, "text/html, image/tiff;q=0.5, image/jpeg;q=0.8", "jpeg"),
+        (None, "image/png;q=0, */*", "jpeg"),
+        (None, "image/*;q=0.5, application/x-npy", "npy"),
+        (None, "application/octet-stream", "raw"),
+        (None, "IMAGE/PNG", "png"),
+        ("jpg", None, "jpeg"),
+        ("RAW", "image/png", "raw"),
+        ("tif", "text/html", "tiff"),
+    ],
+)
+def test_the_format_asked_for(asked: str | None, accept: str | None, expected: str) -> None:
+    assert choose_format(asked, accept) == expected
+
+
+@pytest.mark.parametrize(("asked", "accept"), [("bmp", None), ("", None), (None, "text/html"), (None, "image/png;q=x")])
+def test_what_is_not_offered_is_answered_with_the_offer(asked: str | None, accept: str | None) -> None:
+    with pytest.raises(NotAcceptableError) as refusal:
+        choose_format(asked, accept)
+    offer = list(ImageFormat) if accept is None else MEDIA_TYPES.values()
+    assert all(str(name) in refusal.value.message for name in offer)
+
+
+@given(st.text(max_size=200))
+def test_no_accept_header_breaks_the_choice(accept: str) -> None:
+    with suppress(NotAcceptableError):
+        assert choose_format(None, accept) in ImageFormat
+
+
+@given(image=IMAGES, image_format=st.sampled_from(EXACT))
+def test_exact_formats_are_exact(image: np.ndarray, image_format: ImageFormat) -> None:
+    content, headers = encode_image(image, image_format)
+    red_first = image if image.ndim == 2 else image[..., ::-1]
+    if image_format is ImageFormat.RAW:
+        dtype = np.dtype(headers["X-Image-Dtype"]).newbyteorder("<")
+        found = np.frombuffer(content, dtype).reshape(image.shape)
+        assert int(headers["X-Image-Stride"]) * int(headers["X-Image-Height"]) == len(content)
+    elif image_format is ImageFormat.NPY:
+        found = np.load(io.BytesIO(content))
+    else:
+        found, red_first = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED), image
+    assert found.dtype == image.dtype
+    np.testing.assert_array_equal(found, red_first)
+
+
+@given(IMAGES)
+def test_jpeg_is_an_8_bit_picture_of_the_same_size(image: np.ndarray) -> None:
+    content, headers = encode_image(image, ImageFormat.JPEG)
+    found = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert found.shape == image.shape
+    assert headers["X-Image-Dtype"] == "uint8" == found.dtype
+    assert "X-Image-Stride" not in headers
+
+
+@given(IMAGES)
+def test_raw_is_npy_without_its_header(image: np.ndarray) -> None:
+    npy, _ = encode_image(image, ImageFormat.NPY)
+    assert raw_from_npy(npy) == encode_image(image, ImageFormat.RAW)
+
+
+def test_headers_describe_the_bytes() -> None:
+    assert describe(np.zeros((2, 5), np.uint16)) == {
+        "X-Image-Width": "5",
+        "X-Image-Height": "2",
+        "X-Image-Channels": "1",
+        "X-Image-Dtype": "uint16",
+        "X-Image-Stride": "10",
+    }

@@ -1,0 +1,135 @@
+"""Every refusal is a problem detail with a sentence to act on."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import pytest
+
+from vaoi_station.api.problems import KINDS
+from vaoi_station.errors import (
+    BusyError,
+    DeviceError,
+    GoneError,
+    InputError,
+    InternalError,
+    NotFoundError,
+    StateError,
+    VaoiError,
+)
+from vaoi_station.runs.facade import StationState
+
+API = "/api/v1"
+
+
+def problem(answer: Any, status: int, code: str) -> dict[str, Any]:
+    """The answer's problem, checked for what every problem has."""
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.headers["cache-control"] == "no-store"
+    content: dict[str, Any] = answer.json()
+    assert (answer.status_code, content["status"], content["code"]) == (status, status, code)
+    assert content["type"] == f"/problems/{code}"
+    assert {"title", "detail", "action", "instance"} <= content.keys()
+    assert content["action"].endswith(".")
+    return content
+
+
+REFUSALS = [
+    ("GET", "/nowhere", 404, "no-route", "/nowhere does not exist."),
+    ("GET", "/api/v1/station/", 404, "no-route", "does not exist"),
+    ("GET", "/web/../api/__init__.py", 404, "no-route", ""),
+    ("GET", "/web/%2e%2e/__init__.py", 404, "no-route", ""),
+    ("GET", "/web/", 404, "no-route", ""),
+    ("GET", "/problems/unheard-of", 404, "no-route", ""),
+    ("DELETE", f"{API}/runs", 405, "wrong-method", "does not take DELETE, only GET"),
+    ("POST", f"{API}/station/arm", 422, "invalid-input", "board_type is missing"),
+    ("POST", f"{API}/station/arm?board_type=unheard", 404, "unknown-board-type", "'unheard'"),
+    ("POST", f"{API}/station/arm?board_type=demo-board&runs=0", 422, "invalid-input", "query.runs"),
+    ("GET", f"{API}/runs/latest", 404, "no-run-yet", "No board has been filmed yet."),
+    ("GET", f"{API}/runs/r000001", 404, "not-found", "'r000001'"),
+    ("GET", f"{API}/runs/..%2f..%2fetc", 404, "no-route", ""),
+    ("GET", f"{API}/runs/{'x' * 65}", 422, "invalid-input", "path.run"),
+    ("GET", f"{API}/runs?limit=501", 422, "invalid-input", "less than or equal to 500"),
+    ("GET", f"{API}/runs/r1/frames/-1/0", 422, "invalid-input", "path.camera"),
+    ("GET", f"{API}/runs/r1/frames/0/zero", 422, "invalid-input", "path.row"),
+    ("GET", f"{API}/runs/r1/components/U1?px_per_mm=501", 422, "invalid-input", "query.px_per_mm"),
+    ("GET", f"{API}/runs/r1/components/U1?px_per_mm=nan", 422, "invalid-input", "query.px_per_mm"),
+    ("GET", f"{API}/runs/r1/components/U1?min_coverage=0", 422, "invalid-input", "query.min_coverage"),
+    ("GET", f"{API}/board-types/.hidden", 422, "invalid-input", "path.name"),
+    ("GET", f"{API}/board-types/..%5cpasswd", 422, "invalid-input", "path.name"),
+    ("DELETE", f"{API}/board-types/unheard", 404, "unknown-board-type", "'unheard'"),
+]
+
+
+@pytest.mark.parametrize(("method", "path", "status", "code", "detail"), REFUSALS)
+def test_refusals(client: Any, method: str, path: str, status: int, code: str, detail: str) -> None:
+    assert detail in problem(client.request(method, path), status, code)["detail"]
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (InputError("wrong"), 422),
+        (NotFoundError("absent"), 404),
+        (GoneError("too late"), 410),
+        (StateError("not now"), 409),
+        (BusyError("full"), 503),
+        (DeviceError("dead"), 503),
+        (InternalError("ours"), 500),
+        (VaoiError("something", code="internal"), 500),
+        (StateError("not now", action="Wait for the board to leave.", code="board-passing"), 409),
+    ],
+)
+def test_every_class_of_error(
+    client: Any, station: Any, monkeypatch: pytest.MonkeyPatch, error: VaoiError, status: int
+) -> None:
+    def refuse() -> None:
+        raise error
+
+    monkeypatch.setattr(station, "disarm", refuse)
+    content = problem(answer := client.post(f"{API}/station/disarm"), status, error.code)
+    assert content["detail"] == error.message
+    assert content["action"] == (error.action or KINDS[error.code][2])
+    assert ("retry-after" in answer.headers) == (status == 503)
+
+
+def test_what_nobody_foresaw_is_told_without_its_secrets(
+    client: Any, station: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    station.broken = True
+    with caplog.at_level(logging.ERROR):
+        content = problem(client.get(f"{API}/station"), 500, "internal")
+    assert "secret" not in str(content)
+    incident = content["detail"].split()[7]
+    assert incident in caplog.text
+
+
+def test_every_wrong_field_is_named(client: Any) -> None:
+    body = {"name": "x", "components": [{"ref": "U1", "center": [0], "width": -1, "height": 1}], "nonsense": 1}
+    content = problem(client.put(f"{API}/board-types/x", json=body), 422, "invalid-input")
+    where = {fault["where"] for fault in content["errors"]}
+    assert {"body.components.0.center.1", "body.components.0.width"} <= where
+    assert "(given: -1)" in str(content["errors"])
+
+
+@pytest.mark.parametrize("body", [b"{", b"[1,", b"nonsense", b"\xff\xfe", b"[" * 100_000])
+def test_a_body_that_is_not_json_is_refused(client: Any, body: bytes) -> None:
+    problem(client.post(f"{API}/station/arm", content=body), 400, "malformed")
+
+
+@pytest.mark.parametrize("body", ["[]", '"demo-board"', "3"])
+def test_a_body_that_is_no_object_is_refused(client: Any, body: str) -> None:
+    problem(client.post(f"{API}/station/arm", content=body), 422, "invalid-input")
+
+
+def test_a_second_arm_while_a_board_passes(client: Any, station: Any) -> None:
+    client.post(f"{API}/station/arm?board_type=demo-board")
+    station.state = StationState.FILMING
+    content = problem(client.post(f"{API}/station/arm?board_type=demo-board"), 409, "wrong-state")
+    assert content["action"] == "Wait until it has left, then arm again."
+
+
+@pytest.mark.parametrize("code", list(KINDS))
+def test_problem_types_explain_themselves(client: Any, code: str) -> None:
+    assert KINDS[code][2] in client.get(f"/problems/{code}").text
