@@ -104,6 +104,12 @@ def tiny() -> str:
 
 
 @pytest.fixture
+def slow() -> str:
+    """A board that leaves time to do something while it passes."""
+    return TINY.replace("period_s = 0.05", "period_s = 0.6").replace("tail_s = 0.2", "tail_s = 1.7")
+
+
+@pytest.fixture
 def make_config(tmp_path: Path) -> Callable[..., StationConfig]:
     """A station for a scenario; keyword arguments change the configuration."""
 

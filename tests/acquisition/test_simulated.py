@@ -52,7 +52,7 @@ def test_a_board_is_filmed_row_by_row_as_the_twin_shows_it(start: Start, make_co
         assert (frame.verdict, frame.cause) == (Verdict.OK, "")
         assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
         assert bench.ring.record(frame.slot)[:3] == (bench.generations[0], OK, frame.row)
-        assert abs(frame.pulse_error_us) < 1000
+        assert abs(frame.pulse_error_us) < 10_000
     assert [p.pulse.index for p in bench.of(PulseSeen)] == list(range(truth.rows))
     assert len(bench.of(FrameSettled)) == 2 * truth.rows
     assert len(bench.of(RunStarted)) == 1
@@ -194,8 +194,10 @@ def test_disarming_gives_unused_memory_back_and_arming_again_films(start: Start,
     assert bench.disarm().unused == ()
 
 
-def test_disarming_while_a_board_passes_finishes_the_run_with_what_it_has(start: Start, make_config: Make) -> None:
-    bench = start(make_config())
+def test_disarming_while_a_board_passes_finishes_the_run_with_what_it_has(
+    start: Start, make_config: Make, slow: str
+) -> None:
+    bench = start(make_config(slow))
     bench.grant("one", 0)
     bench.arm()
     bench.until(PulseSeen)
@@ -223,8 +225,8 @@ def test_a_plan_the_scenario_was_not_made_for_is_refused_and_the_process_lives(s
     bench.until(RunFinished)
 
 
-def test_another_plan_while_armed_and_idle_is_taken_and_while_filming_refused(start: Start, make_config: Make) -> None:
-    bench = start(make_config())
+def test_another_plan_is_refused_while_a_board_passes(start: Start, make_config: Make, slow: str) -> None:
+    bench = start(make_config(slow))
     plan = trigger_plan(bench.config)
     bench.grant("one", 0)
     bench.arm()

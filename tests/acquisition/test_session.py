@@ -1,0 +1,203 @@
+"""The session with devices made of wood: what is told when a device misbehaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+
+from vaoi_station.acquisition.cameras.interface import Arrival, ClockReading, Slot
+from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.controller.interface import BarrierBlocked, PulseFired, RunEnded, TriggerPlan
+from vaoi_station.acquisition.devices import Devices
+from vaoi_station.acquisition.filming import trigger_plan
+from vaoi_station.acquisition.messages import (
+    Armed,
+    BoardMissed,
+    Disarmed,
+    Grant,
+    RunFinished,
+    RunStarted,
+    Trouble,
+)
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.session import Session
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.model import Verdict
+
+
+@dataclass
+class Wood:
+    """A camera and a controller that do nothing of themselves."""
+
+    slots: list[Slot] = field(default_factory=list)
+    plans: list[TriggerPlan | None] = field(default_factory=list)
+    refuses: bool = False
+
+    def queue(self, slot: Slot) -> None:
+        self.slots.append(slot)
+
+    def take_back(self) -> list[int]:
+        numbers = [s.number for s in self.slots]
+        self.slots.clear()
+        return numbers
+
+    def arm(self, plan: TriggerPlan) -> None:
+        if self.refuses:
+            raise DeviceError("the port is gone.", action="Plug it in.")
+        self.plans.append(plan)
+
+    def disarm(self) -> None:
+        self.plans.append(None)
+
+
+@dataclass
+class Stage:
+    """A session, its wooden devices, and what it said. All clocks show the host's time."""
+
+    session: Session
+    cameras: list[Wood]
+    controller: Wood
+    clocks: list[ClockModel]
+    said: list[Any]
+    plan: TriggerPlan
+
+    def of(self, kind: type[Any]) -> list[Any]:
+        return [s for s in self.said if isinstance(s, kind)]
+
+    def pulse(self, at_s: float, row: int) -> None:
+        self.session.heard(PulseFired(0, at_s, row), at_s)
+
+    def frames(self, at_s: float, row: int) -> None:
+        for n, camera in enumerate(self.cameras):
+            slot = camera.slots.pop(0)
+            self.session.arrived(Arrival(n, slot.number, True, row + 1, at_s, at_s + 0.01), at_s + 0.01)
+
+
+@pytest.fixture
+def stage(make_config: Callable[..., StationConfig]) -> Iterator[Stage]:
+    config = make_config()
+    with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
+        cameras, controller = [Wood(), Wood()], Wood()
+        said: list[Any] = []
+        clocks = [ClockModel(name) for name in ("controller", "camera c0", "camera c1")]
+        for clock in clocks:
+            clock.add(ClockReading(0.0, 0.0, 1e-5))
+        devices = Devices(cameras, controller)  # type: ignore[arg-type]  # as much of them as a session asks for
+        session = Session(config, ring, devices, clocks[0], clocks[1:], said.append)
+        yield Stage(session, cameras, controller, clocks, said, trigger_plan(config))
+
+
+def test_slots_are_in_the_cameras_before_the_controller_is_armed(stage: Stage) -> None:
+    stage.session.grant(Grant("a", 0))
+    assert stage.cameras[0].slots == []
+    stage.session.arm(stage.plan)
+    assert len(stage.cameras[0].slots) > stage.plan.max_rows
+    assert stage.said == [Armed()]
+    stage.session.arm(stage.plan)
+    assert len(stage.controller.plans) == 1, "the same plan again changes nothing"
+
+
+def test_arming_is_refused_while_a_clock_is_unknown(stage: Stage) -> None:
+    stage.clocks[2] = ClockModel("camera c1")
+    stage.session._clocks[2] = stage.clocks[2]
+    stage.clocks[2].add(ClockReading(0.0, 0.0, 0.01))
+    with pytest.raises(DeviceError, match="camera c1: its clock is known to"):
+        stage.session.arm(stage.plan)
+    assert stage.controller.plans == []
+
+
+def test_a_controller_that_refuses_leaves_the_station_disarmed_and_memory_returnable(stage: Stage) -> None:
+    stage.controller.refuses = True
+    stage.session.grant(Grant("a", 0))
+    with pytest.raises(DeviceError):
+        stage.session.arm(stage.plan)
+    stage.session.disarmed(1.0)
+    assert stage.of(Disarmed) == [Disarmed((Grant("a", 0),))]
+    assert stage.cameras[0].slots == []
+    stage.controller.refuses = False
+    stage.session.arm(stage.plan)
+    assert stage.of(Armed)
+
+
+def test_a_controller_that_falls_silent_is_told_and_the_run_finished(stage: Stage) -> None:
+    stage.session.grant(Grant("a", 0))
+    stage.session.arm(stage.plan)
+    stage.pulse(10.0, 0)
+    stage.frames(10.0, 0)
+    silent_s = stage.session.deadline_s(10.1)
+    stage.session.tick(silent_s)
+    (trouble,) = stage.of(Trouble)
+    assert "has not ended run a" in trouble.message
+    (finished,) = stage.of(RunFinished)
+    assert finished.head.rows == 1
+    assert finished.reason == "the controller fell silent"
+
+
+def test_a_run_whose_end_was_lost_is_ended_by_the_next_board(stage: Stage) -> None:
+    for n in range(2):
+        stage.session.grant(Grant(f"run {n}", n))
+    stage.session.arm(stage.plan)
+    stage.pulse(10.0, 0)
+    stage.frames(10.0, 0)
+    stage.pulse(20.0, 0)
+    stage.frames(20.0, 0)
+    stage.session.heard(RunEnded(0, 20.01, 1, "clear"), 20.02)
+    assert [(f.run, f.reason) for f in stage.of(RunFinished)] == [
+        ("run 0", "the controller did not report its end"),
+        ("run 1", "clear"),
+    ]
+    assert all(f.verdict is Verdict.OK for r in stage.of(RunFinished) for f in r.frames)
+
+
+def test_the_next_slots_are_queued_as_soon_as_a_run_is_finished(stage: Stage) -> None:
+    for n in range(2):
+        stage.session.grant(Grant(f"run {n}", n))
+    stage.session.arm(stage.plan)
+    stage.pulse(10.0, 0)
+    stage.session.heard(RunEnded(0, 10.0, 1, "clear"), 10.005)
+    before = {s.number for s in stage.cameras[0].slots}
+    stage.frames(10.0, 0)
+    after = {s.number for s in stage.cameras[0].slots}
+    assert stage.of(RunFinished)
+    assert after
+    assert not after & before
+
+
+def test_a_board_that_comes_while_late_frames_are_awaited_finds_slots(stage: Stage) -> None:
+    for n in range(2):
+        stage.session.grant(Grant(f"run {n}", n))
+    stage.session.arm(stage.plan)
+    stage.pulse(10.0, 0)
+    stage.session.heard(RunEnded(0, 10.0, 1, "clear"), 10.0)
+    stage.session.heard(BarrierBlocked(0, 10.1), 10.1)
+    stage.pulse(10.2, 0)
+    stage.frames(10.2, 0)
+    assert [r.run for r in stage.of(RunStarted)] == ["run 0", "run 1"]
+    stage.session.tick(11.0)
+    (late,) = stage.of(RunFinished)
+    assert {f.verdict for f in late.frames} == {Verdict.MISSING}
+
+
+def test_an_interruption_without_a_pulse_keeps_the_grant(stage: Stage) -> None:
+    stage.session.grant(Grant("a", 0))
+    stage.session.arm(stage.plan)
+    stage.session.heard(BarrierBlocked(0, 10.0), 10.0)
+    stage.session.heard(RunEnded(1, 10.1, 0, "clear"), 10.1)
+    assert "no pulse was fired" in stage.of(BoardMissed)[0].reason
+    stage.pulse(20.0, 0)
+    assert stage.of(RunStarted)[0].run == "a"
+
+
+def test_another_plan_while_a_board_passes_is_refused(stage: Stage) -> None:
+    stage.session.grant(Grant("a", 0))
+    stage.session.arm(stage.plan)
+    other = replace(stage.plan, max_rows=2)
+    stage.session.arm(other)
+    assert stage.controller.plans == [stage.plan, None, other]
+    stage.pulse(10.0, 0)
+    with pytest.raises(StateError, match="passing"):
+        stage.session.arm(stage.plan)
