@@ -294,6 +294,16 @@ def client(station: HeldStation) -> Iterator[TestClient]:
         yield client
 
 
+@pytest.fixture(scope="module")
+def shared_client() -> Iterator[TestClient]:
+    """One client for all examples of a property: a station that has filmed two boards."""
+    station = HeldStation()
+    station.film()
+    station.film()
+    with TestClient(create_app(station), raise_server_exceptions=False) as client:
+        yield client
+
+
 class Served:
     """The application behind a real socket on loopback, and a client for it."""
 

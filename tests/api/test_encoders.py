@@ -49,6 +49,10 @@ def test_what_is_not_offered_is_answered_with_the_offer(asked: str | None, accep
     assert all(str(name) in refusal.value.message for name in offer)
 
 
+def decoded(content: bytes) -> np.ndarray:
+    return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))
+
+
 @given(st.text(max_size=200))
 def test_no_accept_header_breaks_the_choice(accept: str) -> None:
     with suppress(NotAcceptableError):
@@ -59,6 +63,7 @@ def test_no_accept_header_breaks_the_choice(accept: str) -> None:
 def test_exact_formats_are_exact(image: np.ndarray, image_format: ImageFormat) -> None:
     content, headers = encode_image(image, image_format)
     red_first = image if image.ndim == 2 else image[..., ::-1]
+    found: np.ndarray
     if image_format is ImageFormat.RAW:
         dtype = np.dtype(headers["X-Image-Dtype"]).newbyteorder("<")
         found = np.frombuffer(content, dtype).reshape(image.shape)
@@ -66,7 +71,7 @@ def test_exact_formats_are_exact(image: np.ndarray, image_format: ImageFormat) -
     elif image_format is ImageFormat.NPY:
         found = np.load(io.BytesIO(content))
     else:
-        found, red_first = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED), image
+        found, red_first = decoded(content), image
     assert found.dtype == image.dtype
     np.testing.assert_array_equal(found, red_first)
 
@@ -74,7 +79,7 @@ def test_exact_formats_are_exact(image: np.ndarray, image_format: ImageFormat) -
 @given(IMAGES)
 def test_jpeg_is_an_8_bit_picture_of_the_same_size(image: np.ndarray) -> None:
     content, headers = encode_image(image, ImageFormat.JPEG)
-    found = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    found = decoded(content)
     assert found.shape == image.shape
     assert headers["X-Image-Dtype"] == "uint8" == found.dtype
     assert "X-Image-Stride" not in headers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from urllib.parse import quote
 
 from fastapi import APIRouter, Request, Response
 
@@ -41,7 +42,7 @@ def router(services: Services) -> APIRouter:
         answer = conditional(request, content, "application/json", cache=REVALIDATE)
         if new:
             answer.status_code = 201
-            answer.headers["Location"] = request.url.path
+            answer.headers["Location"] = quote(request.url.path)
         return answer
 
     @routes.delete("/{name}", status_code=204)
@@ -54,6 +55,6 @@ def router(services: Services) -> APIRouter:
 
 def _document(board_type: BoardType) -> bytes:
     try:
-        return json.dumps(board_type.model_dump(mode="json", exclude_none=True), allow_nan=False).encode()
+        return json.dumps(board_type.model_dump(exclude_none=True), allow_nan=False).encode()
     except ValueError as error:
         raise InputError(f"body: {error}; JSON has neither NaN nor infinity.") from error

@@ -1,0 +1,114 @@
+"""`board-types`: taught, read, replaced, forgotten."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from vaoi_station.model import BoardType
+
+TYPES = "/api/v1/board-types"
+U1 = {"ref": "U1", "center": [1, 2], "width": 3, "height": 4}
+NEW = {"name": "new", "components": [U1], "x_note": {"a": 1}}
+
+
+def test_they_are_listed(client: Any) -> None:
+    assert [t["name"] for t in client.get(TYPES).json()["board_types"]] == ["demo-board"]
+
+
+def test_a_new_one_is_created_and_the_same_again_replaces_it(client: Any) -> None:
+    first = client.put(f"{TYPES}/new", json=NEW)
+    assert (first.status_code, first.headers["location"]) == (201, f"{TYPES}/new")
+    assert client.put(f"{TYPES}/new", json=NEW).status_code == 200
+    assert client.get(f"{TYPES}/new").json() == first.json()
+
+
+def test_what_comes_out_is_what_went_in_with_own_keys(client: Any) -> None:
+    client.put(f"{TYPES}/new", json=NEW)
+    content = client.get(f"{TYPES}/new").json()
+    assert content["x_note"] == {"a": 1}
+    assert BoardType.model_validate(content) == BoardType.model_validate(NEW)
+
+
+def test_reading_again_costs_nothing_while_nothing_changed(client: Any) -> None:
+    tag = client.put(f"{TYPES}/new", json=NEW).headers["etag"]
+    assert client.get(f"{TYPES}/new", headers={"if-none-match": tag}).status_code == 304
+    client.put(f"{TYPES}/new", json=NEW | {"side": "bottom"})
+    assert client.get(f"{TYPES}/new", headers={"if-none-match": tag}).status_code == 200
+
+
+@pytest.mark.parametrize("name", ["Größe 1", "a+b (c)", "100%", "x&y=z", "Ω"])
+def test_names_of_every_kind_of_letter(client: Any, name: str) -> None:
+    address = f"{TYPES}/{quote(name)}"
+    assert client.put(address, json=NEW | {"name": name}).headers["location"] == address
+    assert client.get(address).json()["name"] == name
+    assert client.delete(address).status_code == 204
+    assert client.get(address).status_code == 404
+
+
+def test_the_name_in_the_address_counts(client: Any, station: Any) -> None:
+    answer = client.put(f"{TYPES}/other", json=NEW)
+    assert answer.status_code == 422
+    assert "name is 'new', but must be 'other'" in answer.json()["detail"]
+    assert "new" not in station.types
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ({"components": [U1, U1]}, "holds 'U1' twice"),
+        (
+            {"outline": [[0, 0], [5, 5]], "fiducials": [{"name": "F", "x": 9, "y": 1, "diameter": 1}]},
+            "outside the outline",
+        ),
+        ({"nonsense": 1}, "unknown key(s) 'nonsense'"),
+        ({"unit": "cm"}, "'mm', 'inch' or 'mil'"),
+    ],
+)
+def test_impossible_boards_are_refused_with_the_reason(client: Any, fault: dict[str, Any], told: str) -> None:
+    answer = client.put(f"{TYPES}/new", json=NEW | fault)
+    assert answer.status_code == 422
+    assert told in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999"])
+@pytest.mark.parametrize("where", ["width", "own"])
+def test_numbers_that_json_does_not_have_are_refused(client: Any, station: Any, number: str, where: str) -> None:
+    text = json.dumps(NEW)
+    faulty = (
+        text.replace('"width": 3', f'"width": {number}')
+        if where == "width"
+        else text.replace('"a": 1', f'"a": {number}')
+    )
+    assert client.put(f"{TYPES}/new", content=faulty).status_code == 422
+    assert "new" not in station.types
+
+
+def test_one_that_the_station_is_armed_with_stays(client: Any) -> None:
+    client.post("/api/v1/station/arm?board_type=demo-board")
+    assert client.delete(f"{TYPES}/demo-board").status_code == 409
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(st.sampled_from([*BoardType.model_fields, "x_own", "odd"]), JSON, max_size=6))
+def test_any_document_is_taken_or_refused_never_broken(shared_client: Any, document: dict[str, Any]) -> None:
+    document["name"] = "any"
+    answer = shared_client.put(f"{TYPES}/any", json=document)
+    try:
+        BoardType.model_validate(document)
+    except ValidationError:
+        assert answer.status_code == 422
+    else:
+        assert answer.status_code in (200, 201)

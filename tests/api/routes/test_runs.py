@@ -1,0 +1,98 @@
+"""`runs`: lists, one run, its result, its memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from vaoi_station.files.results import stitch_document
+from vaoi_station.model import Stitch
+
+RUNS = "/api/v1/runs"
+
+
+def test_pages_of_the_list_join_without_gap_or_repetition(client: Any, station: Any) -> None:
+    made = [station.film() for _ in range(7)]
+    seen: list[str] = []
+    query: dict[str, Any] = {"limit": 3}
+    while True:
+        page = client.get(RUNS, params=query).json()
+        seen += [r["id"] for r in page["runs"]]
+        if "next" not in page:
+            break
+        query["before"] = page["next"]
+    assert seen == made[::-1]
+
+
+def test_a_last_page_that_is_full_has_no_next(client: Any, station: Any) -> None:
+    for _ in range(3):
+        station.film()
+    assert "next" not in client.get(RUNS, params={"limit": 3}).json()
+
+
+def test_the_ids_of_the_caller_come_back(client: Any, station: Any) -> None:
+    station.film(board_id="B1")
+    assert client.get(f"{RUNS}/latest").json()["board_id"] == "B1"
+
+
+def test_the_verdict_of_every_frame_is_told_with_its_cause(client: Any, station: Any) -> None:
+    frames = client.get(f"{RUNS}/{station.film()}").json()["frames"]
+    assert len(frames) == 12
+    lost = {(f["camera"], f["row"]): (f["verdict"], f["cause"]) for f in frames if f["verdict"] != "ok"}
+    assert lost == {(0, 1): ("incomplete", "cable"), (1, 2): ("missing", "cable")}
+
+
+def test_matrices_are_the_format_of_the_files(client: Any, station: Any) -> None:
+    run = station.film()
+    content = client.get(f"{RUNS}/{run}/matrices").json()
+    assert content == stitch_document(station.stitch(run))
+    assert Stitch.model_validate(content).image_matrices[1][2] is None
+    assert content["image_matrices"][1][2] is None
+
+
+def test_matrices_that_are_not_there_yet(client: Any, station: Any) -> None:
+    run = station.film(finish=False)
+    answer = client.get(f"{RUNS}/{run}/matrices")
+    assert (answer.status_code, answer.json()["action"]) == (409, "Ask again in a moment.")
+
+
+def test_finished_results_are_kept_for_ever_and_revalidated_for_nothing(client: Any, station: Any) -> None:
+    address = f"{RUNS}/{station.film()}/matrices"
+    answer = client.get(address)
+    assert "immutable" in answer.headers["cache-control"]
+    tag = answer.headers["etag"]
+    for named in (tag, f"W/{tag}", f'"other", {tag}', "*"):
+        again = client.get(address, headers={"if-none-match": named})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
+    assert client.get(address, headers={"if-none-match": '"other"'}).status_code == 200
+
+
+def test_a_run_itself_is_asked_for_again_because_its_memory_may_go(client: Any, station: Any) -> None:
+    run = station.film()
+    answer = client.get(f"{RUNS}/{run}")
+    assert answer.headers["cache-control"] == "no-cache"
+    unchanged = {"if-none-match": answer.headers["etag"]}
+    assert client.get(f"{RUNS}/{run}", headers=unchanged).status_code == 304
+    client.post(f"{RUNS}/{run}/release")
+    assert client.get(f"{RUNS}/{run}", headers=unchanged).json()["state"] == "released"
+
+
+def test_released_frames_are_gone_and_the_result_stays(client: Any, station: Any) -> None:
+    run = station.film()
+    assert client.post(f"{RUNS}/{run}/release").json()["frames_available"] is False
+    assert client.get(f"{RUNS}/{run}/frames/0/0").status_code == 410
+    assert client.get(f"{RUNS}/{run}/matrices").status_code == 200
+
+
+def test_a_run_can_be_held_and_let_go(client: Any, station: Any) -> None:
+    run = station.film()
+    hold = client.put(f"{RUNS}/{run}/hold", params={"holder": "tester 1", "purpose": "verdict"})
+    assert hold.json() == {"run": run, "holder": "tester 1", "purpose": "verdict", "expires_in_s": 600}
+    assert client.delete(f"{RUNS}/{run}/hold", params={"holder": "tester 1"}).status_code == 204
+    assert not station.holders
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE"])
+def test_a_hold_needs_a_name(client: Any, station: Any, method: str) -> None:
+    assert client.request(method, f"{RUNS}/{station.film()}/hold").status_code == 422

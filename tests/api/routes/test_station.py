@@ -1,0 +1,68 @@
+"""`station` and its commands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from vaoi_station.runs.facade import StationState
+
+STATION = "/api/v1/station"
+
+
+def test_the_state_is_never_kept(client: Any) -> None:
+    answer = client.get(STATION)
+    assert answer.headers["cache-control"] == "no-store"
+    content = answer.json()
+    assert content["state"] == "idle"
+    assert content["versions"]["station"]
+    assert content["retention"]["runs_in_memory"] == 3
+    assert len(content["cameras"]) == 3
+
+
+def test_what_is_unknown_is_left_out(client: Any) -> None:
+    assert {"armed_with", "last_run", "filming"}.isdisjoint(client.get(STATION).json())
+
+
+@pytest.mark.parametrize("by", ["body", "query", "both"])
+def test_arming_by_body_or_by_query(client: Any, by: str) -> None:
+    order = {"board_type": "demo-board", "board_id": "B1", "job_id": "J1", "runs": 2}
+    asked: dict[str, Any] = {"json": order} if by != "query" else {}
+    if by != "body":
+        asked["params"] = order
+    content = client.post(f"{STATION}/arm", **asked).json()
+    assert content["state"] == "armed"
+    assert content["armed_with"] == {"board_type": "demo-board", "board_id": "B1", "job_id": "J1", "runs_left": 2}
+
+
+def test_the_query_fills_what_the_body_leaves_out(client: Any) -> None:
+    content = client.post(f"{STATION}/arm?board_id=B2", json={"board_type": "demo-board"}).json()
+    assert content["armed_with"] == {"board_type": "demo-board", "board_id": "B2"}
+
+
+def test_contradicting_ids_are_refused(client: Any, station: Any) -> None:
+    order = {"board_type": "demo-board", "board_id": "B1"}
+    answer = client.post(f"{STATION}/arm?board_id=B2", json=order)
+    assert answer.status_code == 422
+    assert "'B1' in the body and 'B2' in the query" in answer.json()["detail"]
+    assert station.armed is None
+
+
+@pytest.mark.parametrize("order", [{}, {"board_type": ""}, {"board_type": "x" * 201}, {"board_type": "x", "more": 1}])
+def test_orders_that_say_too_little_or_too_much_are_refused(client: Any, order: dict[str, Any]) -> None:
+    assert client.post(f"{STATION}/arm", json=order).status_code == 422
+
+
+def test_disarming_needs_no_body(client: Any) -> None:
+    client.post(f"{STATION}/arm?board_type=demo-board")
+    assert client.post(f"{STATION}/disarm").json()["state"] == "idle"
+
+
+@pytest.mark.parametrize(
+    ("state", "status"), [("idle", 200), ("filming", 200), ("faulted", 503), ("starting", 503), ("stopping", 503)]
+)
+def test_health_is_for_supervisors(client: Any, station: Any, state: str, status: int) -> None:
+    station.state = StationState(state)
+    answer = client.get("/healthz")
+    assert (answer.status_code, answer.json()["state"]) == (status, state)
