@@ -6,6 +6,7 @@ import sys
 
 import typer
 
+from vaoi_station.cli.bench import bench
 from vaoi_station.cli.cut import cut
 from vaoi_station.cli.plan import plan
 from vaoi_station.cli.record import record
@@ -34,6 +35,7 @@ app.command()(serve)
 app.command()(record)
 app.command()(stitch)
 app.command()(cut)
+app.command()(bench)
 
 
 def main() -> None:

@@ -47,7 +47,8 @@ def search(image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 1
     peaks = (surface == cv2.dilate(surface, np.ones((2 * near + 1, 2 * near + 1)))) & (surface >= _LEAST_SCORE)
     y, x = np.nonzero(peaks)
     best = np.argsort(-surface[y, x], kind="stable")[:most]
-    return np.stack([x[best], y[best]], -1) + (side - 1) / 2, surface[y[best], x[best]].astype(np.float64)
+    places = np.stack([x[best], y[best]], -1).astype(np.float64) + (side - 1) / 2
+    return places, surface[y[best], x[best]].astype(np.float64)
 
 
 def rim_mask(side_px: int, size_px: float, center_px: tuple[float, float] | None = None) -> NDArray[np.float32]:

@@ -1,5 +1,5 @@
 """Temporary images: upright, CAD-aligned pictures of components, resampled from the frames (section 3.4)."""
 
-from vaoi_station.rendering.temporary import View, render, views_of
+from vaoi_station.rendering.temporary import Album, View, render, views_of
 
-__all__ = ["View", "render", "views_of"]
+__all__ = ["Album", "View", "render", "views_of"]

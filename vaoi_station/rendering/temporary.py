@@ -25,6 +25,8 @@ from vaoi_station.model import BoardType, Component, Stitch
 MOST_PIXELS = 16_000_000
 """No temporary image is larger; ask for fewer pixels per mm."""
 _COVERAGE_GRID = 9
+_LENS_MARGIN_PX = 50.0
+"""No lens bends the border of a frame by more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,70 @@ class View:
         return self.crop_from_cad.inverse()
 
 
+class Album:
+    """The views of one stitched board: what all its components share is computed once."""
+
+    def __init__(self, board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> None:
+        """Take matrices and cameras of one run.
+
+        Raises:
+            StateError: the run has no CAD mapping.
+        """
+        if stitch.tester_from_cad is None:
+            raise StateError(
+                "this run has no CAD mapping, so components cannot be cut out.",
+                action="; ".join(stitch.reasons),
+                code="no-cad-mapping",
+            )
+        self._board_type, self._surface, self._cameras = board_type, stitch.surface, tuple(cameras)
+        self._keys = [
+            (i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None
+        ]
+        row_from_cad = [d @ stitch.tester_from_cad.matrix for d in stitch.row_motion]
+        self._row_from_cad = np.array([row_from_cad[j] for _, j in self._keys]).reshape(-1, 3, 3)
+        self._image_from_row = np.array([cameras[i].image_from_row.matrix for i, _ in self._keys]).reshape(-1, 3, 3)
+        self._image_from_cad = self._image_from_row @ self._row_from_cad
+        self._size = np.array([(cameras[i].width_px, cameras[i].height_px) for i, _ in self._keys]).reshape(-1, 2)
+        self._resolution = float(np.mean([c.px_per_mm for c in cameras]))
+
+    def views(
+        self, component: Component, *, px_per_mm: float | None = None, min_coverage: float = 0.5
+    ) -> tuple[View, ...]:
+        """Every frame that sees a component; see `views_of`."""
+        resolution = px_per_mm or self._resolution
+        width, height, crop_from_cad = crop_of(component, self._board_type, resolution)
+        image_from_crop = self._planes(component) @ crop_from_cad.inverse().matrix
+        corners = np.array(
+            [[-0.5, -0.5, 1], [width - 0.5, -0.5, 1], [width - 0.5, height - 0.5, 1], [-0.5, height - 0.5, 1]]
+        )
+        seen = image_from_crop @ corners.T
+        seen = seen[:, :2] / seen[:, 2:]
+        touching = (seen.max(2) > -_LENS_MARGIN_PX).all(1) & (seen.min(2) < self._size + _LENS_MARGIN_PX).all(1)
+        grid = _grid(width, height)
+        views = []
+        for n in np.flatnonzero(touching):
+            i, j = self._keys[n]
+            camera = self._cameras[i]
+            raw = camera.lens.distort(apply(image_from_crop[n], grid))
+            coverage = float(camera.sees(raw[:-1]).mean())
+            if coverage < max(min_coverage, 1e-9):
+                continue
+            off = float(np.hypot(*(raw[-1] - camera.center_px))) / math.hypot(*camera.center_px)
+            to_image = Projective(image_from_crop[n], System.IMAGE, System.CROP)
+            views.append(
+                View(i, j, width, height, resolution, coverage, off, crop_from_cad, to_image, not camera.lens.ideal)
+            )
+        return tuple(sorted(views, key=lambda v: (-round(v.coverage, 3), round(v.off_center, 6), v.row, v.camera)))
+
+    def _planes(self, component: Component) -> Floats:
+        """CAD to undistorted pixels of every frame, (f, 3, 3), in the plane of the component's footprint."""
+        if self._surface is None:
+            return self._image_from_cad
+        height = float(self._surface.height_mm(np.array(component.center)))
+        at_height = np.array([c.image_from_row_at(height).matrix for c in self._cameras])
+        return np.asarray(at_height[[i for i, _ in self._keys]] @ self._row_from_cad)
+
+
 def views_of(
     component: Component,
     board_type: BoardType,
@@ -74,33 +140,7 @@ def views_of(
         StateError: the run has no CAD mapping.
         InputError: the picture would be too large.
     """
-    if stitch.tester_from_cad is None:
-        raise StateError(
-            "this run has no CAD mapping, so components cannot be cut out.",
-            action="; ".join(stitch.reasons),
-            code="no-cad-mapping",
-        )
-    resolution = px_per_mm or float(np.mean([c.px_per_mm for c in cameras]))
-    width, height, crop_from_cad = crop_of(component, board_type, resolution)
-    grid = np.stack(
-        np.meshgrid(np.linspace(0, width - 1, _COVERAGE_GRID), np.linspace(0, height - 1, _COVERAGE_GRID)), -1
-    ).reshape(-1, 2)
-    views = []
-    for i, camera in enumerate(cameras):
-        for j in range(len(stitch.image_matrices[i])):
-            if stitch.image_matrices[i][j] is None:
-                continue
-            image_from_crop = _image_from_cad(stitch, camera, i, j, component) @ crop_from_cad.inverse()
-            coverage = _coverage(camera, image_from_crop, grid)
-            if coverage < max(min_coverage, 1e-9):
-                continue
-            middle = camera.lens.distort(image_from_crop(((width - 1) / 2, (height - 1) / 2)))
-            off = float(np.hypot(*(middle - camera.center_px))) / math.hypot(*camera.center_px)
-            ideal = camera.lens.ideal
-            views.append(
-                View(i, j, width, height, resolution, coverage, off, crop_from_cad, image_from_crop, not ideal)
-            )
-    return tuple(sorted(views, key=lambda v: (-round(v.coverage, 3), round(v.off_center, 6), v.row, v.camera)))
+    return Album(board_type, stitch, cameras).views(component, px_per_mm=px_per_mm, min_coverage=min_coverage)
 
 
 def render(view: View, frame: NDArray[Any], camera: Camera) -> NDArray[Any]:
@@ -146,23 +186,8 @@ def crop_of(component: Component, board_type: BoardType, px_per_mm: float) -> tu
     return width, height, Projective(matrix, System.CROP, System.CAD)
 
 
-def _image_from_cad(stitch: Stitch, camera: Camera, i: int, j: int, component: Component) -> Projective:
-    """CAD to undistorted pixels of one frame, in the plane in which the component's footprint lies."""
-    assert stitch.tester_from_cad is not None
-    if stitch.surface is None:
-        image_from_tester = stitch.image_from_tester(i, j)
-        assert image_from_tester is not None
-        return image_from_tester @ stitch.tester_from_cad
-    height = float(stitch.surface.height_mm(np.array(component.center)))
-    row_from_tester = Projective(stitch.row_motion[j], System.ROW, System.TESTER)
-    return camera.image_from_row_at(height) @ row_from_tester @ stitch.tester_from_cad
-
-
-def _coverage(camera: Camera, image_from_crop: Projective, grid: Floats) -> float:
-    undistorted = apply(image_from_crop.matrix, grid)
-    size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
-    near = np.asarray((np.abs(undistorted - camera.center_px) <= size).all(-1))
-    if not near.any():
-        return 0.0
-    raw = camera.lens.distort(np.where(near[:, None], undistorted, 0.0))
-    return float((camera.sees(raw) & near).mean())
+def _grid(width: int, height: int) -> Floats:
+    """Pixels (81 + 1, 2) spread over a picture, and its middle as the last."""
+    x, y = np.linspace(0, width - 1, _COVERAGE_GRID), np.linspace(0, height - 1, _COVERAGE_GRID)
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    return np.vstack([grid, [(width - 1) / 2, (height - 1) / 2]])

@@ -28,6 +28,8 @@ _SAME_PLACE_MM = 0.4
 _SCALE_SIGMA = 1.0e-3
 _SCORE_SIGMA = 0.02
 _TEXTURE_MARGIN_MM = 1.0
+_MOST_OUTSIDE = 0.25
+"""With more of the texture off the board it is not this board."""
 _SCALE_LIMIT = 4e-3
 _SLACK_MM = 0.15
 
@@ -139,7 +141,7 @@ def find_board(
             cost, used = _cost(frame, c, places, kinds, pair, (i, j))
             cost += (scale / _SCALE_SIGMA) ** 2 + (2 * turn / expectation.angle_tolerance_rad) ** 2
             cost += _misplaced(frame, c, texture_mm, expectation)
-            if best is None or cost < best.cost:
+            if np.isfinite(cost) and (best is None or cost < best.cost):
                 best = Hypothesis(c, cost, used)
     if best is not None:
         return best
@@ -242,7 +244,10 @@ def outside_share(frame: Frame, c: Floats, texture_mm: Floats) -> float:
 
 def _misplaced(frame: Frame, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
     """Cost of texture off the board, and of a board far from where it is expected."""
-    cost = 400.0 * max(outside_share(frame, c, texture_mm) - 0.02, 0.0)
+    outside = outside_share(frame, c, texture_mm)
+    if outside > _MOST_OUTSIDE:
+        return np.inf
+    cost = 400.0 * max(outside - 0.02, 0.0)
     low, high = frame.board_type.extent()
     corners = frame.flat(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
     corner = similar(c, corners).min(0)

@@ -7,20 +7,17 @@ for the board turned by half a turn about the same fiducials.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.evidence import FrameKey
 from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.scene import Scene
 
-GreySource = Callable[[int, int], NDArray[np.uint8] | None]
 _PIECE_MM = 4.0
 """Length over which an edge is averaged, so that texture cancels and the edge stays."""
 _SAMPLES = 12
@@ -32,7 +29,9 @@ _MARGIN_MM = 1.0
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
 """By which factor, and to how many grey levels, one orientation must stand out; parts are the weaker evidence."""
-_LEAST_PIECES = 4
+_LEAST_PIECES = 6
+_LEAST_OUTLINE = 3.0
+"""Grey levels; noise alone gives less than one."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +61,8 @@ def check(
     board_type: BoardType,
     placed: Floats,
     turned: Floats,
-    cameras: Sequence[Camera],
+    scene: Scene,
     motion: Motion,
-    present: Sequence[FrameKey],
-    grey: GreySource,
 ) -> Orientation | None:
     """Compare the board as placed with the board turned round.
 
@@ -73,10 +70,8 @@ def check(
         board_type: outline and components.
         placed: C as found, 3×3, CAD → tester.
         turned: C of the turned board that fits the same fiducials.
-        cameras: the array.
+        scene: the frames.
         motion: of the rows.
-        present: the good frames.
-        grey: their pixels.
 
     Returns:
         The first evidence that decides, the outline before the parts; the last one if none does; None
@@ -88,14 +83,34 @@ def check(
         if not len(pieces):
             continue
         apart = _apart(pieces, placed, turned)
-        a = _steps(pieces[apart], placed, cameras, motion, present, grey)
-        b = _steps(pieces[apart], turned, cameras, motion, present, grey)
+        a = _steps(pieces[apart], placed, scene, motion)
+        b = _steps(pieces[apart], turned, scene, motion)
         if min(len(a), len(b)) < _LEAST_PIECES:
             continue
         best = Orientation(evidence, float(np.median(a)), float(np.median(b)))
         if best.contradicts or best.confirms:
             return best
     return best
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Median contrast along the board's outline as placed, and over how many pieces."""
+
+    contrast: float
+    pieces: int
+
+    @property
+    def visible(self) -> bool:
+        """Whether there is an edge where the board should end."""
+        return self.contrast >= _LEAST_OUTLINE
+
+
+def outline_of(board_type: BoardType, placed: Floats, scene: Scene, motion: Motion) -> Outline | None:
+    """How plainly the pictures show the board's outline where C puts it; None where too little of it is in view."""
+    pieces = _pieces(_outline(board_type), board_type.mm_per_unit)
+    steps = _steps(pieces, placed, scene, motion) if len(pieces) else np.zeros(0)
+    return Outline(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
 
 
 def _outline(board_type: BoardType) -> list[Floats]:
@@ -137,25 +152,18 @@ def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
     return np.asarray(nearest > _APART_MM)
 
 
-def _steps(
-    pieces: Floats,
-    cad_matrix: Floats,
-    cameras: Sequence[Camera],
-    motion: Motion,
-    present: Sequence[FrameKey],
-    grey: GreySource,
-) -> Floats:
+def _steps(pieces: Floats, cad_matrix: Floats, scene: Scene, motion: Motion) -> Floats:
     """Contrast across every piece that some frame shows, in grey levels."""
     board = apply(cad_matrix, pieces)
     points = _both_sides(board)
-    chosen = _nearest_frame(board.mean(1), cameras, motion, present)
+    chosen = _nearest_frame(board.mean(1), scene, motion)
     out = np.full(len(pieces), np.nan)
     for n in np.unique(chosen[chosen >= 0]):
-        number, row = present[n]
-        camera, image, mine = cameras[number], grey(*present[n]), np.flatnonzero(chosen == n)
+        number, row = scene.present[n]
+        camera, image, mine = scene.cameras[number], scene.prepared((number, row)).grey, np.flatnonzero(chosen == n)
         px = camera.project(motion.row_from_tester(row)(points[mine]))
         inside = camera.sees(px).all((1, 2))
-        if image is None or not inside.any():
+        if not inside.any():
             continue
         at = px[inside].astype(np.float32).reshape(-1, 1, 2)
         value = cv2.remap(image, at, None, cv2.INTER_LINEAR).reshape(len(at) // points[0, 0].size, 2, -1)
@@ -174,13 +182,11 @@ def _both_sides(board: Floats) -> Floats:
     return np.asarray(points.reshape(len(board), 2, -1, 2))
 
 
-def _nearest_frame(
-    middle: Floats, cameras: Sequence[Camera], motion: Motion, present: Sequence[FrameKey]
-) -> NDArray[np.int_]:
+def _nearest_frame(middle: Floats, scene: Scene, motion: Motion) -> NDArray[np.int_]:
     """For each board point (k, 2) the number of the frame that shows it closest to its middle; −1 for none."""
     best, chosen = np.full(len(middle), np.inf), np.full(len(middle), -1)
-    for n, (number, row) in enumerate(present):
-        camera = cameras[number]
+    for n, (number, row) in enumerate(scene.present):
+        camera = scene.cameras[number]
         px = camera.project(motion.row_from_tester(row)(middle))
         off = np.hypot(*(px - camera.center_px).T)
         take = camera.sees(px, _MARGIN_MM * camera.px_per_mm) & (off < best)

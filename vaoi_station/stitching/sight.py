@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,9 @@ from vaoi_station.model import BoardType, Fiducial
 from vaoi_station.stitching.evidence import Sightings, Task
 from vaoi_station.stitching.motion import Motion
 from vaoi_station.stitching.prepare import Prepared, halved
+from vaoi_station.stitching.scene import Scene
 
-_MOST_PER_FRAME = 12
+_MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
 
 
 def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:
@@ -30,13 +31,15 @@ def kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
     return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
 
 
-def sight_marks(task: Task, frame: Prepared, camera: Camera, board_type: BoardType | None) -> Sightings:
-    """Every place of the frame that looks like one of the board's fiducials."""
+def sight_marks(
+    task: Task, frame: Prepared, camera: Camera, board_type: BoardType | None, most: int = _MOST_PER_FRAME
+) -> Sightings:
+    """The places of the frame that look most like one of the board's fiducials."""
     found: list[tuple[Mark, int]] = []
     for kind, (shape, size_mm) in enumerate(mark_kinds(board_type) if board_type else ()):
         size_px = size_mm * camera.px_per_mm
         small, factor = _reduced(frame, reduction(size_px))
-        places, _ = search(small, shape, size_px / factor, _MOST_PER_FRAME)
+        places, _ = search(small, shape, size_px / factor, most)
         for place in (places + 0.5) * factor - 0.5:
             mark = locate(frame.grey, place, shape, size_px)
             if isinstance(mark, Mark):
@@ -58,13 +61,16 @@ def _reduced(frame: Prepared, factor: int) -> tuple[NDArray[np.uint8], int]:
     return image, at
 
 
+def look_deeper(board_type: BoardType, scene: Scene, sightings: Sequence[Sightings]) -> list[Sightings]:
+    """The same frames searched once more, with room for many more look-alikes per frame."""
+    return [
+        sight_marks(s.task, scene.prepared(s.task.a), scene.cameras[s.task.a[0]], board_type, _MOST_WHEN_LOST)
+        for s in sightings
+    ]
+
+
 def look_again(
-    board_type: BoardType,
-    cad_matrix: Floats,
-    cameras: Sequence[Camera],
-    motion: Motion,
-    sightings: Sequence[Sightings],
-    grey: Callable[[int, int], NDArray[np.uint8] | None],
+    board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, sightings: Sequence[Sightings]
 ) -> list[Sightings]:
     """The sightings, and every fiducial that must be in a frame and was not among them.
 
@@ -76,7 +82,7 @@ def look_again(
     out = []
     for s in sightings:
         number, row = s.task.a
-        camera, shape_of = cameras[number], [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
+        camera, shape_of = scene.cameras[number], [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
         px = camera.project(motion.row_from_tester(row)(board))
         extra: list[tuple[Mark, int]] = []
         for n in np.flatnonzero(camera.sees(px)):
@@ -84,10 +90,7 @@ def look_again(
             size_px = size_mm * camera.px_per_mm
             if len(s.px) and np.hypot(*(s.px - px[n]).T).min() < size_px / 3:
                 continue
-            image = grey(number, row)
-            if image is None:
-                continue
-            mark = locate(image, px[n], shape, size_px)
+            mark = locate(scene.prepared(s.task.a).grey, px[n], shape, size_px)
             if isinstance(mark, Mark):
                 extra.append((mark, shape_of[n]))
         out.append(_with(s, extra) if extra else s)

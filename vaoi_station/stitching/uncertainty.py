@@ -6,7 +6,7 @@ that of the misfit a sighting of it would have.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment import Adjusted, similar, similar_jacobian
 from vaoi_station.stitching.cad import Frame
-from vaoi_station.stitching.evidence import FrameKey
+from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.surface import basis
 
 MODEL_PX = 0.03
@@ -33,12 +33,11 @@ class Sigma:
     """The largest of all views of components; None without C."""
 
 
-def predicted_sigma(
-    cameras: Sequence[Camera], frame: Frame | None, adjusted: Adjusted, present: Collection[FrameKey]
-) -> Sigma:
+def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:
     """Standard deviation of component positions in every row (of the board's corners, if it has no components)."""
     m = len(adjusted.motion.angle)
-    motion = [_motion_sigma(cameras, adjusted, j) for j in range(m)]
+    present = set(scene.present)
+    motion = [_motion_sigma(scene.cameras, adjusted, j) for j in range(m)]
     if frame is None or adjusted.similarity is None:
         return Sigma(tuple(motion), None)
     cad = np.array([c.center for c in frame.board_type.components]).reshape(-1, 2)
@@ -47,7 +46,7 @@ def predicted_sigma(
     board = similar(adjusted.similarity, frame.flat(cad))
     rows, shown = [], []
     for j in range(m):
-        filming = [camera for i, camera in enumerate(cameras) if (i, j) in present]
+        filming = [camera for i, camera in enumerate(scene.cameras) if (i, j) in present]
         worst = max((_worst(camera, frame, adjusted, j, cad, board) for camera in filming), default=0.0)
         shown += [worst] if worst else []
         rows.append(worst or motion[j])

@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.geometry import Camera
+from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
 from vaoi_station.stitching.adjustment import Adjusted, Problem
 from vaoi_station.stitching.cad import Frame, outside_share
-from vaoi_station.stitching.evidence import FrameKey, Links
+from vaoi_station.stitching.evidence import Links
+from vaoi_station.stitching.mapping import Mapping
 from vaoi_station.stitching.motion import measured_velocity
+from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.start import tied_rows
 from vaoi_station.stitching.uncertainty import Sigma, predicted_sigma
 
@@ -35,14 +37,28 @@ class Findings:
     """All that was found out about a run."""
 
     frame: Frame | None
-    cameras: tuple[Camera, ...]
-    present: frozenset[FrameKey]
+    scene: Scene
     links: tuple[Links, ...]
-    problem: Problem
-    adjusted: Adjusted
-    cad_failure: str | None
-    which: tuple[int, ...]
-    """Number of the fiducial of every sighting used."""
+    links_only: Problem
+    moved: Adjusted
+    """The motion from links alone."""
+    found: Mapping | Failure
+    """The board, or why it was not found."""
+
+    @property
+    def mapping(self) -> Mapping | None:
+        """The board, if it was found."""
+        return self.found if isinstance(self.found, Mapping) else None
+
+    @property
+    def adjusted(self) -> Adjusted:
+        """The adjustment that counts."""
+        return self.found.adjusted if isinstance(self.found, Mapping) else self.moved
+
+    @property
+    def problem(self) -> Problem:
+        """What it solved."""
+        return self.found.problem if isinstance(self.found, Mapping) else self.links_only
 
     @property
     def rows(self) -> int:
@@ -52,13 +68,12 @@ class Findings:
     @cached_property
     def sigma(self) -> Sigma:
         """Predicted standard deviations."""
-        frame = self.frame if self.cad_failure is None else None
-        return predicted_sigma(self.cameras, frame, self.adjusted, self.present)
+        return predicted_sigma(self.scene, self.frame if self.mapping else None, self.adjusted)
 
     @cached_property
     def placed(self) -> tuple[bool, ...]:
         """Rows with at least one good frame; of the others there is nothing to place."""
-        rows = {row for _, row in self.present}
+        rows = {row for _, row in self.scene.present}
         return tuple(j in rows for j in range(self.rows))
 
     @cached_property
@@ -67,7 +82,7 @@ class Findings:
         o = self.problem.links
         used = (self.adjusted.weight > 0.1) & (o.p != o.q)
         linked = set(o.p[used]) | set(o.q[used])
-        if self.problem.fiducials is not None and self.adjusted.similarity is not None:
+        if self.problem.fiducials is not None:
             linked |= set(self.problem.fiducials.row)
         return [g for g in tied_rows(o, self.rows, used) if any(r in linked for r in g)]
 
@@ -76,7 +91,7 @@ class Findings:
         """Median misfit between neighbouring cameras of one row, on the bare board: height or a moved camera."""
         o = self.problem.links
         out = {}
-        for i in range(len(self.cameras) - 1):
+        for i in range(len(self.scene.cameras) - 1):
             pairs = {n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i}
             use = np.isin(o.group, list(pairs)) & (self.problem.component < 0)
             if use.sum() >= 12:
@@ -86,8 +101,8 @@ class Findings:
 
 def judge(f: Findings) -> tuple[Status, tuple[str, ...]]:
     """Status and the reasons, in words and numbers."""
-    if f.cad_failure is not None:
-        return Status.FAILED, (f.cad_failure, *_complaints(f))
+    if isinstance(f.found, Failure):
+        return Status.FAILED, (f.found.reason, *_complaints(f))
     complaints = _complaints(f)
     return (Status.DEGRADED if complaints else Status.OK), tuple(complaints)
 
@@ -109,17 +124,17 @@ def _complaints(f: Findings) -> list[str]:
                 f"cameras {i} and {j} disagree by {px:.2f} px (limit {_SEAM_LIMIT_PX}): "
                 "a camera has moved, or the board is bent more than a board may"
             )
-    if f.frame is not None and f.adjusted.similarity is not None and f.cad_failure is None:
-        out += _cad_complaints(f, f.frame, f.adjusted.similarity)
+    if f.frame is not None and f.mapping is not None and f.adjusted.similarity is not None:
+        out += _cad_complaints(f, f.frame, f.mapping, f.adjusted.similarity)
     return out
 
 
-def _cad_complaints(f: Findings, frame: Frame, c: Floats) -> list[str]:
+def _cad_complaints(f: Findings, frame: Frame, mapping: Mapping, c: Floats) -> list[str]:
     out = []
     board_type = frame.board_type
-    seen = set(f.which)
+    seen = set(mapping.which)
     for n, fiducial in enumerate(board_type.fiducials):
-        at = [k for k, w in enumerate(f.which) if w == n]
+        at = [k for k, w in enumerate(mapping.which) if w == n]
         if n not in seen:
             if len(seen) < 2:
                 out.append(f"fiducial {fiducial.name} was not found; one alone does not fix the board")
@@ -132,6 +147,11 @@ def _cad_complaints(f: Findings, frame: Frame, c: Floats) -> list[str]:
         out.append(
             f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}): "
             "it lies above or below the calibrated plane, or is another type"
+        )
+    if mapping.outline is not None and not mapping.outline.visible:
+        out.append(
+            f"there is no edge where the board's outline should be (contrast {mapping.outline.contrast:.1f} "
+            f"grey levels over {mapping.outline.pieces} places): it is another type, or lies elsewhere"
         )
     o = f.problem.links
     use = (f.adjusted.weight > 0.5) & (o.p != o.q)
@@ -172,6 +192,7 @@ def quality_of(f: Findings) -> dict[str, Any]:
         "seams_px": {f"{i}-{j}": _rounded(v) for (i, j), v in f.seams_px.items()},
         "fiducials": _fiducials(f),
         "scale_error": _scale_error(f),
+        "outline_contrast": _rounded(f.mapping.outline.contrast, 1) if f.mapping and f.mapping.outline else None,
         "row_sigma_px": [_rounded(v) for v in sigma.rows_px],
         "cad_sigma_px": _rounded(sigma.worst_px) if sigma.worst_px is not None else None,
         "belt": {
@@ -188,11 +209,12 @@ def _used(f: Findings, kind: str, used: np.ndarray) -> int:
 
 
 def _fiducials(f: Findings) -> list[dict[str, Any]]:
-    if f.frame is None or f.cad_failure is not None:
+    mapping = f.mapping
+    if f.frame is None or mapping is None:
         return []
     out = []
     for n, fiducial in enumerate(f.frame.board_type.fiducials):
-        at = [k for k, w in enumerate(f.which) if w == n]
+        at = [k for k, w in enumerate(mapping.which) if w == n]
         residual = f.adjusted.fiducial_px[at].mean(0) if at else None
         out.append(
             {
@@ -205,7 +227,7 @@ def _fiducials(f: Findings) -> list[dict[str, Any]]:
 
 
 def _scale_error(f: Findings) -> float | None:
-    if f.frame is None or f.adjusted.similarity is None or f.cad_failure is not None:
+    if f.frame is None or f.adjusted.similarity is None:
         return None
     a, b = f.adjusted.similarity[:2]
     return _rounded(float(np.hypot(a, b)) / f.frame.board_type.mm_per_unit - 1, 7)

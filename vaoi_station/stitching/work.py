@@ -24,6 +24,7 @@ from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.link import link_frames, link_neighbours
 from vaoi_station.stitching.overlap import overlap_share
 from vaoi_station.stitching.prepare import Prepared, prepare
+from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.sight import sight_marks
 
 _KEPT_FRAMES = 8
@@ -98,14 +99,12 @@ class Desk:
         s = self._setup
         canonical = set(all_tasks(present, dict(enumerate(times_s)), s))
         return conclude(
-            s.cameras,
+            Scene(s.cameras, tuple(sorted(present)), self._get),
             s.board_type,
             s.expectation,
             np.asarray(s.conveyor_mm_s, dtype=np.float64),
             np.asarray(times_s, dtype=np.float64),
-            present,
             [e for e in evidence if e.task in canonical],
-            lambda camera, row: self._get((camera, row)).grey,
         )
 
     def _get(self, key: FrameKey) -> Prepared:

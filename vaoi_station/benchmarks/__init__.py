@@ -1,0 +1,1 @@
+"""What `vaoi bench` measures: ratios in one run, on frames in memory, one thread."""

@@ -1,0 +1,58 @@
+"""Frames to measure on: a board of the twin, or a recording, held in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from vaoi_station.files import open_recording, read_board_type, read_calibration
+from vaoi_station.model import BoardType, Calibration, RecordingHead
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.stitching.work import Setup
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """One filmed board."""
+
+    name: str
+    head: RecordingHead
+    calibration: Calibration
+    board_type: BoardType
+    frames: dict[tuple[int, int], NDArray[Any]]
+    truth: dict[str, Any] | None
+
+    @property
+    def setup(self) -> Setup:
+        """What the station knows beforehand."""
+        return Setup(
+            self.calibration.cameras(self.head.cameras),
+            self.head.conveyor_mm_s,
+            self.head.trigger_period_s,
+            self.board_type,
+        )
+
+
+def of_twin(scenario: str = "demo", board: int = 0) -> Material:
+    """A board of a shipped scenario."""
+    twin = Twin(read_scenario(scenario_path(scenario)))
+    passage = twin.passage(board)
+    frames = passage.render_all()
+    return Material(scenario, passage.head(), twin.calibration, twin.board_type, frames, passage.truth())
+
+
+def of_recording(directory: Path) -> Material:
+    """A recording with its calibration and board type."""
+    recording = open_recording(directory)
+    head = recording.head
+    calibration = read_calibration(directory / "calibration.json", len(head.cameras))
+    frames = {}
+    for i in range(len(head.cameras)):
+        for j in range(head.rows):
+            pixels = recording.frame(i, j)
+            if pixels is not None:
+                frames[i, j] = pixels
+    return Material(directory.name, head, calibration, read_board_type(directory / "board.json"), frames, None)
