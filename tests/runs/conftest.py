@@ -88,6 +88,18 @@ def a_config(directory: Path, runs: int = 3, cameras: int = 2) -> StationConfig:
     )  # fmt: skip
 
 
+def a_head(rows: int, missing: tuple[tuple[int, int], ...] = ()) -> RecordingHead:
+    return RecordingHead(
+        format="vaoi-recording",
+        version=1,
+        cameras=tuple(CameraHead(width=WIDTH, height=HEIGHT, exposure_us=100) for _ in range(2)),
+        rows=rows,
+        trigger_period_s=PERIOD_S,
+        conveyor_mm_s=(0.0, SPEED_MM_S),
+        missing=missing,
+    )
+
+
 def a_stitch(head: RecordingHead, status: Status = Status.OK, reasons: tuple[str, ...] = ()) -> Stitch:
     """What a perfect stitch of the small rig would be."""
     rows = [np.array([[1, 0, 0], [0, 1, 1.01 * SPEED_MM_S * t], [0, 0, 1.0]]) for t in head.row_times_s()]
@@ -297,15 +309,8 @@ class Rig:
     def finish(self, grant: said.Grant, records: list[FrameRecord]) -> None:
         """Every frame has its verdict."""
         rows = 1 + max(r.row for r in records)
-        head = RecordingHead(
-            format="vaoi-recording",
-            version=1,
-            cameras=tuple(CameraHead(width=WIDTH, height=HEIGHT, exposure_us=100) for _ in self.config.cameras),
-            rows=rows,
-            trigger_period_s=PERIOD_S,
-            conveyor_mm_s=(0.0, SPEED_MM_S),
-            missing=tuple((r.camera, r.row) for r in records if r.verdict is not Verdict.OK),
-        )
+        missing = tuple((r.camera, r.row) for r in records if r.verdict is not Verdict.OK)
+        head = a_head(rows, missing)
         ordered = tuple(sorted(records, key=lambda r: (r.camera, r.row)))
         self.peer.say(said.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), "clear"))
 
@@ -362,6 +367,11 @@ def store(tmp_path: Path) -> Iterator[Store]:
 @pytest.fixture
 def make_stitch() -> Callable[..., Stitch]:
     return a_stitch
+
+
+@pytest.fixture
+def make_head() -> Callable[[int], RecordingHead]:
+    return a_head
 
 
 @pytest.fixture

@@ -99,7 +99,7 @@ class Core:
     def arm(self, order: Order, runs: int | None, waiter: Waiter) -> None:
         """Film boards for this order; the waiter is told when the line is armed, or why not."""
         try:
-            if self._disarm_sent and self.state is not StationState.FILMING:
+            if self._disarm_sent and self.state in _LISTENING - {StationState.FILMING}:
                 self._after_disarm.append((order, runs, waiter))
                 return
             self._make_room_if_blocked()

@@ -1,0 +1,212 @@
+"""Real worker processes: they work, they die, and nothing is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import GoneError, InternalError, StateError
+from vaoi_station.model import BoardType, Calibration
+from vaoi_station.rendering.temporary import views_of
+from vaoi_station.runs.jobs import Answer, Job, LinkJob, RenderJob, RunContext
+from vaoi_station.runs.salvage import camera_heads
+from vaoi_station.runs.workers import WorkerPool
+from vaoi_station.stitching.evidence import Links, Task
+from vaoi_station.stitching.work import Setup
+
+PATIENCE_S = 60.0
+
+
+class Plant:
+    """A ring with one textured run, and a pool over it."""
+
+    def __init__(self, config: StationConfig, calibration: Calibration, board_type: BoardType) -> None:
+        self.ring = Ring.create(ring_path(config), RingLayout.of(config))
+        self.cameras = calibration.cameras(camera_heads(config))
+        self.setup = Setup(self.cameras, config.line.conveyor_mm_s, config.line.trigger_period_s, board_type)
+        self.generation = self.ring.claim(0)
+        self.context = RunContext("r1", self.setup, 0, self.generation)
+        picture = np.random.default_rng(1).integers(0, 255, self.ring.frame(0).shape, dtype=np.uint8)
+        for camera in range(2):
+            for row in range(3):
+                self.ring.frame(self.ring.slot(0, camera, row))[:] = picture
+        self.lost: list[str] = []
+        self.news = threading.Condition()
+        self.pool = WorkerPool(2, self.ring.path)
+        self.pool.start(self._note)
+
+    def _note(self, sentence: str) -> None:
+        with self.news:
+            self.lost.append(sentence)
+            self.news.notify_all()
+
+    def until(self, true: Callable[[], bool]) -> None:
+        with self.news:
+            while not true():
+                assert self.news.wait(0.05) or self._patient()
+
+    def _patient(self) -> bool:
+        self.waited = getattr(self, "waited", 0.0) + 0.05
+        return self.waited < PATIENCE_S
+
+    def all_idle(self) -> None:
+        self.until(lambda: all(w.doing == "idle" for w in self.pool.status()))
+
+    def pid(self, worker: int) -> int:
+        pid = self.pool.status()[worker].pid
+        assert pid is not None
+        return pid
+
+    def link(self, camera: int = 0, row: int = 0) -> LinkJob:
+        a, b = (camera, row), (camera, row + 1)
+        slots = {a: self.ring.slot(0, *a), b: self.ring.slot(0, *b)}
+        return LinkJob(self.context, Task("rows", a, b, 0.1), slots)
+
+    def picture(self, make_stitch: Callable[..., Any], head: Any) -> RenderJob:
+        board_type = self.setup.board_type
+        assert board_type is not None
+        view = views_of(board_type.components[0], board_type, make_stitch(head), self.cameras)[0]
+        slot = self.ring.slot(0, view.camera, view.row)
+        return RenderJob("r1", 0, self.generation, slot, view, self.cameras[view.camera], "png")
+
+    def submit(self, job: Job) -> Pending:
+        pending = Pending()
+        self.pool.submit(job, pending.take)
+        return pending
+
+    def close(self) -> None:
+        self.pool.stop()
+        self.ring.close()
+
+
+class Pending:
+    """An answer that will come."""
+
+    def __init__(self) -> None:
+        self._there = threading.Event()
+        self.answers: list[Answer] = []
+
+    def take(self, answer: Answer) -> None:
+        self.answers.append(answer)
+        self._there.set()
+
+    def get(self) -> Answer:
+        assert self._there.wait(PATIENCE_S)
+        return self.answers[0]
+
+
+@pytest.fixture
+def plant(config: StationConfig, calibration: Calibration, board_type: BoardType) -> Iterator[Plant]:
+    made = Plant(config, calibration, board_type)
+    yield made
+    made.close()
+
+
+def test_tasks_and_pictures_are_done(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
+    answer = plant.submit(plant.link()).get()
+    assert answer.error is None, answer.error
+    assert isinstance(answer.value, Links)
+    assert answer.worker_s > 0
+    picture = plant.submit(plant.picture(make_stitch, make_head(3))).get()
+    assert picture.value[:4] == b"\x89PNG"
+
+
+def test_frames_of_one_camera_go_to_one_worker_unless_it_is_busy(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    try:
+        pending = [plant.submit(plant.link(camera, row)) for row in range(2) for camera in (0, 1)]
+        doing = [w.doing for w in plant.pool.status()]
+        assert [word.split(" of ")[1].split(" and")[0] for word in doing] == ["(0, 0)", "(1, 0)"]
+    finally:
+        for worker in (0, 1):
+            os.kill(plant.pid(worker), signal.SIGCONT)
+    assert all(p.get().error is None for p in pending)
+
+
+def test_a_worker_killed_in_mid_task_loses_nothing(plant: Plant) -> None:
+    plant.all_idle()
+    victim = plant.pid(0)
+    os.kill(victim, signal.SIGSTOP)
+    pending = [plant.submit(plant.link(0, row)) for row in (0, 1, 0, 1)]
+    assert "rows of (0, 0)" in plant.pool.status()[0].doing
+    os.kill(victim, signal.SIGKILL)
+    answers = [p.get() for p in pending]
+    assert all(isinstance(answer.value, Links) for answer in answers)
+    plant.until(lambda: len(plant.lost) == 1)
+    assert "Worker 0 ended with code -9 while doing rows of (0, 0)" in plant.lost[0]
+    plant.all_idle()
+    status = plant.pool.status()
+    assert [w.restarts for w in status] == [1, 0]
+    assert status[0].pid != victim
+    assert all(len(p.answers) == 1 for p in pending)
+
+
+def test_a_task_that_takes_two_workers_with_it_is_given_back(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    pending = plant.submit(plant.link())
+    first, second = plant.pid(0), plant.pid(1)
+    os.kill(first, signal.SIGKILL)
+    plant.until(lambda: "rows of" in plant.pool.status()[1].doing)
+    os.kill(second, signal.SIGKILL)
+    answer = pending.get()
+    assert isinstance(answer.error, InternalError)
+    assert answer.error.code == "worker-lost"
+    assert "took 2 workers with it" in answer.error.message
+    plant.all_idle()
+    assert plant.submit(plant.link()).get().error is None
+
+
+def test_pixels_of_a_later_board_are_not_mistaken_for_this_ones(
+    plant: Plant, make_stitch: Callable[..., Any], make_head: Any
+) -> None:
+    plant.ring.claim(0)
+    for job in (plant.link(), plant.picture(make_stitch, make_head(3))):
+        assert isinstance(plant.submit(job).get().error, GoneError)
+
+
+def test_a_job_that_fails_is_our_fault_and_the_worker_lives_on(plant: Plant) -> None:
+    broken = LinkJob(plant.context, plant.link().task, {})
+    answer = plant.submit(broken).get()
+    assert isinstance(answer.error, InternalError)
+    assert "is not there" in answer.error.message
+    assert plant.submit(plant.link()).get().error is None
+    assert [w.restarts for w in plant.pool.status()] == [0, 0]
+
+
+def test_links_that_nobody_needs_any_more_are_dropped(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    pending = [plant.submit(plant.link(0, 0)) for _ in range(5)]
+    plant.pool.close_run("r1")
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGCONT)
+    assert pending[0].get().error is None
+    plant.all_idle()
+    assert sum(len(p.answers) for p in pending) < len(pending)
+
+
+def test_the_end_gives_everything_back_and_leaves_no_process(plant: Plant) -> None:
+    plant.all_idle()
+    pids = [plant.pid(0), plant.pid(1)]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    pending = [plant.submit(plant.link(0, 0)) for _ in range(4)]
+    plant.pool.stop(timeout_s=0.1)
+    assert all(isinstance(p.get().error, StateError) for p in pending)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert isinstance(plant.submit(plant.link()).get().error, StateError)
+    plant.pool.stop()
