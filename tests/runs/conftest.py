@@ -343,6 +343,11 @@ def end_link(link: AcquisitionLink, peer: Peer) -> None:
 
 
 @pytest.fixture
+def peer() -> Peer:
+    return Peer()
+
+
+@pytest.fixture
 def board_type() -> BoardType:
     return a_board_type()
 
