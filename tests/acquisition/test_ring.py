@@ -157,6 +157,15 @@ def test_a_reused_pid_does_not_keep_a_leftover_alive(path: Path) -> None:
     assert sweep(path.parent) == [path]
 
 
+def test_a_locked_ring_is_alive_whatever_its_pid_says(path: Path) -> None:
+    with Ring.create(path, LAYOUT) as ring:
+        with path.open("r+b") as file:  # as seen from a container that shares the memory but not the pids
+            file.seek(HEADER.fields["owner_pid"][1])  # type: ignore[index]
+            file.write(np.uint32(2**22 + 1).tobytes())
+        assert sweep(path.parent) == []
+        assert ring.path.exists()
+
+
 @pytest.mark.parametrize("bays", [10**9, 10**14], ids=["more than memory", "more than a file may have"])
 def test_a_ring_too_large_is_refused_with_its_size_and_leaves_nothing(path: Path, bays: int) -> None:
     with pytest.raises(BusyError, match=r"needs .* MiB") as caught:

@@ -51,6 +51,8 @@ class Ring:
         """Why the memory could not be locked; empty where it is, and for readers."""
         self._inode = os.fstat(handle).st_ino
         self._owner_pid = os.getpid() if owner else None
+        self._handle = handle if owner else None
+        """Holds the owner's lock on the file."""
         self._map: mmap.mmap | None = ring_file.map_file(handle, layout.file_bytes, writable)
         self._bytes: NDArray[np.uint8] = np.frombuffer(self._map, dtype=np.uint8)
         self._header = self._table(0, 1, HEADER)
@@ -70,9 +72,8 @@ class Ring:
             ring = cls(path, layout, handle, writable=True, owner=True)
         except BaseException:
             path.unlink(missing_ok=True)
-            raise
-        finally:
             os.close(handle)
+            raise
         ring.lock_note = ring_file.lock(ring._bytes)
         ring._slots["row"] = NO_ROW
         ring._header["state"] = IN_USE
@@ -180,6 +181,8 @@ class Ring:
             with contextlib.suppress(FileNotFoundError):
                 if self.path.stat().st_ino == self._inode:
                     self.path.unlink()
+        if self._handle is not None:
+            os.close(self._handle)
         mapped, self._map = self._map, None
         del self._bytes, self._header, self._bays, self._slots
         with contextlib.suppress(BufferError):  # somebody still looks: unmapped when the last view goes

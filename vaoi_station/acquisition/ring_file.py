@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import fcntl
 import mmap
 import os
 from pathlib import Path
@@ -33,19 +34,21 @@ def start_ticks(pid: int) -> int | None:
 
 
 def owner_of(path: Path) -> tuple[int, bool] | None:
-    """Pid of a ring's owner and whether it lives; None if the file is no ring."""
+    """Pid of a ring's owner and whether it lives; None if the file is no ring.
+
+    An owner keeps the file locked while it lives: that shows even where its pid is not ours to see (containers).
+    """
     try:
         with path.open("rb") as file:
             page = file.read(PAGE_BYTES)
+            locked = _is_locked(file.fileno())
     except (FileNotFoundError, PermissionError, IsADirectoryError):
         return None
-    if len(page) < PAGE_BYTES:
+    if len(page) < PAGE_BYTES or page[:8] != MAGIC:
         return None
     header = np.frombuffer(page, dtype=HEADER)
-    if bytes(header["magic"][0]) != MAGIC:
-        return None
     pid = int(header["owner_pid"][0])
-    return pid, start_ticks(pid) == int(header["owner_start_ticks"][0])
+    return pid, locked or start_ticks(pid) == int(header["owner_start_ticks"][0])
 
 
 def sweep(directory: Path) -> list[Path]:
@@ -61,7 +64,10 @@ def sweep(directory: Path) -> list[Path]:
 
 
 def create_file(path: Path, layout: RingLayout) -> int:
-    """Make and allocate the file (mode 0640, header written); an open descriptor. Nothing stays behind on failure."""
+    """Make, lock and allocate the file (mode 0640, header written); nothing stays behind on failure.
+
+    The descriptor that is returned holds the lock.
+    """
     try:
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o640)
     except FileExistsError:
@@ -71,6 +77,7 @@ def create_file(path: Path, layout: RingLayout) -> int:
             f"ring {path}: cannot be made ({error.strerror}).", action="Set [ring] directory to one we may write to."
         ) from error
     try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
         os.fchmod(handle, 0o640)
         _allocate(handle, path, layout)
     except BaseException:
@@ -121,6 +128,14 @@ def open_existing(path: Path, writable: bool) -> int:
         raise NotFoundError(f"{path}: there is no such ring.", action="Start the station first.") from None
     except PermissionError:
         raise InputError(f"{path}: cannot be opened.", action="Join the group of the station's service.") from None
+
+
+def _is_locked(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    return False
 
 
 def _allocate(handle: int, path: Path, layout: RingLayout) -> None:
