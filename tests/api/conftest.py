@@ -243,9 +243,11 @@ class HeldStation:
         component = board_type.component(ref)
         if component is None:
             raise NotFoundError(f"There is no component {ref!r}.", code="unknown-component")
-        return views_of(
+        found = views_of(
             component, board_type, self.stitch(run), self.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage
         )
+        whole = {(r.camera, r.row) for r in self.run(run).frames if r.verdict == Verdict.OK}
+        return tuple(v for v in found if (v.camera, v.row) in whole)
 
     def image(
         self,

@@ -43,9 +43,9 @@ def install(app: FastAPI) -> None:
     async def icon() -> FileResponse:
         return FileResponse(WEB / "icon.svg", headers=FRESH)
 
-    @app.get("/problems/{code}", include_in_schema=False)
-    async def problem(request: Request, code: str) -> PlainTextResponse:
-        if code not in KINDS:
+    @app.get("/problems/{kind}", include_in_schema=False)
+    async def problem(request: Request, kind: str) -> PlainTextResponse:
+        if kind not in KINDS:
             raise HTTPException(404, f"{request.url.path} does not exist.")
-        status, title, action = KINDS[code]
-        return PlainTextResponse(f"{title} (HTTP {status}, code {code}).\n{action}\n")
+        status, title, action = KINDS[kind]
+        return PlainTextResponse(f"{title} (HTTP {status}, {kind}).\n{action}\n")

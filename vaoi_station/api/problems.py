@@ -1,7 +1,8 @@
 """Problem details (RFC 9457): every refusal says what happened, and what to do, in one JSON shape.
 
-`type` is a relative reference `/problems/CODE`, which the station answers with an explanation. `code`
-is stable for programs, `detail` names field, value and limit, `action` is a sentence the operator can follow.
+`type` is a relative reference `/problems/KIND`, which the station answers with an explanation. `code` says the same
+or more (kind `gone`, code `frames-gone`) and is stable for programs too; `detail` names field, value and limit,
+`action` is a sentence the operator can follow.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "wrong-state": (409, "Not possible in the present state", "Wait until the state of the station allows it."),
     "gone": (
         410,
-        "Its memory went to a later board",
-        "Fetch pictures sooner, or give the ring room for more runs in station.toml.",
+        "Its memory has been given away",
+        "Fetch pictures sooner, hold the run meanwhile, or give the ring room for more runs in station.toml.",
     ),
     "too-large": (413, "The request is too large", "Send less; the limit is in the detail."),
     "internal": (
@@ -73,7 +74,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "device": (503, "A device does not do what it should", "Check the device, its cable and its supply."),
     "busy": (503, "Too much at once", "Try again in a moment."),
 }
-"""Code → status, title, and the action of a refusal that names none itself."""
+"""Kind → status, title, and the action of a refusal that names none itself."""
 
 _CODE_OF_STATUS = {400: "malformed", 404: "no-route", 405: "wrong-method", 406: "not-acceptable", 413: "too-large"}
 _KIND_OF_STATUS = {
@@ -103,15 +104,16 @@ def problem_response(
     errors: list[Fault] | None = None,
     headers: Mapping[str, str] | None = None,
 ) -> JSONResponse:
-    """The answer to a refused request; unknown codes borrow title and action from their status."""
-    kind = KINDS.get(code) or KINDS[_KIND_OF_STATUS.get(status or 500, "internal")]
+    """The answer to a refused request; a code that is no kind itself is of the kind its status says."""
+    kind = code if code in KINDS else _KIND_OF_STATUS.get(status or 500, "internal")
+    usual_status, title, remedy = KINDS[kind]
     problem = Problem(
-        type=f"/problems/{code}",
-        title=kind[1],
-        status=status or kind[0],
+        type=f"/problems/{kind}",
+        title=title,
+        status=status or usual_status,
         detail=detail,
         code=code,
-        action=action or kind[2],
+        action=action or remedy,
         instance=quote(request_path),
         errors=errors,
     )

@@ -111,6 +111,7 @@ export class Board {
     if (run !== this.#run || ref !== this.#chosen) return; // overtaken by a later board or choice
     $("views").textContent = texts.views(views.length);
     const figures = views.slice(0, MOST_PICTURES).map((view) => picture(run, ref, view));
+    $("pictures").className = figures.length <= 2 ? "few" : figures.length <= 6 ? "some" : "";
     $("pictures").replaceChildren(...(figures.length ? figures : [note(texts.noPictures)]));
   }
 }
@@ -134,16 +135,10 @@ function picture(run, ref, view) {
   const caption = document.createElement("figcaption");
   caption.textContent = texts.caption(view) + texts.whole(Math.floor(view.coverage * 100 + 0.5));
   figure.append(image, caption);
-  const leaveOut = (why) => {
+  image.onerror = () => {
     figure.classList.add("unloadable");
-    caption.textContent = texts.caption(view) + why;
+    caption.textContent = texts.caption(view) + texts.unloadable;
   };
-  const frame = run.frames.find((f) => f.camera === view.camera && f.row === view.row);
-  if (frame?.verdict === "incomplete") {
-    leaveOut(texts.holes);
-  } else {
-    image.onerror = () => leaveOut(texts.unloadable);
-    image.src = address.href;
-  }
+  image.src = address.href;
   return figure;
 }

@@ -46,7 +46,6 @@ export const texts = {
   caption: (view) => `camera ${view.camera}, row ${view.row}`,
   alt: (ref, view) => `${ref}, seen by camera ${view.camera} in row ${view.row}`,
   whole: (percent) => (percent >= 100 ? "" : `, ${percent} % of it`),
-  holes: ", left out: frame incomplete",
   unloadable: ", not available",
   picturesGone: "The pictures of this board are no longer in memory.",
   noPictures: "No frame shows this component.",
