@@ -6,16 +6,19 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import Any
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.benchmarks.frames import Material
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Stitch
 from vaoi_station.rendering import Album, render
+from vaoi_station.stitching import paper
 from vaoi_station.stitching.evidence import Evidence
-from vaoi_station.stitching.paper import chain
 from vaoi_station.stitching.prepare import to_eight_bit, to_grey
 from vaoi_station.stitching.work import Desk, all_tasks
 
@@ -63,12 +66,12 @@ def measure(material: Material, repetitions: int = 5) -> Figures:
 def _measure(material: Material, repetitions: int) -> Figures:
     stitch = _stitch(material)
     frames = len(material.frames)
-    ours, paper = [], []
+    ours, theirs = [], []
     failed = ""
     for _ in range(repetitions):
         ours.append(_cpu_ms(lambda: _stitch(material)) / frames)
     for _ in range(max(repetitions // 2, 1)):
-        paper.append(_cpu_ms(lambda: _paper(material)) / frames)
+        theirs.append(_cpu_ms(lambda: _paper(material)) / frames)
     outcome = _paper(material)
     if isinstance(outcome, Failure):
         failed = outcome.reason
@@ -83,8 +86,8 @@ def _measure(material: Material, repetitions: int) -> Figures:
         repetitions=repetitions,
         stitch_ms_per_frame=round(statistics.median(ours), 3),
         stitch_spread_ms=(round(min(ours), 3), round(max(ours), 3)),
-        paper_ms_per_frame=round(statistics.median(paper), 2),
-        ratio_to_paper_method=round(statistics.median(paper) / statistics.median(ours), 2),
+        paper_ms_per_frame=round(statistics.median(theirs), 2),
+        ratio_to_paper_method=round(statistics.median(theirs) / statistics.median(ours), 2),
         paper_failed=failed,
         ready_after_last_frame_ms=round(statistics.median(ready), 2),
         images_per_s=round(per_second, 1),
@@ -104,7 +107,10 @@ def _stitch(material: Material) -> Stitch:
 
 
 def _paper(material: Material) -> Any:
-    return chain(material.setup.cameras, material.head.rows, lambda i, j: to_eight_bit(to_grey(material.frames[i, j])))
+    def grey(camera: int, row: int) -> NDArray[np.uint8]:
+        return to_eight_bit(to_grey(material.frames[camera, row]))
+
+    return paper.chain(material.setup.cameras, material.head.rows, grey)
 
 
 def _ready_ms(material: Material) -> float:
@@ -129,15 +135,13 @@ def _rendering(material: Material, stitch: Stitch, repetitions: int) -> tuple[fl
         return 0.0, 0.0
 
     def ours() -> int:
-        album, count = Album(material.board_type, stitch, cameras), 0
-        for component in material.board_type.components:
-            for view in album.views(component):
-                render(view, material.frames[view.camera, view.row], cameras[view.camera])
-                count += 1
-        return count
+        views = Album(material.board_type, stitch, cameras).board(material.board_type.components)
+        for view in chain.from_iterable(views.values()):
+            render(view, material.frames[view.camera, view.row])
+        return sum(map(len, views.values()))
 
-    album = Album(material.board_type, stitch, cameras)
-    crops = [view for component in material.board_type.components for view in album.views(component)]
+    views = Album(material.board_type, stitch, cameras).board(material.board_type.components)
+    crops = list(chain.from_iterable(views.values()))
 
     def bare() -> None:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

@@ -45,7 +45,7 @@ def cut(
                 continue
             stem = address.replace("/", "_")
             name = f"{stem}_{k:02d}_c{view.camera:02d}_r{view.row:03d}.png"
-            write_image(out / name, render(view, frame, cameras[view.camera]))
+            write_image(out / name, render(view, frame))
             listing.append(
                 {
                     "file": name,

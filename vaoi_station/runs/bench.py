@@ -20,7 +20,7 @@ from vaoi_station.acquisition.ring import Ring
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files.images import encode, encode_jpeg, encode_png
 from vaoi_station.files.results import stitch_document
-from vaoi_station.rendering.temporary import render
+from vaoi_station.rendering import render
 from vaoi_station.runs.jobs import (
     Answer,
     CloseRun,
@@ -121,7 +121,7 @@ class Bench:
 
     def _render(self, job: RenderJob) -> bytes:
         frame = self._ring.frame(job.slot)
-        crop = self._guarded(job.bay, job.generation, lambda: render(job.view, frame, job.camera))
+        crop = self._guarded(job.bay, job.generation, lambda: render(job.view, frame))
         return encoded(crop, job.format)
 
     def _guarded(self, bay: int, generation: int, look: Callable[[], T]) -> T:

@@ -8,6 +8,7 @@ from vaoi_station.config import Line
 from vaoi_station.model import BoardType, Calibration, CameraHead
 from vaoi_station.runs.moments import utc
 from vaoi_station.runs.shapes import ArmedWith
+from vaoi_station.stitching.expectation import expectation_of
 from vaoi_station.stitching.work import Setup
 from vaoi_station.store import Store
 
@@ -82,6 +83,7 @@ class OrderDesk:
             conveyor_mm_s=self._line.conveyor_mm_s,
             trigger_period_s=self._line.trigger_period_s,
             board_type=board_type,
+            expectation=expectation_of(self._line, board_type),
         )
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
         return Order(board_type, board_id, job_id, setup, digest, self._calibration_digest)

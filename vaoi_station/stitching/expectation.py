@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from vaoi_station.config import Line
+from vaoi_station.model import BoardType
+
 
 @dataclass(frozen=True)
 class Expectation:
@@ -19,3 +22,27 @@ class Expectation:
     corner_mm: tuple[float | None, float | None] = (None, None)
     """Tester coordinates of the lowest x and y of the board in the first row, where known."""
     tolerance_mm: float = 4.0
+
+
+def expectation_of(line: Line, board_type: BoardType) -> Expectation:
+    """What the mechanics of the line say of a board: its leading edge at the first pulse, and its guide."""
+    expected = line.expected_board
+    low, high = board_type.extent()
+    size = (high - low) * board_type.mm_per_unit
+    width, height = (float(v) for v in (size if expected.rotation_deg % 180 == 0 else size[::-1]))
+    along = 0 if abs(line.conveyor_mm_s[0]) > abs(line.conveyor_mm_s[1]) else 1
+    length, across = (width, height) if along == 0 else (height, width)
+    velocity = line.conveyor_mm_s[along]
+    leading = line.barrier_mm + velocity * line.start_delay_s
+    corner: list[float | None] = [None, None]
+    corner[along] = leading - length if velocity > 0 else leading
+    if expected.rail_mm is not None:
+        corner[1 - along] = expected.rail_mm
+    elif expected.center_mm is not None:
+        corner[1 - along] = expected.center_mm - across / 2
+    return Expectation(
+        angle_rad=-math.radians(expected.rotation_deg),
+        angle_tolerance_rad=math.radians(expected.rotation_tolerance_deg),
+        corner_mm=(corner[0], corner[1]),
+        tolerance_mm=expected.tolerance_mm,
+    )

@@ -40,8 +40,8 @@ def features(grey: NDArray[np.uint8]) -> Features:
     if corners is None:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32))
     points = [cv2.KeyPoint(float(x), float(y), _KEYPOINT_PX) for x, y in corners.reshape(-1, 2)]
-    points, descriptors = cv2.SIFT.create().compute(grey, points)
-    return Features(np.array([p.pt for p in points], dtype=np.float64), np.asarray(descriptors))
+    kept, descriptors = cv2.SIFT.create().compute(grey, points)
+    return Features(np.array([p.pt for p in kept], dtype=np.float64), np.asarray(descriptors, dtype=np.float32))
 
 
 def step(earlier: Sequence[Features], later: Sequence[Features], cameras: Sequence[Camera]) -> Euclidean | Failure:
