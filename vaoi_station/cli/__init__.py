@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import typer
@@ -14,6 +15,10 @@ from vaoi_station.cli.serve import serve
 from vaoi_station.cli.simulate import simulate
 from vaoi_station.cli.stitch import stitch
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
+
+# Our matrices are small: threads of the linear algebra library cost more than they bring, and would take
+# the cores that cameras and workers need. Child processes inherit this; it must be set before numpy loads.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
     name="vaoi",
