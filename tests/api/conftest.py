@@ -21,7 +21,7 @@ from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.errors import GoneError, InternalError, NotFoundError, StateError
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
-from vaoi_station.rendering.temporary import View, render, views_of
+from vaoi_station.rendering import View, render, views_of
 from vaoi_station.runs import facade as f
 
 CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
@@ -263,7 +263,7 @@ class HeldStation:
         if k >= len(views):
             raise NotFoundError(f"{ref} has {len(views)} views; there is no view {k}.")
         pixels, _ = self.frame(run, views[k].camera, views[k].row)
-        crop = render(views[k], pixels, self.cameras[views[k].camera])
+        crop = render(views[k], pixels)
         return encode_image(crop, ImageFormat(format))[0]
 
     def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[f.EventRecord, ...]:

@@ -9,7 +9,7 @@ from vaoi_station.api.shapes import ViewEntry
 from vaoi_station.model import FrameRecord
 
 if TYPE_CHECKING:
-    from vaoi_station.rendering.temporary import View
+    from vaoi_station.rendering import View
 
 DEFAULT_COVERAGE = 0.5
 

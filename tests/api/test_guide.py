@@ -1,0 +1,97 @@
+"""The samples of the guide for tester authors do what they say."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vaoi_station.files.images import read_image
+
+GUIDE = Path(__file__).parents[2] / "docs" / "rest.md"
+
+
+def sample(language: str) -> str:
+    found = re.findall(rf"^```{language}\n(.*?)^```", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
+    assert len(found) == 1
+    return str(found[0])
+
+
+@contextmanager
+def boards_pass(served: Any, count: int) -> Iterator[None]:
+    """A board passes whenever somebody waits for one."""
+
+    def pass_by() -> None:
+        for _ in range(count):
+            seen = len(served.station.filmed)
+            while served.app.state.hub.waiting == 0:
+                served.client.get("/healthz")
+            served.station.film()
+            assert len(served.station.filmed) == seen + 1
+
+    with ThreadPoolExecutor(1) as pool:
+        passing = pool.submit(pass_by)
+        yield
+        passing.result()
+
+
+def run(command: list[str], served: Any, directory: Path) -> str:
+    environment = {**os.environ, "VAOI_STATION": served.url, "PYTHONWARNINGS": "error"}
+    done = subprocess.run(
+        command, cwd=directory, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_python(served: Any, tmp_path: Path) -> None:
+    (tmp_path / "tester.py").write_text(sample("python"))
+    with boards_pass(served, 1):
+        told = run([sys.executable, "tester.py", "demo-board", "2/R1"], served, tmp_path)
+    assert "run r000001: ok\n  camera 0 row 3: 16 x 10, mean " in told
+    assert [r.state for r in served.station.filmed.values()] == ["released"]
+    assert served.station.state == "idle"
+
+
+def test_python_tells_the_operator(served: Any, tmp_path: Path) -> None:
+    (tmp_path / "tester.py").write_text(sample("python"))
+    with pytest.raises(AssertionError, match="There is no board type 'unheard'"):
+        run([sys.executable, "tester.py", "unheard", "U1"], served, tmp_path)
+
+
+@pytest.mark.skipif(not (shutil.which("curl") and shutil.which("sh")), reason="needs curl")
+def test_curl(served: Any, tmp_path: Path) -> None:
+    with boards_pass(served, 1):
+        run(["sh", "-eu", "-c", sample("sh")], served, tmp_path)
+    assert read_image(tmp_path / "U1.png").shape == (64, 80)
+    assert cv2.imdecode(np.fromfile(tmp_path / "U1.jpg", np.uint8), cv2.IMREAD_UNCHANGED) is not None
+    assert "released" in (tmp_path / "released.json").read_text()
+
+
+HAS_LIBCURL = shutil.which("cc") and any(Path("/usr/include").glob("**/curl/curl.h"))
+
+
+@pytest.mark.skipif(not HAS_LIBCURL, reason="needs a C compiler and libcurl's headers")
+def test_c(served: Any, tmp_path: Path) -> None:
+    (tmp_path / "tester.c").write_text(sample("c"))
+    run(["cc", "-Wall", "-Wextra", "-Werror", "tester.c", "-o", "tester", "-lcurl"], served, tmp_path)
+    found = run([str(tmp_path / "tester"), served.station.film(), "U1"], served, tmp_path)
+    assert found == "80 x 64, 80 bytes per line, 5120 bytes\n"
+
+
+def test_every_address_is_told(served: Any) -> None:
+    guide = GUIDE.read_text()
+    for path in served.client.get("/api/v1/openapi.json").json()["paths"]:
+        noun = path.removeprefix("/api/v1/").replace("{run}", "{id}")
+        assert noun in guide, noun
