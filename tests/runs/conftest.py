@@ -157,7 +157,8 @@ class FakeProcess:
 
     def __init__(self) -> None:
         self._here, self._there = multiprocessing.Pipe(duplex=False)
-        self.pid, self.exitcode = 4711, None
+        self.pid = 4711
+        self.exitcode: int | None = None
 
     @property
     def sentinel(self) -> int:
@@ -168,7 +169,7 @@ class FakeProcess:
 
     def die(self, code: int) -> None:
         if self.exitcode is None:
-            self.exitcode: int | None = code
+            self.exitcode = code
             self._there.close()
 
     def join(self, timeout: float | None = None) -> None:

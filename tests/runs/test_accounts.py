@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.model import Stitch
+from vaoi_station.model import Status, Stitch
 from vaoi_station.runs.accounts import belt_speed, versions
 
 
@@ -24,7 +24,7 @@ def stitch_of(vx: float, vy: float, turn: float, about: tuple[float, float], tim
         image_matrices=((None,) * len(times),),
         cad_matrix=None,
         row_motion=tuple(rows),
-        status="ok",  # type: ignore[arg-type]
+        status=Status.OK,
     )
 
 

@@ -13,7 +13,7 @@ import pytest
 from vaoi_station.acquisition import messages as said
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.errors import BusyError, DeviceError, GoneError, InputError, InternalError, NotFoundError, StateError
-from vaoi_station.model import BoardType, Status, Verdict
+from vaoi_station.model import BoardType, Pulse, Status, Verdict
 from vaoi_station.runs.jobs import Answer, ConcludeJob, LinkJob, RenderJob
 
 
@@ -132,6 +132,26 @@ def test_a_run_that_begins_before_the_last_has_settled(rig: Any) -> None:
     rig.finish(second, rig.row(second, 0))
     rig.result_of(second.run)
     rig.until("armed")
+
+
+def test_runs_end_in_the_order_their_boards_came(rig: Any) -> None:
+    rig.workers.keep = True
+    first = rig.arm()
+    rig.board(first, rows=1)
+    second = rig.peer.expect(said.Grant)
+    rig.board(second, rows=1)
+    rig.wait_run(second.run, lambda run: run.state == "stitching", "the second board")
+    waiting, rig.workers.kept = rig.workers.kept, []
+    rig.workers.keep = False
+    for job, done in waiting:
+        if job.run == second.run:
+            rig.workers.perform(job, done)
+    assert rig.conductor.run(second.run).state == "stitching"
+    for job, done in waiting:
+        if job.run == first.run:
+            rig.workers.perform(job, done)
+    rig.result_of(second.run)
+    assert rig.conductor.next_run(first.run, 0.0).id == second.run
 
 
 # --- ids, and how long they hold
@@ -384,7 +404,7 @@ def test_acquisition_dies_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) 
     rig.row(grant, 0)
     rig.row(grant, 1)
     rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
-    rig.peer.say(said.PulseSeen(grant.run, said.Pulse(index=2, time_s=100.2)))
+    rig.peer.say(said.PulseSeen(grant.run, Pulse(index=2, time_s=100.2)))
     rig.wait_run(grant.run, lambda run: run.rows == 3, "three rows")
     rig.peer.die()
     run = rig.result_of(grant.run)

@@ -30,7 +30,7 @@ def memory_of(bays: int) -> tuple[Memory, Leases]:
 def finish(memory: Memory, run: str) -> None:
     memory.grant(run)
     for use in ("filming", "stitching", "finished"):
-        memory.use(run, use)  # type: ignore[arg-type]
+        memory.use(run, use)
 
 
 def test_the_oldest_finished_run_makes_room() -> None:

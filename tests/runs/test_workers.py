@@ -16,7 +16,7 @@ from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.model import BoardType, Calibration
-from vaoi_station.rendering.temporary import views_of
+from vaoi_station.rendering import views_of
 from vaoi_station.runs.jobs import Answer, Job, LinkJob, RenderJob, RunContext
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.workers import WorkerPool
@@ -76,7 +76,7 @@ class Plant:
         assert board_type is not None
         view = views_of(board_type.components[0], board_type, make_stitch(head), self.cameras)[0]
         slot = self.ring.slot(0, view.camera, view.row)
-        return RenderJob("r1", 0, self.generation, slot, view, self.cameras[view.camera], "png")
+        return RenderJob("r1", 0, self.generation, slot, view, "png")
 
     def submit(self, job: Job) -> Pending:
         pending = Pending()

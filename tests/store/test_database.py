@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,13 +14,13 @@ from vaoi_station.store import Database
 from vaoi_station.store.schema import VERSION
 
 
-def add_event(connection: sqlite3.Connection, number: int) -> int:
-    connection.execute("INSERT INTO events VALUES (?, '{}')", (number,))
+def add_event(connection: sqlite3.Connection, number: int, document: str = "{}") -> int:
+    connection.execute("INSERT INTO events VALUES (?, ?)", (number, document))
     return number
 
 
 def test_writes_are_done_in_order_and_answered(database: Database) -> None:
-    futures = [database.write(lambda c, n=n: add_event(c, n)) for n in range(1, 50)]
+    futures = [database.write(partial(add_event, number=n)) for n in range(1, 50)]
     assert [f.result(10) for f in futures] == list(range(1, 50))
     assert database.read("SELECT count(*) AS n FROM events")[0]["n"] == 49
 
@@ -88,7 +89,7 @@ def test_a_file_that_is_no_database(path: Path, content: bytes) -> None:
 def test_a_database_whose_pages_are_damaged(path: Path) -> None:
     database = Database(path)
     for number in range(1, 400):
-        database.write(lambda c, n=number: c.execute("INSERT INTO events VALUES (?, ?)", (n, "x" * 200)))
+        database.write(partial(add_event, number=number, document="x" * 200))
     database.close()
     content = bytearray(path.read_bytes())
     content[8192:40960] = bytes(b ^ 0x5A for b in content[8192:40960])

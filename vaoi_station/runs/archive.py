@@ -7,11 +7,13 @@ import time
 from collections import OrderedDict
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 from vaoi_station.errors import DeviceError, NotFoundError, StateError
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
+from vaoi_station.rendering import Album
 from vaoi_station.runs.accounts import detail_of, summary_of, timeline_of
 from vaoi_station.runs.events import EventLog
 from vaoi_station.runs.progress import Progress
@@ -34,6 +36,23 @@ class Dossier:
     cameras: tuple[Camera, ...]
     stitch: Stitch | None
     timeline: Timeline
+
+    @cached_property
+    def album(self) -> Album:
+        """Which frames show which component; `StateError` without a CAD mapping, `NotFoundError` without a result."""
+        return Album(self.board_type, self.result, self.cameras)
+
+    @property
+    def result(self) -> Stitch:
+        """The stitch; `NotFoundError` with the reasons if the run ended without one."""
+        if self.stitch is None:
+            raise NotFoundError(
+                f"Run {self.detail.id} ended without a result: "
+                + "; ".join(reason.message for reason in self.detail.reasons),
+                action="Its frames can be had as long as they are kept.",
+                code="no-result",
+            )
+        return self.stitch
 
 
 class Archive:

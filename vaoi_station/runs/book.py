@@ -98,16 +98,24 @@ class RunBook:
     def _concluded(self, run: str, answer: Answer, now_s: float) -> None:
         if (progress := self.active.get(run)) is not None:
             progress.concluded(answer, now_s)
-            self._end(progress)
+            self._end_in_order(progress)
 
     def _go_on(self, progress: Progress) -> None:
         """Conclude if all evidence is there; end without a result if there can be none."""
         if progress.state is not RunState.STITCHING:
             return
         if progress.hopeless:
-            self._end(progress)
+            self._end_in_order(progress)
         elif (job := progress.conclusion()) is not None:
             self._workers.submit(job, partial(self._hear_result, progress.run))
+
+    def _end_in_order(self, progress: Progress) -> None:
+        """Runs end in the order their boards came: one that is done early waits for those before it."""
+        progress.done = True
+        for earlier in list(self.active.values()):
+            if not earlier.done:
+                return
+            self._end(earlier)
 
     def _end(self, progress: Progress) -> None:
         progress.step(_last_step(progress))

@@ -19,7 +19,7 @@ from vaoi_station.acquisition.messages import Report
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Stitch
-from vaoi_station.rendering.temporary import View
+from vaoi_station.rendering import View
 from vaoi_station.runs import gallery
 from vaoi_station.runs.accounts import detail_of
 from vaoi_station.runs.core import Core, Parts
@@ -213,7 +213,7 @@ class StationConductor:
 
     def stitch(self, run: str) -> Stitch:
         """The result."""
-        return gallery.stitch_of(self._parts.archive.get(run))
+        return self._parts.archive.get(run).result
 
     def timeline(self, run: str) -> Timeline:
         """When what happened in a finished run."""
@@ -258,7 +258,7 @@ class StationConductor:
         assert record.slot is not None, "views are of whole frames"
         answer: Future[Answer] = Future()
         with self._lease(run, f"image {ref}/{k}") as bay:
-            job = RenderJob(run, bay.number, bay.generation, record.slot, view, dossier.cameras[view.camera], format)
+            job = RenderJob(run, bay.number, bay.generation, record.slot, view, format)
             self._parts.workers.submit(job, answer.set_result)
             try:
                 done = answer.result(IMAGE_LIMIT_S)

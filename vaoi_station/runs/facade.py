@@ -36,7 +36,7 @@ from vaoi_station.runs.shapes import (
 from vaoi_station.runs.state import RunState, StationState
 
 if TYPE_CHECKING:
-    from vaoi_station.rendering.temporary import View
+    from vaoi_station.rendering import View
 
 __all__ = [
     "ArmedWith",

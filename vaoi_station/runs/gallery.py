@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model import BoardType, Component, Stitch, Verdict
-from vaoi_station.rendering import View, views_of
+from vaoi_station.model import BoardType, Component, Verdict
+from vaoi_station.rendering import View
 from vaoi_station.runs.archive import Dossier
 from vaoi_station.runs.shapes import ComponentSummary
 
@@ -28,9 +28,9 @@ def components_of(dossier: Dossier) -> tuple[ComponentSummary, ...]:
 
 def views_of_component(dossier: Dossier, ref: str, px_per_mm: float | None, min_coverage: float) -> tuple[View, ...]:
     """The good frames that show a component, best first; `NotFoundError` without such a component."""
-    part, stitch = component_of(dossier.board_type, ref), stitch_of(dossier)
+    part = component_of(dossier.board_type, ref)
     whole = {(f.camera, f.row) for f in dossier.detail.frames if f.verdict is Verdict.OK}
-    views = views_of(part, dossier.board_type, stitch, dossier.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage)
+    views = dossier.album.views(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
     return tuple(view for view in views if (view.camera, view.row) in whole)
 
 
@@ -56,18 +56,6 @@ def component_of(board_type: BoardType, ref: str) -> Component:
             code="unknown-component",
         )
     return part
-
-
-def stitch_of(dossier: Dossier) -> Stitch:
-    """The result; `NotFoundError` with the reasons if the run ended without one."""
-    if dossier.stitch is None:
-        raise NotFoundError(
-            f"Run {dossier.detail.id} ended without a result: "
-            + "; ".join(reason.message for reason in dossier.detail.reasons),
-            action="Its frames can be had as long as they are kept.",
-            code="no-result",
-        )
-    return dossier.stitch
 
 
 def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: bool) -> None:

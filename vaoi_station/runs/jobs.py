@@ -8,9 +8,8 @@ from enum import IntEnum
 from typing import Any
 
 from vaoi_station.errors import VaoiError
-from vaoi_station.geometry import Camera
 from vaoi_station.model import RecordingHead, Stitch
-from vaoi_station.rendering.temporary import View
+from vaoi_station.rendering import View
 from vaoi_station.runs.shapes import ImageFormat
 from vaoi_station.stitching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.work import Setup
@@ -90,7 +89,6 @@ class RenderJob:
     generation: int
     slot: int
     view: View
-    camera: Camera
     format: ImageFormat
 
     priority = Priority.RENDER

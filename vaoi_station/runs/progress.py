@@ -45,6 +45,8 @@ class Progress:
     """Something without which there is no result has failed."""
     result: Concluded | None = None
     concluding: bool = False
+    done: bool = False
+    """Nothing is left to do but to tell it."""
     conclude_ms: float = 0.0
     ready_s: float | None = None
 

@@ -26,7 +26,7 @@ from vaoi_station.runs.worker_process import work
 
 _log = logging.getLogger(__name__)
 
-JOB_LIMIT_S = 120.0
+JOB_LIMIT_S = 30.0
 """A worker that takes longer for one job is taken for hung and killed."""
 LIVES = 2
 """Workers one job may take with it."""

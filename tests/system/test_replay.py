@@ -1,0 +1,165 @@
+"""A station that plays recordings: every run equals the offline stitch, none costs memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vaoi_station.config import StationConfig
+from vaoi_station.files import Recording, open_recording
+from vaoi_station.geometry import apply
+from vaoi_station.model import Stitch
+from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.runs.shapes import RunDetail
+from vaoi_station.simulation import Twin
+from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.work import Setup
+
+PATIENCE_S = 60.0
+RunStation = Callable[[StationConfig], StationConductor]
+
+
+def offline(conductor: StationConductor, recording: Recording) -> Stitch:
+    """What `vaoi stitch` makes of the recording, knowing what the station knew."""
+    order = conductor._make_order(conductor.board_type("small"), None, None)
+    setup: Setup = order.setup
+    return stitch_frames(setup, recording.head, recording.frame)
+
+
+def follow(conductor: StationConductor, count: int) -> list[RunDetail]:
+    """The next so many runs, in the order they ended."""
+    runs: list[RunDetail] = []
+    after = None
+    while len(runs) < count:
+        run = conductor.next_run(after, PATIENCE_S)
+        assert run is not None, conductor.snapshot()
+        runs.append(run)
+        after = run.id
+    return runs
+
+
+def corners_apart_px(a: Stitch, b: Stitch, width: int, height: int) -> float:
+    """How far the two disagree about where the frames' corners lie on the board, in px of the frame."""
+    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=float)
+    worst = 0.0
+    for row_a, row_b in zip(a.image_matrices, b.image_matrices, strict=True):
+        for m_a, m_b in zip(row_a, row_b, strict=True):
+            assert (m_a is None) == (m_b is None)
+            if m_a is not None and m_b is not None:
+                worst = max(worst, float(np.abs(apply(m_b @ np.linalg.inv(m_a), corners) - corners).max()))
+    return worst
+
+
+def test_every_run_equals_the_offline_result_and_memory_does_not_grow(
+    replay_config: Callable[..., StationConfig],
+    run_station: RunStation,
+    recordings: tuple[Path, Path],
+    twin: Twin,
+) -> None:
+    conductor = run_station(replay_config(pace="fast", pause_s=0.01, runs=20))
+    opened = [open_recording(path) for path in recordings]
+    expected = [offline(conductor, recording) for recording in opened]
+    conductor.arm("small", "board", "job", runs=20)
+    array, resources = twin.scenario.array, []
+    runs: list[RunDetail] = []
+    after: str | None = None
+    while len(runs) < 20:
+        run = conductor.next_run(after, PATIENCE_S) if after else first_run(conductor)
+        assert run is not None, conductor.snapshot()
+        truth = expected[len(runs) % 2]
+        stitch = conductor.stitch(run.id)
+        assert stitch.status == truth.status, stitch.reasons
+        assert corners_apart_px(stitch, truth, array.width_px, array.height_px) <= 1e-6
+        assert stitch.cad_matrix is not None
+        assert truth.cad_matrix is not None
+        assert np.allclose(stitch.cad_matrix, truth.cad_matrix, rtol=0, atol=1e-7)
+        assert (run.board_id, run.job_id, run.counts.missing) == (
+            "board",
+            "job",
+            len(opened[len(runs) % 2].head.missing),
+        )
+        runs.append(run)
+        after = run.id
+        resources.append(held(conductor))
+    assert [run.id for run in runs] == sorted(run.id for run in runs)
+    early, late = resources[7], resources[-1]
+    assert late["ring"] == early["ring"]
+    assert late["descriptors"] <= early["descriptors"] + 2
+    assert late["resident"] <= early["resident"] + 40 * 2**20, "station and children together"
+
+
+def first_run(conductor: StationConductor) -> RunDetail | None:
+    """The first run of all: after nothing there is nothing to come after."""
+    seen = 0
+    while conductor.latest() is None:
+        records = conductor.events(seen, PATIENCE_S)
+        assert records
+        seen = records[-1].number
+    ids = [run.id for run in conductor.runs(1000)]
+    return conductor.run(ids[-1])
+
+
+def held(conductor: StationConductor) -> dict[str, int]:
+    """What the station holds of the machine: shared memory, open files, resident memory of all its processes."""
+    snapshot = conductor.snapshot()
+    pids = [os.getpid(), *(p.pid for p in snapshot.processes if p.pid)]
+    pages = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids)
+    shared = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[2]) for pid in pids)
+    return {
+        "ring": sum(path.stat().st_size for path in Path(snapshot.ring.path).parent.iterdir()),
+        "descriptors": sum(len(list(Path(f"/proc/{pid}/fd").iterdir())) for pid in pids),
+        "resident": (pages - shared) * os.sysconf("SC_PAGE_SIZE"),
+    }
+
+
+def test_when_the_last_row_arrives_the_links_of_all_earlier_rows_exist(
+    replay_config: Callable[..., StationConfig], run_station: RunStation
+) -> None:
+    conductor = run_station(replay_config(pace="original", pause_s=0.2))
+    conductor.arm("small")
+    warm_up, run = follow(conductor, 2)
+    timeline = conductor.timeline(run.id)
+    last = run.rows - 1
+    last_row_s = max(at for _, row, at in timeline.frames_settled_s if row == last)
+    earlier = [t for t in timeline.tasks if last not in (t.row, t.other_row)]
+    assert {t.row for t in earlier} == set(range(last))
+    late = [t for t in earlier if t.done_s >= last_row_s]
+    assert not late, f"{len(late)} of {len(earlier)} links came after the last row at {last_row_s} s: {late[:3]}"
+    assert run.timings is not None
+    assert run.timings.links_while_filming >= len(earlier)
+    assert warm_up.id < run.id
+
+
+def test_frames_and_pictures_of_a_run(
+    replay_config: Callable[..., StationConfig], run_station: RunStation, recordings: tuple[Path, Path]
+) -> None:
+    conductor = run_station(replay_config(pace="fast", runs=1))
+    conductor.arm("small", runs=1)
+    run = first_run(conductor)
+    assert run is not None
+    recording = open_recording(recordings[0])
+    for frame in run.frames:
+        filmed = recording.frame(frame.camera, frame.row)
+        assert filmed is not None
+        assert np.array_equal(conductor.frame(run.id, frame.camera, frame.row)[0], filmed)
+    seen: Any = [c for c in conductor.components(run.id) if c.views]
+    assert seen
+    address = seen[0].address
+    views = conductor.views(run.id, address)
+    png = conductor.image(run.id, address, 0)
+    picture = decoded(png)
+    assert picture.shape == (views[0].height, views[0].width)
+    assert picture.std() > 1
+    twice = conductor.image(run.id, address, 0, px_per_mm=2 * views[0].px_per_mm)
+    assert decoded(twice).shape[1] == pytest.approx(2 * views[0].width, abs=1)
+
+
+def decoded(png: bytes) -> NDArray[Any]:
+    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED))

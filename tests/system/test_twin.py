@@ -1,0 +1,42 @@
+"""A station on the digital twin: what it measures is what the twin put on the belt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from vaoi_station.config import StationConfig
+from vaoi_station.model import Status
+from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.simulation import Twin
+
+PATIENCE_S = 90.0
+
+
+def test_boards_of_the_twin_are_where_the_twin_had_them(
+    twin_config: StationConfig, run_station: Callable[[StationConfig], StationConductor], twin: Twin
+) -> None:
+    conductor = run_station(twin_config)
+    conductor.arm("small", runs=2)
+    first = conductor.next_run(None, PATIENCE_S)
+    assert first is not None, conductor.snapshot()
+    second = conductor.next_run(first.id, PATIENCE_S)
+    assert second is not None
+    for number, run in enumerate((first, second)):
+        assert run.verdict is Status.OK, run.reasons
+        truth = twin.passage(number).truth()
+        assert run.rows == twin.passage(number).rows
+        found = conductor.stitch(run.id).components
+        assert found is not None
+        errors = [
+            np.hypot(x - tx, y - ty)
+            for ref, views in truth["views"].items()
+            for camera, row, tx, ty in views
+            for c, r, x, y in found[ref]
+            if (c, r) == (camera, row)
+        ]
+        assert len(errors) > 50
+        assert np.sqrt(np.mean(np.square(errors))) < 0.5, "px"
+        assert run.belt is not None
+        assert abs(run.belt.ratio - 1) < 0.05
