@@ -24,7 +24,6 @@ from vaoi_station.runs.archive import Archive
 from vaoi_station.runs.conductor import StationConductor
 from vaoi_station.runs.core import Parts
 from vaoi_station.runs.events import EventLog
-from vaoi_station.runs.logs import start_log
 from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
@@ -108,9 +107,8 @@ class Station:
         self.stop()
 
 
-def serve(config: StationConfig, port: int | None = None, log_json: bool = False) -> None:
+def serve(config: StationConfig, port: int | None = None) -> None:
     """The whole service, until SIGTERM or SIGINT."""
-    start_log(log_json)
     address = (config.api.host, config.api.port if port is None else port)
     with _signals() as asked, _listener(*address) as listener, Station(config) as station:
         web = WebServer(station, listener, asked)

@@ -16,5 +16,8 @@ def serve(
     """Film boards, stitch them, and answer by REST, until stopped."""
     from vaoi_station import station
     from vaoi_station.config import read_config
+    from vaoi_station.runs.logs import start_log
 
-    station.serve(read_config(config), port, log_json)
+    settings = read_config(config)
+    start_log(log_json)
+    station.serve(settings, port)

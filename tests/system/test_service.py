@@ -1,0 +1,133 @@
+"""`vaoi serve`, as a program of its own: everything over HTTP, and an orderly end."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+from vaoi_station.config import StationConfig
+
+PATIENCE_S = 60.0
+
+
+def as_toml(config: StationConfig) -> str:
+    """A configuration as `station.toml`."""
+    document = config.model_dump(mode="json", exclude_none=True)
+    cameras, tables = document.pop("cameras"), {k: v for k, v in document.items() if isinstance(v, dict)}
+    lines = [f"{k} = {json.dumps(v)}" for k, v in document.items() if k not in tables]
+    for name, table in tables.items():
+        inner = {k: v for k, v in table.items() if isinstance(v, dict)}
+        lines += [f"[{name}]", *(f"{k} = {json.dumps(v)}" for k, v in table.items() if k not in inner)]
+        for key, values in inner.items():
+            lines += [f"[{name}.{key}]", *(f"{k} = {json.dumps(v)}" for k, v in values.items())]
+    for camera in cameras:
+        lines += ["[[cameras]]", *(f"{k} = {json.dumps(v)}" for k, v in camera.items())]
+    return "\n".join(lines) + "\n"
+
+
+class Service:
+    """The program, its log and its address."""
+
+    def __init__(self, config: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "vaoi_station", "serve", "--config", str(config), "--port", "0"],
+            cwd=Path(__file__).parents[2],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.log: list[str] = []
+        for line in self.process.stdout:
+            self.log.append(line)
+            if found := re.search(r"listening on (http://\S+)", line):
+                self.client = httpx2.Client(base_url=found[1] + "/api/v1", timeout=PATIENCE_S)
+                return
+        raise AssertionError("".join(self.log))
+
+    def get(self, path: str, **query: Any) -> Any:
+        answer = self.client.get(path, params=query)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def stop(self, number: int) -> int:
+        self.client.close()
+        self.process.send_signal(number)
+        out, _ = self.process.communicate(timeout=PATIENCE_S)
+        self.log.append(out)
+        return self.process.returncode
+
+
+@pytest.fixture
+def service(replay_config: Callable[..., StationConfig], tmp_path: Path) -> Iterator[Service]:
+    path = tmp_path / "station.toml"
+    path.write_text(as_toml(replay_config(pace="original", pause_s=0.3)))
+    started = Service(path)
+    yield started
+    if started.process.poll() is None:
+        started.process.kill()
+        started.process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path: Path, number: int) -> None:
+    station = service.get("/station")
+    while station["state"] == "starting":
+        station = service.get("/station")
+    assert station["state"] == "idle"
+    armed = service.client.post("/station/arm", json={"board_type": "small", "board_id": "b 1", "job_id": "j 1"})
+    assert armed.status_code == 200, armed.text
+    assert armed.json()["state"] == "armed"
+    run = service.get("/runs/next", timeout=50)
+    assert (run["board_id"], run["job_id"], run["state"]) == ("b 1", "j 1", "ready")
+    matrices = service.get(f"/runs/{run['id']}/matrices")
+    assert (matrices["format"], matrices["status"]) == ("vaoi-stitch", "ok")
+    assert len(matrices["image_matrices"][0]) == run["rows"]
+    frame = service.client.get(f"/runs/{run['id']}/frames/0/0")
+    assert frame.content[:4] == b"\x89PNG"
+    components = service.get(f"/runs/{run['id']}/components")["components"]
+    [address, *_] = [c["address"] for c in components if c["views"]]
+    picture = service.client.get(f"/runs/{run['id']}/components/{address}/images/0")
+    assert picture.content[:4] == b"\x89PNG"
+    pids = [p["pid"] for p in service.get("/station")["processes"]]
+    assert len(pids) == 3
+    assert service.stop(number) == 0, "".join(service.log)
+    assert list((tmp_path / "shm").iterdir()) == []
+    assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+
+
+def test_a_station_that_is_killed_leaves_no_process_and_its_ring_is_swept(
+    service: Service, replay_config: Callable[..., StationConfig], tmp_path: Path
+) -> None:
+    pids = [p["pid"] for p in service.get("/station")["processes"]]
+    service.stop(signal.SIGKILL)
+    for pid in pids:
+        ended(pid)
+    assert len(list((tmp_path / "shm").iterdir())) == 1
+    again = Service(tmp_path / "station.toml")
+    assert again.stop(signal.SIGTERM) == 0, "".join(again.log)
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+def ended(pid: int) -> None:
+    """Wait until a process that is not our child has ended."""
+    import os
+    import select
+
+    try:
+        handle = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return
+    try:
+        assert select.select([handle], [], [], PATIENCE_S)[0], f"process {pid} outlived its station"
+    finally:
+        os.close(handle)

@@ -1,0 +1,97 @@
+"""What can be wrong before a station stands, and that it then leaves nothing behind."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.errors import DeviceError, InputError, StateError
+from vaoi_station.files import write_calibration
+from vaoi_station.model import Calibration
+from vaoi_station.station import DATABASE, Station, serve
+
+
+def calibration(cameras: int) -> Calibration:
+    matrices = [[[2.0, 0, -60.0 * i], [0, 2.0, 0], [0, 0, 1]] for i in range(cameras)]
+    document = {"format": "vaoi-calibration", "version": 1, "unit": "mm", "camera_matrices": matrices}
+    return Calibration.model_validate(document)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> StationConfig:
+    (tmp_path / "shm").mkdir()
+    write_calibration(tmp_path / "calibration.json", calibration(2))
+    cameras = [CameraConfig(name=f"c{i}", backend="replay", width=64, height=48, exposure_us=100.0) for i in range(2)]
+    return StationConfig.model_validate(
+        {
+            "calibration": tmp_path / "calibration.json",
+            "board_types": tmp_path / "board-types",
+            "data": tmp_path / "data",
+            "line": Line(
+                conveyor_mm_s=(0.0, 100.0), barrier_mm=0.0, start_delay_s=0.0,
+                trigger_period_s=0.1, tail_s=0.0, longest_board_mm=50.0,
+            ),
+            "cameras": cameras,
+            "controller": {"backend": "replay"},
+            "replay": ReplayConfig(recordings=(tmp_path / "recording",)),
+            "ring": RingConfig(directory=tmp_path / "shm"),
+        }
+    )  # fmt: skip
+
+
+def left_behind(config: StationConfig) -> list[Path]:
+    return list(config.ring.directory.iterdir())
+
+
+def test_a_calibration_of_another_array(config: StationConfig) -> None:
+    write_calibration(config.calibration, calibration(3))
+    with pytest.raises(InputError, match="camera_matrices has 3 entries, but 2 cameras were filming") as refusal:
+        Station(config).start()
+    assert "calibration of this array" in refusal.value.action
+    assert left_behind(config) == []
+    assert not config.data.exists()
+
+
+def test_a_damaged_database(config: StationConfig) -> None:
+    config.data.mkdir()
+    (config.data / DATABASE).write_bytes(b"not a database " * 1000)
+    with pytest.raises(DeviceError, match="not a sound database"):
+        Station(config).start()
+    assert left_behind(config) == []
+
+
+def test_a_ring_that_another_station_owns(config: StationConfig) -> None:
+    with Ring.create(ring_path(config), RingLayout.of(config)):
+        station = Station(config)
+        with pytest.raises(StateError, match="exists already"):
+            station.start()
+        station.stop()
+    assert left_behind(config) == []
+
+
+def test_a_port_that_is_taken(config: StationConfig) -> None:
+    refused = pytest.raises(DeviceError, match=r"cannot listen on 127\.0\.0\.1 port")
+    with socket.create_server(("127.0.0.1", 0)) as other, refused:
+        serve(config, other.getsockname()[1])
+    assert left_behind(config) == []
+
+
+def test_a_station_that_is_down_says_so(config: StationConfig) -> None:
+    with pytest.raises(StateError, match="not running"):
+        _ = Station(config).conductor
+
+
+def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason(config: StationConfig) -> None:
+    with Station(config) as station:
+        seen, troubles = 0, list[str]()
+        while not troubles or station.conductor.snapshot().state != "faulted":
+            records = station.conductor.events(seen, 60.0)
+            assert records
+            seen = records[-1].number
+            troubles += [r.message for r in records if r.kind == "trouble" and "recording.json" in r.message]
+        assert "there is no such file" in troubles[0]
+    assert left_behind(config) == []
