@@ -5,6 +5,7 @@ import { texts } from "./texts.en.js";
 
 const $ = (id) => document.getElementById(id);
 const MOST_PICTURES = 24;
+const PATIENCE_MS = 1000;
 
 export class Board {
   #run = null;
@@ -109,11 +110,19 @@ export class Board {
     }
     const { views } = await rest.component(run.id, ref);
     if (run !== this.#run || ref !== this.#chosen) return; // overtaken by a later board or choice
-    $("views").textContent = texts.views(views.length);
     const figures = views.slice(0, MOST_PICTURES).map((view) => picture(run, ref, view));
+    await loaded(figures);
+    if (run !== this.#run || ref !== this.#chosen) return;
+    $("views").textContent = texts.views(views.length);
     $("pictures").className = figures.length <= 2 ? "few" : figures.length <= 6 ? "some" : "";
     $("pictures").replaceChildren(...(figures.length ? figures : [note(texts.noPictures)]));
   }
+}
+
+// So that pictures change at once instead of going dark; but nobody waits long for a slow one.
+function loaded(figures) {
+  const images = figures.map((figure) => figure.querySelector("img").decode());
+  return Promise.race([Promise.allSettled(images), new Promise((done) => setTimeout(done, PATIENCE_MS))]);
 }
 
 const note = (text) => Object.assign(document.createElement("p"), { textContent: text });
