@@ -2,8 +2,9 @@
 
 The picture shows the component's bounding box, upright as CAD shows it: never mirrored, CAD x to the
 right on the top side and to the left on the bottom side, CAD "up" up. One matrix maps its pixels to
-CAD and back; where lenses distort, the matrix from picture to frame gives undistorted pixels and the
-renderer bends them. Where the board's surface is known, the footprint lies on it.
+CAD and back, one to the pixels of the frame. A lens is part of that matrix wherever it bends so little
+over the picture that a matrix can say it; elsewhere the view says so and comes in tiles. Where
+the board's surface is known, the footprint lies on it.
 """
 
 from __future__ import annotations
@@ -11,21 +12,37 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.errors import InputError, StateError
+from vaoi_station.errors import StateError
 from vaoi_station.geometry import Camera, Projective, System
-from vaoi_station.geometry.transforms import Floats
+from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.rendering.crops import crops_of
 
-MOST_PIXELS = 16_000_000
-"""No temporary image is larger; ask for fewer pixels per mm."""
 GRID = 9
-"""Points per side at which coverage and distortion of a picture are computed."""
-_LENS_MARGIN_PX = 50.0
-"""No lens bends the border of a frame by more."""
+"""Points per side at which the coverage of a picture that is cut off is computed."""
+_TILE_PX = 160
+"""Over so few pixels the lenses of such an array bend by hundredths of a pixel."""
+_STRAIGHT_PX = 0.02
+"""Bending up to this is put into the matrix."""
+_CORNERS = (0, 2, 8, 6)
+"""The corners among 3×3 points."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Tile:
+    """Part of a picture: its columns and rows (ends excluded), and its own pixels to raw pixels of the frame."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+    matrix: Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,17 +58,22 @@ class View:
     """Share of the picture that lies inside the frame."""
     off_center: float
     """Distance of the component's middle from the frame's, in half diagonals: small is seen straight from above."""
-    crop_from_cad: Projective
-    """CAD coordinates to the picture's pixels."""
+    crop_matrix: Floats
+    """(3, 3) CAD coordinates to the picture's pixels."""
     matrix: Floats
-    """(3, 3) the picture's pixels to undistorted pixels of the frame."""
-    raw_nodes: Floats | None
-    """(9, 9, 2) raw pixels of a grid over the picture, border to border; None where the lens does not bend."""
+    """(3, 3) the picture's pixels to the frame's: raw pixels, or undistorted ones where `distorted`."""
+    tiles: tuple[Tile, ...]
+    """Where `distorted`: the parts of the picture, each with its own matrix to raw pixels; else empty."""
 
     @property
     def distorted(self) -> bool:
-        """Whether the frame's lens bends: then `matrix` and raw pixels differ."""
-        return self.raw_nodes is not None
+        """Whether the lens bends more over this picture than a matrix can say."""
+        return bool(self.tiles)
+
+    @property
+    def crop_from_cad(self) -> Projective:
+        """CAD coordinates to the picture's pixels."""
+        return Projective(self.crop_matrix, System.CROP, System.CAD)
 
     @property
     def cad_from_crop(self) -> Projective:
@@ -84,16 +106,16 @@ class Album:
         self._keys = [
             (i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None
         ]
-        frames = np.array([i for i, _ in self._keys], dtype=np.int_)
+        self._camera = np.array([i for i, _ in self._keys], dtype=np.int_)
         row_from_cad = np.array([stitch.row_motion[j] @ stitch.tester_from_cad.matrix for _, j in self._keys])
         image_from_row = np.array([c.image_from_row.matrix for c in cameras])
-        self._image_from_cad = image_from_row[frames] @ row_from_cad.reshape(-1, 3, 3)
+        self._image_from_cad = image_from_row[self._camera] @ row_from_cad.reshape(-1, 3, 3)
         feet = np.array([(*c.foot_mm, 1.0) for c in cameras])
         lean = (image_from_row @ feet[:, :, None])[:, :, 0] / [[c.working_distance_mm or np.inf] for c in cameras]
-        self._lean = lean[frames]
-        """(f, 3) change of the third column of CAD → image per mm of height, negated (`geometry.Camera`)."""
-        self._size = np.array([(c.width_px, c.height_px) for c in cameras], dtype=np.float64)[frames]
-        self._ideal = np.array([c.lens.ideal for c in cameras])[frames]
+        self._lean = lean[self._camera]
+        """(f, 3) by how much the third column of CAD → image falls per mm of height (`geometry.Camera`)."""
+        self._size = np.array([(c.width_px, c.height_px) for c in cameras], dtype=np.float64)[self._camera]
+        self._bend = np.array([_bend(c) for c in cameras])[self._camera]
 
     def views(
         self, component: Component, *, px_per_mm: float | None = None, min_coverage: float = 0.5
@@ -108,45 +130,61 @@ class Album:
         if not components:
             return {}
         resolution = px_per_mm or self._resolution
-        crops = [crop_of(c, self._board_type, resolution) for c in components]
-        matrices = self._matrices(components, np.array([m.inverse().matrix for _, _, m in crops]))
-        size = np.array([(w, h) for w, h, _ in crops], dtype=np.float64)
-        ends = _project(matrices, _ends(size))
-        spread = _LENS_MARGIN_PX * ~self._ideal[None, :, None]
+        crops = crops_of(components, self._board_type, resolution)
+        matrices = self._matrices(components, crops.cad_from_crop)
+        ends = _project(matrices, _grid(crops.size, 3)[:, _CORNERS])
+        spread = self._bend[None, :, None]
         touching = (ends.max(2) >= -spread).all(2) & (ends.min(2) <= self._size - 1 + spread).all(2)
-        inside = (ends.min(2) >= 0).all(2) & (ends.max(2) <= self._size - 1).all(2) & self._ideal
-        middle = _project(matrices, (size[:, None] - 1) / 2)[:, :, 0]
-        nodes, coverage = self._nodes(matrices, size, touching & ~inside)
-        coverage[inside] = 1.0
-        found: dict[str, tuple[View, ...]] = {}
-        for k, (component, (width, height, crop_from_cad)) in enumerate(zip(components, crops, strict=True)):
-            views = []
-            for f in np.flatnonzero(touching[k] & (coverage[k] >= max(min_coverage, 1e-9))):
-                (i, j), share = self._keys[f], float(coverage[k, f])
-                cx, cy = self._cameras[i].center_px
-                off = math.hypot(middle[k, f, 0] - cx, middle[k, f, 1] - cy) / math.hypot(cx, cy)
-                bent = None if self._ideal[f] else nodes[k, int(f)]
-                views.append(View(i, j, width, height, resolution, share, off, crop_from_cad, matrices[k, f], bent))
-            views.sort(key=lambda v: (-round(v.coverage, 3), round(v.off_center, 6), v.row, v.camera))
-            found[component.address] = tuple(views)
-        return found
-
-    def _nodes(
-        self, matrices: Floats, size: Floats, wanted: NDArray[np.bool_]
-    ) -> tuple[dict[tuple[int, int], Floats], Floats]:
-        """Raw pixels of each picture's grid in the frames where they are wanted, and the share inside the frame."""
-        nodes: dict[tuple[int, int], Floats] = {}
-        coverage = np.zeros(wanted.shape)
+        component, frame = np.nonzero(touching)
+        least = max(min_coverage, 1e-9)
+        found: list[list[View]] = [[] for _ in components]
         for i, camera in enumerate(self._cameras):
-            mine = np.array([key[0] == i for key in self._keys])
-            at = np.argwhere(wanted & mine)
-            if not len(at):
-                continue
-            k, f = at.T
-            raw = camera.lens.distort(_through(matrices[k, f], _grid(size[k])))
-            coverage[k, f] = camera.sees(raw).mean(1)
-            nodes |= {(int(a), int(b)): r.reshape(GRID, GRID, 2) for a, b, r in zip(k, f, raw, strict=True)}
-        return nodes, coverage
+            mine = self._camera[frame] == i
+            k, f = component[mine], frame[mine]
+            if len(k):
+                self._see(camera, k, f, matrices[k, f], crops.size[k], crops.crop_from_cad, resolution, least, found)
+        for views in found:
+            views.sort(key=lambda v: (-round(v.coverage, 3), round(v.off_center, 6), v.row, v.camera))
+        return {c.address: tuple(views) for c, views in zip(components, found, strict=True)}
+
+    def _see(
+        self,
+        camera: Camera,
+        component: NDArray[np.int_],
+        frame: NDArray[np.int_],
+        matrices: Floats,
+        size: Floats,
+        crop_from_cad: Floats,
+        resolution: float,
+        min_coverage: float,
+        found: list[list[View]],
+    ) -> None:
+        """Add the views of one camera: component k in frame f for every pair."""
+        points = _grid(size, 3)
+        raw = _through(matrices, points)
+        bent = np.zeros(len(matrices), dtype=bool)
+        if not camera.lens.ideal:
+            raw = camera.lens.distort(raw)
+            straight = _homographies(points[:, _CORNERS], raw[:, _CORNERS])
+            bent = ~(np.abs(_through(straight, points) - raw).max((1, 2)) <= _STRAIGHT_PX)
+            matrices = np.where(bent[:, None, None], matrices, straight)
+        coverage = np.asarray(camera.sees(raw).all(1), dtype=np.float64)
+        partial = np.flatnonzero(coverage < 1)
+        at = _through(matrices[partial], _grid(size[partial], GRID))
+        at[bent[partial]] = camera.lens.distort(at[bent[partial]])
+        coverage[partial] = camera.sees(at).mean(1)
+        shown = np.flatnonzero(bent & (coverage >= min_coverage))
+        tiles = (
+            dict(zip(shown.tolist(), _tiles(camera, matrices[shown], size[shown]), strict=True)) if len(shown) else {}
+        )
+        off = np.hypot(*(raw[:, 4] - camera.center_px).T) / math.hypot(*camera.center_px)
+        whole = size.astype(int).tolist()
+        for n in np.flatnonzero(coverage >= min_coverage).tolist():
+            (i, j), k = self._keys[frame[n]], component[n]
+            w, h = whole[n]
+            share, middle = float(coverage[n]), float(off[n])
+            view = View(i, j, w, h, resolution, share, middle, crop_from_cad[k], matrices[n], tiles.get(n, ()))
+            found[k].append(view)
 
     def _matrices(self, components: Sequence[Component], cad_from_crop: Floats) -> Floats:
         """Picture to undistorted pixels of every frame, (k, f, 3, 3), in the plane of each footprint."""
@@ -183,32 +221,21 @@ def views_of(
     return Album(board_type, stitch, cameras).views(component, px_per_mm=px_per_mm, min_coverage=min_coverage)
 
 
-def crop_of(component: Component, board_type: BoardType, px_per_mm: float) -> tuple[int, int, Projective]:
-    """Width and height of a component's picture, and the transform from CAD to its pixels.
-
-    Pixel sizes are areas: the edges of the box are the outer edges of the border pixels, so the centre
-    of pixel (0, 0) lies half a pixel inside.
-    """
-    corners = board_type.footprint(component)
-    low, high = corners.min(0), corners.max(0)
-    scale = px_per_mm * board_type.mm_per_unit
-    width, height = (max(round(float(v) * scale), 1) for v in high - low)
-    if width * height > MOST_PIXELS:
-        limit = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {width}×{height})"
-        raise InputError.field(component.address, "px_per_mm", px_per_mm, limit)
-    x_right, y_down = board_type.side == "top", board_type.y_axis == "down"
-    sx = width / (high[0] - low[0]) * (1 if x_right else -1)
-    sy = height / (high[1] - low[1]) * (1 if y_down else -1)
-    x0, y0 = (low if x_right else high)[0], (low if y_down else high)[1]
-    matrix = np.array([[sx, 0, -sx * x0 - 0.5], [0, sy, -sy * y0 - 0.5], [0, 0, 1.0]])
-    return width, height, Projective(matrix, System.CROP, System.CAD)
+def _bend(camera: Camera) -> float:
+    """By how many px the lens moves the corners of its frame, at the most."""
+    corners = _grid(np.array([[camera.width_px, camera.height_px]]), 3)[0]
+    return float(np.abs(camera.lens.undistort(corners) - corners).max())
 
 
-def _ends(size: Floats) -> Floats:
-    """Centres of the corner pixels (k, 4, 2) of pictures of sizes (k, 2)."""
-    w, h = (size - 1).T
-    nil = np.zeros_like(w)
-    return np.stack([np.stack(p, -1) for p in ((nil, nil), (w, nil), (w, h), (nil, h))], 1)
+def _grid(size: Floats, n: int) -> Floats:
+    """Pixels (k, n², 2) spread evenly over pictures of sizes (k, 2), border pixels included, row by row."""
+    return np.asarray(_unit_grid(n) * (size[:, None] - 1))
+
+
+@lru_cache(maxsize=4)
+def _unit_grid(n: int) -> Floats:
+    t = np.linspace(0, 1, n)
+    return np.stack(np.meshgrid(t, t), -1).reshape(-1, 2)
 
 
 def _project(matrices: Floats, points: Floats) -> Floats:
@@ -217,14 +244,49 @@ def _project(matrices: Floats, points: Floats) -> Floats:
     return np.asarray((q[:, :, :2] / q[:, :, 2:]).swapaxes(2, 3))
 
 
-def _grid(size: Floats) -> Floats:
-    """Pixels (k, 81, 2) spread evenly over pictures of sizes (k, 2), border pixels included, row by row."""
-    t = np.linspace(0, 1, GRID)
-    unit = np.stack(np.meshgrid(t, t), -1).reshape(-1, 2)
-    return np.asarray(unit * (size[:, None] - 1))
-
-
 def _through(matrices: Floats, points: Floats) -> Floats:
     """Points (k, n, 2) through matrices (k, 3, 3)."""
     q = points @ matrices[:, :, :2].swapaxes(1, 2) + matrices[:, None, :, 2]
     return np.asarray(q[..., :2] / q[..., 2:])
+
+
+def _tiles(camera: Camera, matrices: Floats, size: Floats) -> list[tuple[Tile, ...]]:
+    """Pictures in tiles, whose corners are carried through the lens exactly; all pictures in one go."""
+    lines = [[_cuts(int(v)) for v in wh] for wh in size]
+    nodes = [np.stack(np.meshgrid(x, y), -1).astype(np.float64) - 0.5 for x, y in lines]
+    ahead = [apply(m, n).reshape(-1, 2) for m, n in zip(matrices, nodes, strict=True)]
+    raw = np.split(camera.lens.distort(np.concatenate(ahead)), np.cumsum([len(a) for a in ahead])[:-1])
+    source = [_cells(n) for n in nodes]
+    source = [s - (s[:, :1] + 0.5) for s in source]
+    target = [_cells(r.reshape(n.shape)) for r, n in zip(raw, nodes, strict=True)]
+    found = iter(_homographies(np.concatenate(source), np.concatenate(target)))
+    return [
+        tuple(Tile(a, b, c, d, next(found)) for b, d in pairwise(y.tolist()) for a, c in pairwise(x.tolist()))
+        for x, y in lines
+    ]
+
+
+def _cuts(length: int) -> NDArray[np.int_]:
+    """Where a side is cut into tiles, both ends included."""
+    return np.asarray(np.linspace(0, length, -(-length // _TILE_PX) + 1).round(), dtype=np.int_)
+
+
+def _cells(nodes: Floats) -> Floats:
+    """Corners (k, 4, 2), going round, of the cells of a grid of nodes (rows, columns, 2)."""
+    corners = (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1])
+    return np.stack([nodes[c] for c in corners], 2).reshape(-1, 4, 2)
+
+
+def _homographies(source: Floats, target: Floats) -> Floats:
+    """Matrices (k, 3, 3) that take four points (k, 4, 2) to four others; eight equations each."""
+    x, y = source[..., 0], source[..., 1]
+    one, nil = np.ones_like(x), np.zeros_like(x)
+    u, v = target[..., 0], target[..., 1]
+    rows_u = np.stack([x, y, one, nil, nil, nil, -u * x, -u * y], -1)
+    rows_v = np.stack([nil, nil, nil, x, y, one, -v * x, -v * y], -1)
+    system = np.concatenate([rows_u, rows_v], 1)
+    flat = (x.max(1) - x.min(1) < 1) | (y.max(1) - y.min(1) < 1)
+    system[flat] = np.eye(8)
+    h = np.linalg.solve(system, np.concatenate([u, v], 1)[..., None])[..., 0]
+    h[flat] = np.nan
+    return np.concatenate([h, np.ones((len(h), 1))], 1).reshape(-1, 3, 3)

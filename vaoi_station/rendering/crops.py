@@ -1,0 +1,58 @@
+"""The pictures of components before any frame is looked at: sizes, and transforms from CAD.
+
+Pixel sizes are areas: the edges of a component's bounding box are the outer edges of its picture's
+border pixels, so the centre of pixel (0, 0) lies half a pixel inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.errors import InputError
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Component
+
+MOST_PIXELS = 16_000_000
+"""No temporary image is larger; ask for fewer pixels per mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crops:
+    """The pictures of k components."""
+
+    size: Floats
+    """(k, 2) whole width and height."""
+    crop_from_cad: Floats
+    """(k, 3, 3) scale and shift."""
+    cad_from_crop: Floats
+    """(k, 3, 3) the inverse."""
+
+
+def crops_of(components: Sequence[Component], board_type: BoardType, px_per_mm: float) -> Crops:
+    """Pictures of components, upright as CAD shows them, as the camera sees the board.
+
+    Raises:
+        InputError: a picture would have more than `MOST_PIXELS`.
+    """
+    center = np.array([c.center for c in components], dtype=np.float64)
+    half = np.array([(c.width, c.height) for c in components]) / 2
+    angle = np.radians([c.rotation for c in components])
+    c, s = np.abs(np.cos(angle)), np.abs(np.sin(angle))
+    reach = np.stack([c * half[:, 0] + s * half[:, 1], s * half[:, 0] + c * half[:, 1]], -1)
+    size = np.maximum(np.round(2 * reach * px_per_mm * board_type.mm_per_unit), 1)
+    for component, (width, height) in zip(components, size, strict=True):
+        if width * height > MOST_PIXELS:
+            limit = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {width:.0f}×{height:.0f})"
+            raise InputError.field(component.address, "px_per_mm", px_per_mm, limit)
+    way = np.array([1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0])
+    scale = way * size / (2 * reach)
+    origin = center - way * reach
+    there, back = np.zeros((len(components), 3, 3)), np.zeros((len(components), 3, 3))
+    for axis in (0, 1):
+        there[:, axis, axis], there[:, axis, 2] = scale[:, axis], -scale[:, axis] * origin[:, axis] - 0.5
+        back[:, axis, axis], back[:, axis, 2] = 1 / scale[:, axis], origin[:, axis] + 0.5 / scale[:, axis]
+    there[:, 2, 2] = back[:, 2, 2] = 1
+    return Crops(size, there, back)
