@@ -1,0 +1,109 @@
+"""The service on recordings of real boards, back to back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.config import StationConfig
+from vaoi_station.files import open_recording, read_board_type, write_board_type
+from vaoi_station.geometry import apply
+from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.stitching.offline import stitch_frames
+
+PATIENCE_S = 60.0
+RUNS = 20
+
+
+def config_for(case: Path, directory: Path) -> StationConfig:
+    """A station that could have made the recording."""
+    head, board_type = open_recording(case).head, read_board_type(case / "board.json")
+    write_board_type(directory / "board-types" / f"{board_type.name}.json", board_type)
+    (directory / "shm").mkdir()
+    speed = float(np.hypot(*head.conveyor_mm_s))
+    return StationConfig.model_validate(
+        {
+            "name": "cases",
+            "calibration": case / "calibration.json",
+            "board_types": directory / "board-types",
+            "data": directory / "data",
+            "line": {
+                "conveyor_mm_s": head.conveyor_mm_s,
+                "barrier_mm": 0.0,
+                "start_delay_s": 0.0,
+                "trigger_period_s": head.trigger_period_s,
+                "tail_s": 0.0,
+                "longest_board_mm": speed * head.trigger_period_s * head.rows,
+                "expected_board": {"tolerance_mm": 1000.0},
+            },
+            "cameras": [
+                {
+                    "name": f"camera {n}",
+                    "backend": "replay",
+                    "width": camera.width,
+                    "height": camera.height,
+                    "exposure_us": camera.exposure_us,
+                }
+                for n, camera in enumerate(head.cameras)
+            ],
+            "controller": {"backend": "replay"},
+            "replay": {"recordings": [case], "pace": "fast", "pause_s": 0.01, "runs": RUNS},
+            "ring": {"directory": directory / "shm", "runs": 3},
+        }
+    )
+
+
+@pytest.mark.cases
+def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong_row(
+    case: Callable[[str], Path],
+    tmp_path: Path,
+    run_station: Callable[[StationConfig], StationConductor],
+) -> None:
+    directory = case("ulx3s-top")
+    conductor = run_station(config_for(directory, tmp_path))
+    recording, board_type = open_recording(directory), conductor.board_types()[0].name
+    setup = conductor._make_order(conductor.board_type(board_type), None, None).setup
+    expected = stitch_frames(setup, recording.head, recording.frame)
+    filmed = {
+        (camera, row): recording.frame(camera, row)
+        for camera in range(len(recording.head.cameras))
+        for row in range(recording.head.rows)
+    }
+    before = conductor.snapshot().last_event
+    conductor.arm(board_type, runs=RUNS)
+    seen: list[str] = []
+    while len(seen) < RUNS:
+        records = conductor.events(before, PATIENCE_S)
+        assert records, conductor.snapshot()
+        before = records[-1].number
+        for run in [r.run for r in records if r.kind == "run" and r.state in ("ready", "degraded", "failed") and r.run]:
+            seen.append(run)
+            stitch = conductor.stitch(run)
+            assert stitch.status == expected.status
+            for n, rows in enumerate(expected.image_matrices):
+                camera = recording.head.cameras[n]
+                corners = np.array([[0, 0], [camera.width - 1, 0], [camera.width - 1, camera.height - 1]], dtype=float)
+                for j, matrix in enumerate(rows):
+                    ours = stitch.image_matrices[n][j]
+                    assert matrix is not None
+                    assert ours is not None
+                    assert np.abs(apply(ours @ np.linalg.inv(matrix), corners) - corners).max() <= 1e-6
+            check_frames(conductor, run, filmed)
+    assert conductor.snapshot().boards_missed == 0
+
+
+def check_frames(conductor: StationConductor, run: str, filmed: dict[tuple[int, int], np.ndarray | None]) -> None:
+    """Every frame that is still in memory is the one that was filmed there."""
+    from vaoi_station.errors import GoneError
+
+    for (camera, row), pixels in filmed.items():
+        try:
+            ours, record = conductor.frame(run, camera, row)
+        except GoneError:
+            return
+        assert (record.camera, record.row) == (camera, row)
+        assert pixels is not None
+        assert np.array_equal(ours, pixels)
