@@ -14,6 +14,7 @@ from vaoi_station.acquisition import messages as said
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.errors import BusyError, DeviceError, GoneError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.model import BoardType, Pulse, Status, Verdict
+from vaoi_station.runs import reasons
 from vaoi_station.runs.jobs import Answer, ConcludeJob, LinkJob, RenderJob
 
 
@@ -528,6 +529,19 @@ def test_health_is_shown(rig: Any) -> None:
     assert "c1 is not connected. cable pulled" in snapshot.reasons[0].message
     [acquisition] = snapshot.processes
     assert acquisition.heartbeat_age_s is not None
+
+
+def test_a_trouble_is_told_once_and_shown_as_long_as_it_lasts(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    trouble = said.Trouble("device", "camera c1: does not answer", "Check its cable.")
+    for _ in range(3):
+        rig.peer.say(trouble)
+    rig.peer.say(said.Health((), "after the troubles", time.monotonic()))
+    rig.wait_for(lambda: rig.conductor.snapshot().controller == "after the troubles", "the troubles")
+    [reason] = rig.conductor.snapshot().reasons
+    assert (reason.code, reason.action) == ("device", "Check its cable.")
+    assert len([e for e in rig.conductor.events() if e.kind == "trouble"]) == 1
+    monkeypatch.setattr(reasons, "TROUBLE_S", 0.0)
+    rig.wait_for(lambda: rig.conductor.snapshot().reasons == (), "the trouble to be over")
 
 
 def test_the_end_waits_for_the_run_under_way(rig: Any) -> None:

@@ -17,6 +17,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.model import BoardType, Calibration
 from vaoi_station.rendering import views_of
+from vaoi_station.runs import workers as module
 from vaoi_station.runs.jobs import Answer, Job, LinkJob, RenderJob, RunContext
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.workers import WorkerPool
@@ -167,6 +168,24 @@ def test_a_task_that_takes_two_workers_with_it_is_given_back(plant: Plant) -> No
     assert "took 2 workers with it" in answer.error.message
     plant.all_idle()
     assert plant.submit(plant.link()).get().error is None
+
+
+def test_an_idle_worker_gives_signs_of_life_and_one_that_hangs_is_replaced(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "PULSE_S", 0.05)
+    plant.all_idle()
+    seen = [worker.seen_s for worker in plant.pool._workers]
+    plant.until(lambda: all(w.seen_s != s for w, s in zip(plant.pool._workers, seen, strict=True)))
+    victim = plant.pid(1)
+    os.kill(victim, signal.SIGSTOP)
+    plant.until(lambda: plant.pool._workers[1].asked_s is not None)
+    monkeypatch.setattr(module, "JOB_LIMIT_S", 0.0)
+    plant.until(lambda: len(plant.lost) > 0)
+    monkeypatch.setattr(module, "JOB_LIMIT_S", 30.0)
+    assert any("Worker 1 ended with code -9" in sentence for sentence in plant.lost)
+    plant.all_idle()
+    assert plant.pid(1) != victim
 
 
 def test_pixels_of_a_later_board_are_not_mistaken_for_this_ones(

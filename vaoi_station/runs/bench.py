@@ -30,6 +30,7 @@ from vaoi_station.runs.jobs import (
     Job,
     LinkJob,
     OpenRun,
+    Ping,
     RenderJob,
     RunContext,
 )
@@ -68,8 +69,10 @@ class Bench:
         """The sign of being ready."""
         return Hello(os.getpid())
 
-    def take(self, message: OpenRun | CloseRun | Job) -> Answer | None:
+    def take(self, message: OpenRun | CloseRun | Ping | Job) -> Answer | Hello | None:
         """Carry out one message; jobs have an answer."""
+        if isinstance(message, Ping):
+            return self.hello()
         if isinstance(message, OpenRun):
             self._open(message.context)
             return None

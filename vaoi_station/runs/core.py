@@ -20,6 +20,7 @@ from vaoi_station.runs.memory import Claims, Memory
 from vaoi_station.runs.moments import RunIds, utc
 from vaoi_station.runs.order import Order, Orders
 from vaoi_station.runs.progress import Progress
+from vaoi_station.runs.reasons import Reasons
 from vaoi_station.runs.salvage import film_from_pieces
 from vaoi_station.runs.shapes import Reason
 from vaoi_station.runs.state import STATION, RunState, RunStep, StationState, StationStep
@@ -71,7 +72,7 @@ class Core:
         self.orders = Orders()
         self.state = STATION.start
         self.since = utc()
-        self.reasons: dict[str, Reason] = {}
+        self.reasons = Reasons()
         self.health: said.Health | None = None
         self.boards_missed = 0
         self._granted: dict[str, int] = {}
@@ -184,6 +185,8 @@ class Core:
         """Twice a second: leases nobody renewed end."""
         for lease in self.leases.expire():
             self._tell("lease", f"The hold of {lease.holder} ({lease.purpose}) expired.", run=lease.run)
+        if self.state not in _IN_TROUBLE:
+            self.reasons.expire()
         self._provide()
 
     def _on_ready(self, _: said.Ready) -> None:
@@ -206,7 +209,7 @@ class Core:
             self.memory.free(grant.run)
             self._granted.pop(grant.run, None)
         self._disarm_sent = False
-        self.reasons.pop("ring-full", None)
+        self.reasons.drop("ring-full")
         self._try(StationStep.DISARMED)
         for waiter in self._arming:
             waiter.set_exception(StateError("The line was disarmed before it was armed."))
@@ -251,7 +254,9 @@ class Core:
         self.health = report
 
     def _on_trouble(self, report: said.Trouble) -> None:
-        self._blame(report.code, report.message, report.action)
+        reason = self.reasons.trouble(report)
+        if reason is not None:
+            self._events.add("trouble", reason.message, code=reason.code, action=reason.action)
         if self.state is StationState.ARMING:
             self._fail_arming(report)
 
@@ -281,14 +286,14 @@ class Core:
                 self._step(StationStep.RING_FULL)
             return
         if self.state is StationState.BLOCKED:
-            self.reasons.pop("ring-full", None)
+            self.reasons.drop("ring-full")
             self._step(StationStep.MEMORY_FREED)
 
     def _make_room_if_blocked(self) -> None:
         """Blocked is not wrong, only full: a caller is told who holds the memory."""
         if self.state is StationState.BLOCKED:
             self._grant()
-            self.reasons.pop("ring-full", None)
+            self.reasons.drop("ring-full")
             self._step(StationStep.MEMORY_FREED)
 
     def _rearm(self) -> None:
@@ -352,7 +357,7 @@ class Core:
     def _may(self, event: StationStep) -> None:
         """`StateError` with the reason the station has for its state."""
         if not STATION.allows(self.state, event):
-            reason = next(iter(self.reasons.values()), None)
+            reason = next(iter(self.reasons.all()), None)
             why = f" ({reason.message})" if reason else ""
             raise StateError(
                 f"The station is {self.state}{why}; {event!s} is not possible now.", action=_ADVICE[self.state]
@@ -370,7 +375,7 @@ class Core:
             self._step(event)
 
     def _blame(self, code: str, message: str, action: str) -> None:
-        self.reasons[code] = Reason(code=code, message=message, action=action)
+        self.reasons.hold(Reason(code=code, message=message, action=action))
         self._events.add("trouble", message, code=code, action=action)
 
     def _tell(self, kind: str, message: str, *, state: str = "", run: str | None = None) -> None:
@@ -380,6 +385,8 @@ class Core:
 _S = StationState
 _LISTENING = frozenset({_S.ARMING, _S.ARMED, _S.FILMING, _S.BLOCKED})
 """States in which the acquisition process has been told to arm."""
+_IN_TROUBLE = frozenset({_S.FAULTED, _S.ARMING})
+"""States in which the reasons are what a caller waits for."""
 _WATCHING = frozenset({_S.ARMED, _S.FILMING, _S.BLOCKED})
 _ADVICE = {
     _S.STARTING: "Wait until cameras and controller are open.",

@@ -116,8 +116,13 @@ class CloseRun:
 
 
 @dataclass(frozen=True)
+class Ping:
+    """Are you there?"""
+
+
+@dataclass(frozen=True)
 class Hello:
-    """The worker has its ring and its libraries."""
+    """The worker is there: said once it has its ring and its libraries, and whenever it is asked."""
 
     pid: int
 

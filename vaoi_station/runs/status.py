@@ -69,7 +69,7 @@ def _reasons(core: Core, config: StationConfig) -> tuple[Reason, ...]:
         for k, camera in enumerate(core.health.cameras if core.health else ())
         if not camera.connected
     ]
-    return (*core.reasons.values(), *lost)
+    return (*core.reasons.all(), *lost)
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InternalError, StateError
-from vaoi_station.runs.jobs import Answer, CloseRun, Hello, Job, OpenRun, Priority, RenderJob
+from vaoi_station.runs.jobs import Answer, CloseRun, Hello, Job, OpenRun, Ping, Priority, RenderJob
 from vaoi_station.runs.shapes import ProcessStatus
 from vaoi_station.runs.worker_process import work
 
@@ -28,6 +28,8 @@ _log = logging.getLogger(__name__)
 
 JOB_LIMIT_S = 30.0
 """A worker that takes longer for one job is taken for hung and killed."""
+PULSE_S = 1.0
+"""An idle worker is asked for a sign of life so often."""
 LIVES = 2
 """Workers one job may take with it."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
@@ -56,6 +58,8 @@ class _Worker:
     failed_starts: int = 0
     start_at_s: float = 0.0
     seen_s: float | None = None
+    asked_s: float | None = None
+    """When it was asked for a sign of life it has not given yet."""
 
     @property
     def idle(self) -> bool:
@@ -175,9 +179,11 @@ class WorkerPool:
         except (EOFError, ConnectionResetError):
             _kill(worker.process)
             return
-        worker.seen_s = time.monotonic()
+        worker.seen_s, worker.asked_s = time.monotonic(), None
+        queued = None
         with self._lock:
-            queued, worker.job = worker.job, None
+            if isinstance(message, Answer):
+                queued, worker.job = worker.job, None
             if isinstance(message, Hello):
                 worker.ready, worker.failed_starts = True, 0
             self._dispatch()
@@ -189,8 +195,7 @@ class WorkerPool:
         if worker.process is None:
             return
         if worker.process.is_alive():
-            if (worker.job is not None or not worker.ready) and time.monotonic() - worker.since_s > JOB_LIMIT_S:
-                _kill(worker.process)
+            self._feel_pulse(worker)
             return
         while worker.connection is not None and worker.job is not None and worker.connection.poll():
             before = worker.job  # its last answer may still lie in the pipe
@@ -199,6 +204,19 @@ class WorkerPool:
                 break
         self._bury(worker)
 
+    def _feel_pulse(self, worker: _Worker) -> None:
+        """Ask an idle worker for a sign of life; kill one that hangs."""
+        now = time.monotonic()
+        busy = worker.job is not None or not worker.ready
+        since_s = worker.since_s if busy else worker.asked_s
+        if since_s is not None and now - since_s > JOB_LIMIT_S:
+            _kill(worker.process)
+        elif not busy and worker.asked_s is None and now - (worker.seen_s or now) > PULSE_S:
+            worker.asked_s = now
+            assert worker.connection is not None
+            with self._lock:
+                _send(worker.connection, Ping())
+
     def _bury(self, worker: _Worker) -> None:
         assert worker.process is not None
         process, code = worker.process, worker.process.exitcode
@@ -206,7 +224,7 @@ class WorkerPool:
             queued, was_ready = worker.job, worker.ready
             _end(process, worker.connection)
             worker.process = worker.connection = worker.job = None
-            worker.ready = False
+            worker.ready, worker.asked_s = False, None
             worker.opened.clear()
             worker.restarts += 1
             worker.failed_starts += not was_ready

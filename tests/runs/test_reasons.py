@@ -1,0 +1,42 @@
+"""Reasons stay, troubles pass."""
+
+from __future__ import annotations
+
+from vaoi_station.acquisition.messages import Trouble
+from vaoi_station.runs.reasons import TROUBLE_S, Reasons
+from vaoi_station.runs.shapes import Reason
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_a_reason_holds_until_it_is_taken_back() -> None:
+    clock = Clock()
+    reasons, full = Reasons(clock), Reason(code="ring-full", message="full")
+    reasons.hold(full)
+    reasons.hold(full)
+    clock.now_s += 100 * TROUBLE_S
+    reasons.expire()
+    assert reasons.all() == (full,)
+    reasons.drop("ring-full")
+    reasons.drop("ring-full")
+    assert reasons.all() == ()
+
+
+def test_a_trouble_lasts_as_long_as_somebody_complains() -> None:
+    clock = Clock()
+    reasons, cable = Reasons(clock), Trouble("device", "camera 1 is silent", "Check its cable.")
+    assert reasons.trouble(cable) is not None
+    assert reasons.trouble(Trouble("device", "camera 2 is silent", "")) is not None
+    clock.now_s += TROUBLE_S
+    assert reasons.trouble(cable) is None
+    clock.now_s += 1.0
+    reasons.expire()
+    assert [reason.message for reason in reasons.all()] == ["camera 1 is silent"]
+    reasons.clear()
+    assert reasons.all() == ()
+    assert reasons.trouble(cable) is not None

@@ -1,0 +1,55 @@
+"""Why the station is as it is: reasons that hold until they are taken back, and troubles that pass by themselves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from vaoi_station.acquisition.messages import Trouble
+from vaoi_station.runs.shapes import Reason
+
+TROUBLE_S = 10.0
+"""A trouble that has not been told of again for so long is over."""
+
+
+class Reasons:
+    """What a status page shows under "why"; one thread uses it."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._reasons: dict[str, Reason] = {}
+        self._told_s: dict[str, float] = {}
+        """When the devices last told of a trouble."""
+
+    def hold(self, reason: Reason) -> None:
+        """From now on this is so; its code is its name."""
+        self._reasons[reason.code] = reason
+
+    def trouble(self, report: Trouble) -> Reason | None:
+        """A device complains; None if it has complained of the same just before."""
+        key = f"{report.code}: {report.message}"
+        self._told_s[key] = self._clock()
+        if key in self._reasons:
+            return None
+        self._reasons[key] = Reason(code=report.code, message=report.message, action=report.action)
+        return self._reasons[key]
+
+    def drop(self, code: str) -> None:
+        """This is no longer so; harmless if it was not."""
+        self._reasons.pop(code, None)
+
+    def clear(self) -> None:
+        """Everything is well."""
+        self._reasons.clear()
+        self._told_s.clear()
+
+    def expire(self) -> None:
+        """Drop troubles nobody has complained of lately."""
+        now = self._clock()
+        for key in [key for key, at in self._told_s.items() if now - at > TROUBLE_S]:
+            del self._told_s[key]
+            self._reasons.pop(key, None)
+
+    def all(self) -> tuple[Reason, ...]:
+        """Everything that holds, oldest first."""
+        return tuple(self._reasons.values())
