@@ -157,6 +157,7 @@ class FakeProcess:
 
     def __init__(self) -> None:
         self._here, self._there = multiprocessing.Pipe(duplex=False)
+        self._ended = threading.Event()
         self.pid = 4711
         self.exitcode: int | None = None
 
@@ -170,10 +171,11 @@ class FakeProcess:
     def die(self, code: int) -> None:
         if self.exitcode is None:
             self.exitcode = code
+            self._ended.set()
             self._there.close()
 
     def join(self, timeout: float | None = None) -> None:
-        assert self.exitcode is not None
+        self._ended.wait(timeout)
 
     def close(self) -> None:
         self._here.close()

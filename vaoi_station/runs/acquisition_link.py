@@ -23,6 +23,8 @@ SILENCE_S = 10.0
 """Without a sign of life for so long (it gives two a second) the process is taken for hung and killed."""
 START_S = 60.0
 """The same before its first word: cameras take their time to open, scenarios to be rendered."""
+LAST_S = 2.0
+"""Between the end of its pipe and its own."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 
 
@@ -145,7 +147,10 @@ class AcquisitionLink:
             sentence = self._listen(life)
             with self._lock:
                 self._life = None
-            life.process.join()
+            life.process.join(LAST_S)
+            if life.process.exitcode is None:
+                life.process.kill()
+                life.process.join()
             code = life.process.exitcode
             life.process.close()
             life.connection.close()
@@ -173,7 +178,6 @@ class AcquisitionLink:
                 try:
                     report = life.connection.recv()
                 except (EOFError, ConnectionResetError):
-                    life.process.kill()
                     return "the acquisition process ended"
                 life.heard_s, life.spoke = time.monotonic(), True
                 self._hear(report)

@@ -103,19 +103,26 @@ class Archive:
 
     def get(self, run: str) -> Dossier:
         """A finished run; `NotFoundError` if there was none of that id, `StateError` if it has not ended."""
-        with self._news:
-            if run in self._recent:
-                return self._recent[run]
-            if run in self._under_way:
-                raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
+        known = self._remembered(run)
+        if known is not None:
+            return known
         row = self._store.run(run)
         if row is None:
             raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
         if row.finish_number is None:
+            if (known := self._remembered(run)) is not None:  # it has come to its end meanwhile
+                return known
             raise DeviceError(f"The end of run {run} could not be written.", action="Check space on the data disk.")
         dossier = self._parsed(row)
         with self._news:
             return self._recent.get(run) or self._remember(dossier)
+
+    def _remembered(self, run: str) -> Dossier | None:
+        """A run of this life of the station; `StateError` if it has not ended."""
+        with self._news:
+            if run in self._under_way:
+                raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
+            return self._recent.get(run)
 
     def latest(self) -> Dossier | None:
         """The run that was announced last."""
