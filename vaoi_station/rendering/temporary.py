@@ -16,8 +16,8 @@ _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
     """Resample one temporary image, (height, width) or (height, width, channels), in the frame's own pixel type.
 
-    Places outside the frame are black. Where the lens bends, the picture is made in tiles: exact to a
-    hundredth of a pixel for the lenses of such an array.
+    Places outside the frame are black. Where the lens bends, the picture is made in tiles: exact to
+    0.03 px for the lenses of such an array.
     """
     if not view.tiles:
         return np.asarray(cv2.warpPerspective(frame, view.matrix, (view.width, view.height), flags=_FLAGS))

@@ -26,8 +26,8 @@ from vaoi_station.rendering.crops import crops_of
 
 GRID = 9
 """Points per side at which the coverage of a picture that is cut off is computed."""
-_TILE_PX = 160
-"""Over so few pixels the lenses of such an array bend by hundredths of a pixel."""
+_TILE_PX = 256
+"""Over so few pixels a lens that bends by a pixel at the frame's corner is straight to 0.03 px."""
 _STRAIGHT_PX = 0.02
 """Bending up to this is put into the matrix."""
 _CORNERS = (0, 2, 8, 6)
