@@ -74,12 +74,22 @@ class Recorder:
         camera_clocks: Sequence[ClockModel],
         limits: Limits | None = None,
         home: Callable[[int, int, int], int | None] = lambda slot, _bay, _camera: slot,
+        exposures_us: Sequence[float] = (),
     ) -> None:
-        """`home(slot, bay, camera)` brings a frame into its run's bay; the slot where it is then, None if it cannot."""
+        """Start with no run.
+
+        Args:
+            controller_clock: maps pulse times to the host's clock.
+            camera_clocks: map time stamps of every camera.
+            limits: what is believed, and how long is waited.
+            home: `home(slot, bay, camera)` brings a frame into its run's bay: the slot where it is then, or None.
+            exposures_us: of every camera, where the controller does not tell them pulse by pulse.
+        """
         self.limits = limits or Limits()
         self._controller_clock = controller_clock
         self._camera_clocks = camera_clocks
         self._home = home
+        self._exposures_us = exposures_us
         self._sheets: list[RunSheet] = []
         self._waiting: list[tuple[Arrival, float]] = []
         """Complete frames whose pulse is not known yet, with the host time of their exposure."""
@@ -199,8 +209,15 @@ class Recorder:
             frame_id=arrival.frame_id,
             camera_time_s=arrival.time_s,
             pulse_error_us=None if error_s is None else error_s * 1e6,
+            exposure_us=self._exposure_us(sheet, arrival.camera, row),
+            light=sheet.pulses[row].pulse.light if row in sheet.pulses else "",
         )
         return Settled(sheet.run, sheet.frames[key])
+
+    def _exposure_us(self, sheet: RunSheet, camera: int, row: int) -> float | None:
+        told = sheet.pulses[row].exposures_us if row in sheet.pulses else ()
+        known = told or self._exposures_us
+        return known[camera] if known else None
 
     def _stray(self, arrival: Arrival, why: str, sheet: RunSheet | None = None) -> Stray:
         counted = sheet or next(iter(self.open_runs[-1:]), None)

@@ -62,7 +62,8 @@ class Session:
         self._config, self._ring, self._devices, self._send = config, ring, devices, send
         self._clocks = [controller_clock, *camera_clocks]
         self._magazine = Magazine(ring, devices.cameras)
-        self._recorder = Recorder(controller_clock, camera_clocks, home=self._magazine.home)
+        exposures_us = [camera.exposure_us for camera in config.cameras]
+        self._recorder = Recorder(controller_clock, camera_clocks, home=self._magazine.home, exposures_us=exposures_us)
         self._grants: deque[Grant] = deque()
         self._next: Grant | None = None
         """The grant whose slots the cameras hold for the next board."""
