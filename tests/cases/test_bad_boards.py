@@ -1,0 +1,89 @@
+"""Boards that do not lie as they should, or are not what they should be: never a wrong position marked ok."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.files import open_recording, read_board_type, read_calibration
+from vaoi_station.files.images import read_image, write_image
+from vaoi_station.model import BoardType, Status
+
+pytestmark = pytest.mark.cases
+
+
+def turned(board_type: BoardType) -> BoardType:
+    """The same board described from its other end: point symmetry about the middle of its outline.
+
+    A recording of the board is then one of a board that lies turned by 180°.
+    """
+    low, high = board_type.extent()
+    x, y = (low + high).tolist()
+    data = board_type.model_dump(mode="json", exclude_none=True)
+    data["outline"] = [[x - a, y - b] for a, b in data["outline"]]
+    for mark in (*data["fiducials"], *data.get("fixture_marks", ())):
+        mark["x"], mark["y"] = x - mark["x"], y - mark["y"]
+    for part in data["components"]:
+        part["center"] = [x - part["center"][0], y - part["center"][1]]
+        part["rotation"] += 180.0
+    return BoardType.model_validate(data)
+
+
+@pytest.mark.parametrize("name", ["paper-1", "ulx3s-top", "sparse", "dark", "repetitive", "fixture"])
+def test_a_board_turned_by_half_a_turn_is_refused(cases: Any, name: str) -> None:
+    board_type = turned(read_board_type(cases(name) / "board.json"))
+    result = cases.stitch(cases(name), board_type=board_type)
+    assert result.status is Status.FAILED
+    assert "turned" in result.reasons[0]
+    assert result.cad_matrix is None
+    assert result.components is None
+    assert all(m is not None for rows in result.image_matrices for m in rows), "the frames are placed all the same"
+
+
+@pytest.mark.parametrize(
+    ("filmed", "claimed"),
+    [("ulx3s-top", "sparse"), ("ulx3s-top", "paper-1"), ("sparse", "ulx3s-top"), ("paper-1", "dark"), ("dark", "hdr")],
+)
+def test_a_board_of_another_type_is_refused(cases: Any, filmed: str, claimed: str) -> None:
+    result = cases.stitch(cases(filmed), board_type=read_board_type(cases(claimed) / "board.json"))
+    assert result.status is Status.FAILED
+    assert result.cad_matrix is None
+    assert repr(claimed) in result.reasons[0]
+
+
+def test_a_bent_board_without_working_distance_is_told_by_its_seam(cases: Any) -> None:
+    calibration = read_calibration(cases("warped") / "calibration.json")
+    blind = calibration.model_copy(update={"working_distance_mm": None})
+    result = cases.stitch(cases("warped"), calibration=blind)
+    assert result.status is Status.DEGRADED
+    assert result.surface is None
+    assert any("cameras 0 and 1 disagree by" in r for r in result.reasons)
+    assert cases.score("warped", result)["cad_px"]["max"] > 0.3, "there was something to warn of"
+
+
+def test_a_run_without_a_board_fails_in_a_sentence(cases: Any, tmp_path: Path) -> None:
+    case = cases.copied("sparse", tmp_path / "empty")
+    g = np.random.default_rng(5)
+    for path in sorted((case / "frames").iterdir()):
+        dark = g.normal(12, 2, read_image(path).shape)
+        write_image(path, np.clip(np.round(dark), 0, 255).astype(np.uint8), level=0)
+    result = cases.stitch(case)
+    assert result.status is Status.FAILED
+    assert result.cad_matrix is None
+    assert "no texture was found in any frame: is there a board?" in result.reasons
+    assert any("fiducials of 'sparse' are not where they should be" in r for r in result.reasons)
+    assert result.quality["belt"]["measured_mm_s"] is None
+
+
+def test_a_lost_camera_costs_only_what_it_alone_saw(cases: Any, tmp_path: Path) -> None:
+    case = cases.copied("ulx3s-top", tmp_path / "blind")
+    rows = open_recording(case).head.rows
+    for row in range(rows):
+        path = case / "frames" / f"c01_r{row:03d}.png"
+        write_image(path, np.zeros_like(read_image(path)), level=0)
+    result = cases.stitch(case)
+    assert result.status is not Status.FAILED
+    assert cases.score("ulx3s-top", result)["cad_px"]["max"] <= 1.0

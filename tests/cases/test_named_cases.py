@@ -1,0 +1,79 @@
+"""Recordings of real boards, stitched blind and scored by a program that knows where everything was."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from vaoi_station.model import Status
+
+pytestmark = pytest.mark.cases
+
+SOUND = ("paper-1", "paper-2", "paper-3", "ulx3s-top", "sparse", "dark", "hdr", "distorted")
+HARD = ("rough", "repetitive", "warped", "fixture", "ulx3s-top-again")
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_sound_recordings_are_ok_and_placed_to_a_tenth_of_a_pixel(cases: Any, name: str) -> None:
+    result = cases.stitched(name)
+    score = cases.score(name, result)
+    assert (result.status, result.reasons) == (Status.OK, ())
+    assert score["unplaced"] == 0
+    assert score["rigid"] <= 1e-6
+    assert score["cad_px"]["rms"] <= 0.20
+    assert score["cad_px"]["max"] <= 0.6
+    assert score["cad_px"]["rms"] <= 0.08, "worse than we were"
+
+
+@pytest.mark.parametrize("name", ["paper-1", "paper-2", "paper-3"])
+def test_the_papers_experiment(cases: Any, name: str) -> None:
+    mean_mm = cases.score(name, cases.stitched(name))["cad_mm"]["mean"]
+    assert mean_mm <= 0.02
+    assert mean_mm <= 0.005, "worse than we were"
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_hard_recordings_are_within_a_pixel_or_say_why_not(cases: Any, name: str) -> None:
+    result = cases.stitched(name)
+    score = cases.score(name, result)
+    if result.status is Status.OK:
+        assert score["unplaced"] == 0
+        assert score["cad_px"]["max"] <= 1.0
+        assert score["cad_px"]["rms"] <= 0.08, "worse than we were"
+    else:
+        assert result.status is Status.DEGRADED
+        assert result.reasons
+    assert score["rigid"] <= 1e-6
+
+
+@pytest.mark.parametrize("name", SOUND + HARD)
+def test_no_result_that_says_ok_errs_by_more_than_it_admits(cases: Any, name: str) -> None:
+    result = cases.stitched(name)
+    worst = cases.score(name, result)["cad_px"]["max"]
+    if result.status is Status.OK:
+        assert worst <= 3 * result.quality["cad_sigma_px"]
+        assert worst <= 1.0
+
+
+def test_the_lost_frames_of_a_bad_day_are_bridged(cases: Any) -> None:
+    result = cases.stitched("rough")
+    assert not any("nothing ties rows" in reason for reason in result.reasons)
+    assert result.image_matrices[0][4] is None, "of a row that never arrived there is nothing to place"
+    assert result.image_matrices[0][5] is not None
+    assert abs(result.quality["belt"]["speed_error"]) < 0.05
+
+
+def test_the_bent_board_is_measured(cases: Any) -> None:
+    surface = cases.stitched("warped").surface
+    middle = surface.height_mm(surface.about)
+    corner = surface.height_mm([a + h for a, h in zip(surface.about, surface.half_span, strict=True)])
+    assert float(middle) == pytest.approx(0.5 + 0.8, abs=0.1)
+    assert float(middle - corner) == pytest.approx(0.8, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["ulx3s-top", "sparse"])
+def test_the_same_recording_gives_the_same_result_twice(cases: Any, name: str) -> None:
+    once, twice = cases.stitched(name), cases.stitch(cases(name))
+    changing = {"quality"}
+    assert once.model_dump(mode="json", exclude=changing) == twice.model_dump(mode="json", exclude=changing)

@@ -1,0 +1,116 @@
+"""The recorded cases: real board photographs filmed by a program of their own, with a truth the product never sees."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
+from vaoi_station.model import BoardType, Calibration, Stitch
+from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.work import Setup
+
+_FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
+"""Beside the checkout: `make.py` films a case, `score.py` compares a result with the truth."""
+
+
+@dataclass
+class Cases:
+    """Filmed cases, and what was stitched of them in this session."""
+
+    filmed: Path
+    """Where cases with their truth are; only the scorer reads there, and what makes copies."""
+    scratch: Path
+    _results: dict[str, Stitch] = field(default_factory=dict)
+
+    def __call__(self, name: str) -> Path:
+        """A copy of a case without its truth, shared by the session: to read, not to change."""
+        copy = self.scratch / name
+        return copy if copy.is_dir() else self.copied(name, copy)
+
+    def copied(self, name: str, to: Path) -> Path:
+        """A copy of a case without its truth, to be changed as one likes."""
+        shutil.copytree(self._source(name), to, ignore=shutil.ignore_patterns("truth.json"))
+        return to
+
+    def stitched(self, name: str) -> Stitch:
+        """The result of a case as it is; made once."""
+        if name not in self._results:
+            self._results[name] = self.stitch(self(name))
+        return self._results[name]
+
+    def stitch(
+        self, directory: Path, *, board_type: BoardType | None = None, calibration: Calibration | None = None
+    ) -> Stitch:
+        """Stitch a recording as the command does, perhaps with another board type or calibration."""
+        recording = open_recording(directory)
+        head = recording.head
+        calibration = calibration or read_calibration(directory / "calibration.json", len(head.cameras))
+        board_type = board_type or read_board_type(directory / "board.json")
+        setup = Setup(calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, board_type)
+        return stitch_frames(setup, head, recording.frame)
+
+    def score(self, name: str, result: Stitch) -> dict[str, Any]:
+        """Errors of a result, by the program that knows the truth."""
+        path = self.scratch / f"{name}-result.json"
+        write_stitch(path, result)
+        command = [sys.executable, str(_FILMS / "score.py"), str(self._source(name)), str(path)]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        figures: dict[str, Any] = json.loads(said)
+        return figures
+
+    def _source(self, name: str) -> Path:
+        case = self.filmed / name
+        if not (case / "recording.json").is_file():
+            if "VAOI_CASES" in os.environ:
+                pytest.fail(f"VAOI_CASES={os.environ['VAOI_CASES']} holds no case {name!r}")
+            _film(name, case)
+        return case
+
+
+@pytest.fixture(scope="session")
+def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
+    """The recorded cases: those in VAOI_CASES, else filmed when first asked for and kept for later sessions."""
+    if not (_FILMS / "make.py").is_file():
+        if os.environ.get("CI"):
+            pytest.fail(f"the recorded cases must be beside this checkout, in {_FILMS}")
+        pytest.skip("platform: recorded cases are not beside this checkout")
+    kept = os.environ.get("VAOI_CASES")
+    filmed = Path(kept) if kept else Path(tempfile.gettempdir()) / f"vaoi-cases-{os.getuid()}-{_fingerprint()}"
+    return Cases(filmed, tmp_path_factory.mktemp("cases"))
+
+
+def _fingerprint() -> str:
+    """Of everything the films are made from."""
+    digest = hashlib.sha256()
+    for path in sorted(p for p in _FILMS.rglob("*") if p.is_file() and "__pycache__" not in p.parts):
+        digest.update(str(path.relative_to(_FILMS)).encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _film(name: str, case: Path) -> None:
+    """Film one case aside, then put it in place at once: sessions may run side by side."""
+    case.parent.mkdir(parents=True, exist_ok=True)
+    aside = Path(tempfile.mkdtemp(dir=case.parent, prefix=f".{name}-"))
+    try:
+        command = [sys.executable, str(_FILMS / "make.py"), str(aside), name]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.fail(f"make.py could not film {name!r}: {done.stderr.strip()[-400:]}")
+        if not case.exists():
+            (aside / name).replace(case)
+    except OSError:
+        if not (case / "recording.json").is_file():  # else another session was quicker
+            raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
