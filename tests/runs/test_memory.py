@@ -69,6 +69,22 @@ def test_a_full_ring_names_the_holders() -> None:
     assert memory.grant("r4").evicted == "r1"
 
 
+def test_memory_that_comes_back_by_itself_is_told_apart() -> None:
+    memory, leases = memory_of(1)
+    memory.grant("r1")
+    memory.use("r1", "stitching")
+    leases.take("r1", "tester", "AOI")
+    assert not memory.held()
+    with pytest.raises(BusyError) as refusal:
+        memory.grant("r2")
+    assert "passes as soon as" in refusal.value.action
+    memory.use("r1", "finished")
+    assert memory.held()
+    with pytest.raises(BusyError) as refusal:
+        memory.grant("r2")
+    assert "end a hold" in refusal.value.action
+
+
 def test_freeing_ends_leases() -> None:
     memory, leases = memory_of(2)
     finish(memory, "r1")

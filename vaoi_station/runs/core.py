@@ -282,7 +282,9 @@ class Core:
             self._grant()
         except BusyError as refusal:
             if self.state is StationState.ARMED:
-                self._blame(refusal.code, refusal.message, refusal.action)
+                self.reasons.hold(Reason(code=refusal.code, message=refusal.message, action=refusal.action))
+                if self.memory.held():
+                    self._events.add("trouble", refusal.message, code=refusal.code, action=refusal.action)
                 self._step(StationStep.RING_FULL)
             return
         if self.state is StationState.BLOCKED:
@@ -359,9 +361,8 @@ class Core:
         if not STATION.allows(self.state, event):
             reason = next(iter(self.reasons.all()), None)
             why = f" ({reason.message})" if reason else ""
-            raise StateError(
-                f"The station is {self.state}{why}; {event!s} is not possible now.", action=_ADVICE[self.state]
-            )
+            advice = _ADVICE.get(self.state, "")
+            raise StateError(f"The station is {self.state}{why}; {event!s} is not possible now.", action=advice)
 
     def _step(self, event: StationStep) -> None:
         state = STATION.next(self.state, event)
@@ -390,9 +391,7 @@ _IN_TROUBLE = frozenset({_S.FAULTED, _S.ARMING})
 _WATCHING = frozenset({_S.ARMED, _S.FILMING, _S.BLOCKED})
 _ADVICE = {
     _S.STARTING: "Wait until cameras and controller are open.",
-    _S.IDLE: "",
     _S.ARMING: "Wait until the line is armed.",
-    _S.ARMED: "",
     _S.FILMING: "Wait until the board has passed; every finished run is told by runs/next.",
     _S.BLOCKED: "Release a run.",
     _S.FAULTED: "See the reasons of the station; it tries again by itself.",

@@ -58,7 +58,9 @@ class Memory:
         if bay is None:
             raise BusyError(
                 f"All {len(self._bays)} runs' worth of memory is in use: {self.holders()}.",
-                action="Release a run or end a hold, or give [ring] runs more room.",
+                action="Release a run or end a hold, or give [ring] runs more room."
+                if self.held()
+                else "It passes as soon as a run is stitched; more [ring] runs or more workers avoid it.",
                 code="ring-full",
             )
         evicted = bay.run
@@ -95,6 +97,10 @@ class Memory:
     def has(self, run: str) -> bool:
         """Whether a run has a bay."""
         return any(bay.run == run for bay in self._bays)
+
+    def held(self) -> bool:
+        """Whether somebody holds a finished run: then memory does not come back by itself."""
+        return any(bay.use == "finished" and bay.run and self._leases.of(bay.run) for bay in self._bays)
 
     def bays(self) -> tuple[BayStatus, ...]:
         """All bays, as a status page shows them."""
