@@ -17,7 +17,8 @@ import numpy as np
 
 from vaoi_station.geometry.robust import huber_weights, median_sigma
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.motion import SPEED_TOLERANCE, STEP_TOLERANCE, SWAY_MM, YAW_RAD, Motion
+from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whitened
+from vaoi_station.stitching.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion
 from vaoi_station.stitching.observations import Ints, Observations
 
 _ITERATIONS = 15
@@ -127,30 +128,33 @@ class _Solver:
         self.same_row = problem.links.p == problem.links.q
         self.floor_px = {False: 0.05, True: 0.05}
         self.size = 3 * self.m + (4 if problem.fiducials else 0) + self.f
+        self.tail = np.arange(self.size - self.f, self.size)
+        self.pairs = _runs_of_equal(problem.links.p * self.m + problem.links.q)
         self.normal = np.eye(self.size)
 
     def step(self) -> float:
         """One reweighted Gauss-Newton step; returns the largest change of a shift in mm."""
-        normal, right = np.zeros((self.size, self.size)), np.zeros(self.size)
-        self._add_links(normal, right)
-        self._add_motion(normal, right)
-        self._add_fiducials(normal, right)
-        if self.p.surface is not None:
-            at = slice(self.size - self.f, self.size)
-            normal[at, at] += np.diag(1 / self.p.surface.sigma_mm**2)
-            right[at] -= self.beta / self.p.surface.sigma_mm**2
+        self.coupling = np.zeros((self.n_components, self.size))
+        self.height_normal = np.full(self.n_components, 1 / _HEIGHT_SIGMA_MM**2)
+        self.height_right = -self.heights / _HEIGHT_SIGMA_MM**2
+        normal, right = summed([*self._link_blocks(), *self._belt(), *self._fiducials(), *self._surface()], self.size)
+        own = self.coupling / self.height_normal[:, None]
+        normal -= self.coupling.T @ own
+        right -= own.T @ self.height_right
         normal[:3, :] = normal[:, :3] = 0
         normal[:3, :3], right[:3] = np.eye(3), 0
         self.normal = normal
-        delta = np.linalg.solve(normal, right)
+        delta = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        self._move(delta)
+        self.heights = self.heights + self.height_right / self.height_normal - own @ delta
+        return float(np.abs(delta[: 3 * self.m].reshape(-1, 3)[:, 1:]).max())
+
+    def _move(self, delta: Floats) -> None:
         rows = delta[: 3 * self.m].reshape(self.m, 3)
         self.motion = replace(self.motion, angle=self.motion.angle + rows[:, 0], shift=self.motion.shift + rows[:, 1:])
         if self.c is not None:
             self.c = self.c + delta[3 * self.m : 3 * self.m + 4]
-        self.beta = self.beta + delta[self.size - self.f :]
-        if self.n_components:
-            self.heights = self.heights + self._height_step - self._height_coupling @ delta
-        return float(np.abs(rows[:, 1:]).max())
+        self.beta = self.beta + delta[self.tail]
 
     def _residuals(self) -> tuple[Floats, Floats]:
         """Misfit (k, 2) mm of every link, and its change per mm of height (k, 2)."""
@@ -171,9 +175,8 @@ class _Solver:
         """Weight matrices (k, 2, 2) mm⁻², robust and with what a pair of frames shares taken into account."""
         o = self.p.links
         floor_px = np.where(self.same_row, self.floor_px[True], self.floor_px[False])
-        scale = (floor_px / o.px_per_mm) ** 2
-        information = np.linalg.inv(o.noise_mm2 + scale[:, None, None] * np.eye(2))
-        chi = np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", residual, information, residual), 0) / 2)
+        information = _inverses(o.noise_mm2, (floor_px / o.px_per_mm) ** 2)
+        chi = np.sqrt((whitened(roots(information), residual) ** 2).sum(0) / 2)
         self.sigma = chi
         self.robust = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
         per_pair = np.bincount(o.group, self.robust, minlength=len(o.groups))
@@ -192,122 +195,85 @@ class _Solver:
             if len(px) >= 20:
                 self.floor_px[kind] = float(np.clip(median_sigma(px), *_FLOOR_PX))
 
-    def _add_links(self, normal: Floats, right: Floats) -> None:
+    def _link_blocks(self) -> list[Block]:
+        """One block per pair of rows; what links say of component heights is set aside for elimination."""
         o = self.p.links
         if not len(o):
-            return
+            return []
         residual, lean = self._residuals()
         self._update_floor(residual)
-        w = self._weights(residual)
-        jp, jq = -_row_jacobian(self.motion, o.p, o.a_mm), _row_jacobian(self.motion, o.q, o.b_mm)
-        j = np.concatenate([jp, jq], 2)
+        root = roots(self._weights(residual))
+        parts = [-_row_jacobian(self.motion, o.p, o.a_mm), _row_jacobian(self.motion, o.q, o.b_mm)]
         if self.p.surface is not None:
-            j = np.concatenate([j, lean[:, :, None] * self.p.surface.at_links[:, None, :]], 2)
-        wj, wr = w @ j, (w @ residual[:, :, None])[:, :, 0]
-        blocks = j.swapaxes(1, 2) @ wj
-        rights = -(j.swapaxes(1, 2) @ wr[:, :, None])[:, :, 0]
-        pair = o.p * self.m + o.q
-        order = np.argsort(pair, kind="stable")
-        starts = np.flatnonzero(np.r_[True, np.diff(pair[order]) > 0])
-        for pq, block, r in zip(
-            pair[order][starts],
-            np.add.reduceat(blocks[order], starts),
-            np.add.reduceat(rights[order], starts),
-            strict=True,
-        ):
-            at = self._columns(pq // self.m, pq % self.m)
-            np.add.at(normal, np.ix_(at, at), block)
-            np.add.at(right, at, r)
-        self._eliminate_heights(normal, right, w, lean, wj, wr)
+            parts.append(lean[:, :, None] * self.p.surface.at_links[:, None, :])
+        a, b = whitened(root, np.concatenate(parts, 2)), whitened(root, residual)
+        self._set_heights_aside(a, b, whitened(root, lean))
+        blocks = []
+        for at in self.pairs:
+            columns = self._columns(int(o.p[at[0]]), int(o.q[at[0]]))
+            blocks.append(Block(columns, a[:, at].reshape(-1, a.shape[2]), b[:, at].ravel()))
+        return blocks
 
     def _columns(self, p: int, q: int) -> Ints:
-        tail = np.arange(self.size - self.f, self.size)
-        return np.concatenate([np.arange(3 * p, 3 * p + 3), np.arange(3 * q, 3 * q + 3), tail])
+        return np.concatenate([np.arange(3 * p, 3 * p + 3), np.arange(3 * q, 3 * q + 3), self.tail])
 
-    def _eliminate_heights(
-        self, normal: Floats, right: Floats, w: Floats, lean: Floats, wj: Floats, wr: Floats
-    ) -> None:
-        """Schur complement of the component heights."""
+    def _set_heights_aside(self, a: Floats, b: Floats, lean: Floats) -> None:
+        """Each component's height is tied only to its own links: its row of the normal equations."""
         if not self.n_components:
             return
-        o, on = self.p.links, self.p.component >= 0
-        c, n = self.p.component[on], self.n_components
-        lean = lean[on]
-        hh = np.bincount(c, np.einsum("ki,kij,kj->k", lean, w[on], lean), minlength=n) + 1 / _HEIGHT_SIGMA_MM**2
-        rh = -np.bincount(c, np.einsum("ki,ki->k", lean, wr[on]), minlength=n) - self.heights / _HEIGHT_SIGMA_MM**2
-        cross = np.einsum("ki,kif->kf", lean, wj[on])
-        b = np.zeros((n, self.size))
-        tail = np.arange(self.size - self.f, self.size)
-        for part, columns in ((0, 3 * o.p[on]), (3, 3 * o.q[on])):
-            for k in range(3):
-                np.add.at(b, (c, columns + k), cross[:, part + k])
-        for k, column in enumerate(tail):
-            np.add.at(b, (c, column), cross[:, 6 + k])
-        b[:, :3] = 0
-        self._height_step, self._height_coupling = rh / hh, b / hh[:, None]
-        normal -= b.T @ self._height_coupling
-        right -= b.T @ self._height_step
+        o, on = self.p.links, np.flatnonzero(self.p.component >= 0)
+        c = self.p.component[on]
+        lean = lean[:, on]
+        self.height_normal += np.bincount(c, (lean**2).sum(0), minlength=self.n_components)
+        self.height_right -= np.bincount(c, (lean * b[:, on]).sum(0), minlength=self.n_components)
+        cross = (lean[:, :, None] * a[:, on]).sum(0)
+        first = np.stack([3 * o.p[on], 3 * o.q[on]], 1)[:, :, None] + np.arange(3)
+        columns = np.concatenate([first.reshape(-1, 6), np.repeat(self.tail[None], len(on), 0)], 1)
+        flat = (c[:, None] * self.size + columns).ravel()
+        sums = np.bincount(flat, cross.ravel(), minlength=self.n_components * self.size)
+        self.coupling += sums.reshape(self.n_components, self.size)
+        self.coupling[:, :3] = 0
 
-    def _add_motion(self, normal: Floats, right: Floats) -> None:
-        """The belt's nominal motion as a measurement: rows nobody sees stay where the belt puts them."""
-        m, t = self.m, self.p.times_s
-        if m < 2:
-            return
-        dt = np.diff(t)
-        velocity = self._belt(dt)
-        along = velocity / max(float(np.hypot(*velocity)), 1e-9)
-        step_mm = np.maximum(np.abs(dt) * float(np.hypot(*velocity)), 1e-3)
-        for j in range(m - 1):
-            sigma_along = STEP_TOLERANCE * step_mm[j] + 0.01
-            weight = np.outer(along, along) / sigma_along**2 + (np.eye(2) - np.outer(along, along)) / SWAY_MM**2
-            misfit = self.motion.shift[j + 1] - self.motion.shift[j] + velocity * dt[j]
-            a, b = np.arange(3 * j + 1, 3 * j + 3), np.arange(3 * j + 4, 3 * j + 6)
-            for x, y, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
-                normal[np.ix_(x, y)] += sign * weight
-            right[a] += weight @ misfit
-            right[b] -= weight @ misfit
-            turn = self.motion.angle[j + 1] - self.motion.angle[j]
-            k, n = 3 * j, 3 * j + 3
-            w = 1 / YAW_RAD**2
-            normal[k, k] += w
-            normal[n, n] += w
-            normal[k, n] -= w
-            normal[n, k] -= w
-            right[k] += w * turn
-            right[n] -= w * turn
-
-    def _belt(self, dt: Floats) -> Floats:
-        """The mean velocity: of the steps that links measure, drawn to the nominal one."""
+    def _belt(self) -> list[Block]:
+        """The conveyor, at its mean speed as measured, drawn to the nominal one: rows nobody sees stay where it puts them."""
+        if self.m < 2:
+            return []
+        dt = np.diff(self.p.times_s)
         o = self.p.links
         measured = np.zeros(self.m - 1, dtype=bool)
-        for pair in np.unique(o.p * self.m + o.q) if len(o) else ():
-            measured[pair // self.m : pair % self.m] = True
-        nominal, n = self.p.velocity_mm_s, int(measured.sum())
-        if not n:
-            return nominal
+        for at in self.pairs:
+            measured[o.p[at[0]] : o.q[at[0]]] = True
         steps = -np.diff(self.motion.shift, axis=0)[measured] / dt[measured, None]
         prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
-        return np.asarray((steps.sum(0) + prior * nominal) / (n + prior))
+        velocity = (steps.sum(0) + prior * self.p.velocity_mm_s) / (len(steps) + prior)
+        return [belt_block(self.motion, self.p.times_s, velocity)]
 
-    def _add_fiducials(self, normal: Floats, right: Floats) -> None:
+    def _surface(self) -> list[Block]:
+        if self.p.surface is None:
+            return []
+        sigma = self.p.surface.sigma_mm
+        return [Block(self.tail, np.diag(1 / sigma), self.beta / sigma)]
+
+    def _fiducials(self) -> list[Block]:
+        """Sightings of fiducials, and the scale that CAD data and calibration agree on."""
         s = self.p.fiducials
         if s is None or self.c is None:
-            return
+            return []
         residual, j = self._fiducial_terms(s)
         sigma = np.hypot(s.sigma_mm, _FIDUCIAL_SIGMA_PX / s.px_per_mm)
         chi = np.sqrt((residual**2).sum(1) / 2) / sigma
-        weight = huber_weights(chi, _KNEE) / sigma**2
-        for k in range(len(s.row)):
-            at = np.concatenate([np.arange(3 * s.row[k], 3 * s.row[k] + 3), np.arange(3 * self.m, self.size)])
-            normal[np.ix_(at, at)] += weight[k] * j[k].T @ j[k]
-            right[at] -= weight[k] * j[k].T @ residual[k]
+        weight = np.sqrt(huber_weights(chi, _KNEE)) / sigma
+        tail = np.arange(3 * self.m, self.size)
+        blocks = [
+            Block(np.concatenate([np.arange(3 * row, 3 * row + 3), tail]), w * a, w * b)
+            for row, w, a, b in zip(s.row, weight, j, residual, strict=True)
+        ]
         a, b = self.c[:2]
         scale = float(np.hypot(a, b))
-        gradient = np.array([a, b]) / scale
-        w = 1 / (_SCALE_SIGMA * self.p.nominal_scale) ** 2
-        at = np.arange(3 * self.m, 3 * self.m + 2)
-        normal[np.ix_(at, at)] += w * np.outer(gradient, gradient)
-        right[at] -= w * (scale - self.p.nominal_scale) * gradient
+        sigma_scale = _SCALE_SIGMA * self.p.nominal_scale
+        gradient = np.array([[a, b]]) / scale / sigma_scale
+        off = np.array([(scale - self.p.nominal_scale) / sigma_scale])
+        return [*blocks, Block(np.arange(3 * self.m, 3 * self.m + 2), gradient, off)]
 
     def _fiducial_terms(self, s: FiducialPoints) -> tuple[Floats, Floats]:
         """Misfit (s, 2) mm of the sightings, and its Jacobian for row, C and surface (s, 2, 3 + 4 + f)."""
@@ -370,3 +336,18 @@ def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
     arm = motion.turned(row, ground_mm - motion.pivot)
     one, nil = np.ones(len(arm)), np.zeros(len(arm))
     return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)
+
+
+def _runs_of_equal(values: Ints) -> list[Ints]:
+    """Positions of equal values, one array per value."""
+    if not len(values):
+        return []
+    order = np.argsort(values, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
+
+
+def _inverses(noise: Floats, floor: Floats) -> Floats:
+    """Inverse (k, 2, 2) of noise (k, 2, 2) + floor (k,) · 1."""
+    a, b, d = noise[:, 0, 0] + floor, noise[:, 0, 1], noise[:, 1, 1] + floor
+    out = np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], 1)
+    return np.asarray(out / (a * d - b * b)[:, None, None])
