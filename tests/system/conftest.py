@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -106,25 +104,3 @@ def until_state(conductor: StationConductor, state: str) -> None:
 @pytest.fixture
 def wait_state() -> Callable[[StationConductor, str], None]:
     return until_state
-
-
-@pytest.fixture
-def case(tmp_path: Path) -> Callable[[str], Path]:
-    """A recorded case without its truth; `VAOI_CASES` says where they are, and CI insists on it."""
-
-    def find(name: str) -> Path:
-        root = os.environ.get("VAOI_CASES", "")
-        source = Path(root) / name
-        if not (source / "recording.json").is_file():
-            word = f"no case {name!r} in VAOI_CASES={root!r}"
-            if os.environ.get("CI"):
-                pytest.fail(word)
-            pytest.skip(word)
-        copy = tmp_path / name
-        copy.mkdir()
-        for file in ("recording.json", "calibration.json", "board.json"):
-            shutil.copy(source / file, copy / file)
-        (copy / "frames").symlink_to(source / "frames")
-        return copy
-
-    return find

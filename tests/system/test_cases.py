@@ -58,11 +58,11 @@ def config_for(case: Path, directory: Path) -> StationConfig:
 
 @pytest.mark.cases
 def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong_row(
-    case: Callable[[str], Path],
+    cases: Callable[[str], Path],
     tmp_path: Path,
     run_station: Callable[[StationConfig], StationConductor],
 ) -> None:
-    directory = case("ulx3s-top")
+    directory = cases("ulx3s-top")
     conductor = run_station(config_for(directory, tmp_path))
     recording, board_type = open_recording(directory), conductor.board_types()[0].name
     setup = conductor._make_order(conductor.board_type(board_type), None, None).setup
