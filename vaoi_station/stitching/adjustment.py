@@ -235,7 +235,7 @@ class _Solver:
         self.coupling[:, :3] = 0
 
     def _belt(self) -> list[Block]:
-        """The conveyor, at its mean speed as measured, drawn to the nominal one: rows nobody sees stay where it puts them."""
+        """The conveyor at its mean speed, as measured: rows nobody sees stay where it puts them."""
         if self.m < 2:
             return []
         dt = np.diff(self.p.times_s)

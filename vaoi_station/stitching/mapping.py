@@ -49,20 +49,18 @@ def map_cad(
 ) -> Mapping | Failure:
     """Find the fiducials, look for them again where they must be, and adjust everything together."""
     guess = _first_guess(frame, scene, expectation, problem, moved, sightings)
-    if isinstance(guess, Failure) or not _believable(frame, scene, moved.motion, guess.c):
+    outline = _outline(frame, scene, moved.motion, guess)
+    if isinstance(guess, Failure) or (outline is not None and not outline.visible):
         deep = look_deeper(frame.board_type, scene, sightings)
         second = _first_guess(frame, scene, expectation, problem, moved, deep)
         if isinstance(second, Hypothesis) or isinstance(guess, Failure):
-            guess, sightings = second, deep
+            guess, sightings, outline = second, deep, _outline(frame, scene, moved.motion, second)
     if isinstance(guess, Failure):
         return guess
     seen = look_again(frame.board_type, frame.matrix(guess.c), scene, moved.motion, sightings)
     points, which = assign(frame, guess.c, seen, scene.cameras, moved.motion)
     whole = _with_board(problem, points, frame, scene, moved.motion, guess.c)
-    adjusted = adjust(whole, moved.motion, guess.c)
-    assert adjusted.similarity is not None
-    outline = outline_of(frame.board_type, frame.matrix(adjusted.similarity), scene, adjusted.motion)
-    return Mapping(adjusted, whole, tuple(which), outline)
+    return Mapping(adjust(whole, moved.motion, guess.c), whole, tuple(which), outline)
 
 
 def _first_guess(
@@ -88,9 +86,10 @@ def _first_guess(
     return guess
 
 
-def _believable(frame: Frame, scene: Scene, motion: Motion, c: Floats) -> bool:
-    outline = outline_of(frame.board_type, frame.matrix(c), scene, motion)
-    return outline is None or outline.visible
+def _outline(frame: Frame, scene: Scene, motion: Motion, guess: Hypothesis | Failure) -> Outline | None:
+    if isinstance(guess, Failure):
+        return None
+    return outline_of(frame.board_type, frame.matrix(guess.c), scene, motion)
 
 
 def _turned_round(frame: Frame, seen_as: Orientation) -> Failure:

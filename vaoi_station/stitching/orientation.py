@@ -20,7 +20,7 @@ from vaoi_station.stitching.scene import Scene
 
 _PIECE_MM = 4.0
 """Length over which an edge is averaged, so that texture cancels and the edge stays."""
-_SAMPLES = 12
+_SAMPLES, _DEPTHS = 10, 2
 _NEAR_MM, _FAR_MM = 0.12, 0.45
 """Where the two sides of an edge are compared."""
 _APART_MM = 0.4
@@ -177,7 +177,7 @@ def _both_sides(board: Floats) -> Floats:
     normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     line = (board[:, :1] + t[None, :, None] * along[:, None])[:, None, None]
-    off = np.array([[-1.0], [1.0]]) * np.linspace(_NEAR_MM, _FAR_MM, 3)
+    off = np.array([[-1.0], [1.0]]) * np.linspace(_NEAR_MM, _FAR_MM, _DEPTHS)
     points = line + off[None, :, :, None, None] * normal[:, None, None, None]
     return np.asarray(points.reshape(len(board), 2, -1, 2))
 

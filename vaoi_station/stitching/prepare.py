@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,18 +13,40 @@ _COARSE_WIDTH_PX = 150
 """The coarsest copy is at least this wide."""
 
 
-@dataclass(frozen=True, eq=False)
 class Prepared:
-    """One frame and its copies; the centre of pixel k of a copy lies at (k + ½)·factor − ½ of the frame."""
+    """One frame and its copies, made when first asked for.
 
-    grey: NDArray[Any]
-    """(h, w) uint8, or uint16 scaled to its own range by `to_eight_bit`."""
-    quarter: NDArray[np.uint8]
-    """A fourth of the size, block means."""
-    factor: int
-    """Size of a pixel of `coarse` in pixels of the frame."""
-    coarse: NDArray[np.float32]
-    """High-passed: the local mean is taken off, so that light and vignetting do not matter."""
+    The centre of pixel k of a copy lies at (k + ½)·factor − ½ of the frame.
+    """
+
+    def __init__(self, pixels: NDArray[Any]) -> None:
+        """Take a frame (h, w) or (h, w, 3), 8 or 16 bit."""
+        self._pixels = pixels
+
+    @cached_property
+    def grey(self) -> NDArray[np.uint8]:
+        """(h, w) 8-bit luminance."""
+        return to_eight_bit(to_grey(self._pixels))
+
+    @cached_property
+    def quarter(self) -> NDArray[np.uint8]:
+        """A fourth of the size, block means."""
+        return halved(halved(self.grey))
+
+    @cached_property
+    def factor(self) -> int:
+        """Size of a pixel of `coarse` in pixels of the frame."""
+        factor = 4
+        while self.grey.shape[1] // (2 * factor) >= _COARSE_WIDTH_PX:
+            factor *= 2
+        return factor
+
+    @cached_property
+    def coarse(self) -> NDArray[np.float32]:
+        """High-passed: the local mean is taken off, so that light and vignetting do not matter."""
+        small = reduced(self, self.factor)
+        wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
+        return np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
 
     @cached_property
     def corners(self) -> NDArray[np.float32]:
@@ -33,17 +54,12 @@ class Prepared:
         return np.asarray(cv2.cornerMinEigenVal(self.quarter, 3, ksize=3), dtype=np.float32)
 
 
-def prepare(pixels: NDArray[Any]) -> Prepared:
-    """Make the copies of a frame (h, w) or (h, w, 3), 8 or 16 bit."""
-    grey = to_eight_bit(to_grey(pixels))
-    half = halved(grey)
-    quarter = halved(half)
-    small, factor = quarter, 4
-    while small.shape[1] // 2 >= _COARSE_WIDTH_PX:
-        small, factor = halved(small), factor * 2
-    wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
-    coarse = cv2.subtract(small, wide, dtype=cv2.CV_32F)
-    return Prepared(grey, quarter, factor, np.asarray(coarse, dtype=np.float32))
+def reduced(frame: Prepared, factor: int) -> NDArray[np.uint8]:
+    """The frame reduced by a power of two, block means; of the copies there are, the nearest is halved on."""
+    image, at = (frame.quarter, 4) if factor >= 4 else (frame.grey, 1)
+    while at < factor:
+        image, at = halved(image), at * 2
+    return image
 
 
 def to_grey(pixels: NDArray[Any]) -> NDArray[Any]:

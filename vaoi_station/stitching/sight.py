@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
@@ -15,7 +14,7 @@ from vaoi_station.marks.search import reduction
 from vaoi_station.model import BoardType, Fiducial
 from vaoi_station.stitching.evidence import Sightings, Task
 from vaoi_station.stitching.motion import Motion
-from vaoi_station.stitching.prepare import Prepared, halved
+from vaoi_station.stitching.prepare import Prepared, reduced
 from vaoi_station.stitching.scene import Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
@@ -38,7 +37,8 @@ def sight_marks(
     found: list[tuple[Mark, int]] = []
     for kind, (shape, size_mm) in enumerate(mark_kinds(board_type) if board_type else ()):
         size_px = size_mm * camera.px_per_mm
-        small, factor = _reduced(frame, reduction(size_px))
+        factor = reduction(size_px)
+        small = reduced(frame, factor)
         places, _ = search(small, shape, size_px / factor, most)
         for place in (places + 0.5) * factor - 0.5:
             mark = locate(frame.grey, place, shape, size_px)
@@ -51,14 +51,6 @@ def sight_marks(
         np.array([m.score for m, _ in found]),
         np.array([k for _, k in found], dtype=np.int_),
     )
-
-
-def _reduced(frame: Prepared, factor: int) -> tuple[NDArray[np.uint8], int]:
-    """The frame reduced by a power of two, block means; of the copies there are, the nearest is halved on."""
-    image, at = (frame.quarter, 4) if factor >= 4 else (frame.grey, 1)
-    while at < factor:
-        image, at = halved(image), at * 2
-    return image, at
 
 
 def look_deeper(board_type: BoardType, scene: Scene, sightings: Sequence[Sightings]) -> list[Sightings]:

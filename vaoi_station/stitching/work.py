@@ -23,7 +23,7 @@ from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.link import link_frames, link_neighbours
 from vaoi_station.stitching.overlap import overlap_share
-from vaoi_station.stitching.prepare import Prepared, prepare
+from vaoi_station.stitching.prepare import Prepared
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.sight import sight_marks
 
@@ -114,7 +114,7 @@ class Desk:
         pixels = self._frame(*key)
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} is not there")
-        self._prepared[key] = prepare(pixels)
+        self._prepared[key] = Prepared(pixels)
         if len(self._prepared) > _KEPT_FRAMES:
             self._prepared.popitem(last=False)
         return self._prepared[key]
