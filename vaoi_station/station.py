@@ -17,7 +17,7 @@ from types import FrameType
 
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.errors import DeviceError, InternalError, StateError
 from vaoi_station.files import read_calibration
 from vaoi_station.runs.acquisition_link import AcquisitionLink, Launch, spawned
 from vaoi_station.runs.archive import Archive
@@ -118,6 +118,7 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         notify("STOPPING=1")
         station.wind_down()
         web.stop()
+        web.check()
 
 
 class WebServer:
@@ -128,7 +129,7 @@ class WebServer:
 
         from vaoi_station.api import create_app
 
-        self._listener, self._ended = listener, ended
+        self._listener, self._ended, self._asked = listener, ended, False
         self._server = uvicorn.Server(
             uvicorn.Config(
                 create_app(station.conductor),
@@ -147,8 +148,14 @@ class WebServer:
 
     def stop(self) -> None:
         """Finish what is being answered, then end."""
+        self._asked = self._thread.is_alive()
         self._server.should_exit = True
         self._thread.join(2 * HTTP_GRACE_S)
+
+    def check(self) -> None:
+        """Raise InternalError if it ended without being asked to."""
+        if not self._asked:
+            raise InternalError("The web server ended by itself; the log says why.")
 
     def _run(self) -> None:
         try:

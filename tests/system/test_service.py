@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -118,11 +120,39 @@ def test_a_station_that_is_killed_leaves_no_process_and_its_ring_is_swept(
     assert list((tmp_path / "shm").iterdir()) == []
 
 
+FORGETFUL = """
+import sys
+from pathlib import Path
+from vaoi_station.config import read_config
+from vaoi_station.station import Station
+
+if __name__ == "__main__":
+    station = Station(read_config(Path(sys.argv[1])))
+    station.start()
+    print(*(p.pid for p in station.conductor.snapshot().processes if p.pid), flush=True)
+"""
+
+
+def test_a_program_that_forgets_to_stop_its_station_ends_all_the_same(
+    replay_config: Callable[..., StationConfig], tmp_path: Path
+) -> None:
+    (tmp_path / "station.toml").write_text(as_toml(replay_config()))
+    (tmp_path / "forgetful.py").write_text(FORGETFUL)
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "forgetful.py"), str(tmp_path / "station.toml")],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=PATIENCE_S,
+        check=True,
+    )
+    for pid in done.stdout.split():
+        ended(int(pid))
+
+
 def ended(pid: int) -> None:
     """Wait until a process that is not our child has ended."""
-    import os
-    import select
-
     try:
         handle = os.pidfd_open(pid)
     except ProcessLookupError:

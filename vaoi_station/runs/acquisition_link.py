@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import multiprocessing
 import threading
@@ -105,6 +106,7 @@ class AcquisitionLink:
     def start(self, hear: Callable[[Report], None], lost: Callable[[str], None]) -> None:
         """Start the process and listen to it."""
         self._hear, self._lost = hear, lost
+        atexit.register(self.stop, 0.0)  # the process leaves SIGTERM to the station: nobody else would end it
         self._thread.start()
 
     def send(self, command: Command) -> None:
@@ -131,6 +133,7 @@ class AcquisitionLink:
         if self._stopping.is_set():
             return
         self._stopping.set()
+        atexit.unregister(self.stop)
         self.send(Shutdown())
         if self._thread.ident is None:
             return

@@ -7,6 +7,7 @@ job that has taken two workers with it is given back with the reason.
 
 from __future__ import annotations
 
+import atexit
 import logging
 import multiprocessing
 import threading
@@ -83,6 +84,7 @@ class WorkerPool:
     def start(self, lost: Callable[[str], None]) -> None:
         """Start the processes; jobs may be submitted before they are ready. `lost` hears of every death."""
         self._lost = lost
+        atexit.register(self.stop, 0.0)  # workers leave SIGTERM to the station: nobody else would end them
         self._thread.start()
 
     def submit(self, job: Job, done: Done) -> None:
@@ -126,6 +128,7 @@ class WorkerPool:
             if self._stopping:
                 return
             self._stopping = True
+        atexit.unregister(self.stop)
         self._wake_there.send_bytes(b"stop")
         if self._thread.ident is not None:
             self._thread.join()
