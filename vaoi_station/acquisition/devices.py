@@ -1,4 +1,4 @@
-"""The devices of a station, built from its configuration."""
+"""The devices of a station, and what a fast replay must hear of the one who takes the frames."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 from vaoi_station.acquisition.cameras.interface import CameraDevice
 from vaoi_station.acquisition.controller.interface import Controller
-from vaoi_station.config import StationConfig
 
 
 class Feedback:
@@ -64,14 +63,3 @@ class Devices:
         self.controller.close()
         for camera in self.cameras:
             camera.close()
-
-
-def open_devices(config: StationConfig) -> Devices:
-    """Cameras and controller of the configured backend; InputError or DeviceError says what is wrong."""
-    if config.controller.backend == "replay":
-        from vaoi_station.acquisition.replay import open_replay
-
-        return open_replay(config)
-    from vaoi_station.acquisition.simulated import open_simulated
-
-    return open_simulated(config)

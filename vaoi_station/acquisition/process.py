@@ -17,10 +17,11 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
+from vaoi_station.acquisition.backends import open_devices
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, DeviceFault
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
-from vaoi_station.acquisition.devices import Devices, open_devices
+from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.messages import Arm, Disarm, Grant, Health, Ready, Report, Shutdown
 from vaoi_station.acquisition.reports import trouble
 from vaoi_station.acquisition.ring import Ring, RingLayout

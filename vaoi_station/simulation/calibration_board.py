@@ -20,7 +20,8 @@ from vaoi_station.simulation.canvas import Canvas, to_bytes
 from vaoi_station.simulation.scenario import BoardSection, LightSection
 from vaoi_station.simulation.scene import Paint, Scene
 from vaoi_station.simulation.sensor import expose, generator
-from vaoi_station.simulation.twin import TEXTURE_PER_PIXEL, Twin
+from vaoi_station.simulation.twin import Twin
+from vaoi_station.simulation.world import TEXTURE_PER_PIXEL
 
 _BORDER_MM = 5.0
 _ARM = 0.25

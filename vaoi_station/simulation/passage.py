@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,7 @@ from vaoi_station.simulation.scene import Placement
 from vaoi_station.simulation.sensor import expose, generator
 from vaoi_station.simulation.timetable import Timetable, timetable
 from vaoi_station.simulation.truth import passage_truth
-
-if TYPE_CHECKING:
-    from vaoi_station.simulation.twin import Twin
+from vaoi_station.simulation.world import World
 
 _SLOPE_S = 1e-4
 
@@ -33,7 +31,7 @@ _SLOPE_S = 1e-4
 class Passage:
     """Board `board_number` under the cameras; times are seconds since the passage's start."""
 
-    twin: Twin
+    twin: World
     board_number: int
 
     @cached_property

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.simulation.layout import board_from_cad
-
-if TYPE_CHECKING:
-    from vaoi_station.simulation.twin import Twin
+from vaoi_station.simulation.world import World
 
 
-def passage_truth(twin: Twin, poses: list[Floats]) -> dict[str, Any]:
+def passage_truth(twin: World, poses: list[Floats]) -> dict[str, Any]:
     """M_ij = N_i·D_j, C = E_0·(board from CAD), D_j = E_j·E_0⁻¹, heights, and where every footprint is seen.
 
     Args:
@@ -33,7 +31,7 @@ def passage_truth(twin: Twin, poses: list[Floats]) -> dict[str, Any]:
     }
 
 
-def views(twin: Twin, poses: list[Floats]) -> dict[str, list[list[float]]]:
+def views(twin: World, poses: list[Floats]) -> dict[str, list[list[float]]]:
     """Raw pixels of the middle of every footprint, on the board's surface, in every image that shows it."""
     if not twin.parts:
         return {}

@@ -1,129 +1,14 @@
-"""The digital twin: a scenario → cameras, calibration, board type, and one passage after another."""
+"""The digital twin: the world of a scenario, and the boards that pass through it."""
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
-
-import numpy as np
-
-from vaoi_station.config import Line
-from vaoi_station.geometry import Camera
-from vaoi_station.model import BoardType, Calibration, CameraHead, Distortion
-from vaoi_station.simulation.artwork import Artwork, draw
-from vaoi_station.simulation.canvas import Plane
-from vaoi_station.simulation.layout import Part, board_type
 from vaoi_station.simulation.passage import Passage
-from vaoi_station.simulation.pinholes import Pinhole, mount
-from vaoi_station.simulation.scenario import BoardSection, Scenario
-from vaoi_station.simulation.scene import Paint, Scene
-from vaoi_station.simulation.sensor import vignette
-from vaoi_station.simulation.timetable import line_of
-
-TEXTURE_PER_PIXEL = 1.1
-"""Texture resolution over image resolution: less would blur, much more would alias."""
+from vaoi_station.simulation.world import World
 
 
-class Twin:
-    """Everything a station could see; a pure function of its scenario.
-
-    Attributes:
-        scenario: what it was made from.
-        pinholes: the cameras as they really are.
-    """
-
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
-        self.pinholes: tuple[Pinhole, ...] = mount(scenario.array)
-        self._paints: dict[str, Paint] = {}
-        self._shades: dict[tuple[int, str], Plane] = {}
-
-    @cached_property
-    def calibration(self) -> Calibration:
-        """The perfect calibration of the array; distortion only where the lenses distort."""
-        array = self.scenario.array
-        lenses = tuple(
-            Distortion(center=p.lens.center_px, radius=p.lens.radius_px, radial=p.lens.radial) for p in self.pinholes
-        )
-        return Calibration(
-            format="vaoi-calibration",
-            version=1,
-            unit="mm",
-            camera_matrices=tuple(p.plane() for p in self.pinholes),
-            working_distance_mm=array.working_distance_mm,
-            distortion=lenses if array.distortion_px else None,
-        )
-
-    @cached_property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The calibrated cameras."""
-        return self.calibration.cameras(self.heads)
-
-    @cached_property
-    def heads(self) -> tuple[CameraHead, ...]:
-        """What a recording says of the cameras: size, exposure, where they are meant to look."""
-        array = self.scenario.array
-        return tuple(
-            CameraHead(
-                width=array.width_px,
-                height=array.height_px,
-                exposure_us=array.exposure_us(i),
-                nominal_center_mm=(i * array.pitch_mm, 0.0),
-                nominal_px_per_mm=array.px_per_mm,
-            )
-            for i in range(array.cameras)
-        )
-
-    @cached_property
-    def line(self) -> Line:
-        """The mechanics of the line, as `station.toml` states them."""
-        return line_of(self.scenario)
-
-    @cached_property
-    def artwork(self) -> Artwork:
-        """What the boards look like; shared by twins of equal board and resolution."""
-        s = self.scenario
-        return _artwork(s.board, TEXTURE_PER_PIXEL * s.array.px_per_mm, s.belt.grey)
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """The parts of the board type."""
-        return self.artwork.parts
-
-    @cached_property
-    def board_type(self) -> BoardType:
-        """The CAD description of the boards."""
-        return board_type(self.scenario.board, self.parts)
-
-    @cached_property
-    def scene(self) -> Scene:
-        """The board under the cameras."""
-        return Scene(self.scenario.board, self.artwork, self.scenario.belt.grey)
+class Twin(World):
+    """What camera k sees at time t, for every board of a scenario."""
 
     def passage(self, board_number: int) -> Passage:
         """The passage of board `board_number`, counted from 0."""
         return Passage(self, board_number)
-
-    def paint(self, light_name: str) -> Paint:
-        """The board's textures under a light."""
-        if light_name not in self._paints:
-            self._paints[light_name] = Paint(self.artwork, self.scenario.lights[light_name])
-        return self._paints[light_name]
-
-    def vignetting(self, camera: int) -> Plane:
-        """Brightness of a camera's frame under even light, (h, w)."""
-        return vignette(self.scenario.array, camera)
-
-    def shade(self, camera: int, light_name: str) -> Plane:
-        """Vignetting of a camera and the slope of a light over its frame, (h, w)."""
-        key = (camera, light_name)
-        if key not in self._shades:
-            array, light = self.scenario.array, self.scenario.lights[light_name]
-            x, y = np.linspace(-1, 1, array.width_px), np.linspace(-1, 1, array.height_px)
-            slope = 1 + light.shading * 0.5 * (light.direction[0] * x[None] + light.direction[1] * y[:, None])
-            self._shades[key] = np.asarray(self.vignetting(camera) * slope, np.float32)
-        return self._shades[key]
-
-
-@lru_cache(maxsize=4)
-def _artwork(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
-    return draw(section, px_per_mm, belt_grey)
