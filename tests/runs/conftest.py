@@ -6,6 +6,7 @@ import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -50,9 +51,9 @@ WIDTH, HEIGHT, PX_PER_MM = 64, 48, 2.0
 PERIOD_S, SPEED_MM_S = 0.1, 100.0
 
 
-def a_board_type(name: str = "small") -> BoardType:
+def a_board_type() -> BoardType:
     return BoardType(
-        name=name,
+        name="small",
         outline=((0, 0), (40, 30)),
         fiducials=(Fiducial(name="F1", x=5, y=5, diameter=1), Fiducial(name="F2", x=35, y=25, diameter=1)),
         components=(Component(ref="U1", center=(10, 10), width=4, height=4),),
@@ -242,7 +243,7 @@ class Rig:
 
     def ready(self) -> None:
         self.peer.life(1)
-        self.peer.say(said.Ready(len(self.config.cameras)))
+        self.peer.say(said.Ready(2))
         self.until("idle")
 
     def until(self, state: str) -> None:
@@ -269,22 +270,12 @@ class Rig:
 
     def arm(self, **options: Any) -> said.Grant:
         """Arm, playing the other side; the grant that came with it."""
-        outcome: list[Any] = []
-
-        def call() -> None:
-            try:
-                outcome.append(self.conductor.arm("small", **options))
-            except Exception as error:  # noqa: BLE001  handed to the test's own thread
-                outcome.append(error)
-
-        caller = threading.Thread(target=call)
-        caller.start()
-        grant = self.peer.expect(said.Grant)
-        self.peer.expect(said.Arm)
-        self.peer.say(said.Armed())
-        caller.join(PATIENCE_S)
-        if isinstance(outcome[0], Exception):
-            raise outcome[0]
+        with ThreadPoolExecutor(1) as caller:
+            outcome = caller.submit(self.conductor.arm, "small", **options)
+            grant = self.peer.expect(said.Grant)
+            self.peer.expect(said.Arm)
+            self.peer.say(said.Armed())
+            outcome.result(PATIENCE_S)
         return grant
 
     def begin(self, grant: said.Grant, at_s: float | None = None) -> float:
@@ -297,16 +288,14 @@ class Rig:
         """One pulse, and a frame per camera filled with its number."""
         self.peer.say(said.PulseSeen(grant.run, Pulse(index=row, time_s=100 + row * PERIOD_S)))
         records = []
-        for camera in range(len(self.config.cameras)):
+        for camera in range(2):
             verdict = (verdicts or {}).get(camera, Verdict.OK)
             slot = None if verdict is Verdict.MISSING else self.ring.slot(grant.bay, camera, row)
             if slot is not None:
-                self.ring.memory(slot)[:] = frame_value(camera, row)
-            record = FrameRecord(
-                camera=camera, row=row, verdict=verdict, cause="" if verdict is Verdict.OK else "scripted", slot=slot
-            )
-            records.append(record)
-            self.peer.say(said.FrameSettled(grant.run, record, time.monotonic()))
+                self.ring.memory(slot)[:] = 10 + 20 * camera + row
+            cause = "" if verdict is Verdict.OK else "scripted"
+            records.append(FrameRecord(camera=camera, row=row, verdict=verdict, cause=cause, slot=slot))
+            self.peer.say(said.FrameSettled(grant.run, records[-1], time.monotonic()))
         return records
 
     def finish(self, grant: said.Grant, records: list[FrameRecord]) -> None:
@@ -325,16 +314,8 @@ class Rig:
 
     def result_of(self, run: str) -> Any:
         """Wait for a run's end."""
-        self.wait_for(lambda: self._ended(run), f"run {run} to end")
+        self.wait_for(lambda: (latest := self.conductor.latest()) is not None and latest.id >= run, f"{run} to end")
         return self.conductor.run(run)
-
-    def _ended(self, run: str) -> bool:
-        latest = self.conductor.latest()
-        return latest is not None and latest.id >= run
-
-
-def frame_value(camera: int, row: int) -> int:
-    return 10 + 20 * camera + row
 
 
 def end_link(link: AcquisitionLink, peer: Peer) -> None:
@@ -383,11 +364,6 @@ def make_head() -> Callable[[int], RecordingHead]:
 
 
 @pytest.fixture
-def make_config() -> Callable[..., StationConfig]:
-    return a_config
-
-
-@pytest.fixture
 def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
     """Builds rigs; whatever happens, their threads end and their ring is unlinked."""
     ends: list[Callable[[], object]] = []
@@ -420,7 +396,6 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
 
 @pytest.fixture
 def rig(make_rig: Callable[..., Rig]) -> Rig:
-    """A rig that is idle, in a ring of three runs."""
-    made = make_rig()
+    made: Rig = make_rig()
     made.ready()
     return made

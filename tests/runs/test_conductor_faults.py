@@ -1,0 +1,171 @@
+"""What the conductor refuses, and what it makes of processes that die."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition import messages as said
+from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
+from vaoi_station.model import Pulse, Status
+from vaoi_station.runs.jobs import Answer
+
+
+def test_a_board_type_nobody_taught(rig: Any) -> None:
+    with pytest.raises(NotFoundError, match="no board type 'unknown'; taught are: 'small'"):
+        rig.conductor.arm("unknown")
+    assert rig.conductor.snapshot().state == "idle"
+
+
+def test_no_runs_at_all_is_no_order(rig: Any) -> None:
+    with pytest.raises(InputError, match="runs is 0"):
+        rig.conductor.arm("small", runs=0)
+
+
+def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
+    grant = rig.arm(board_id="b 1")
+    rig.begin(grant)
+    rig.until("filming")
+    with pytest.raises(StateError, match=r"The station is filming.*arm is not possible"):
+        rig.conductor.arm("small", "b 2")
+    rig.finish(grant, rig.row(grant, 0))
+    assert rig.result_of(grant.run).board_id == "b 1"
+
+
+def test_arming_before_the_cameras_are_open(make_rig: Callable[..., Any]) -> None:
+    rig = make_rig()
+    with pytest.raises(StateError, match="The station is starting") as refusal:
+        rig.conductor.arm("small")
+    assert "Wait" in refusal.value.action
+
+
+def test_a_camera_that_cannot_be_armed(rig: Any) -> None:
+    refused: list[Exception] = []
+
+    def arm() -> None:
+        try:
+            rig.conductor.arm("small")
+        except DeviceError as error:
+            refused.append(error)
+
+    caller = threading.Thread(target=arm)
+    caller.start()
+    grant = rig.peer.expect(said.Grant)
+    rig.peer.expect(said.Arm)
+    rig.peer.say(said.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
+    rig.peer.expect(said.Disarm)
+    rig.peer.say(said.Disarmed((grant,)))
+    caller.join(20)
+    assert "its clock is not known" in str(refused[0])
+    rig.until("idle")
+
+
+def test_unknown_runs_and_frames(rig: Any) -> None:
+    for ask in (rig.conductor.run, rig.conductor.release, rig.conductor.stitch, rig.conductor.components):
+        with pytest.raises(NotFoundError, match="no run 'never'"):
+            ask("never")
+    with pytest.raises(NotFoundError, match="no run 'never'"):
+        rig.conductor.hold("never", "me", "test")
+    grant = rig.arm()
+    rig.board(grant, rows=2)
+    rig.result_of(grant.run)
+    with pytest.raises(NotFoundError, match="2 cameras and 2 rows"):
+        rig.conductor.frame(grant.run, 0, 7)
+    with pytest.raises(NotFoundError, match="no component 'R99'"):
+        rig.conductor.views(grant.run, "R99")
+
+
+def test_acquisition_dies_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) -> None:
+    grant = rig.arm(board_id="b 1")
+    rig.begin(grant)
+    rig.peer.expect(said.Grant)
+    rig.row(grant, 0)
+    rig.row(grant, 1)
+    rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
+    rig.peer.say(said.PulseSeen(grant.run, Pulse(index=2, time_s=100.2)))
+    rig.wait_run(grant.run, lambda run: run.rows == 3, "three rows")
+    rig.peer.die()
+    run = rig.result_of(grant.run)
+    assert run.state == "degraded"
+    assert run.verdict is Status.OK
+    assert (run.counts.ok, run.counts.missing) == (4, 2)
+    assert {reason.code for reason in run.reasons} == {"frames-missing", "acquisition-lost"}
+    assert np.all(rig.conductor.frame(grant.run, 1, 1)[0] == 31)
+    rig.peer.life(2)
+    rig.peer.say(said.Ready(2))
+    rearmed = rig.peer.expect(said.Grant)
+    rig.peer.expect(said.Arm)
+    rig.peer.say(said.Armed())
+    rig.until("armed")
+    rig.board(rearmed)
+    assert rig.result_of(rearmed.run).board_id == "b 1"
+    assert rig.link.status().restarts == 1
+
+
+def test_acquisition_dies_before_the_first_pulse(rig: Any) -> None:
+    grant = rig.arm()
+    rig.begin(grant)
+    rig.until("filming")
+    rig.peer.die()
+    run = rig.result_of(grant.run)
+    assert (run.state, run.rows, run.timings) == ("failed", 0, None)
+    with pytest.raises(NotFoundError, match="ended without a result: The acquisition process ended"):
+        rig.conductor.stitch(grant.run)
+
+
+def test_acquisition_dies_while_arming(rig: Any) -> None:
+    refused: list[Exception] = []
+
+    def arm() -> None:
+        try:
+            rig.conductor.arm("small")
+        except DeviceError as error:
+            refused.append(error)
+
+    caller = threading.Thread(target=arm)
+    caller.start()
+    rig.peer.expect(said.Grant)
+    rig.peer.die()
+    caller.join(20)
+    assert "Arming failed" in str(refused[0])
+    assert rig.conductor.snapshot().state == "faulted"
+    with pytest.raises(StateError, match="The station is faulted"):
+        rig.conductor.arm("small")
+
+
+def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -> None:
+    rig.workers.keep = True
+    grant = rig.arm()
+    rig.board(grant, rows=2)
+    rig.wait_run(grant.run, lambda run: run.state == "stitching", "stitching")
+    job, done = rig.workers.kept.pop()
+    done(Answer(None, InternalError("the link broke"), 0.0))
+    rig.workers.let_go()
+    run = rig.result_of(grant.run)
+    assert run.state == "degraded"
+    assert [r.message for r in run.reasons] == ["the link broke"]
+    second = rig.peer.expect(said.Grant)
+    rig.workers.keep = True
+    rig.board(second, rows=2)
+    rig.wait_run(second.run, lambda run: run.state == "stitching", "stitching")
+    job, done = rig.workers.kept.pop()
+    done(Answer(None, InternalError(f"{job} took 2 workers with it", code="worker-lost"), 0.0))
+    run = rig.result_of(second.run)
+    assert run.state == "failed"
+    assert "took 2 workers with it" in run.reasons[0].message
+    assert np.all(rig.conductor.frame(second.run, 0, 1)[0] == 11)
+
+
+@pytest.mark.parametrize(("status", "state"), [(Status.DEGRADED, "degraded"), (Status.FAILED, "failed")])
+def test_the_stitchs_verdict_is_the_runs(rig: Any, make_stitch: Callable[..., Any], status: Status, state: str) -> None:
+    rig.workers.result = lambda head: make_stitch(head, status, ("two fiducials only",))
+    grant = rig.arm()
+    rig.board(grant)
+    run = rig.result_of(grant.run)
+    assert (run.state, run.verdict) == (state, status)
+    assert run.reasons[0].message == "two fiducials only"
+    assert rig.conductor.stitch(grant.run).status is status
