@@ -313,7 +313,6 @@ class Rig:
         self.finish(grant, records)
 
     def result_of(self, run: str) -> Any:
-        """Wait for a run's end."""
         self.wait_for(lambda: (latest := self.conductor.latest()) is not None and latest.id >= run, f"{run} to end")
         return self.conductor.run(run)
 
