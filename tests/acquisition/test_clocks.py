@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.cameras.interface import ClockReading
-from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.errors import DeviceError
 

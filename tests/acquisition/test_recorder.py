@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.cameras.interface import Arrival, ClockReading
-from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.cameras.interface import Arrival
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.recorder import Finished, Limits, Outcome, Recorder, Settled, Stray

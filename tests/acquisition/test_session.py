@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import Arrival, ClockReading, Slot
-from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.cameras.interface import Arrival, Slot
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import BarrierBlocked, PulseFired, RunEnded, TriggerPlan
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.filming import trigger_plan

@@ -10,14 +10,24 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
-from vaoi_station.acquisition.cameras.interface import ClockReading
 from vaoi_station.errors import DeviceError
 
 PRIOR_DRIFT = 2e-4
 """Standard deviation of the relative rate of crystals, before anything is measured."""
 RESOLUTION_S = 1e-7
 """No reading is trusted further than this."""
+
+
+@dataclass(frozen=True)
+class ClockReading:
+    """One comparison of a device's clock with time.monotonic()."""
+
+    device_s: float
+    host_s: float
+    bound_s: float
+    """Half the round trip of the question: the reading is no further off than this."""
 
 
 class ClockModel:

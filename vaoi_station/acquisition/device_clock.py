@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-from vaoi_station.acquisition.cameras.interface import ClockReading
+from vaoi_station.acquisition.clocks import ClockReading
 
 
 @dataclass(frozen=True)

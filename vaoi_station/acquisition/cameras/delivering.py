@@ -19,7 +19,8 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, ClockReading, DeviceFault, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, DeviceFault, Slot
+from vaoi_station.acquisition.clocks import ClockReading
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.errors import VaoiError
 
 
@@ -43,16 +44,6 @@ class Arrival:
     """time.monotonic() when the slot was handed over."""
     fault: str = ""
     """The backend's word for what went wrong, for the verdict's cause."""
-
-
-@dataclass(frozen=True)
-class ClockReading:
-    """One comparison of a device's clock with time.monotonic()."""
-
-    device_s: float
-    host_s: float
-    bound_s: float
-    """Half the round trip of the question: the reading is no further off than this."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Protocol
 
-from vaoi_station.acquisition.cameras.interface import ClockReading, DeviceFault
+from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.clocks import ClockReading
 
 
 @dataclass(frozen=True)

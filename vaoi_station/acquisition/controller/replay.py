@@ -14,7 +14,8 @@ from itertools import count
 from queue import SimpleQueue
 from typing import Protocol
 
-from vaoi_station.acquisition.cameras.interface import ClockReading, DeviceFault
+from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierClear,

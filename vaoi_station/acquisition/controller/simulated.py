@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from queue import SimpleQueue
 
-from vaoi_station.acquisition.cameras.interface import ClockReading, DeviceFault
+from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
