@@ -71,18 +71,13 @@ def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: boo
 
 
 def _times_seen(dossier: Dossier) -> Counter[str]:
-    """In how many good frames the middle of each component lies."""
+    """How many pictures of each component the run offers by default: good frames that show at least half of it."""
     stitch = dossier.stitch
-    if stitch is None or stitch.components is None:
+    if stitch is None or stitch.cad_matrix is None:
         return Counter()
     whole = {(f.camera, f.row) for f in dossier.detail.frames if f.verdict is Verdict.OK}
-    sizes = [(c.width_px - 1, c.height_px - 1) for c in dossier.cameras]
-    return Counter(
-        address
-        for address, seen in stitch.components.items()
-        for camera, row, x, y in seen
-        if (camera, row) in whole and 0 <= x <= sizes[camera][0] and 0 <= y <= sizes[camera][1]
-    )
+    board = Album(dossier.board_type, stitch, dossier.cameras).board(dossier.board_type.components)
+    return Counter({address: sum((v.camera, v.row) in whole for v in views) for address, views in board.items()})
 
 
 def _summary(part: Component, mm: float, tester_mm: tuple[float, float] | None, views: int) -> ComponentSummary:
