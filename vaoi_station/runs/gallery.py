@@ -8,7 +8,7 @@ import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, Component, Verdict
-from vaoi_station.rendering import Album, View, views_of
+from vaoi_station.rendering import Album, View
 from vaoi_station.runs.archive import Dossier
 from vaoi_station.runs.shapes import ComponentSummary
 
