@@ -14,6 +14,7 @@ from vaoi_station.cli.record import record
 from vaoi_station.cli.serve import serve
 from vaoi_station.cli.simulate import simulate
 from vaoi_station.cli.stitch import stitch
+from vaoi_station.cli.teach import teach
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
 
 # Our matrices are small: threads of the linear algebra library cost more than they bring, and would take
@@ -39,6 +40,7 @@ app.command()(simulate)
 app.command()(serve)
 app.command()(record)
 app.command()(stitch)
+app.command()(teach)
 app.command()(cut)
 app.command()(bench)
 

@@ -13,6 +13,9 @@ class Method(StrEnum):
     """Ways to stitch."""
 
     AUTO = "auto"
+    FIDUCIALS = "fiducials"
+    FEATURES = "features"
+    REFERENCE = "reference"
 
 
 def stitch(
@@ -20,11 +23,14 @@ def stitch(
     out: Annotated[Path, typer.Option(help="Where the result is written.")],
     calibration: Annotated[Path | None, typer.Option(help="By default the recording's own.")] = None,
     board: Annotated[Path | None, typer.Option(help="Board type; by default the recording's own.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="Directory made by `vaoi teach`.")] = None,
     method: Annotated[Method, typer.Option(help="Evidence to use.")] = Method.AUTO,
 ) -> None:
     """Stitch a recorded run: one matrix per frame, and C from CAD to tester."""
+    from vaoi_station.errors import InputError
     from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
     from vaoi_station.stitching.offline import stitch_frames
+    from vaoi_station.stitching.taught import open_taught, with_reference
     from vaoi_station.stitching.work import Setup
 
     recording = open_recording(case)
@@ -38,7 +44,15 @@ def stitch(
         board_type=board_type,
         method=method.value,
     )
-    result = stitch_frames(setup, recording.head, recording.frame)
+    if method is Method.REFERENCE and reference is None:
+        raise InputError("--method reference needs --reference DIR.", action="`vaoi teach` makes one.")
+    taught = None
+    if reference is not None:
+        if board_type is None:
+            raise InputError("--reference needs a board type.", action="Give one with --board.")
+        taught = open_taught(reference, setup.cameras, board_type)
+    reference_frame = taught.recording.frame if taught else None
+    result = stitch_frames(with_reference(setup, taught), recording.head, recording.frame, reference_frame)
     write_stitch(out, result)
     sigma = result.quality.get("cad_sigma_px")
     typer.echo(f"{result.status}: {recording.head.rows} rows × {len(recording.head.cameras)} cameras → {out}")

@@ -11,6 +11,7 @@ from the normal equations (each is tied only to its own links).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,7 @@ _PAIR_SIGMA_PX = 0.006
 _FLOOR_PX = (0.010, 5.0)
 """Range of the scatter of single links beyond image noise."""
 _HEIGHT_SIGMA_MM = 3.0
+FIXTURE, REFERENCE = -1, -2
 _FIDUCIAL_SIGMA_PX = 0.020
 """What sightings scatter beyond their own standard deviation."""
 _SCALE_SIGMA = 3e-4
@@ -40,7 +42,7 @@ _SCALE_SIGMA = 3e-4
 
 @dataclass(frozen=True, eq=False)
 class FiducialPoints:
-    """Sightings assigned to fiducials: row, ground place, lean, CAD place (mm, right-handed as seen), sigma."""
+    """Points known in CAD and seen in rows: fiducials, marks of the fixture, points of a reference run."""
 
     row: Ints
     ground_mm: Floats
@@ -49,6 +51,20 @@ class FiducialPoints:
     """(k, 2) CAD coordinates, y already flipped where the mapping mirrors."""
     sigma_mm: Floats
     px_per_mm: Floats
+    which: Ints
+    """(k,) number of the board's fiducial; negative for points of which there are many: `FIXTURE`, `REFERENCE`."""
+
+    @staticmethod
+    def joined(parts: Sequence[FiducialPoints]) -> FiducialPoints:
+        """All points of several sets."""
+        names = ("row", "ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "which")
+        return FiducialPoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+    @staticmethod
+    def none() -> FiducialPoints:
+        """No points."""
+        pairs, no = np.zeros((0, 2)), np.zeros(0, dtype=np.int_)
+        return FiducialPoints(no, pairs, pairs, pairs, np.zeros(0), np.zeros(0), no)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,16 +278,25 @@ class _Solver:
         residual, j = self._fiducial_terms(s)
         sigma = np.hypot(s.sigma_mm, _FIDUCIAL_SIGMA_PX / s.px_per_mm)
         chi = np.sqrt((residual**2).sum(1) / 2) / sigma
-        weight = np.sqrt(huber_weights(chi, _KNEE)) / sigma
+        many = s.which < 0
+        if many.any():  # while the rows are still where the belt put them, all are far off: none is an outlier yet
+            scale = max(float(np.median(chi[many])), 1.0)
+            chi, sigma = np.where(many, chi / scale, chi), np.where(many, sigma * scale, sigma)
+        robust = np.where(many & (chi > _CUT), 0.0, huber_weights(chi, _KNEE))
+        weight = (np.sqrt(robust) / sigma)[:, None]
         tail = np.arange(3 * self.m, self.size)
+        a, b = weight[:, :, None] * j, weight * residual
         blocks = [
-            Block(np.concatenate([np.arange(3 * row, 3 * row + 3), tail]), w * a, w * b)
-            for row, w, a, b in zip(s.row, weight, j, residual, strict=True)
+            Block(
+                np.concatenate([np.arange(3 * s.row[at[0]], 3 * s.row[at[0]] + 3), tail]),
+                a[at].reshape(-1, a.shape[2]),
+                b[at].ravel(),
+            )
+            for at in _runs_of_equal(s.row)
         ]
-        a, b = self.c[:2]
-        scale = float(np.hypot(a, b))
+        scale = float(np.hypot(*self.c[:2]))
         sigma_scale = _SCALE_SIGMA * self.p.nominal_scale
-        gradient = np.array([[a, b]]) / scale / sigma_scale
+        gradient = self.c[None, :2] / scale / sigma_scale
         off = np.array([(scale - self.p.nominal_scale) / sigma_scale])
         return [*blocks, Block(np.arange(3 * self.m, 3 * self.m + 2), gradient, off)]
 

@@ -18,11 +18,11 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment import FiducialPoints, similar
+from vaoi_station.stitching.adjustment import FIXTURE, FiducialPoints, similar
 from vaoi_station.stitching.evidence import Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.motion import Motion
-from vaoi_station.stitching.sight import kind_of, mark_kinds
+from vaoi_station.stitching.sight import fixture_kind, kind_of, mark_kinds
 
 _SAME_PLACE_MM = 0.4
 _SCALE_SIGMA = 1.0e-3
@@ -45,6 +45,10 @@ class Frame:
     def flat(self, cad: Floats) -> Floats:
         """CAD points (k, 2) in CAD units with y flipped where C mirrors: what `adjustment.similar` takes."""
         return np.asarray(cad, dtype=np.float64) * (1.0, -1.0 if self.mirrored else 1.0)
+
+    def cad(self, flat: Floats) -> Floats:
+        """The inverse of `flat`."""
+        return self.flat(flat)
 
     def matrix(self, c: Floats) -> Floats:
         """C as a 3×3 matrix, CAD → tester."""
@@ -152,40 +156,45 @@ def find_board(
 
 def assign(
     frame: Frame, c: Floats, sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion
-) -> tuple[FiducialPoints, list[int]]:
-    """The sightings that are the fiducials under a first C, and which fiducial each is."""
-    board_type, flat = frame.board_type, frame.fiducials
-    kinds = np.array([mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials])
-    expected = similar(c, flat)
-    rows, ground, lean, cad, sigma, res, which = [], [], [], [], [], [], []
-    for s in sightings:
-        if not len(s.px):
-            continue
-        number, row = s.task.a
-        camera = cameras[number]
-        g = camera.ground(s.px)
-        at = motion.board(np.full(len(g), row), g)
-        for f in range(len(flat)):
-            distance = np.where(s.kind == kinds[f], np.hypot(*(at - expected[f]).T), np.inf)
-            k = int(distance.argmin())
-            if distance[k] < _SAME_PLACE_MM:
-                rows.append(row)
-                ground.append(g[k])
-                lean.append(camera.parallax(g[k]))
-                cad.append(flat[f])
-                resolution = camera.image_from_row.scale_at(g[k])
-                sigma.append(s.sigma_px[k] / resolution)
-                res.append(resolution)
-                which.append(f)
-    points = FiducialPoints(
-        np.array(rows, dtype=np.int_),
-        np.array(ground).reshape(-1, 2),
-        np.array(lean).reshape(-1, 2),
-        np.array(cad).reshape(-1, 2),
-        np.array(sigma),
-        np.array(res),
-    )
-    return points, which
+) -> FiducialPoints:
+    """The sightings that are fiducials, or marks of the fixture, under a first C."""
+    board_type = frame.board_type
+    kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
+    flat, number = frame.fiducials, np.arange(len(kinds))
+    if fixture_kind(board_type) is not None:
+        marks = frame.flat(np.array([(m.x, m.y) for m in board_type.fixture_marks]))
+        kinds += [len(mark_kinds(board_type))] * len(marks)
+        flat, number = np.vstack([flat, marks]), np.append(number, np.full(len(marks), FIXTURE))
+    expected, kind = similar(c, flat), np.array(kinds, dtype=np.int_)
+    found = [_assigned(s, cameras[s.task.a[0]], motion, expected, kind) for s in sightings if len(s.px)]
+    parts = [
+        FiducialPoints(
+            np.full(len(mark), s.task.a[1]),
+            ground,
+            cameras[s.task.a[0]].parallax(ground),
+            flat[mark],
+            s.sigma_px[seen] / resolution,
+            resolution,
+            number[mark],
+        )
+        for s, (seen, mark, ground, resolution) in zip([s for s in sightings if len(s.px)], found, strict=True)
+    ]
+    return FiducialPoints.joined(parts) if parts else FiducialPoints.none()
+
+
+def _assigned(
+    s: Sightings, camera: Camera, motion: Motion, expected: Floats, kind: NDArray[np.int_]
+) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats]:
+    """Pairs of sighting and mark that lie together: their numbers, ground places and local resolutions."""
+    ground = camera.ground(s.px)
+    board = motion.board(np.full(len(ground), s.task.a[1]), ground)
+    distance = np.hypot(*np.moveaxis(board[None] - expected[:, None], 2, 0))
+    distance[kind[:, None] != s.kind[None]] = np.inf
+    nearest = distance.argmin(1)
+    mark = np.flatnonzero(distance[np.arange(len(expected)), nearest] < _SAME_PLACE_MM)
+    seen = nearest[mark]
+    resolution = np.array([camera.image_from_row.scale_at(p) for p in ground[seen]])
+    return seen, mark, ground[seen], resolution
 
 
 def _pairs(

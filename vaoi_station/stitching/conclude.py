@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -18,14 +18,17 @@ from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.stitching.adjustment import Problem, adjust
+from vaoi_station.stitching.adjustment import Adjusted, Problem, adjust
 from vaoi_station.stitching.cad import board_frame
 from vaoi_station.stitching.evidence import Evidence, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.footprints import footprint_views
-from vaoi_station.stitching.mapping import Mapping, map_cad
+from vaoi_station.stitching.mapping import Known, Mapping, map_cad
+from vaoi_station.stitching.marklinks import mark_links
+from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.motion import nominal_motion
-from vaoi_station.stitching.observations import observe
+from vaoi_station.stitching.observations import Observations, observe
+from vaoi_station.stitching.reference import Reference
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import described
@@ -48,39 +51,53 @@ class Stages:
         self._last = now
 
 
-def conclude(
-    scene: Scene,
-    board_type: BoardType | None,
-    expectation: Expectation,
-    velocity_mm_s: Floats,
-    times_s: Floats,
-    evidence: Sequence[Evidence],
-) -> Stitch:
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """What was known before the board was filmed."""
+
+    board_type: BoardType | None
+    """What is on the belt; None leaves C out."""
+    expectation: Expectation
+    velocity_mm_s: Floats
+    """(2,) nominal."""
+    method: str
+    reference: Reference | None = None
+
+
+def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evidence]) -> Stitch:
     """Make the result of a run from the evidence of its frames.
 
     Args:
         scene: cameras and good frames.
-        board_type: what is on the belt; None leaves C out.
-        expectation: where the board should lie.
-        velocity_mm_s: nominal velocity, (2,).
+        terms: what was known before.
         times_s: (m,) time of every row.
         evidence: of the canonical tasks, in any order.
     """
-    stages = Stages()
+    stages, velocity_mm_s = Stages(), terms.velocity_mm_s
     order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
-    links = [e for e in order if isinstance(e, Links)]
-    sightings = [e for e in order if isinstance(e, Sightings)]
+    sightings = tuple(e for e in order if isinstance(e, Sightings))
+    links = tuple(e for e in order if isinstance(e, Links) and e.task.kind != "reference")
+    referred = tuple(e for e in order if isinstance(e, Links) and e.task.kind == "reference")
+    method = METHODS[terms.method]
     observed = observe(links, scene.cameras)
     pivot = np.mean([c.row_from_image(c.center_px) for c in scene.cameras], axis=0)
     nominal = nominal_motion(times_s, velocity_mm_s, pivot)
     problem = Problem(times_s, velocity_mm_s, observed, np.full(len(observed), -1))
-    moved = adjust(problem, chained(nominal, observed))
+    if method.links:
+        moved = adjust(problem, chained(nominal, observed))
+    else:
+        by_marks = observe(mark_links(sightings, scene.cameras, nominal), scene.cameras)
+        moved = adjust(
+            replace(problem, links=by_marks, component=np.full(len(by_marks), -1)), chained(nominal, by_marks)
+        )
+    texture = _texture(observed, moved) if method.links else np.zeros((0, 2))
     stages.done("motion")
 
-    frame = None if board_type is None else board_frame(board_type, scene.cameras[0])
-    found = NO_BOARD_TYPE if frame is None else map_cad(frame, scene, expectation, problem, moved, sightings)
+    frame = None if terms.board_type is None else board_frame(terms.board_type, scene.cameras[0])
+    known = Known(terms.expectation, method, sightings, texture, terms.reference, referred)
+    found = NO_BOARD_TYPE if frame is None else map_cad(frame, scene, problem, moved, known)
     stages.done("cad")
-    findings = Findings(frame, scene, tuple(links), problem, moved, found)
+    findings = Findings(frame, scene, method, links, problem, moved, found)
     status, reasons = judge(findings)
     quality = quality_of(findings) | {
         "timings_ms": stages.ms,
@@ -88,10 +105,18 @@ def conclude(
         "opencv": cv2.__version__,
     }
     stages.done("verdict")
-    return _result(findings, status, reasons, quality)
+    return _result(findings, terms.method, status, reasons, quality)
 
 
-def _result(findings: Findings, status: Status, reasons: tuple[str, ...], quality: dict[str, Any]) -> Stitch:
+def _texture(links: Observations, moved: Adjusted) -> Floats:
+    """Places on the board that were linked from row to row and move as the board does."""
+    use = (moved.weight > 0.5) & (links.p != links.q)
+    return moved.motion.board(links.p[use], links.a_mm[use])
+
+
+def _result(
+    findings: Findings, method: str, status: Status, reasons: tuple[str, ...], quality: dict[str, Any]
+) -> Stitch:
     motion = findings.adjusted.motion
     d = [motion.row_from_tester(j) for j in range(len(motion.angle))]
     matrix = components = surface = None
@@ -107,7 +132,7 @@ def _result(findings: Findings, status: Status, reasons: tuple[str, ...], qualit
         for camera in findings.scene.cameras
     )
     return Stitch(
-        method="auto",
+        method=method,
         image_matrices=tuple(images),
         cad_matrix=matrix,
         row_motion=tuple(row.matrix for row in d),

@@ -17,9 +17,10 @@ FrameKey = tuple[int, int]
 class Task:
     """One independent piece of work on one or two frames."""
 
-    kind: Literal["rows", "neighbours", "marks"]
+    kind: Literal["rows", "neighbours", "marks", "reference"]
     a: FrameKey
     b: FrameKey | None = None
+    """The second frame; of the reference run, where the kind is "reference"."""
     dt_s: float = 0.0
     """Time between the two frames."""
 

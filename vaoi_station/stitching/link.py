@@ -18,6 +18,8 @@ _POINTS = 80
 """Places per pair of frames: enough that losing half of them to tall parts costs nothing."""
 _LEAST_SCORE = 0.80
 _WORST_SIGMA_PX = 0.30
+_PLACEMENT_MM = 4.0
+"""How far a board may lie from where the reference lay, in the same row."""
 _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
 """How far the belt's motion may differ from the nominal one: a share of it, and some play."""
 
@@ -39,6 +41,17 @@ def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b
 def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera) -> Links:
     """Links between neighbouring cameras in one row; N_i alone predict them."""
     return _fine(task, a, b, camera_a, camera_b, np.zeros(2), np.zeros(2))
+
+
+def link_reference(task: Task, a: Prepared, b: Prepared, camera: Camera) -> Links:
+    """Links between a frame of a run and its like in the reference: the same view but for the board's place."""
+    box = overlap_box(camera, camera, np.zeros(2))
+    assert box is not None
+    reach = np.full(2, _PLACEMENT_MM * camera.px_per_mm)
+    coarse = find_shift(a, b, box, np.zeros(2), reach)
+    if isinstance(coarse, Failure):
+        return Links.none(task, coarse.reason)
+    return _fine(task, a, b, camera, camera, np.zeros(2), coarse.px)
 
 
 def _fine(

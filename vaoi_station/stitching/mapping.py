@@ -7,7 +7,6 @@ searched once more, deeply, before the mapping is given up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,15 +15,19 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment import Adjusted, FiducialPoints, Problem, SurfaceBasis, adjust
 from vaoi_station.stitching.cad import Frame, Hypothesis, assign, expected_angle, find_board, gather
-from vaoi_station.stitching.evidence import Sightings
+from vaoi_station.stitching.evidence import Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.footprints import component_of
+from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.motion import Motion
-from vaoi_station.stitching.observations import Observations
 from vaoi_station.stitching.orientation import Orientation, Outline, check, outline_of
+from vaoi_station.stitching.reference import Reference, first_similarity, points_on_cad
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.sight import look_again, look_deeper
 from vaoi_station.stitching.surface import SIGMA_MM, basis_on_board
+
+_LEAST_REFERRED = 12
+"""Points linked to a reference before it may place a board by itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,48 +36,64 @@ class Mapping:
 
     adjusted: Adjusted
     problem: Problem
-    which: tuple[int, ...]
-    """Number of the fiducial of every sighting used."""
     outline: Outline | None
     """Contrast along the board's outline as placed; None where no frame shows it."""
 
 
-def map_cad(
-    frame: Frame,
-    scene: Scene,
-    expectation: Expectation,
-    problem: Problem,
-    moved: Adjusted,
-    sightings: Sequence[Sightings],
-) -> Mapping | Failure:
-    """Find the fiducials, look for them again where they must be, and adjust everything together."""
-    guess = _first_guess(frame, scene, expectation, problem, moved, sightings)
-    outline = _outline(frame, scene, moved.motion, guess)
-    if isinstance(guess, Failure) or (outline is not None and not outline.visible):
-        deep = look_deeper(frame.board_type, scene, sightings)
-        second = _first_guess(frame, scene, expectation, problem, moved, deep)
-        if isinstance(second, Hypothesis) or isinstance(guess, Failure):
-            guess, sightings, outline = second, deep, _outline(frame, scene, moved.motion, second)
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What a mapping may rest on."""
+
+    expectation: Expectation
+    method: Method
+    sightings: tuple[Sightings, ...]
+    texture_mm: Floats
+    """(k, 2) places on the board that were linked from row to row."""
+    reference: Reference | None = None
+    reference_links: tuple[Links, ...] = ()
+
+
+def map_cad(frame: Frame, scene: Scene, problem: Problem, moved: Adjusted, known: Known) -> Mapping | Failure:
+    """Find the board, look for its marks again where they must be, and adjust everything together."""
+    referred = FiducialPoints.none()
+    if known.reference is not None and known.method.reference:
+        referred = points_on_cad(known.reference_links, scene.cameras, frame, known.reference)
+    guess, sightings, outline = _guess(frame, scene, moved, known, referred)
     if isinstance(guess, Failure):
         return guess
     seen = look_again(frame.board_type, frame.matrix(guess.c), scene, moved.motion, sightings)
-    points, which = assign(frame, guess.c, seen, scene.cameras, moved.motion)
+    marks = assign(frame, guess.c, seen, scene.cameras, moved.motion)
+    points = FiducialPoints.joined([marks, referred])
     whole = _with_board(problem, points, frame, scene, moved.motion, guess.c)
-    return Mapping(adjust(whole, moved.motion, guess.c), whole, tuple(which), outline)
+    return Mapping(adjust(whole, moved.motion, guess.c), whole, outline)
 
 
-def _first_guess(
-    frame: Frame,
-    scene: Scene,
-    expectation: Expectation,
-    problem: Problem,
-    moved: Adjusted,
-    sightings: Sequence[Sightings],
-) -> Hypothesis | Failure:
+def _guess(
+    frame: Frame, scene: Scene, moved: Adjusted, known: Known, referred: FiducialPoints
+) -> tuple[Hypothesis | Failure, tuple[Sightings, ...], Outline | None]:
+    """A first C, the sightings it was found among, and how plainly the outline agrees."""
+    guess, sightings = _first_guess(frame, scene, moved, known), known.sightings
+    outline = _outline(frame, scene, moved.motion, guess)
+    if known.method.marks and (isinstance(guess, Failure) or (outline is not None and not outline.visible)):
+        deep = tuple(look_deeper(frame.board_type, scene, sightings, fixture=known.method.fixture))
+        second = _first_guess(frame, scene, moved, replace(known, sightings=deep))
+        if isinstance(second, Hypothesis) or isinstance(guess, Failure):
+            guess, sightings, outline = second, deep, _outline(frame, scene, moved.motion, second)
+    if isinstance(guess, Failure) and known.reference is not None and len(referred.row) >= _LEAST_REFERRED:
+        c = first_similarity(frame, known.reference, referred, moved.motion)
+        guess = Hypothesis(c, 0.0, ())
+        outline = _outline(frame, scene, moved.motion, guess)
+    return guess, sightings, outline
+
+
+def _first_guess(frame: Frame, scene: Scene, moved: Adjusted, known: Known) -> Hypothesis | Failure:
     """C from the sightings, unless the pictures say that the board lies the other way round."""
+    if not known.method.marks:
+        return Failure("no point of the run was found again in the reference")
+    expectation, sightings = known.expectation, known.sightings
     angle = expected_angle(frame, scene.cameras[0], expectation)
     places = gather(sightings, scene.cameras, moved.motion)
-    texture = _texture(problem.links, moved)
+    texture = known.texture_mm
     guess = find_board(frame, places, angle, expectation, texture)
     if isinstance(guess, Failure):
         return guess
@@ -115,9 +134,3 @@ def _with_board(
         nominal_scale=frame.board_type.mm_per_unit,
         surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if knows_height else None,
     )
-
-
-def _texture(links: Observations, moved: Adjusted) -> Floats:
-    """Places on the board that were linked from row to row and move as the board does."""
-    use = (moved.weight > 0.5) & (links.p != links.q)
-    return moved.motion.board(links.p[use], links.a_mm[use])

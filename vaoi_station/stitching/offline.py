@@ -10,18 +10,21 @@ from numpy.typing import NDArray
 from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.stitching.work import Desk, Setup, all_tasks
 
+Frames = Callable[[int, int], NDArray[Any] | None]
 
-def stitch_frames(setup: Setup, head: RecordingHead, frame: Callable[[int, int], NDArray[Any] | None]) -> Stitch:
+
+def stitch_frames(setup: Setup, head: RecordingHead, frame: Frames, reference_frame: Frames | None = None) -> Stitch:
     """Stitch frames of a finished run.
 
     Args:
         setup: what was known beforehand.
         head: cameras, rows and times.
         frame: pixels by camera and row; None where a frame never arrived.
+        reference_frame: the same of the reference, where `setup` has one.
     """
     lost = set(head.missing)
     present = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost]
     times_s = head.row_times_s()
-    desk = Desk(setup, frame)
+    desk = Desk(setup, frame, reference_frame)
     evidence = [desk.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
     return desk.conclude(times_s, present, evidence)

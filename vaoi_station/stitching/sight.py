@@ -30,12 +30,28 @@ def kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
     return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
 
 
+def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
+    """Shape and size in mm of the marks of the fixture, if there is one; their index follows those of `mark_kinds`."""
+    mark = board_type.fixture_mark
+    if mark is None or not board_type.fixture_marks:
+        return None
+    return mark.shape, round(mark.size * board_type.mm_per_unit, 6)
+
+
 def sight_marks(
-    task: Task, frame: Prepared, camera: Camera, board_type: BoardType | None, most: int = _MOST_PER_FRAME
+    task: Task,
+    frame: Prepared,
+    camera: Camera,
+    board_type: BoardType | None,
+    *,
+    fixture: bool = False,
+    most: int = _MOST_PER_FRAME,
 ) -> Sightings:
-    """The places of the frame that look most like one of the board's fiducials."""
+    """The places of the frame that look most like one of the board's fiducials, or of the fixture's marks."""
     found: list[tuple[Mark, int]] = []
-    for kind, (shape, size_mm) in enumerate(mark_kinds(board_type) if board_type else ()):
+    kinds = list(mark_kinds(board_type)) if board_type else []
+    own = fixture_kind(board_type) if board_type and fixture else None
+    for kind, (shape, size_mm) in enumerate([*kinds, own] if own else kinds):
         size_px = size_mm * camera.px_per_mm
         factor = reduction(size_px)
         small = reduced(frame, factor)
@@ -53,10 +69,19 @@ def sight_marks(
     )
 
 
-def look_deeper(board_type: BoardType, scene: Scene, sightings: Sequence[Sightings]) -> list[Sightings]:
+def look_deeper(
+    board_type: BoardType, scene: Scene, sightings: Sequence[Sightings], *, fixture: bool
+) -> list[Sightings]:
     """The same frames searched once more, with room for many more look-alikes per frame."""
     return [
-        sight_marks(s.task, scene.prepared(s.task.a), scene.cameras[s.task.a[0]], board_type, _MOST_WHEN_LOST)
+        sight_marks(
+            s.task,
+            scene.prepared(s.task.a),
+            scene.cameras[s.task.a[0]],
+            board_type,
+            fixture=fixture,
+            most=_MOST_WHEN_LOST,
+        )
         for s in sightings
     ]
 

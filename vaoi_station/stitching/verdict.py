@@ -15,10 +15,11 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
-from vaoi_station.stitching.adjustment import Adjusted, Problem
+from vaoi_station.stitching.adjustment import FIXTURE, REFERENCE, Adjusted, Problem
 from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.evidence import Links
 from vaoi_station.stitching.mapping import Mapping
+from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.motion import measured_velocity
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.start import tied_rows
@@ -38,6 +39,7 @@ class Findings:
 
     frame: Frame | None
     scene: Scene
+    method: Method
     links: tuple[Links, ...]
     links_only: Problem
     moved: Adjusted
@@ -82,9 +84,12 @@ class Findings:
         o = self.problem.links
         used = (self.adjusted.weight > 0.1) & (o.p != o.q)
         linked = set(o.p[used]) | set(o.q[used])
-        if self.problem.fiducials is not None:
-            linked |= set(self.problem.fiducials.row)
-        return [g for g in tied_rows(o, self.rows, used) if any(r in linked for r in g)]
+        groups = [g for g in tied_rows(o, self.rows, used) if any(r in linked for r in g)]
+        known = set(self.problem.fiducials.row.tolist()) if self.problem.fiducials is not None else set()
+        joined = [g for g in groups if known & set(g.tolist())]
+        apart = [g for g in groups if not known & set(g.tolist())]
+        together = sorted(known.union(*(g.tolist() for g in joined)))
+        return [np.array(together), *apart] if together else apart
 
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
@@ -109,7 +114,7 @@ def judge(f: Findings) -> tuple[Status, tuple[str, ...]]:
 
 def _complaints(f: Findings) -> list[str]:
     out = []
-    if not any(len(e.a_px) for e in f.links):
+    if f.method.links and not any(len(e.a_px) for e in f.links):
         out.append("no texture was found in any frame: is there a board?")
     if len(f.tied) > 1:
         parts = ", ".join(f"{g.min()}–{g.max()}" for g in f.tied)
@@ -132,12 +137,18 @@ def _complaints(f: Findings) -> list[str]:
 def _cad_complaints(f: Findings, frame: Frame, mapping: Mapping, c: Floats) -> list[str]:
     out = []
     board_type = frame.board_type
-    seen = set(mapping.which)
+    points = mapping.problem.fiducials
+    which = points.which if points is not None else np.zeros(0, dtype=np.int_)
+    seen = {int(w) for w in which if w >= 0}
+    if not f.method.marks:
+        seen = set(range(len(board_type.fiducials)))
     for n, fiducial in enumerate(board_type.fiducials):
-        at = [k for k, w in enumerate(mapping.which) if w == n]
+        at = np.flatnonzero(which == n)
         if n not in seen:
-            if len(seen) < 2:
+            if len(seen) < 2 and not (which < 0).any():
                 out.append(f"fiducial {fiducial.name} was not found; one alone does not fix the board")
+            continue
+        if not len(at):
             continue
         off = float(np.hypot(*f.adjusted.fiducial_px[at].T).mean())
         if off > _FIDUCIAL_LIMIT_PX:
@@ -180,7 +191,8 @@ def quality_of(f: Findings) -> dict[str, Any]:
         "links": {
             kind: {"found": sum(len(e.a_px) for e in f.links if e.task.kind == kind), "used": _used(f, kind, used)}
             for kind in ("rows", "neighbours")
-        },
+        }
+        | _points_used(f),
         "unlinked": [
             {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
         ],
@@ -208,14 +220,24 @@ def _used(f: Findings, kind: str, used: np.ndarray) -> int:
     return int(used[np.isin(f.problem.links.group, groups)].sum())
 
 
+def _points_used(f: Findings) -> dict[str, dict[str, int]]:
+    """How many points known in CAD were used, by kind."""
+    points = f.mapping.problem.fiducials if f.mapping else None
+    which = points.which if points is not None else np.zeros(0, dtype=np.int_)
+    kinds = {"fiducials": which >= 0, "fixture": which == FIXTURE, "reference": which == REFERENCE}
+    return {kind: {"used": int(mine.sum())} for kind, mine in kinds.items()}
+
+
 def _fiducials(f: Findings) -> list[dict[str, Any]]:
     mapping = f.mapping
     if f.frame is None or mapping is None:
         return []
     out = []
+    points = mapping.problem.fiducials
+    which = points.which if points is not None else np.zeros(0, dtype=np.int_)
     for n, fiducial in enumerate(f.frame.board_type.fiducials):
-        at = [k for k, w in enumerate(mapping.which) if w == n]
-        residual = f.adjusted.fiducial_px[at].mean(0) if at else None
+        at = np.flatnonzero(which == n)
+        residual = f.adjusted.fiducial_px[at].mean(0) if len(at) else None
         out.append(
             {
                 "name": fiducial.name,

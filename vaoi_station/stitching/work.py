@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.conclude import conclude
+from vaoi_station.stitching.conclude import Terms, conclude
 from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings, Task
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.link import link_frames, link_neighbours
+from vaoi_station.stitching.link import link_frames, link_neighbours, link_reference
+from vaoi_station.stitching.method import METHODS, MethodName
 from vaoi_station.stitching.overlap import overlap_share
 from vaoi_station.stitching.prepare import Prepared
+from vaoi_station.stitching.reference import Reference
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.sight import sight_marks
 
@@ -40,7 +42,9 @@ class Setup:
     trigger_period_s: float
     board_type: BoardType | None
     expectation: Expectation = field(default_factory=Expectation)
-    method: Literal["auto"] = "auto"
+    method: MethodName = "auto"
+    reference: Reference | None = None
+    """A stitched run of the board type; its frames come through the desk."""
 
 
 def possible_tasks(
@@ -55,7 +59,7 @@ def possible_tasks(
         setup: what is known beforehand.
     """
     frames = {*present, new}
-    return tuple(t for t in _tasks_of(new, times_s, setup) if t.a in frames and (t.b is None or t.b in frames))
+    return tuple(t for t in _tasks_of(new, times_s, setup) if _possible(t, frames))
 
 
 def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: Setup) -> tuple[Task, ...]:
@@ -70,17 +74,27 @@ def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup
 class Desk:
     """Where a worker does the tasks of one run; remembers the frames it has prepared."""
 
-    def __init__(self, setup: Setup, frame: Callable[[int, int], NDArray[Any] | None]) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        frame: Callable[[int, int], NDArray[Any] | None],
+        reference_frame: Callable[[int, int], NDArray[Any] | None] | None = None,
+    ) -> None:
+        """`frame` gives the pixels of the run by camera and row, `reference_frame` those of the reference."""
         self._setup = setup
         self._frame = frame
+        self._reference_frame = reference_frame
         self._prepared: OrderedDict[FrameKey, Prepared] = OrderedDict()
 
     def perform(self, task: Task) -> Links | Sightings:
         """Do one task; a task that finds nothing returns evidence with a note, never an error."""
         setup = self._setup
         if task.kind == "marks":
-            return sight_marks(task, self._get(task.a), setup.cameras[task.a[0]], setup.board_type)
+            fixture = METHODS[setup.method].fixture
+            return sight_marks(task, self._get(task.a), setup.cameras[task.a[0]], setup.board_type, fixture=fixture)
         assert task.b is not None
+        if task.kind == "reference":
+            return link_reference(task, self._get(task.a), self._referred(task.b), setup.cameras[task.a[0]])
         a, b = self._get(task.a), self._get(task.b)
         camera_a, camera_b = setup.cameras[task.a[0]], setup.cameras[task.b[0]]
         if task.kind == "neighbours":
@@ -100,12 +114,16 @@ class Desk:
         canonical = set(all_tasks(present, dict(enumerate(times_s)), s))
         return conclude(
             Scene(s.cameras, tuple(sorted(present)), self._get),
-            s.board_type,
-            s.expectation,
-            np.asarray(s.conveyor_mm_s, dtype=np.float64),
+            Terms(s.board_type, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference),
             np.asarray(times_s, dtype=np.float64),
             [e for e in evidence if e.task in canonical],
         )
+
+    def _referred(self, key: FrameKey) -> Prepared:
+        pixels = self._reference_frame(*key) if self._reference_frame is not None else None
+        if pixels is None:
+            raise LookupError(f"frame of camera {key[0]}, row {key[1]} of the reference is not there")
+        return Prepared(pixels)
 
     def _get(self, key: FrameKey) -> Prepared:
         if key in self._prepared:
@@ -123,22 +141,31 @@ class Desk:
 def _tasks_of(key: FrameKey, times_s: Mapping[int, float], setup: Setup) -> list[Task]:
     """Every task a frame takes part in, whether its partner is there or not."""
     camera, row = key
-    tasks = [
-        _link((camera, p), (camera, q), times_s)
-        for p, q in ((row - 1, row), (row, row + 1))
-        if p in times_s and q in times_s
-    ]
-    for left in (camera - 1, camera):
-        if 0 <= left < len(setup.cameras) - 1:
-            tasks.append(Task("neighbours", (left, row), (left + 1, row)))
-    if setup.board_type is not None and setup.board_type.fiducials:
+    method, tasks = METHODS[setup.method], []
+    if method.links:
+        tasks += [
+            _link((camera, p), (camera, q), times_s)
+            for p, q in ((row - 1, row), (row, row + 1))
+            if p in times_s and q in times_s
+        ]
+        lefts = [left for left in (camera - 1, camera) if 0 <= left < len(setup.cameras) - 1]
+        tasks += [Task("neighbours", (left, row), (left + 1, row)) for left in lefts]
+    if method.marks and setup.board_type is not None and setup.board_type.fiducials:
         tasks.append(Task("marks", key))
+    if method.reference and setup.reference is not None and (task := setup.reference.task(key)):
+        tasks.append(task)
     return tasks
+
+
+def _possible(task: Task, frames: set[FrameKey]) -> bool:
+    return task.a in frames and (task.b is None or task.kind == "reference" or task.b in frames)
 
 
 def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: Setup) -> list[Task]:
     """Links across rows that were lost, wherever the frames before and after still overlap."""
-    tasks = []
+    tasks: list[Task] = []
+    if not METHODS[setup.method].links:
+        return tasks
     for i, camera in enumerate(setup.cameras):
         rows = sorted(r for c, r in frames if c == i)
         for p, q in pairwise(rows):

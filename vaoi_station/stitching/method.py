@@ -1,0 +1,33 @@
+"""The ways to stitch, and the evidence each may use (sections 3.3.1 to 3.3.3 of the paper).
+
+A method uses no other kind of evidence than its own; `auto` uses whatever there is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+MethodName = Literal["auto", "fiducials", "features", "reference"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """What a way to stitch looks at."""
+
+    links: bool
+    """Texture linked from row to row and from camera to camera."""
+    marks: bool
+    """The board's fiducials."""
+    fixture: bool
+    """The marks of the fixture."""
+    reference: bool
+    """Texture linked to a reference run of the same board type."""
+
+
+METHODS: dict[str, Method] = {
+    "auto": Method(links=True, marks=True, fixture=True, reference=True),
+    "features": Method(links=True, marks=True, fixture=False, reference=False),
+    "fiducials": Method(links=False, marks=True, fixture=True, reference=False),
+    "reference": Method(links=False, marks=False, fixture=False, reference=True),
+}

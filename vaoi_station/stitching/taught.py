@@ -1,0 +1,101 @@
+"""A reference as a directory: a recording, its calibration and board type, and its result (`vaoi teach`)."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from vaoi_station.errors import InputError
+from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch, write_stitch
+from vaoi_station.geometry import Camera
+from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.reference import Reference
+from vaoi_station.stitching.work import Setup
+
+RESULT = "result.json"
+_SAME_CALIBRATION_PX = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """A reference and where its frames are."""
+
+    reference: Reference
+    recording: Recording
+
+
+def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
+    """Stitch a recording and keep it as a reference.
+
+    Raises:
+        InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
+    """
+    if out.exists():
+        raise InputError(f"{out}: exists already.", action="Choose another directory, or remove it.")
+    recording = open_recording(case)
+    cameras = read_calibration(calibration, len(recording.head.cameras)).cameras(recording.head.cameras)
+    stitch = stitch_frames(_setup(recording, cameras, read_board_type(board)), recording.head, recording.frame)
+    if stitch.status is not Status.OK:
+        reasons = "; ".join(stitch.reasons)
+        raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
+    part = out.with_name(f".{out.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    shutil.copytree(case, part, ignore=shutil.ignore_patterns("truth.json"))
+    shutil.copyfile(calibration, part / "calibration.json")
+    shutil.copyfile(board, part / "board.json")
+    write_stitch(part / RESULT, stitch)
+    part.rename(out)
+    return stitch
+
+
+def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> Taught:
+    """Open a reference for runs of these cameras and this board type; one that was never stitched is stitched now.
+
+    Raises:
+        InputError: the reference was filmed with another calibration, or shows another board type.
+    """
+    recording = open_recording(directory)
+    theirs = read_calibration(directory / "calibration.json").cameras(recording.head.cameras)
+    _check_calibration(directory, theirs, cameras)
+    own = read_board_type(directory / "board.json")
+    if [c.address for c in own.components] != [c.address for c in board_type.components]:
+        raise InputError(
+            f"{directory}: shows board type {own.name!r}, whose components are not those of {board_type.name!r}.",
+            action="Teach a reference of this board type.",
+        )
+    if (directory / RESULT).is_file():
+        stitch = read_stitch(directory / RESULT)
+    else:
+        stitch = stitch_frames(_setup(recording, theirs, own), recording.head, recording.frame)
+    if stitch.cad_matrix is None:
+        raise InputError(f"{directory}: the reference has no CAD mapping: {'; '.join(stitch.reasons)}.")
+    lost = set(recording.head.missing)
+    everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
+    return Taught(Reference(stitch, frozenset(everything - lost)), recording)
+
+
+def with_reference(setup: Setup, taught: Taught | None) -> Setup:
+    """The setup of a run that is placed against a reference."""
+    return setup if taught is None else replace(setup, reference=taught.reference)
+
+
+def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> Setup:
+    return Setup(cameras, recording.head.conveyor_mm_s, recording.head.trigger_period_s, board_type)
+
+
+def _check_calibration(directory: Path, theirs: tuple[Camera, ...], ours: tuple[Camera, ...]) -> None:
+    if len(theirs) != len(ours):
+        raise InputError(f"{directory}: was filmed by {len(theirs)} cameras, this run by {len(ours)}.")
+    for i, (a, b) in enumerate(zip(theirs, ours, strict=True)):
+        corners = np.array([[0, 0], [b.width_px, 0], [b.width_px, b.height_px], [0, b.height_px]], dtype=np.float64)
+        off = float(np.abs(a.project(b.ground(corners)) - corners).max())
+        if (a.width_px, a.height_px) != (b.width_px, b.height_px) or off > _SAME_CALIBRATION_PX:
+            raise InputError(
+                f"{directory}: was filmed with another calibration: camera {i} differs by {off:.1f} px "
+                f"(limit {_SAME_CALIBRATION_PX}).",
+                action="Teach the reference again with the present calibration.",
+            )
