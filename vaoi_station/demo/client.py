@@ -38,8 +38,8 @@ class Client:
 
     def __init__(self, address: str) -> None:
         """`address` is `http://HOST:PORT`; proxies of the environment are not asked."""
+        self.address = address
         self._base = f"{address}/api/v1"
-        self._site = address
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
     def get(self, path: str, **query: Any) -> Any:
@@ -57,7 +57,7 @@ class Client:
 
     def content(self, path: str, **query: Any) -> bytes:
         """The body of an answer; `path` is below `/api/v1`, or an absolute one the station gave."""
-        url = (self._site if path.startswith("/api/") else self._base) + path
+        url = (self.address if path.startswith("/api/") else self._base) + path
         return self._exchange(urllib.request.Request(_with_query(url, query)))
 
     def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
