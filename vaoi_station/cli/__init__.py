@@ -9,6 +9,7 @@ import typer
 
 from vaoi_station.cli.bench import bench
 from vaoi_station.cli.cut import cut
+from vaoi_station.cli.demo import demo
 from vaoi_station.cli.plan import plan
 from vaoi_station.cli.record import record
 from vaoi_station.cli.serve import serve
@@ -43,6 +44,7 @@ app.command()(stitch)
 app.command()(teach)
 app.command()(cut)
 app.command()(bench)
+app.command()(demo)
 
 
 def main() -> None:

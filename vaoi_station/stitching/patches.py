@@ -25,6 +25,8 @@ REACH_PX = 6.0
 """A patch that moves further from its prediction has lost its way."""
 _BLUR_PX = 1.2
 _STEPS = 2
+_SETTLED_PX = 0.1
+"""The last step of a patch that found its place is shorter: else a good score is that of somewhere nearby."""
 _SATURATED, _SATURATED_SHARE = 254, 0.02
 _NOISE_FLOOR = 0.5
 """Grey levels; no camera is better after rounding to whole numbers and blurring."""
@@ -62,11 +64,11 @@ def match(a: NDArray[np.uint8], b: NDArray[np.uint8], a_px: NDArray[np.int_], gu
     smooth_a, smooth_b = _smooth(raw_a), _smooth(raw_b)
     moved = _lucas_kanade(smooth_a, smooth_b, guess_px - anchor)
     tiles_a, tiles_b = (_unmosaic(m, len(a_px)) for m in (smooth_a, smooth_b))
-    moved, hessian, score, noise = _gauss_newton(tiles_a, tiles_b, moved)
+    moved, hessian, score, noise, settled = _gauss_newton(tiles_a, tiles_b, moved)
     b_px = anchor + moved
     near = np.abs(b_px - guess_px).max(-1) <= REACH_PX
     clear = ~_blown_out(raw_a) & ~_blown_out(raw_b)
-    return Matches(b_px, hessian / noise[:, None, None] ** 2, score, near & clear & np.isfinite(score))
+    return Matches(b_px, hessian / noise[:, None, None] ** 2, score, near & clear & settled & np.isfinite(score))
 
 
 def _tiles(image: NDArray[np.uint8], at: NDArray[np.int_]) -> NDArray[np.uint8]:
@@ -126,11 +128,11 @@ def _lucas_kanade(mosaic_a: NDArray[np.float32], mosaic_b: NDArray[np.float32], 
 
 def _gauss_newton(
     a: NDArray[np.float32], b: NDArray[np.float32], moved: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]]:
     """Refine displacements by inverse-compositional Gauss-Newton with gain and offset.
 
     Returns:
-        moved (k, 2) px, structure tensor (k, 2, 2), score (k,), noise (k,) in grey levels.
+        moved (k, 2) px, structure tensor (k, 2, 2), score (k,), noise (k,) in grey levels, settled (k,).
     """
     half, w = TILE_PX // 2, WINDOW_PX // 2
     inner = slice(half - w, half + w + 1)
@@ -147,6 +149,7 @@ def _gauss_newton(
     inverse = np.linalg.inv(hessian + 1e-6 * np.eye(2))
     limit = TILE_PX // 2 - w - 2.0
     score = residual = np.zeros(k)
+    delta = np.zeros((k, 2))
     for step in range(_STEPS + 1):
         moved = np.clip(moved, -limit, limit)
         s = _shifted(b, moved).reshape(k, -1)
@@ -157,8 +160,10 @@ def _gauss_newton(
         score = ((s * tm).sum(1) / np.sqrt(energy * norm)).astype(np.float64)
         residual = error.std(1).astype(np.float64)
         if step < _STEPS:
-            moved = moved - (inverse @ (slope @ error[:, :, None]).astype(np.float64))[:, :, 0]
-    return moved, hessian, score, np.maximum(residual, _NOISE_FLOOR)
+            delta = (inverse @ (slope @ error[:, :, None]).astype(np.float64))[:, :, 0]
+            moved = moved - delta
+    settled = np.abs(delta).max(-1) <= _SETTLED_PX
+    return moved, hessian, score, np.maximum(residual, _NOISE_FLOOR), settled
 
 
 def _shifted(b: NDArray[np.float32], moved: Floats) -> NDArray[np.float32]:

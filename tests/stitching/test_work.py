@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.evidence import FrameKey, Task
+from vaoi_station.stitching.work import Desk, Setup, all_tasks, possible_tasks
+
+BOARD = BoardType.model_validate(
+    {
+        "name": "b",
+        "outline": [[0, 0], [30, 20]],
+        "fiducials": [{"name": n, "x": x, "y": x, "diameter": 1.0} for n, x in (("A", 3), ("B", 17))],
+    }
+)
+
+
+def setup_of(workshop: Any, cameras: int, board_type: BoardType | None = BOARD) -> Setup:
+    return Setup(tuple(workshop.camera((15.0 * i, 0)) for i in range(cameras)), (0.0, 50.0), 0.1, board_type)
+
+
+@st.composite
+def arrivals(draw: st.DrawFn) -> tuple[int, int, list[FrameKey]]:
+    """Cameras, rows, and the good frames in the order of their arrival."""
+    n, m = draw(st.integers(1, 4)), draw(st.integers(1, 6))
+    frames = draw(st.permutations([(i, j) for i in range(n) for j in range(m)]))
+    lost = draw(st.sets(st.sampled_from(frames), max_size=4))
+    return n, m, [f for f in frames if f not in lost]
+
+
+@given(arrivals())
+def test_whatever_the_order_of_arrival_the_tasks_are_the_same(
+    workshop: Any, arrived: tuple[int, int, list[FrameKey]]
+) -> None:
+    n, m, frames = arrived
+    setup = setup_of(workshop, n)
+    times, all_times = {}, {j: 0.1 * j + 5 for j in range(m)}
+    found: set[Task] = set()
+    present: list[FrameKey] = []
+    for camera, row in frames:
+        times[row] = all_times[row]
+        present.append((camera, row))
+        new = possible_tasks((camera, row), present, times, setup)
+        assert not found & set(new), "no task comes twice"
+        assert all((camera, row) in (t.a, t.b) for t in new)
+        found |= set(new)
+    canonical = all_tasks(frames, all_times, setup)
+    assert len(set(canonical)) == len(canonical)
+    bridges = {t for t in canonical if t.kind == "rows" and t.b is not None and t.b[1] - t.a[1] > 1}
+    assert found == set(canonical) - bridges
+    assert canonical == all_tasks(frames[::-1], all_times, setup)
+
+
+def test_tasks_of_a_complete_run(workshop: Any) -> None:
+    tasks = all_tasks(
+        [(i, j) for i in range(3) for j in range(4)], {j: 0.1 * j for j in range(4)}, setup_of(workshop, 3)
+    )
+    count = {kind: sum(t.kind == kind for t in tasks) for kind in ("rows", "neighbours", "marks")}
+    assert count == {"rows": 3 * 3, "neighbours": 2 * 4, "marks": 12}
+    assert Task("rows", (1, 2), (1, 3), 0.1) in tasks
+    assert Task("neighbours", (1, 2), (2, 2)) in tasks
+
+
+@pytest.mark.parametrize("board_type", [None, BoardType(name="bare", outline=((0, 0), (1, 1)))])
+def test_without_fiducials_no_marks_are_looked_for(workshop: Any, board_type: BoardType | None) -> None:
+    assert all_tasks([(0, 0)], {0: 0.0}, setup_of(workshop, 1, board_type)) == ()
+
+
+def test_a_lost_row_is_bridged_where_the_frames_still_overlap(workshop: Any) -> None:
+    """A row moves 5 mm and a frame shows 16 mm: over one or two lost rows there is overlap, over three none."""
+    setup, times = setup_of(workshop, 2), {j: 0.1 * j for j in range(6)}
+    frames = [(i, j) for i in (0, 1) for j in range(6) if j != 2 and (i, j) != (1, 3)]
+    bridges = [t for t in all_tasks(frames, times, setup) if t.b and t.b[1] - t.a[1] > 1]
+    assert bridges == [Task("rows", (0, 1), (0, 3), 0.2), Task("rows", (1, 1), (1, 4), 0.3)]
+    gap = [(0, 0), (0, 4), (0, 5)]
+    assert not [t for t in all_tasks(gap, times, setup) if t.b and t.b[1] - t.a[1] > 1]
+
+
+def test_a_frame_that_is_not_there_is_our_own_mistake(workshop: Any) -> None:
+    desk = Desk(setup_of(workshop, 1), lambda camera, row: None)
+    with pytest.raises(LookupError, match="camera 0, row 2"):
+        desk.perform(Task("marks", (0, 2)))
+
+
+@settings(max_examples=3, deadline=None)
+@given(st.randoms(use_true_random=False))
+def test_evidence_and_result_do_not_depend_on_the_order_of_work(filmed: Any, random: Any) -> None:
+    tasks = list(filmed.tasks)
+    random.shuffle(tasks)
+    desk = Desk(filmed.setup, filmed.frame)
+    evidence = [desk.perform(t) for t in tasks]
+    again = desk.conclude(filmed.times_s, filmed.present[::-1], evidence)
+    first = filmed.stitch
+    assert again.model_dump(mode="json", exclude={"quality"}) == first.model_dump(mode="json", exclude={"quality"})
+    timeless = [{k: v for k, v in s.quality.items() if k != "timings_ms"} for s in (again, first)]
+    assert timeless[0] == timeless[1]
+
+
+def test_evidence_of_other_tasks_is_left_aside(filmed: Any) -> None:
+    desk = Desk(filmed.setup, filmed.frame)
+    evidence = [desk.perform(t) for t in filmed.tasks]
+    early = Task("rows", (0, 0), (0, 2), filmed.times_s[2] - filmed.times_s[0])
+    result = desk.conclude(filmed.times_s, filmed.present, [desk.perform(early), *evidence])
+    assert np.array_equal(result.cad_matrix, filmed.stitch.cad_matrix)

@@ -1,0 +1,171 @@
+"""`vaoi demo`, as a program of its own: the whole service on the twin, and nothing left of it afterwards."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import select
+import signal
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from vaoi_station.demo.client import Client
+from vaoi_station.demo.report import DemoReport
+from vaoi_station.simulation import scenario_path
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 120.0
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts `vaoi demo …` with a temporary directory of its own, which must be empty in the end."""
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    started: list[subprocess.Popen[str]] = []
+
+    def run(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "vaoi_station", "demo", *arguments],
+            cwd=ROOT,
+            env=os.environ | {"TMPDIR": str(temporary)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+        assert not list(Path("/dev/shm").glob(f"vaoi-demo-{process.pid}*"))
+
+
+def test_one_board_from_the_barrier_to_the_contact_sheet(start: Start, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start("--scenario", "small", "--once", "--json", "--out", str(out))
+    said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, complaints
+    assert complaints == ""
+    report = DemoReport.model_validate_json(said)
+    assert report.ok
+    assert (report.status, report.reasons) == ("ok", ())
+    assert (report.frames.ok, report.frames.missing) == (report.cameras * report.rows, 0)
+    assert report.deviation.rms_px < 0.2
+    assert report.deviation.max_px < 0.6
+    assert report.belt.measured_mm_s == pytest.approx(report.belt.true_mm_s, abs=0.3)
+    assert report.timings.links_while_filming > 0
+    assert json.loads((out / "report.json").read_text()) == json.loads(said)
+    assert json.loads((out / "matrices.json").read_text())["format"] == "vaoi-stitch"
+    check_pictures(report, out)
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def check_pictures(report: DemoReport, out: Path) -> None:
+    """Every component has its pictures, and they are what their list says."""
+    folders = sorted((out / "components").iterdir())
+    assert len(folders) == report.components
+    files = list((out / "components").glob("*/*.png"))
+    assert len(files) == report.pictures
+    for folder in folders:
+        views = json.loads((folder / "views.json").read_text())
+        assert views, f"{folder.name} is in no picture"
+        best = cv2.imread(str(next(folder.glob("00_*.png"))), cv2.IMREAD_UNCHANGED)
+        assert best is not None
+        assert best.shape == (views[0]["height_px"], views[0]["width_px"])
+    sheet = cv2.imread(str(out / "contact-sheet.png"))
+    assert sheet is not None
+    assert sheet.shape[1] > 1000
+
+
+def test_a_board_that_lies_turned_round_is_told_and_is_no_success(start: Start, tmp_path: Path) -> None:
+    scenario = tmp_path / "turned.toml"
+    scenario.write_text(scenario_path("small").read_text() + "\n[[faults.turned]]\nturned_deg = 180\n")
+    process = start("--scenario", str(scenario), "--once", "--out", str(tmp_path / "out"))
+    said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1, complaints
+    assert "FAILED" in said
+    assert re.search(r"^  - .*180", said, re.MULTILINE), said
+    assert (tmp_path / "out" / "contact-sheet.png").is_file()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_boards_keep_coming_until_somebody_has_seen_enough(start: Start, tmp_path: Path, number: int) -> None:
+    process = start("--scenario", "small", "--port", "0")
+    address, processes = until_board(process, 1)
+    with urllib.request.urlopen(address + "/") as page:
+        assert b"<html" in page.read()
+    process.send_signal(number)
+    said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, complaints) == (0, ""), said
+    assert not [pid for pid in processes if Path(f"/proc/{pid}").exists()]
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_a_demo_that_is_killed_takes_its_service_with_it(start: Start) -> None:
+    process = start("--scenario", "small", "--port", "0")
+    _, processes = until_board(process, 1)
+    process.kill()
+    process.communicate()
+    for pid in processes:
+        until_ended(pid)
+
+
+def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[int]]:
+    """Its address and the numbers of its service's processes, once so many boards have been told of."""
+    assert process.stdout is not None
+    address = ""
+    for line in process.stdout:
+        if found := re.search(r"page: (http://\S+)/", line):
+            address = found[1]
+        if line.startswith(f"board {count}: ok"):
+            station: dict[str, Any] = Client(address).get("/station")
+            assert station["armed_with"]["board_type"] == "small"
+            children = [p["pid"] for p in station["processes"]]
+            return address, [parent_of(children[0]), *children]
+    raise AssertionError(process.stderr.read() if process.stderr else "")
+
+
+def parent_of(pid: int) -> int:
+    """The station's own process."""
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+
+
+def until_ended(pid: int) -> None:
+    """Wait for a process that is not our child."""
+    try:
+        handle = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return
+    try:
+        assert select.select([handle], [], [], PATIENCE_S)[0], f"process {pid} outlived its demo"
+    finally:
+        os.close(handle)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--json"], "belong to --once"),
+        (["--scenario", "smal"], "there is no scenario 'smal'"),
+        (["--once", "--out", "README.md"], "is a file"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_at_once(start: Start, arguments: list[str], sentence: str) -> None:
+    process = start(*arguments)
+    said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert said == ""
+    assert sentence in complaints

@@ -1,0 +1,156 @@
+"""The service on recordings of a real board at their own pace, over HTTP: right, in time, and without growing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.demo.client import Client
+from vaoi_station.demo.service import Service
+from vaoi_station.demo.site import as_toml
+from vaoi_station.demo.watching import next_run, until_idle
+from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, write_board_type
+from vaoi_station.geometry import apply
+from vaoi_station.model import Stitch
+from vaoi_station.stitching.expectation import expectation_of
+from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.work import Setup
+
+RUNS = 20
+WARM = 7
+"""Runs after which nothing may grow any more."""
+SANE_MS = 5000.0
+"""A bound for machines that do other things besides; the figure is printed."""
+EVERY = 4
+"""So many runs have all their frames compared: fetching them takes time from the next one's."""
+
+
+def station_toml(case: Path, directory: Path) -> Path:
+    """A station that could have made the recording; where the board lies is not known beforehand."""
+    head, board_type = open_recording(case).head, read_board_type(case / "board.json")
+    write_board_type(directory / "board-types" / f"{board_type.name}.json", board_type)
+    (directory / "shm").mkdir()
+    longest_mm = float(np.hypot(*head.conveyor_mm_s)) * head.trigger_period_s * head.rows
+    config = StationConfig.model_validate(
+        {
+            "name": "real-board",
+            "calibration": case / "calibration.json",
+            "board_types": directory / "board-types",
+            "data": directory / "data",
+            "line": {
+                "conveyor_mm_s": head.conveyor_mm_s,
+                "barrier_mm": 0.0,
+                "start_delay_s": 0.0,
+                "trigger_period_s": head.trigger_period_s,
+                "tail_s": 0.0,
+                "longest_board_mm": longest_mm,
+                "expected_board": {"tolerance_mm": 1000.0},
+            },
+            "cameras": [
+                {
+                    "name": f"c{n}",
+                    "backend": "replay",
+                    "width": c.width,
+                    "height": c.height,
+                    "exposure_us": c.exposure_us,
+                }
+                for n, c in enumerate(head.cameras)
+            ],
+            "controller": {"backend": "replay"},
+            "replay": {"recordings": [case], "pace": "original", "pause_s": 0.2, "runs": RUNS},
+            "ring": {"directory": directory / "shm", "runs": 3},
+        }
+    )
+    path = directory / "station.toml"
+    path.write_text(as_toml(config), encoding="utf-8")
+    return path
+
+
+def offline(config: StationConfig, case: Path) -> Stitch:
+    """What the same frames give at once, with all that the station knows beforehand."""
+    recording, board_type = open_recording(case), read_board_type(case / "board.json")
+    setup = Setup(
+        cameras=read_calibration(config.calibration, len(config.cameras)).cameras(recording.head.cameras),
+        conveyor_mm_s=config.line.conveyor_mm_s,
+        trigger_period_s=config.line.trigger_period_s,
+        board_type=board_type,
+        expectation=expectation_of(config.line, board_type),
+    )
+    return stitch_frames(setup, recording.head, recording.frame)
+
+
+@pytest.mark.cases
+def test_boards_back_to_back_at_their_own_pace(
+    cases: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = cases("ulx3s-top")
+    path = station_toml(case, tmp_path)
+    expected, recording = offline(read_config(path), case), open_recording(case)
+    waits_ms: list[float] = []
+    held: list[dict[str, int]] = []
+    with Service(path) as service:
+        client = Client(service.address)
+        until_idle(client)
+        [board_type] = client.get("/board-types")["board_types"]
+        client.post("/station/arm", board_type=board_type["name"], runs=RUNS)
+        after = None
+        for number in range(RUNS):
+            run = next_run(client, after)
+            after = run["id"]
+            assert (run["verdict"], run["counts"]["ok"]) == (expected.status, 18), run["reasons"]
+            assert apart_px(client.get(f"/runs/{after}/matrices"), expected, recording) <= 1e-6
+            if number % EVERY == 0:
+                check_frames(client, after, recording)
+            waits_ms.append(run["timings"]["ready_after_last_frame_ms"])
+            held.append(resources(client, service.pid, tmp_path / "shm"))
+        assert client.get("/station")["boards_missed"] == 0
+    with capsys.disabled():
+        print(f"\nmatrices after the last frame: median {np.median(waits_ms):.0f} ms, "
+              f"p99 {np.percentile(waits_ms, 99):.0f} ms, first {waits_ms[0]:.0f} ms")  # fmt: skip
+    assert np.percentile(waits_ms, 99) < SANE_MS
+    assert held[-1]["shared"] == held[WARM]["shared"]
+    assert held[-1]["descriptors"] <= held[WARM]["descriptors"] + 2
+    assert held[-1]["resident"] <= held[WARM]["resident"] + 40 * 2**20, "station and children together"
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+def apart_px(document: dict[str, Any], expected: Stitch, recording: Recording) -> float:
+    """How far result and offline result disagree about where the frames' corners lie, in px of the frame."""
+    worst = 0.0
+    for camera, (ours, theirs) in enumerate(zip(document["image_matrices"], expected.image_matrices, strict=True)):
+        head = recording.head.cameras[camera]
+        w, h = head.width - 1, head.height - 1
+        corners = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float64)
+        for a, b in zip(ours, theirs, strict=True):
+            assert b is not None
+            worst = max(worst, float(np.abs(apply(np.array(a) @ np.linalg.inv(b), corners) - corners).max()))
+    return worst
+
+
+def check_frames(client: Client, run: str, recording: Recording) -> None:
+    """Every frame of the run is the one that was filmed by that camera in that row."""
+    client.put(f"/runs/{run}/hold", holder="test")
+    for camera, head in enumerate(recording.head.cameras):
+        for row in range(recording.head.rows):
+            raw = client.content(f"/runs/{run}/frames/{camera}/{row}", format="raw")
+            filmed = recording.frame(camera, row)
+            assert filmed is not None
+            assert np.array_equal(np.frombuffer(raw, filmed.dtype).reshape(head.height, head.width), filmed)
+    client.post(f"/runs/{run}/release")
+
+
+def resources(client: Client, pid: int, shared: Path) -> dict[str, int]:
+    """What the service holds of the machine: shared memory, open files, resident memory of all its processes."""
+    pids = [pid, *(p["pid"] for p in client.get("/station")["processes"])]
+    sizes = [[int(v) for v in Path(f"/proc/{p}/statm").read_text().split()] for p in pids]
+    return {
+        "shared": sum(path.stat().st_size for path in shared.iterdir()),
+        "descriptors": sum(len(list(Path(f"/proc/{p}/fd").iterdir())) for p in pids),
+        "resident": sum(size[1] - size[2] for size in sizes) * os.sysconf("SC_PAGE_SIZE"),
+    }

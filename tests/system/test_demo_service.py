@@ -1,0 +1,117 @@
+"""The service as a process of its own, over HTTP: what it refuses, and what it survives."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+from vaoi_station.config import StationConfig
+from vaoi_station.demo.client import Client
+from vaoi_station.demo.service import Service
+from vaoi_station.demo.site import as_toml
+from vaoi_station.demo.watching import next_run, until_idle
+from vaoi_station.errors import BusyError, NotFoundError
+
+PATIENCE_S = 60.0
+Serve = Callable[[StationConfig], Client]
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Serve]:
+    """Starts a service; after the test it ends in order and leaves nothing in shared memory."""
+    with ExitStack() as services:
+
+        def start(config: StationConfig) -> Client:
+            path = tmp_path / "station.toml"
+            path.write_text(as_toml(config), encoding="utf-8")
+            client = Client(services.enter_context(Service(path)).address)
+            until_idle(client)
+            return client
+
+        yield start
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+@pytest.fixture
+def client(serve: Serve, replay_config: Callable[..., StationConfig]) -> Client:
+    """A station to which boards of the small scenario come again and again."""
+    return serve(replay_config(pace="original", pause_s=0.4))
+
+
+def until(client: Client, kind: str, state: str, after: int = 0, run: str | None = None) -> int:
+    """Wait on the event stream; the number of the event."""
+    for message in client.messages(after):
+        if (message.get("kind"), message.get("state")) == (kind, state) and run in (None, message.get("run")):
+            return int(message["number"])
+    raise AssertionError("the stream ended")
+
+
+def problem(client: Client, method: str, path: str, **query: Any) -> dict[str, Any]:
+    """A refusal, checked for what every problem has; sentences name what is wrong and what to do."""
+    answer = httpx2.request(method, f"{client.address}/api/v1{path}", params=query, timeout=PATIENCE_S)
+    assert answer.headers["content-type"] == "application/problem+json"
+    content: dict[str, Any] = answer.json()
+    assert content["status"] == answer.status_code
+    assert content["detail"].endswith(".")
+    assert content["action"].endswith(".")
+    return content
+
+
+def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(client: Client) -> None:
+    client.post("/station/arm", board_type="small", job_id="first")
+    until(client, "run", "filming")
+    refusal = problem(client, "POST", "/station/arm", board_type="small", job_id="second")
+    assert (refusal["status"], refusal["type"]) == (409, "/problems/wrong-state")
+    assert refusal["detail"] == "The station is filming; arm is not possible now."
+    run = next_run(client, None)
+    assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", "first", 0)
+
+
+def test_a_board_type_nobody_taught(client: Client) -> None:
+    refusal = problem(client, "POST", "/station/arm", board_type="unheard-of")
+    assert (refusal["status"], refusal["code"]) == (404, "unknown-board-type")
+    assert "'unheard-of'" in refusal["detail"]
+    assert client.get("/station")["state"] == "idle"
+    with pytest.raises(NotFoundError, match="unheard-of"):
+        client.post("/station/arm", board_type="unheard-of")
+
+
+def test_a_worker_killed_while_a_board_passes_costs_nothing(client: Client) -> None:
+    client.post("/station/arm", board_type="small")
+    until(client, "run", "filming")
+    [victim] = [p["pid"] for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
+    os.kill(victim, signal.SIGKILL)
+    run = next_run(client, None)
+    assert (run["verdict"], run["counts"]) == ("ok", {"ok": 12, "incomplete": 0, "missing": 0}), run["reasons"]
+    matrices = client.get(f"/runs/{run['id']}/matrices")
+    assert matrices["status"] == "ok"
+    [after] = [p for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
+    assert after["restarts"] == 1
+    assert after["pid"] != victim
+
+
+def test_when_all_memory_is_held_arming_is_refused_with_the_holders_names(client: Client) -> None:
+    client.post("/station/arm", board_type="small")
+    seen, held = 0, []
+    for holder in ("tester", "review", "archive"):
+        seen = until(client, "run", "filming", seen)
+        run = client.get("/station")["filming"]
+        client.put(f"/runs/{run}/hold", holder=holder, purpose="AOI")
+        held.append(run)
+    until(client, "station", "blocked", seen)
+    client.post("/station/disarm")
+    refusal = problem(client, "POST", "/station/arm", board_type="small")
+    assert (refusal["status"], refusal["type"]) == (503, "/problems/busy")
+    assert all(holder in refusal["detail"] for holder in ("tester", "review", "archive")), refusal
+    until(client, "run", "ready", run=held[-1])
+    assert all(client.get(f"/runs/{run}")["frames_available"] for run in held)
+    with pytest.raises(BusyError, match="tester"):
+        client.post("/station/arm", board_type="small")
+    client.post(f"/runs/{held[0]}/release")

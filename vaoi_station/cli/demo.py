@@ -1,0 +1,53 @@
+"""`vaoi demo`: the whole service on the digital twin, in one command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def demo(
+    *,
+    scenario: Annotated[
+        str, typer.Option(help="Scenario file (TOML), or the name of one that comes with the software: demo, small.")
+    ] = "demo",
+    port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Where the service listens; by default 8350 if that is free, else any."),
+    ] = None,
+    once: Annotated[bool, typer.Option("--once", help="Film one board, report, and end.")] = False,
+    out: Annotated[Path | None, typer.Option(help="With --once: directory to write to [vaoi-demo].")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="With --once: print one JSON document.")] = False,
+) -> None:
+    """Run the whole station on simulated cameras: boards keep coming, the page shows them, until Ctrl-C."""
+    from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
+    from vaoi_station.demo.site import find_scenario
+    from vaoi_station.errors import InputError
+
+    path = find_scenario(scenario)
+    if not once and (as_json or out is not None):
+        raise InputError("--out and --json belong to --once.", action="Add --once, or leave them out.")
+    code = 0
+    try:
+        with interruptible():
+            if once:
+                code = _once(path, out or Path("vaoi-demo"), port, as_json)
+            else:
+                from vaoi_station.demo.show import show
+
+                show(path, port, lambda line: print(line, flush=True))
+    except KeyboardInterrupt:
+        code = INTERRUPTED if once else 0
+    raise typer.Exit(code)
+
+
+def _once(scenario: Path, out: Path, port: int | None, as_json: bool) -> int:
+    """0 if the run is ok, else 1."""
+    from vaoi_station.demo.once import film_once
+    from vaoi_station.demo.report import as_text
+
+    report = film_once(scenario, out, port or 0)
+    print(report.model_dump_json(indent=1) if as_json else as_text(report))
+    return 0 if report.ok else 1
