@@ -16,6 +16,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment import Adjusted, similar, similar_jacobian
 from vaoi_station.stitching.cad import Frame
+from vaoi_station.stitching.evidence import FrameKey
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.surface import basis
 
@@ -23,42 +24,52 @@ MODEL_PX = 0.03
 """Standard deviation of what no residual shows: calibration, artwork, flatness."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sigma:
-    """Standard deviations per axis, in px."""
+    """Standard deviations in px; covariances are of x and y in one image."""
 
     rows_px: tuple[float, ...]
-    """Of each row: of the worst component in view there; of the motion alone where there is none."""
+    """Of each row, per axis: of the worst component in view there; of the motion alone where there is none."""
     worst_px: float | None
-    """The largest of all views of components; None without C."""
+    """The largest of all views of components, per axis; None without C."""
+    views: dict[str, dict[FrameKey, Floats]]
+    """(2, 2) px² of every view of every component, by address and frame."""
+
+    def of_component(self, address: str) -> float | None:
+        """The largest over a component's views, per axis."""
+        found = [float(np.sqrt(np.trace(c) / 2)) for c in self.views.get(address, {}).values()]
+        return max(found, default=None)
 
 
 def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:
-    """Standard deviation of component positions in every row (of the board's corners, if it has no components)."""
+    """Covariance of component positions in every image (of the board's corners, if it has no components)."""
     m = len(adjusted.motion.angle)
-    present = set(scene.present)
     motion = [_motion_sigma(scene.cameras, adjusted, j) for j in range(m)]
     if frame is None or adjusted.similarity is None:
-        return Sigma(tuple(motion), None)
-    cad = np.array([c.center for c in frame.board_type.components]).reshape(-1, 2)
-    if not len(cad):
-        cad = np.array(frame.board_type.extent())
+        return Sigma(tuple(motion), None, {})
+    parts = frame.board_type.components
+    names = [p.address for p in parts] or ["low corner", "high corner"]
+    cad = np.array([p.center for p in parts] or frame.board_type.extent()).reshape(-1, 2)
     board = similar(adjusted.similarity, frame.flat(cad))
-    rows, shown = [], []
-    for j in range(m):
-        filming = [camera for i, camera in enumerate(scene.cameras) if (i, j) in present]
-        worst = max((_worst(camera, frame, adjusted, j, cad, board) for camera in filming), default=0.0)
-        shown += [worst] if worst else []
-        rows.append(worst or motion[j])
-    return Sigma(tuple(rows), max(shown, default=None))
+    views: dict[str, dict[FrameKey, Floats]] = {}
+    rows = [0.0] * m
+    for key in scene.present:
+        seen, covariance = _covariances(scene.cameras[key[0]], frame, adjusted, key[1], cad, board)
+        for n, c in zip(seen.tolist(), covariance, strict=True):
+            views.setdefault(names[n], {})[key] = c
+            rows[key[1]] = max(rows[key[1]], float(np.sqrt(np.trace(c) / 2)))
+    shown = [v for v in rows if v]
+    return Sigma(tuple(v or w for v, w in zip(rows, motion, strict=True)), max(shown, default=None), views)
 
 
-def _worst(camera: Camera, frame: Frame, adjusted: Adjusted, row: int, cad: Floats, board: Floats) -> float:
-    """The largest standard deviation over the points in view; 0 if there are none."""
+def _covariances(
+    camera: Camera, frame: Frame, adjusted: Adjusted, row: int, cad: Floats, board: Floats
+) -> tuple[NDArray[np.int_], Floats]:
+    """The points in view, and the covariance (k, 2, 2) px² of where they are in the image."""
     ground = adjusted.motion.row_from_tester(row)(board)
-    seen = camera.sees(camera.project(ground))
-    if not seen.any():
-        return 0.0
+    seen = np.flatnonzero(camera.sees(camera.project(ground)))
+    if not len(seen):
+        return seen, np.zeros((0, 2, 2))
     ground, cad = ground[seen], cad[seen]
     motion, m, n = adjusted.motion, len(adjusted.motion.angle), adjusted.covariance.shape[0]
     rows = np.full(len(ground), row)
@@ -73,8 +84,8 @@ def _worst(camera: Camera, frame: Frame, adjusted: Adjusted, row: int, cad: Floa
         parts.append(lean[:, :, None] * basis(frame.board_type, cad)[:, None, :])
     j = np.concatenate(parts, 2)
     at: NDArray[np.int_] = np.concatenate([np.arange(3 * row, 3 * row + 3), np.arange(3 * m, n)])
-    variance = np.einsum("kif,fg,kig->k", j, adjusted.covariance[np.ix_(at, at)], j) / 2
-    return float(np.hypot(np.sqrt(max(float(variance.max()), 0.0)) * camera.px_per_mm, MODEL_PX))
+    covariance = j @ adjusted.covariance[np.ix_(at, at)] @ j.swapaxes(1, 2)
+    return seen, covariance * camera.px_per_mm**2 + MODEL_PX**2 * np.eye(2)
 
 
 def _motion_sigma(cameras: Sequence[Camera], adjusted: Adjusted, row: int) -> float:
