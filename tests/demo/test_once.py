@@ -1,4 +1,4 @@
-"""Where a demo may write."""
+"""Where a demo may write, and the picture it made for the README."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import pytest
 
 from vaoi_station.demo.once import PICTURES, REPORT, SHEET, clear
 from vaoi_station.errors import InputError
+from vaoi_station.files.images import read_image
+from vaoi_station.model import Status
+from vaoi_station.rendering.contact_sheet import contact_sheet
 
 
 def test_new_and_empty_directories_are_taken(tmp_path: Path) -> None:
@@ -34,3 +37,10 @@ def test_what_no_demo_wrote_is_not_touched(tmp_path: Path) -> None:
     file.write_text("x")
     with pytest.raises(InputError, match="is a file"):
         clear(file)
+
+
+def test_the_picture_of_the_readme_is_a_contact_sheet_and_small() -> None:
+    path = Path(__file__).resolve().parents[2] / "docs" / "pictures" / SHEET
+    assert path.stat().st_size <= 400_000
+    assert read_image(path).shape[1] == contact_sheet([], "demo", Status.OK, []).shape[1]
+    assert f"docs/pictures/{SHEET}" in (path.parents[2] / "README.md").read_text(encoding="utf-8")

@@ -43,6 +43,6 @@ def test_what_lies_in_the_box_is_seen_by_both(
     if box is None:
         assert not both.any()
         return
-    inside = ((px >= box[:2]) & (px < box[2:])).all(1)
+    inside = np.asarray(((px >= box[:2]) & (px < box[2:])).all(1))
     assert b.sees(predict(px[inside], a, b, np.array(shift))).all()
     assert inside[both].all(), "nothing that both see well is left out"

@@ -12,7 +12,7 @@ from vaoi_station.config import ApiConfig
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.site import build_site
-from vaoi_station.demo.watching import next_run, until_idle
+from vaoi_station.demo.watching import poll, until_idle
 
 HOST = ApiConfig().host
 
@@ -35,9 +35,10 @@ def show(scenario: Path, port: int | None, tell: Callable[[str], None]) -> NoRet
             client.post("/station/arm", board_type=twin.board_type.name, job_id="demo")
             number, after = 0, None
             while True:
-                run = next_run(client, after)
-                number, after = number + 1, run["id"]
-                tell(line_of(number, run))
+                run = poll(client, after)
+                if run is not None:  # else somebody has disarmed the station, by its page or by REST
+                    number, after = number + 1, run["id"]
+                    tell(line_of(number, run))
 
 
 def line_of(number: int, run: dict[str, Any]) -> str:

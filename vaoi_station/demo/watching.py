@@ -40,11 +40,18 @@ def next_run(client: Client, after: str | None) -> dict[str, Any]:
     """
     deadline = time.monotonic() + BOARD_S
     while time.monotonic() < deadline:
-        run = client.get("/runs/next", after=after, timeout=POLL_S) or (_latest(client) if after is None else None)
-        if run is not None:
-            return dict(run)
+        if (run := poll(client, after)) is not None:
+            return run
         _refuse_fault(client.get("/station"))
     raise DeviceError(f"no board was filmed within {BOARD_S:.0f} s.")
+
+
+def poll(client: Client, after: str | None) -> dict[str, Any] | None:
+    """The same, with patience for one poll: None if no run has finished meanwhile."""
+    run = client.get("/runs/next", after=after, timeout=POLL_S)
+    if run is None and after is None:
+        run = _latest(client)
+    return None if run is None else dict(run)
 
 
 def _latest(client: Client) -> Any:

@@ -100,7 +100,7 @@ class Adjusted:
     """(4,) a, b, x, y: board = [a −b; b a]·cad + (x, y)."""
     surface_mm: Floats
     heights_mm: Floats
-    """(number of components,); NaN where no link tells."""
+    """(number of components,); NaN where no link tells, or where the part is so tall that its links were left out."""
     covariance: Floats
     """Of the unknowns: rows 1 … m−1 (φ, sx, sy), then C, then the surface."""
     link_sigma: Floats
@@ -324,7 +324,8 @@ class _Solver:
             px = residual * o.px_per_mm[:, None]
             sigma0 = float(np.sqrt(np.average(sigma**2, weights=np.maximum(used, 1e-9))))
         heights = np.full(self.n_components, np.nan)
-        told = np.bincount(self.p.component[self.p.component >= 0], minlength=self.n_components) >= 3
+        on = self.p.component >= 0
+        told = np.bincount(self.p.component[on], used[on] > 0.1, minlength=self.n_components) >= 3
         heights[told] = self.heights[told]
         fiducial_px = np.zeros((0, 2))
         if s is not None and self.c is not None:
