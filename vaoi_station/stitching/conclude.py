@@ -64,8 +64,8 @@ class Terms:
     reference: Reference | None = None
 
 
-def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evidence]) -> Stitch:
-    """Make the result of a run from the evidence of its frames.
+def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evidence]) -> tuple[Stitch, Findings]:
+    """Make the result of a run from the evidence of its frames; the findings say how it came about.
 
     Args:
         scene: cameras and good frames.
@@ -105,7 +105,7 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
         "opencv": cv2.__version__,
     }
     stages.done("verdict")
-    return _result(findings, terms.method, status, reasons, quality)
+    return _result(findings, terms.method, status, reasons, quality), findings
 
 
 def _texture(links: Observations, moved: Adjusted) -> Floats:

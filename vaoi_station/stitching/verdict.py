@@ -31,6 +31,8 @@ _SEAM_LIMIT_PX = 0.30
 _FLOOR_LIMIT_PX = 0.30
 _SCALE_LIMIT = 1e-3
 _OUTSIDE_LIMIT = 0.03
+_OUTLIER = 8.5
+"""Points further off, in their standard deviations, have no weight (6 per axis)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,11 +223,16 @@ def _used(f: Findings, kind: str, used: np.ndarray) -> int:
 
 
 def _points_used(f: Findings) -> dict[str, dict[str, int]]:
-    """How many points known in CAD were used, by kind."""
+    """How many points known in CAD were found, and how many lie where they should, by kind."""
     points = f.mapping.problem.fiducials if f.mapping else None
-    which = points.which if points is not None else np.zeros(0, dtype=np.int_)
+    which, off = np.zeros(0, dtype=np.int_), np.zeros(0)
+    if points is not None:
+        which = points.which
+        off = np.hypot(*f.adjusted.fiducial_px.T) / (points.sigma_mm * points.px_per_mm)
     kinds = {"fiducials": which >= 0, "fixture": which == FIXTURE, "reference": which == REFERENCE}
-    return {kind: {"used": int(mine.sum())} for kind, mine in kinds.items()}
+    return {
+        kind: {"found": int(mine.sum()), "used": int((mine & (off <= _OUTLIER)).sum())} for kind, mine in kinds.items()
+    }
 
 
 def _fiducials(f: Findings) -> list[dict[str, Any]]:

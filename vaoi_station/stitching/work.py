@@ -28,6 +28,7 @@ from vaoi_station.stitching.prepare import Prepared
 from vaoi_station.stitching.reference import Reference
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.sight import sight_marks
+from vaoi_station.stitching.verdict import Findings
 
 _KEPT_FRAMES = 8
 """Prepared frames a desk remembers: enough for the neighbours of a row of several cameras."""
@@ -103,7 +104,13 @@ class Desk:
         return link_frames(task, a, b, camera_a, camera_b, shift_mm)
 
     def conclude(self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]) -> Stitch:
-        """The result of the run, when every frame has its verdict.
+        """The result of the run, when every frame has its verdict."""
+        return self.explain(times_s, present, evidence)[0]
+
+    def explain(
+        self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]
+    ) -> tuple[Stitch, Findings]:
+        """The result of the run, and all that was found out on the way.
 
         Args:
             times_s: (m,) time of every row's pulse, in the order of rows.
