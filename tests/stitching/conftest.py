@@ -169,6 +169,7 @@ class Filmed:
             math.hypot(ours[ref, i, j][0] - x, ours[ref, i, j][1] - y)
             for ref, views in self.truth["views"].items()
             for i, j, x, y in views
+            if stitch.image_matrices[i][j] is not None
         ]
         return max(off)
 

@@ -10,7 +10,7 @@ from vaoi_station.stitching.motion import nominal_motion
 from vaoi_station.stitching.observations import Observations, observe
 from vaoi_station.stitching.start import chained, tied_rows
 
-NOMINAL = nominal_motion(np.arange(5) * 0.1, np.array([0.0, 50.0]), np.array([0.0, 0.0]))
+NOMINAL = nominal_motion(np.array([0.0, 0.1, 0.2, 0.3, 0.4]), np.array([0.0, 50.0]), np.array([0.0, 0.0]))
 
 
 def links(camera: Any, steps: dict[tuple[int, int], float], wild: int = 0) -> Observations:

@@ -28,6 +28,10 @@ class CoarseShift:
     score: float
 
 
+class NoFit(Failure):
+    """There is texture, but it is not in the other frame."""
+
+
 def find_shift(
     a: Prepared, b: Prepared, box: tuple[int, int, int, int], offset_px: Floats, reach_px: Floats
 ) -> CoarseShift | Failure:
@@ -56,7 +60,7 @@ def find_shift(
     peak = divmod(int(surface.argmax()), surface.shape[1])
     score = float(surface[peak])
     if score < _LEAST_SCORE:
-        return Failure(f"no place within ±{reach_px[0]:.0f}, ±{reach_px[1]:.0f} px fits: best correlation {score:.2f}")
+        return NoFit(f"no place within ±{reach_px[0]:.0f}, ±{reach_px[1]:.0f} px fits: best correlation {score:.2f}")
     found = np.array([_vertex(surface[peak[0]], peak[1]), _vertex(surface[:, peak[1]], peak[0])])
     return CoarseShift((found - reach + shift) * f - offset_px, score)
 

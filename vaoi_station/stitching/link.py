@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.coarse import find_shift
+from vaoi_station.stitching.coarse import NoFit, find_shift
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.stitching.overlap import overlap_box, predict
 from vaoi_station.stitching.patches import TILE_PX, fits, match
@@ -22,6 +24,10 @@ _PLACEMENT_MM = 4.0
 """How far a board may lie from where the reference lay, in the same row."""
 _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
 """How far the belt's motion may differ from the nominal one: a share of it, and some play."""
+_MOVED_MM = 4.0
+"""How far a camera that has been pushed is looked for."""
+_ENOUGH = 8
+"""Links between two cameras that show that both are where they were calibrated."""
 
 
 def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera, shift_mm: Floats) -> Links:
@@ -29,8 +35,7 @@ def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b
     box = overlap_box(camera_a, camera_b, shift_mm)
     if box is None:
         return Links.none(task, "the frames do not overlap")
-    middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
-    offset = (predict(middle, camera_a, camera_b, shift_mm) - middle)[0]
+    offset = _offset(box, camera_a, camera_b, shift_mm)
     reach = _PLAY_MM * camera_a.px_per_mm + _SLIP_SHARE * np.abs(offset)
     coarse = find_shift(a, b, box, offset, reach)
     if isinstance(coarse, Failure):
@@ -39,8 +44,28 @@ def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b
 
 
 def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera) -> Links:
-    """Links between neighbouring cameras in one row; N_i alone predict them."""
-    return _fine(task, a, b, camera_a, camera_b, np.zeros(2), np.zeros(2))
+    """Links between neighbouring cameras in one row; N_i alone predict them.
+
+    Where that finds next to nothing a camera may have moved: then the overlap is searched further, and
+    links are marked `unmatched` if there is texture but little of it in both, so that the verdict can tell.
+    """
+    still = np.zeros(2)
+    links = _fine(task, a, b, camera_a, camera_b, still, still)
+    box = overlap_box(camera_a, camera_b, still)
+    if len(links.a_px) >= _ENOUGH or box is None:
+        return links
+    coarse = find_shift(a, b, box, _offset(box, camera_a, camera_b, still), np.full(2, _MOVED_MM * camera_a.px_per_mm))
+    if isinstance(coarse, Failure):
+        return replace(links, unmatched=isinstance(coarse, NoFit))
+    moved = _fine(task, a, b, camera_a, camera_b, still, coarse.px)
+    best = moved if len(moved.a_px) > len(links.a_px) else links
+    return replace(best, unmatched=len(best.a_px) < _ENOUGH)
+
+
+def _offset(box: tuple[int, int, int, int], a: Camera, b: Camera, shift_mm: Floats) -> Floats:
+    """Predicted b − a, px, in the middle of an overlap."""
+    middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
+    return np.asarray((predict(middle, a, b, shift_mm) - middle)[0])
 
 
 def link_reference(task: Task, a: Prepared, b: Prepared, camera: Camera) -> Links:

@@ -33,6 +33,8 @@ _SCALE_LIMIT = 1e-3
 _OUTSIDE_LIMIT = 0.03
 _OUTLIER = 8.5
 """Points further off, in their standard deviations, have no weight (6 per axis)."""
+_SEAM_LINKS = 12
+"""So many links between two cameras say whether they fit together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +103,21 @@ class Findings:
         for i in range(len(self.scene.cameras) - 1):
             pairs = {n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i}
             use = np.isin(o.group, list(pairs)) & (self.problem.component < 0)
-            if use.sum() >= 12:
+            if use.sum() >= _SEAM_LINKS:
                 out[i, i + 1] = float(np.hypot(*np.median(self.adjusted.link_px[use], axis=0)))
+        return out
+
+    @cached_property
+    def strangers(self) -> dict[tuple[int, int], int]:
+        """Neighbouring cameras whose overlap shows texture, but not the same, and in how many rows."""
+        o = self.problem.links
+        out = {}
+        for i in range(len(self.scene.cameras) - 1):
+            rows = sum(e.unmatched for e in self.links if e.task.kind == "neighbours" and e.task.a[0] == i)
+            mine = [n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i]
+            agreeing = np.isin(o.group, mine) & (self.adjusted.weight > 0.1)
+            if rows >= 2 and agreeing.sum() < _SEAM_LINKS and (i, i + 1) not in self.seams_px:
+                out[i, i + 1] = rows
         return out
 
 
@@ -131,6 +146,10 @@ def _complaints(f: Findings) -> list[str]:
                 f"cameras {i} and {j} disagree by {px:.2f} px (limit {_SEAM_LIMIT_PX}): "
                 "a camera has moved, or the board is bent more than a board may"
             )
+    for (i, j), rows in f.strangers.items():
+        out.append(
+            f"cameras {i} and {j} show different things where they should overlap (in {rows} rows): a camera has moved"
+        )
     if f.frame is not None and f.mapping is not None and f.adjusted.similarity is not None:
         out += _cad_complaints(f, f.frame, f.mapping, f.adjusted.similarity)
     return out

@@ -1,0 +1,142 @@
+"""Verdicts on a board of the twin when something is not as assumed: a reason with a number, never a silent ok."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.model import BoardType, Calibration, Status
+
+
+def described_otherwise(board_type: BoardType, **keys: Any) -> BoardType:
+    return BoardType.model_validate(board_type.model_dump(mode="json", exclude_none=True) | keys)
+
+
+def camera_moved(calibration: Calibration, camera: int, x_mm: float, y_mm: float = 0.0) -> Calibration:
+    """As if a camera had been pushed since it was calibrated."""
+    matrices = list(calibration.camera_matrices)
+    matrices[camera] = matrices[camera] @ np.array([[1, 0, x_mm], [0, 1, y_mm], [0, 0, 1]])
+    return calibration.model_copy(update={"camera_matrices": tuple(matrices)})
+
+
+def test_a_sound_run_is_ok_and_right(filmed: Any) -> None:
+    result = filmed.stitch
+    assert (result.status, result.reasons) == (Status.OK, ())
+    assert filmed.error_px(result) <= min(3 * result.quality["cad_sigma_px"], 0.2)
+    assert [f["sightings"] > 0 for f in result.quality["fiducials"]] == [True] * 3
+    assert result.quality["cad_sigma_px"] < 0.2
+    measured = np.array(result.quality["belt"]["measured_mm_s"])
+    last = np.array(filmed.truth["row_motion"][-1])
+    middle = np.array([17.0, 0.0, 1.0])
+    true = ((last @ middle) - middle)[:2] / (filmed.times_s[-1] - filmed.times_s[0])
+    assert measured == pytest.approx(true, abs=0.3)
+
+
+def test_without_a_board_type_frames_are_placed_all_the_same(filmed: Any) -> None:
+    blind = replace(filmed, setup=replace(filmed.setup, board_type=None))
+    result = blind.stitched()
+    assert result.status is Status.FAILED
+    assert "no board type was given" in result.reasons[0]
+    assert result.components is None
+    assert result.quality["cad_sigma_px"] is None
+    assert len(result.quality["row_sigma_px"]) == filmed.head.rows
+    for ours, theirs in zip(result.row_motion, filmed.truth["row_motion"], strict=True):
+        assert np.abs(ours - theirs).max() < 0.02
+
+
+@pytest.mark.parametrize("push", [(0.05, 0), (0, 0.1), (0.3, 0), (0, 0.5), (1.0, 0), (0, -1.0)])
+def test_a_calibration_that_no_longer_holds_is_told(filmed: Any, push: tuple[float, float]) -> None:
+    result = filmed.stitched(calibration=camera_moved(filmed.calibration, 1, *push))
+    assert result.status is not Status.OK
+    assert result.reasons
+
+
+@pytest.mark.parametrize("camera", [0, 1])
+@pytest.mark.parametrize("push", [(2, 0), (0, 3), (-7, 0), (9, 0), (-18, 0), (0, 30), (36, 0), (-60, 0)])
+def test_a_camera_that_was_pushed_is_never_ok(filmed: Any, camera: int, push: tuple[int, int]) -> None:
+    """What it sees moves by whole pixels, however far: links out of reach are not links that agree."""
+
+    def pushed(pixels: np.ndarray) -> np.ndarray:
+        (h, w), (dx, dy) = pixels.shape, push
+        return pixels[np.clip(np.arange(h) - dy, 0, h - 1)][:, np.clip(np.arange(w) - dx, 0, w - 1)]
+
+    frames = {key: pushed(p) if key[0] == camera else p for key, p in filmed.frames.items()}
+    result = filmed.stitched(frames=frames)
+    assert result.status is not Status.OK
+    told = ("disagree by", "show different things where they should overlap", "larger than its CAD data")
+    assert any(word in reason for reason in result.reasons for word in told)
+
+
+def test_a_fiducial_that_is_not_there_costs_little(filmed: Any) -> None:
+    marks = [f.model_dump() for f in filmed.board_type.fiducials]
+    more = [*marks, {"name": "FID9", "x": 20.0, "y": 20.0, "diameter": 1.0}]
+    result = filmed.stitched(board_type=described_otherwise(filmed.board_type, fiducials=more))
+    assert result.status is Status.OK
+    assert next(f for f in result.quality["fiducials"] if f["name"] == "FID9")["sightings"] == 0
+    assert filmed.error_px(result) <= 3 * result.quality["cad_sigma_px"]
+
+
+def test_a_fiducial_out_of_its_place_is_named(filmed: Any) -> None:
+    marks = [f.model_dump() for f in filmed.board_type.fiducials]
+    marks[2]["x"] += 0.1
+    result = filmed.stitched(board_type=described_otherwise(filmed.board_type, fiducials=marks))
+    assert result.status is Status.DEGRADED
+    assert any("px from its place" in r for r in result.reasons)
+
+
+def test_a_board_that_is_larger_than_its_data_is_told(filmed: Any) -> None:
+    marks = [f.model_dump() for f in filmed.board_type.fiducials]
+    middle = np.mean([(m["x"], m["y"]) for m in marks], axis=0)
+    for m in marks:
+        m["x"], m["y"] = (middle + (np.array([m["x"], m["y"]]) - middle) * 0.9975).tolist()
+    flat = filmed.calibration.model_copy(update={"working_distance_mm": None})
+    result = filmed.stitched(board_type=described_otherwise(filmed.board_type, fiducials=marks), calibration=flat)
+    assert result.status is Status.DEGRADED
+    assert any("larger than its CAD data" in r or "px from its place" in r for r in result.reasons)
+
+
+def test_rows_that_nothing_ties_together_are_told(filmed: Any) -> None:
+    """A blank pair of rows: the belt alone says how far the second half is from the first."""
+    frames = {key: np.full_like(p, 20) if key[1] in (2, 3) else p for key, p in filmed.frames.items()}
+    result = filmed.stitched(frames=frames)
+    assert result.status is not Status.OK
+    assert any("nothing ties rows 0–1, 4–5 to one another" in r for r in result.reasons), result.reasons
+
+
+def test_empty_frames_say_that_there_is_no_board(filmed: Any) -> None:
+    g = np.random.default_rng(0)
+    shape = next(iter(filmed.frames.values())).shape
+    frames = {key: np.clip(g.normal(15, 1.5, shape), 0, 255).astype(np.uint8) for key in filmed.frames}
+    result = filmed.stitched(frames=frames)
+    assert result.status is Status.FAILED
+    assert "no texture was found in any frame: is there a board?" in result.reasons
+    assert result.quality["residual_px"]["median"] is None
+    assert len(result.quality["unlinked"]) == sum(t.kind != "marks" for t in filmed.tasks)
+
+
+def test_a_run_of_which_nothing_arrived_fails_in_a_sentence(filmed: Any) -> None:
+    result = filmed.stitched(frames={})
+    assert result.status is Status.FAILED
+    assert result.reasons
+    assert all(m is None for rows in result.image_matrices for m in rows)
+
+
+def test_a_row_that_never_arrived_is_not_placed(filmed: Any) -> None:
+    frames = {key: p for key, p in filmed.frames.items() if key[1] != 3}
+    result = filmed.stitched(frames=frames)
+    assert all(rows[3] is None for rows in result.image_matrices)
+    assert all(rows[4] is not None for rows in result.image_matrices)
+    assert filmed.error_px(result) < 0.3, "the rows around it are bridged"
+
+
+def test_the_gauge_and_the_products_hold(filmed: Any) -> None:
+    result = filmed.stitch
+    assert np.array_equal(result.row_motion[0], np.eye(3))
+    for i, rows in enumerate(result.image_matrices):
+        for j, m in enumerate(rows):
+            np.testing.assert_allclose(m, filmed.calibration.camera_matrices[i] @ result.row_motion[j], rtol=1e-12)
+    for d in result.row_motion:
+        np.testing.assert_allclose(d[:2, :2] @ d[:2, :2].T, np.eye(2), atol=1e-12)
