@@ -80,16 +80,17 @@ class Bench:
         """The problem with every sighting of the fiducials."""
         board = similar(C, FIDUCIALS)
         height = self.height(board, np.full(len(board), -1))
-        found: list[tuple[int, Array, Array, Array]] = []
+        found: list[tuple[int, Array, Array, Array, int]] = []
         for i, camera in enumerate(self.cameras):
             for j in range(ROWS):
                 px = self.seen(i, j, board, height)
                 for n in np.flatnonzero(camera.sees(px, 8)):
                     ground = camera.ground(px[n] + self.g.normal(0, 0.02, 2))
-                    found.append((j, ground, camera.parallax(ground), FIDUCIALS[n]))
-        row, ground, lean, cad = (np.array([f[k] for f in found]) for k in range(4))
+                    found.append((j, ground, camera.parallax(ground), FIDUCIALS[n], int(n)))
+        row, ground, lean, cad, which = (np.array([f[k] for f in found]) for k in range(5))
         k = len(found)
-        points = FiducialPoints(row, ground, lean, cad, np.full(k, 0.005 / PX_PER_MM), np.full(k, PX_PER_MM))
+        sigma, resolution = np.full(k, 0.005 / PX_PER_MM), np.full(k, PX_PER_MM)
+        points = FiducialPoints(row, ground, lean, cad, sigma, resolution, which)
         if not surface:
             return replace(problem, fiducials=points)
         o = problem.links

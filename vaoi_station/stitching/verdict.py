@@ -88,12 +88,20 @@ class Findings:
         o = self.problem.links
         used = (self.adjusted.weight > 0.1) & (o.p != o.q)
         linked = set(o.p[used]) | set(o.q[used])
+        if self.problem.fiducials is not None:
+            linked |= set(self.problem.fiducials.row.tolist())
         groups = [g for g in tied_rows(o, self.rows, used) if any(r in linked for r in g)]
-        known = set(self.problem.fiducials.row.tolist()) if self.problem.fiducials is not None else set()
-        joined = [g for g in groups if known & set(g.tolist())]
-        apart = [g for g in groups if not known & set(g.tolist())]
-        together = sorted(known.union(*(g.tolist() for g in joined)))
-        return [np.array(together), *apart] if together else apart
+        fixed = [self._fixed_by_cad(g) for g in groups]
+        together = [r for g, by_cad in zip(groups, fixed, strict=True) if by_cad for r in g.tolist()]
+        apart = [g for g, by_cad in zip(groups, fixed, strict=True) if not by_cad]
+        return [np.array(sorted(together)), *apart] if together else apart
+
+    def _fixed_by_cad(self, rows: np.ndarray) -> bool:
+        """Whether points known in CAD, two or more, fix these rows by themselves."""
+        points = self.problem.fiducials
+        if points is None:
+            return False
+        return len(np.unique(points.cad[np.isin(points.row, rows)], axis=0)) >= 2
 
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
