@@ -94,7 +94,7 @@ class Findings:
         fixed = [self._fixed_by_cad(g) for g in groups]
         together = [r for g, by_cad in zip(groups, fixed, strict=True) if by_cad for r in g.tolist()]
         apart = [g for g, by_cad in zip(groups, fixed, strict=True) if not by_cad]
-        return [np.array(sorted(together)), *apart] if together else apart
+        return sorted([np.array(sorted(together)), *apart] if together else apart, key=lambda g: int(g.min()))
 
     def _fixed_by_cad(self, rows: np.ndarray) -> bool:
         """Whether points known in CAD, two or more, fix these rows by themselves."""
