@@ -17,7 +17,7 @@ CROSS_ARM = 0.25
 
 
 def coverage(
-    shape: Shape, size_px: float, side_px: int, center_px: tuple[float, float] | None = None
+    shape: Shape, size_px: float, side_px: int, center_px: tuple[float, float] | None = None, arm: float = CROSS_ARM
 ) -> NDArray[np.float32]:
     """Share of each pixel that a mark covers, (side, side) in 0…1.
 
@@ -26,14 +26,17 @@ def coverage(
         size_px: diameter of a circle, side of a square, tip to tip of a cross or diamond.
         side_px: side of the picture.
         center_px: of the mark in the picture; its middle by default.
+        arm: width of a cross' arm as a share of its size.
     """
     x, y = center_px or ((side_px - 1) / 2, (side_px - 1) / 2)
     at = np.arange(side_px, dtype=np.float32)
-    distance = _distance(shape, at[None, :] - np.float32(x), at[:, None] - np.float32(y), size_px)
+    distance = _distance(shape, at[None, :] - np.float32(x), at[:, None] - np.float32(y), size_px, arm)
     return np.asarray(np.clip(0.5 - distance, 0, 1), dtype=np.float32)
 
 
-def _distance(shape: Shape, x: NDArray[np.float32], y: NDArray[np.float32], size: float) -> NDArray[np.float32]:
+def _distance(
+    shape: Shape, x: NDArray[np.float32], y: NDArray[np.float32], size: float, arm_share: float
+) -> NDArray[np.float32]:
     """Distance to the outline, negative inside."""
     r = size / 2
     if shape == "circle":
@@ -42,7 +45,7 @@ def _distance(shape: Shape, x: NDArray[np.float32], y: NDArray[np.float32], size
         return np.asarray(np.maximum(np.abs(x), np.abs(y)) - r)
     if shape == "diamond":
         return np.asarray((np.abs(x) + np.abs(y) - r) / np.float32(np.sqrt(2)))
-    arm = r * CROSS_ARM
+    arm = r * arm_share
     across = np.maximum(np.abs(x) - r, np.abs(y) - arm)
     along = np.maximum(np.abs(x) - arm, np.abs(y) - r)
     return np.asarray(np.minimum(across, along))

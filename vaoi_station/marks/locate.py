@@ -1,8 +1,8 @@
 """The place of a mark to a few hundredths of a pixel.
 
-Circles by the intersection of their edge gradients (Förstner and Gülch 1987), every other mark by its
+Small circles by the intersection of their edge gradients (Förstner and Gülch 1987), every other mark by its
 point symmetry: the centre about which the picture best equals itself turned by 180°. Neither depends
-on brightness, gain or how much of the rim is bare.
+on brightness, gain or how much of the rim is bare; vignetting is estimated along with the symmetry.
 """
 
 from __future__ import annotations
@@ -15,10 +15,16 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.marks.artwork import Shape, coverage
-from vaoi_station.marks.search import SURROUND, rim_mask
+from vaoi_station.marks.artwork import CROSS_ARM, Shape, coverage
+from vaoi_station.marks.search import SURROUND
 
 _STEPS = 6
+_COARSE_SIDE = 24
+"""Larger marks are first looked at through about so many samples per side."""
+_SMOOTH_PX = 1.5
+"""Blur before symmetry is judged: interpolation between pixels then errs by less than 0.003 px."""
+_ROUND_BY_SYMMETRY_PX = 24.0
+"""From this size on the shading across a circle pulls its edge gradients; its symmetry has the last word."""
 _LEAST_SCORE = 0.75
 _LEAST_CONTRAST = 8.0
 
@@ -33,7 +39,15 @@ class Mark:
     light: bool
 
 
-def locate(image: NDArray[np.uint8], near_px: Floats, shape: Shape, size_px: float) -> Mark | Failure:
+def locate(
+    image: NDArray[np.uint8],
+    near_px: Floats,
+    shape: Shape,
+    size_px: float,
+    *,
+    arm: float = CROSS_ARM,
+    surround: float = SURROUND,
+) -> Mark | Failure:
     """Refine a mark near a place that is right to a third of its size.
 
     Args:
@@ -41,23 +55,36 @@ def locate(image: NDArray[np.uint8], near_px: Floats, shape: Shape, size_px: flo
         near_px: (2,) raw pixels.
         shape: of the mark.
         size_px: its size in this image.
+        arm: width of a cross' arm as a share of its size.
+        surround: diameter of what is compared with the artwork, in sizes: the mark and the bare rim around it.
     """
-    half = int(np.ceil(SURROUND * size_px / 2)) + 4
+    half = int(np.ceil(surround * size_px / 2)) + 4
     x, y = (round(float(v)) for v in near_px)
     if not (half <= x < image.shape[1] - half and half <= y < image.shape[0] - half):
         return Failure(f"the mark at ({x}, {y}) px is cut off by the frame's border")
     patch = image[y - half : y + half + 1, x - half : x + half + 1].astype(np.float32)
     start = np.array([half, half], dtype=np.float64) + (np.asarray(near_px) - (x, y))
-    found = _by_gradients(patch, start, size_px) if shape == "circle" else _by_symmetry(patch, start, size_px)
+    found = _round(patch, start, size_px) if shape == "circle" else _by_symmetry(patch, start, size_px)
     if isinstance(found, Failure):
         return found
     center, sigma = found
-    score, contrast = _likeness(patch, center, shape, size_px)
+    score, contrast = _likeness(
+        patch, center, coverage(shape, size_px, patch.shape[0], _pair(center), arm), surround * size_px
+    )
     if abs(contrast) < _LEAST_CONTRAST:
         return Failure(f"contrast {abs(contrast):.0f} of the mark at ({x}, {y}) px is below {_LEAST_CONTRAST:.0f}")
     if score < _LEAST_SCORE:
         return Failure(f"correlation {score:.2f} of the mark at ({x}, {y}) px is below {_LEAST_SCORE}")
     return Mark(center + (x - half, y - half), sigma, score, contrast > 0)
+
+
+def _round(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:
+    """Centre of a circle."""
+    found = _by_gradients(patch, start, size_px)
+    if isinstance(found, Failure) or size_px < _ROUND_BY_SYMMETRY_PX:
+        return found
+    better = _by_symmetry(patch, found[0], size_px)
+    return found if isinstance(better, Failure) or np.abs(better[0] - found[0]).max() > 1 else better
 
 
 def _by_gradients(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:
@@ -92,28 +119,52 @@ def _by_gradients(patch: NDArray[np.float32], start: Floats, size_px: float) -> 
 
 
 def _by_symmetry(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:
-    """Centre of point symmetry: Gauss-Newton on I(c + u) − I(c − u)."""
-    smooth = cv2.GaussianBlur(patch, (0, 0), 0.8)
-    reach = int(np.ceil(0.62 * size_px)) + 1
-    v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float32)
-    gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3) / 8
-    gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3) / 8
-    center, normal, e = start, np.eye(2), np.zeros_like(u)
-    for _ in range(4 * _STEPS):
-        fore, back = (center[0] + u, center[1] + v), (center[0] - u, center[1] - v)
-        e = _at(smooth, fore) - _at(smooth, back)
-        jx, jy = _at(gx, fore) - _at(gx, back), _at(gy, fore) - _at(gy, back)
-        normal = np.array([[(jx * jx).sum(), (jx * jy).sum()], [(jx * jy).sum(), (jy * jy).sum()]], dtype=np.float64)
-        if np.linalg.det(normal) < 1e-6 * max(np.trace(normal), 1e-6) ** 2:
-            return Failure("no point symmetry: the picture changes in one direction only")
-        step = np.linalg.solve(normal, [(jx * e).sum(), (jy * e).sum()])
-        center = center - np.clip(step, -1.5, 1.5)
-        if np.abs(center - start).max() > size_px / 3 + 2:
-            return Failure("no centre of symmetry near the predicted place")
-        if np.abs(step).max() < 1e-3:
-            break
-    spread = np.linalg.inv(normal) * float((e * e).mean())
+    """Centre of point symmetry: Gauss-Newton on I(c + u) − I(c − u), on few points first and then on all.
+
+    A gain that rises by a share a per pixel across the mark adds 2·a·u times the mean of the two, odd in u like
+    the trace of a shift; a is estimated too, so that vignetting pulls nothing.
+    """
+    smooth = cv2.GaussianBlur(patch, (0, 0), _SMOOTH_PX)
+    gradients = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3) / 8, cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3) / 8
+    reach, coarse = int(np.ceil(0.62 * size_px)) + 1, max(round(size_px / _COARSE_SIDE), 1)
+    center, spread = start, np.eye(2)
+    for stride, enough in ((coarse, 0.05), (1, 1e-3)) if coarse > 1 else ((1, 1e-3),):
+        for _ in range(3 * _STEPS):
+            step = _symmetry_step(smooth, gradients, center, reach, stride)
+            if step is None:
+                return Failure("no point symmetry: the picture changes in one direction only")
+            move, spread = step
+            center = center - np.clip(move, -1.5, 1.5)
+            if np.abs(center - start).max() > size_px / 3 + 2:
+                return Failure("no centre of symmetry near the predicted place")
+            if np.abs(move).max() < enough:
+                break
     return center, float(np.sqrt(max(np.trace(spread) / 2, 0.005**2)))
+
+
+def _symmetry_step(
+    smooth: NDArray[np.float32],
+    gradients: tuple[NDArray[np.float32], NDArray[np.float32]],
+    center: Floats,
+    reach: int,
+    stride: int,
+) -> tuple[Floats, Floats] | None:
+    """How far the centre of symmetry is from `center` (2,), and the covariance (2, 2); None if nothing fixes it."""
+    side = np.arange(-reach, reach + 1, stride, dtype=np.float32)
+    u, v = np.broadcast_arrays(side[None], side[:, None])
+    fore, back = (center[0] + u, center[1] + v), (center[0] - u, center[1] - v)
+    ahead, behind = _at(smooth, fore), _at(smooth, back)
+    e, mean = ahead - behind, (ahead + behind) / np.float32(2 * reach)
+    slopes = [_at(g, fore) - _at(g, back) for g in gradients]
+    columns = np.stack([*slopes, u * mean, v * mean]).reshape(4, -1)
+    normal = (columns @ columns.T).astype(np.float64)
+    if np.linalg.det(normal[:2, :2]) < 1e-6 * max(np.trace(normal[:2, :2]), 1e-6) ** 2:
+        return None
+    normal[[2, 3], [2, 3]] *= 1 + 1e-6
+    inverse = np.linalg.inv(normal)
+    solution = inverse @ (columns @ e.ravel()).astype(np.float64)
+    left = e.ravel() - solution.astype(np.float32) @ columns
+    return solution[:2], inverse[:2, :2] * float((left * left).mean()) * stride**2
 
 
 def _at(image: NDArray[np.float32], at: tuple[NDArray[np.float32], NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -121,12 +172,17 @@ def _at(image: NDArray[np.float32], at: tuple[NDArray[np.float32], NDArray[np.fl
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _likeness(patch: NDArray[np.float32], center: Floats, shape: Shape, size_px: float) -> tuple[float, float]:
+def _likeness(
+    patch: NDArray[np.float32], center: Floats, artwork: NDArray[np.float32], disc_px: float
+) -> tuple[float, float]:
     """Correlation with the artwork at the place found, and contrast (light minus dark) in grey levels."""
-    at = (float(center[0]), float(center[1]))
-    ideal = cv2.GaussianBlur(coverage(shape, size_px, patch.shape[0], at), (0, 0), 0.7)
-    weight = rim_mask(patch.shape[0], size_px, at)
+    ideal = cv2.GaussianBlur(artwork, (0, 0), 0.7)
+    weight = coverage("circle", disc_px, patch.shape[0], _pair(center))
     p, q = patch - np.average(patch, weights=weight), ideal - np.average(ideal, weights=weight)
     norm = float((weight * q * q).sum())
     gain = float((weight * p * q).sum()) / max(norm, 1e-9)
     return abs(gain) * float(np.sqrt(norm / max(float((weight * p * p).sum()), 1e-9))), gain
+
+
+def _pair(center: Floats) -> tuple[float, float]:
+    return float(center[0]), float(center[1])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.marks.artwork import Shape, coverage
+from vaoi_station.marks.artwork import CROSS_ARM, Shape, coverage
 
 SURROUND = 2.0
 """Diameter of the compared disc in sizes of the mark: the mark, and the bare rim that board makers leave around it."""
@@ -25,7 +25,9 @@ def reduction(size_px: float) -> int:
     return 2 ** max(int(math.log2(size_px / _SMALLEST_PX)), 0) if size_px > _SMALLEST_PX else 1
 
 
-def search(image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 16) -> tuple[Floats, Floats]:
+def search(
+    image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 16, *, arm: float = CROSS_ARM
+) -> tuple[Floats, Floats]:
     """Candidates for a mark, light on dark or dark on light.
 
     Args:
@@ -33,6 +35,7 @@ def search(image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 1
         shape: of the mark.
         size_px: of the mark in this image.
         most: how many candidates at the most, the best first.
+        arm: width of a cross' arm as a share of its size.
 
     Returns:
         Positions (k, 2) in pixels of `image`, good to about half a pixel, and scores (k,) in 0…1.
@@ -40,7 +43,7 @@ def search(image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 1
     side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
     if min(image.shape) < side:
         return np.zeros((0, 2)), np.zeros(0)
-    template = np.round(coverage(shape, size_px, side) * 200 + 20).astype(np.uint8)
+    template = np.round(coverage(shape, size_px, side, arm=arm) * 200 + 20).astype(np.uint8)
     surface = np.abs(cv2.matchTemplate(image, template, cv2.TM_CCOEFF_NORMED))
     surface[~(surface <= 1)] = 0  # windows without any contrast
     near = max(round(size_px / 2), 1)
@@ -49,8 +52,3 @@ def search(image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 1
     best = np.argsort(-surface[y, x], kind="stable")[:most]
     places = np.stack([x[best], y[best]], -1).astype(np.float64) + (side - 1) / 2
     return places, surface[y[best], x[best]].astype(np.float64)
-
-
-def rim_mask(side_px: int, size_px: float, center_px: tuple[float, float] | None = None) -> NDArray[np.float32]:
-    """Weights (side, side) of the disc that is compared: the mark and its rim."""
-    return coverage("circle", SURROUND * size_px, side_px, center_px)
