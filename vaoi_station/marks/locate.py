@@ -47,6 +47,7 @@ def locate(
     *,
     arm: float = CROSS_ARM,
     surround: float = SURROUND,
+    precise: bool = True,
 ) -> Mark | Failure:
     """Refine a mark near a place that is right to a third of its size.
 
@@ -57,6 +58,7 @@ def locate(
         size_px: its size in this image.
         arm: width of a cross' arm as a share of its size.
         surround: diameter of what is compared with the artwork, in sizes: the mark and the bare rim around it.
+        precise: circles can be had in a fifth of the time, to a few hundredths of a pixel, without it.
     """
     half = int(np.ceil(surround * size_px / 2)) + 4
     x, y = (round(float(v)) for v in near_px)
@@ -64,7 +66,7 @@ def locate(
         return Failure(f"the mark at ({x}, {y}) px is cut off by the frame's border")
     patch = image[y - half : y + half + 1, x - half : x + half + 1].astype(np.float32)
     start = np.array([half, half], dtype=np.float64) + (np.asarray(near_px) - (x, y))
-    found = _round(patch, start, size_px) if shape == "circle" else _by_symmetry(patch, start, size_px)
+    found = _round(patch, start, size_px, precise) if shape == "circle" else _by_symmetry(patch, start, size_px)
     if isinstance(found, Failure):
         return found
     center, sigma = found
@@ -78,10 +80,10 @@ def locate(
     return Mark(center + (x - half, y - half), sigma, score, contrast > 0)
 
 
-def _round(patch: NDArray[np.float32], start: Floats, size_px: float) -> tuple[Floats, float] | Failure:
+def _round(patch: NDArray[np.float32], start: Floats, size_px: float, precise: bool) -> tuple[Floats, float] | Failure:
     """Centre of a circle."""
     found = _by_gradients(patch, start, size_px)
-    if isinstance(found, Failure) or size_px < _ROUND_BY_SYMMETRY_PX:
+    if isinstance(found, Failure) or not precise or size_px < _ROUND_BY_SYMMETRY_PX:
         return found
     better = _by_symmetry(patch, found[0], size_px)
     return found if isinstance(better, Failure) or np.abs(better[0] - found[0]).max() > 1 else better

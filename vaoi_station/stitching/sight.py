@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
@@ -57,7 +58,7 @@ def sight_marks(
         small = reduced(frame, factor)
         places, _ = search(small, shape, size_px / factor, most)
         for place in (places + 0.5) * factor - 0.5:
-            mark = locate(frame.grey, place, shape, size_px)
+            mark = locate(frame.grey, place, shape, size_px, precise=False)
             if isinstance(mark, Mark):
                 found.append((mark, kind))
     return Sightings(
@@ -89,36 +90,37 @@ def look_deeper(
 def look_again(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, sightings: Sequence[Sightings]
 ) -> list[Sightings]:
-    """The sightings, and every fiducial that must be in a frame and was not among them.
+    """The sightings, with every fiducial that must be in a frame located anew, and precisely.
 
-    Once a first C is known a fiducial is looked for only where it must be; a frame in which a look-alike
+    Once a first C is known a fiducial is looked for only where it must be; a frame in which look-alikes
     pushed it off the list is asked again.
     """
     kinds = mark_kinds(board_type)
+    kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
     board = apply(cad_matrix, np.array([(f.x, f.y) for f in board_type.fiducials]))
     out = []
     for s in sightings:
         number, row = s.task.a
-        camera, shape_of = scene.cameras[number], [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
+        camera = scene.cameras[number]
         px = camera.project(motion.row_from_tester(row)(board))
-        extra: list[tuple[Mark, int]] = []
         for n in np.flatnonzero(camera.sees(px)):
-            shape, size_mm = kinds[shape_of[n]]
+            shape, size_mm = kinds[kind[n]]
             size_px = size_mm * camera.px_per_mm
-            if len(s.px) and np.hypot(*(s.px - px[n]).T).min() < size_px / 3:
-                continue
-            mark = locate(scene.prepared(s.task.a).grey, px[n], shape, size_px)
+            near = np.hypot(*(s.px - px[n]).T) < size_px / 3
+            start = s.px[near][s.score[near].argmax()] if near.any() else px[n]
+            mark = locate(scene.prepared(s.task.a).grey, start, shape, size_px)
             if isinstance(mark, Mark):
-                extra.append((mark, shape_of[n]))
-        out.append(_with(s, extra) if extra else s)
+                s = _with(s, ~near, mark, kind[n])  # noqa: PLW2901  (the sightings of this frame, one better)
+        out.append(s)
     return out
 
 
-def _with(s: Sightings, extra: list[tuple[Mark, int]]) -> Sightings:
+def _with(s: Sightings, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Sightings:
+    """The sightings to keep, and one more."""
     return Sightings(
         s.task,
-        np.vstack([s.px, [m.px for m, _ in extra]]),
-        np.append(s.sigma_px, [m.sigma_px for m, _ in extra]),
-        np.append(s.score, [m.score for m, _ in extra]),
-        np.append(s.kind, [k for _, k in extra]).astype(np.int_),
+        np.vstack([s.px[keep], mark.px]),
+        np.append(s.sigma_px[keep], mark.sigma_px),
+        np.append(s.score[keep], mark.score),
+        np.append(s.kind[keep], kind).astype(np.int_),
     )
