@@ -113,6 +113,8 @@ class Hypothesis:
     cost: float
     fiducials: tuple[int, ...]
     """Numbers of the fiducials it rests on."""
+    either_way: bool = False
+    """Turned by 180° the board would fit as well, and the pictures do not tell."""
 
 
 def find_board(

@@ -38,6 +38,8 @@ class Mapping:
     problem: Problem
     outline: Outline | None
     """Contrast along the board's outline as placed; None where no frame shows it."""
+    either_way: bool = False
+    """The board might lie turned by 180° as well: neither fiducials nor pictures tell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ def map_cad(frame: Frame, scene: Scene, problem: Problem, moved: Adjusted, known
     marks = assign(frame, guess.c, seen, scene.cameras, moved.motion)
     points = FiducialPoints.joined([marks, referred])
     whole = _with_board(problem, points, frame, scene, moved.motion, guess.c)
-    return Mapping(adjust(whole, moved.motion, guess.c), whole, outline)
+    return Mapping(adjust(whole, moved.motion, guess.c), whole, outline, guess.either_way)
 
 
 def _guess(
@@ -102,7 +104,20 @@ def _first_guess(frame: Frame, scene: Scene, moved: Adjusted, known: Known) -> H
         seen_as = check(frame.board_type, frame.matrix(guess.c), frame.matrix(turned.c), scene, moved.motion)
         if seen_as is not None and seen_as.contradicts:
             return _turned_round(frame, seen_as)
+        if seen_as is None or not seen_as.confirms:
+            return _undecided(frame, guess, turned)
     return guess
+
+
+def _undecided(frame: Frame, guess: Hypothesis, turned: Hypothesis) -> Hypothesis | Failure:
+    """The pictures do not tell how the board lies: more fiducials do, equally many leave it open."""
+    fit, fit_turned = len(guess.fiducials), len(turned.fiducials)
+    if fit_turned > fit:
+        return Failure(
+            f"the board lies turned by 180°, or is of another type than {frame.board_type.name!r}: "
+            f"{fit_turned} of its fiducials fit the turned board, {fit} the board as expected"
+        )
+    return replace(guess, either_way=True)
 
 
 def _outline(frame: Frame, scene: Scene, motion: Motion, guess: Hypothesis | Failure) -> Outline | None:

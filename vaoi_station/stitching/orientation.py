@@ -83,6 +83,8 @@ def check(
         if not len(pieces):
             continue
         apart = _apart(pieces, placed, turned)
+        if apart.sum() < _LEAST_PIECES:
+            continue  # it lies the same both ways
         a = _steps(pieces[apart], placed, scene, motion)
         b = _steps(pieces[apart], turned, scene, motion)
         if min(len(a), len(b)) < _LEAST_PIECES:

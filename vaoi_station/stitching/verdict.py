@@ -182,6 +182,11 @@ def _cad_complaints(f: Findings, frame: Frame, mapping: Mapping, c: Floats) -> l
         off = float(np.hypot(*f.adjusted.fiducial_px[at].T).mean())
         if off > _FIDUCIAL_LIMIT_PX:
             out.append(f"fiducial {fiducial.name} lies {off:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})")
+    if mapping.either_way:
+        out.append(
+            "turned by 180° the board would fit its fiducials as well, and neither outline nor parts tell: "
+            "it is taken to lie as expected (a third fiducial off the symmetry would settle it)"
+        )
     scale = float(np.hypot(c[0], c[1])) / board_type.mm_per_unit - 1
     if abs(scale) > _SCALE_LIMIT:
         out.append(
