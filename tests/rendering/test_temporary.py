@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vaoi_station.rendering import render, views_of
+
+BENT = (0.012, 0.001)
+
+
+def pixels_of(shape: tuple[int, ...]) -> Any:
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
+    return np.stack([x, y], -1)
+
+
+def frame_of(s: Any, camera: int, row: int, dots: list[tuple[float, float]], radius_mm: float = 0.25) -> Any:
+    """What a camera sees of soft dots at CAD places, pixel by pixel through the inverse of the model."""
+    places = s.raw_px(camera, row, np.array(dots))
+    at = pixels_of((s.cameras[camera].height_px, s.cameras[camera].width_px))
+    reach = radius_mm * s.cameras[camera].px_per_mm
+    picture = sum(np.exp(-((at - p) ** 2).sum(-1) / (2 * reach**2)) for p in places)
+    return np.clip(np.round(20 + 200 * np.asarray(picture)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("lens", [(), BENT])
+@pytest.mark.parametrize(("y_axis", "side"), [(y, s) for y in ("up", "down") for s in ("top", "bottom")])
+def test_a_dot_lies_where_cad_says(make: Any, y_axis: str, side: str, lens: Any) -> None:
+    s = make(y_axis=y_axis, side=side, lens=lens)
+    component = s.board_type.components[4]
+    dot = (component.center[0] + 1.3, component.center[1] + 0.6)
+    for view in views_of(component, s.board_type, s.stitch, s.cameras, px_per_mm=16.0, min_coverage=0.99):
+        picture = render(view, frame_of(s, view.camera, view.row, [dot])).astype(float) - 20
+        assert picture.shape == (view.height, view.width)
+        weight = np.maximum(picture, 0)[..., None]
+        found = (pixels_of(picture.shape) * weight).sum((0, 1)) / weight.sum()
+        assert found == pytest.approx(view.crop_from_cad(np.array(dot)), abs=0.1)
+        right, up = found[0] > (view.width - 1) / 2, found[1] < (view.height - 1) / 2
+        assert right == (side == "top")
+        assert up == (y_axis == "up")
+
+
+def test_a_ramp_stays_the_ramp(make: Any) -> None:
+    """Bilinear interpolation reproduces linear brightness exactly: no half pixel is lost."""
+    s = make()
+    at = pixels_of((180, 240))
+    frame = (20 + 0.6 * at[..., 0] + 0.4 * at[..., 1]).astype(np.float32)
+    for view in views_of(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0):
+        where = view.image_from_crop(pixels_of((view.height, view.width)))
+        assert np.abs(render(view, frame) - (20 + where @ (0.6, 0.4))).max() < 0.01
+
+
+def test_tiles_are_as_good_as_every_pixel_by_itself(make: Any) -> None:
+    big = [{"ref": "ALL", "center": [20, 15], "width": 26, "height": 20}]
+    s = make(lens=(0.0016,), components=big)  # a quarter of a pixel at the corner of so small a frame
+    at, shown = pixels_of((180, 240)), 0
+    texture = 128 + 60 * np.cos(at[..., 0] / 6) * np.cos(at[..., 1] / 7) + 40 * np.cos((at[..., 0] + at[..., 1]) / 5)
+    frame = np.clip(np.round(texture), 0, 255).astype(np.uint8)
+    views = views_of(s.board_type.components[0], s.board_type, s.stitch, s.cameras, px_per_mm=24.0, min_coverage=0.2)
+    for view in [v for v in views if v.distorted]:
+        grid = pixels_of((view.height, view.width))
+        raw = s.raw_px(view.camera, view.row, view.cad_from_crop(grid)).astype(np.float32)
+        exact = cv2.remap(frame, raw[..., 0], raw[..., 1], cv2.INTER_LINEAR)
+        inside = s.cameras[view.camera].sees(raw, 1.0)
+        off = np.abs(render(view, frame).astype(int) - exact.astype(int))[inside]
+        assert off.max() <= 1
+        shown += 1
+    assert shown >= 2
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [(), (3,)])
+@pytest.mark.parametrize("lens", [(), BENT])
+def test_pictures_have_the_pixel_type_of_the_frame(make: Any, lens: Any, channels: Any, dtype: Any) -> None:
+    s = make(lens=lens)
+    frame = np.full((180, 240, *channels), np.iinfo(dtype).max // 3, dtype=dtype)
+    view = views_of(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0)[0]
+    picture = render(view, frame)
+    assert picture.dtype == dtype
+    assert picture.shape == (view.height, view.width, *channels)
+    assert (picture == frame[0, 0]).all()
+
+
+def test_what_lies_outside_the_frame_is_black(make: Any) -> None:
+    s = make()
+    for component in s.board_type.components:
+        for view in views_of(component, s.board_type, s.stitch, s.cameras, min_coverage=0.2):
+            picture = render(view, np.full((180, 240), 100, dtype=np.uint8))
+            share = float((picture == 100).mean())
+            assert share == pytest.approx(view.coverage, abs=0.13)
+            if view.coverage < 0.8:
+                assert (picture == 0).any()
