@@ -35,6 +35,15 @@ def test_a_sound_run_is_ok_and_right(filmed: Any) -> None:
     assert measured == pytest.approx(true, abs=0.3)
 
 
+def test_every_component_has_its_uncertainty_and_some_a_height(filmed: Any) -> None:
+    q = filmed.stitch.quality
+    seen = {ref for ref, views in filmed.stitch.components.items() if views}
+    assert set(q["component_sigma_px"]) <= {p.address for p in filmed.board_type.components}
+    assert len(set(q["component_sigma_px"]) ^ seen) <= 2, "views reach a little beyond the frames"
+    assert max(q["component_sigma_px"].values()) == q["cad_sigma_px"]
+    assert set(q["heights_mm"]) == set(q["height_sigma_mm"])
+
+
 def test_without_a_board_type_frames_are_placed_all_the_same(filmed: Any) -> None:
     blind = replace(filmed, setup=replace(filmed.setup, board_type=None))
     result = blind.stitched()
@@ -42,6 +51,7 @@ def test_without_a_board_type_frames_are_placed_all_the_same(filmed: Any) -> Non
     assert "no board type was given" in result.reasons[0]
     assert result.components is None
     assert result.quality["cad_sigma_px"] is None
+    assert result.quality["component_sigma_px"] == result.quality["heights_mm"] == {}
     assert len(result.quality["row_sigma_px"]) == filmed.head.rows
     for ours, theirs in zip(result.row_motion, filmed.truth["row_motion"], strict=True):
         assert np.abs(ours - theirs).max() < 0.02

@@ -12,6 +12,7 @@ from vaoi_station.cli.cut import cut
 from vaoi_station.cli.demo import demo
 from vaoi_station.cli.plan import plan
 from vaoi_station.cli.record import record
+from vaoi_station.cli.report import report
 from vaoi_station.cli.serve import serve
 from vaoi_station.cli.simulate import simulate
 from vaoi_station.cli.stitch import stitch
@@ -41,6 +42,7 @@ app.command()(simulate)
 app.command()(serve)
 app.command()(record)
 app.command()(stitch)
+app.command()(report)
 app.command()(teach)
 app.command()(cut)
 app.command()(bench)

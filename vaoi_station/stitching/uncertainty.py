@@ -6,6 +6,7 @@ that of the misfit a sighting of it would have.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,8 +38,8 @@ class Sigma:
 
     def of_component(self, address: str) -> float | None:
         """The largest over a component's views, per axis."""
-        found = [float(np.sqrt(np.trace(c) / 2)) for c in self.views.get(address, {}).values()]
-        return max(found, default=None)
+        variances = [float(c[0, 0] + c[1, 1]) / 2 for c in self.views.get(address, {}).values()]
+        return math.sqrt(max(variances)) if variances else None
 
 
 def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:

@@ -18,6 +18,7 @@ from vaoi_station.model import Status
 from vaoi_station.stitching.adjustment import FIXTURE, REFERENCE, Adjusted, Problem
 from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.evidence import Links
+from vaoi_station.stitching.heights import Height, component_heights
 from vaoi_station.stitching.mapping import Mapping
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.motion import measured_velocity
@@ -75,6 +76,13 @@ class Findings:
     def sigma(self) -> Sigma:
         """Predicted standard deviations."""
         return predicted_sigma(self.scene, self.frame if self.mapping else None, self.adjusted)
+
+    @cached_property
+    def heights(self) -> dict[str, Height]:
+        """Of components above the board, by address, where their links tell."""
+        if self.frame is None or self.mapping is None:
+            return {}
+        return component_heights(self.frame, self.problem, self.adjusted)
 
     @cached_property
     def placed(self) -> tuple[bool, ...]:
@@ -241,6 +249,9 @@ def quality_of(f: Findings) -> dict[str, Any]:
         "outline_contrast": _rounded(f.mapping.outline.contrast, 1) if f.mapping and f.mapping.outline else None,
         "row_sigma_px": [_rounded(v) for v in sigma.rows_px],
         "cad_sigma_px": _rounded(sigma.worst_px) if sigma.worst_px is not None else None,
+        "component_sigma_px": _component_sigma(f),
+        "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
+        "height_sigma_mm": {address: _rounded(h.sigma_mm) for address, h in f.heights.items()},
         "belt": {
             "nominal_mm_s": [float(v) for v in f.problem.velocity_mm_s],
             "measured_mm_s": None if velocity is None else [_rounded(float(v)) for v in velocity],
@@ -285,6 +296,14 @@ def _fiducials(f: Findings) -> list[dict[str, Any]]:
             }
         )
     return out
+
+
+def _component_sigma(f: Findings) -> dict[str, float]:
+    """Predicted standard deviation of every component that is in view, by address: the worst of its views."""
+    if f.frame is None or f.mapping is None:
+        return {}
+    sigma = {p.address: f.sigma.of_component(p.address) for p in f.frame.board_type.components}
+    return {address: _rounded(px) for address, px in sigma.items() if px is not None}
 
 
 def _scale_error(f: Findings) -> float | None:

@@ -1,0 +1,25 @@
+"""Boards of the twin as recordings on disk, and their stories."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.reporting import Story, tell
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation.filming import write_passage
+from vaoi_station.stitching.opening import open_run
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sound run: to read, not to change."""
+    out = tmp_path_factory.mktemp("reporting") / "run <1> & co"
+    write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), out, with_truth=True)
+    return out
+
+
+@pytest.fixture(scope="session")
+def story(run: Path) -> Story:
+    return tell(open_run(run))

@@ -1,0 +1,73 @@
+"""A run with everything it was stitched from, in one directory: to be kept, sent, and stitched again elsewhere."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from vaoi_station.errors import StateError
+from vaoi_station.files import write_stitch
+from vaoi_station.files.documents import write_bytes
+from vaoi_station.reporting.document import write_report
+from vaoi_station.reporting.numbers import link_arrays, sighting_arrays
+from vaoi_station.reporting.story import Story
+
+REPORT, RESULT, LINKS, REFERENCE = "report.html", "result.json", "links.npz", "reference"
+
+
+def write_bundle(directory: Path, story: Story) -> None:
+    """Write recording, calibration, board type, reference, result, links and report into a new directory.
+
+    It is a recording by itself, so that `vaoi stitch` and `vaoi report` take it as it is. Keys of the report's
+    arrays are those of `numbers.link_arrays` and `numbers.sighting_arrays` (the latter with `sighting_` before).
+
+    Raises:
+        StateError: the directory exists.
+    """
+    if directory.exists():
+        raise StateError(f"{directory}: exists already.", action="Choose another directory, or remove this one.")
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
+    try:
+        draft.chmod(0o755)
+        _fill(draft, story)
+        draft.rename(directory)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def replay_command(directory: Path, story: Story) -> str:
+    """How the bundle is stitched again."""
+    words = ["vaoi stitch", str(directory), "--method", story.stitch.method]
+    if story.opened.taught:
+        words += ["--reference", str(directory / REFERENCE)]
+    return " ".join([*words, "--out again.json"])
+
+
+def _fill(draft: Path, story: Story) -> None:
+    o = story.opened
+    _copy_recording(o.recording.directory, draft, [p for key in o.present if (p := o.recording.frame_path(*key))])
+    shutil.copyfile(o.calibration_path, draft / "calibration.json")
+    if o.board_path:
+        shutil.copyfile(o.board_path, draft / "board.json")
+    if o.taught:
+        shutil.copytree(o.taught.recording.directory, draft / REFERENCE, ignore=shutil.ignore_patterns("truth.json"))
+    write_stitch(draft / RESULT, story.stitch)
+    arrays = link_arrays(story) | {f"sighting_{k}": v for k, v in sighting_arrays(story).items()}
+    packed = io.BytesIO()
+    np.savez_compressed(packed, allow_pickle=False, **arrays)
+    write_bytes(draft / LINKS, packed.getvalue())
+    write_report(draft / REPORT, story)
+
+
+def _copy_recording(source: Path, draft: Path, frames: list[Path]) -> None:
+    """What belongs to the recording and nothing else that may lie there; its head last."""
+    (draft / "frames").mkdir()
+    for path in frames:
+        shutil.copyfile(path, draft / "frames" / path.name)
+    shutil.copyfile(source / "recording.json", draft / "recording.json")
