@@ -8,6 +8,7 @@ import sys
 import typer
 
 from vaoi_station.cli.bench import bench
+from vaoi_station.cli.calibrate import calibrate
 from vaoi_station.cli.cut import cut
 from vaoi_station.cli.demo import demo
 from vaoi_station.cli.plan import plan
@@ -40,6 +41,7 @@ app.command()(plan)
 app.command()(simulate)
 app.command()(serve)
 app.command()(record)
+app.command()(calibrate)
 app.command()(stitch)
 app.command()(teach)
 app.command()(cut)

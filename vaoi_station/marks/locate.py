@@ -131,7 +131,8 @@ def _by_symmetry(patch: NDArray[np.float32], start: Floats, size_px: float) -> t
     reach, coarse = int(np.ceil(0.62 * size_px)) + 1, max(round(size_px / _COARSE_SIDE), 1)
     furthest = size_px / 3 + 2
     pad = int(furthest) + len(_TAPS)
-    smooth = cv2.copyMakeBorder(cv2.GaussianBlur(patch, (0, 0), _SMOOTH_PX), *[pad] * 4, cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(patch, (0, 0), _SMOOTH_PX)
+    smooth = cv2.copyMakeBorder(smooth, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     center, spread = start, np.eye(2)
     for stride, enough in ((coarse, 0.05), (1, 1e-3)) if coarse > 1 else ((1, 1e-3),):
         for _ in range(3 * _STEPS):
