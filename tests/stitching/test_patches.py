@@ -134,4 +134,4 @@ def test_information_falls_with_noise(workshop: Any) -> None:
 def test_tiles_that_fit_lie_inside(x: float, y: float) -> None:
     inside = fits(SIZE[::-1], np.array([[x, y]]))[0]
     half, u, v = TILE_PX // 2, round(x), round(y)
-    assert inside == (u - half >= 0 and v - half >= 0 and u + half + 1 < SIZE[0] and v + half + 1 < SIZE[1])
+    assert inside == (u - half >= 0 and v - half >= 0 and u + half < SIZE[0] and v + half < SIZE[1])
