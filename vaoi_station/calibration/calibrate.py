@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from vaoi_station.calibration.camera import CameraResult, Limits, solve_camera
-from vaoi_station.calibration.identify import choose, hypotheses
+from vaoi_station.calibration.identify import choose, hypotheses, rival
 from vaoi_station.calibration.nominal import nominal_matrix
 from vaoi_station.calibration.plausible import local_scales, scale_note
 from vaoi_station.calibration.sight import MarkKind, Sight, sight, to_grey
@@ -38,7 +38,11 @@ class Outcome:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the operator should know, camera by camera."""
-        notes = [f"camera {c.camera}: {note}" for c in self.cameras for note in c.notes]
+        whose: dict[str, list[int]] = {}
+        for c in self.cameras:
+            for note in c.notes:
+                whose.setdefault(note, []).append(c.camera)
+        notes = [f"camera{'s' * (len(n) > 1)} {', '.join(map(str, n))}: {note}" for note, n in whose.items()]
         fits = [(c.fit.matrix, c.head) for c in self.cameras if c.fit is not None]
         ratios = [np.sqrt(np.prod(local_scales(n, head))) / (head.nominal_px_per_mm or 1.0) for n, head in fits]
         about_print = scale_note(float(np.median(ratios))) if ratios else None
@@ -116,17 +120,33 @@ def _solved(
     heads: Sequence[CameraHead], sights: list[Sight], kinds: list[MarkKind], marks_mm: Floats, limits: Limits
 ) -> tuple[CameraResult, ...]:
     options = [hypotheses(sights[i].px, marks_mm, head, i, kinds[i].size_px) for i, head in enumerate(heads)]
-    chosen = choose(options)
-    return tuple(
-        solve_camera(i, head, sights[i], chosen[i], marks_mm, kinds[i], limits) for i, head in enumerate(heads)
-    )
+    results = []
+    for i, (head, option) in enumerate(zip(heads, choose(options), strict=True)):
+        result = solve_camera(i, head, sights[i], option, marks_mm, kinds[i], limits)
+        other = None if option is None else rival(options[i], option)
+        if option is not None and other is not None:
+            x, y = other.offset_mm - option.offset_mm
+            told = (
+                f"the layout shifted by ({x:.1f}, {y:.1f}) mm explains its marks as well; "
+                "nominal_center_mm decided: it must be good to half of that"
+            )
+            result = replace(result, notes=(*result.notes, told))
+        results.append(result)
+    return tuple(results)
 
 
 def _hint(
     heads: Sequence[CameraHead], sights: list[Sight], kinds: list[MarkKind], marks_mm: Floats, limits: Limits
 ) -> str:
     """The way of writing the layout under which every camera fits, where there is one."""
-    for said, changed in variants(marks_mm, heads):
-        if not any(c.refusal for c in _solved(heads, sights, kinds, changed, limits)):
-            return f"The marks fit the layout {said}: write layout.json as the cameras see the board, or lay it right."
-    return ""
+    fitting = [
+        said
+        for said, changed in variants(marks_mm, heads)
+        if not any(c.refusal for c in _solved(heads, sights, kinds, changed, limits))
+    ]
+    if not fitting:
+        return ""
+    ways = " or ".join(dict.fromkeys(fitting))
+    return (
+        f"The marks do fit the layout {ways}: write layout.json as the cameras see the board, or lay the board right."
+    )

@@ -20,6 +20,7 @@ from vaoi_station.model import CameraHead
 LEAST_MARKS = 4
 BLUR_LIMIT_PX = 2.0
 _LEAST_CONTRAST = 20.0
+_LEAST_SIZE_PX = 8
 _LEAST_SHARE = 0.3
 """Of the marks that the layout puts into the frame, so many must be there, or it is the layout of another board."""
 
@@ -93,7 +94,7 @@ def solve_camera(
         kind: how marks look in this frame.
         to: the limits.
     """
-    if (unfit := _unfit_picture(seen, option)) is not None:
+    if (unfit := _unfit_size(kind, head) or _unfit_picture(seen, option)) is not None:
         return CameraResult(camera, head, seen, _expected(head, camera, option, marks_mm, kind), None, *unfit)
     assert option is not None
     pairs = option.pairs
@@ -111,6 +112,18 @@ def solve_camera(
     return CameraResult(camera, head, seen, marks, fit, refusal, action, result.notes)
 
 
+def _unfit_size(kind: MarkKind, head: CameraHead) -> tuple[str, str] | None:
+    """Why marks of this size cannot be measured, and what to do."""
+    most = min(head.width, head.height) / 2
+    if _LEAST_SIZE_PX <= kind.size_px <= most:
+        return None
+    return (
+        f"the layout's marks would be {kind.size_px:.0f} px large in its frame, but must be {_LEAST_SIZE_PX} … "
+        f"{most:.0f} px",
+        "Correct unit and mark.size in layout.json, or nominal_px_per_mm.",
+    )
+
+
 def _unfit_picture(seen: Sight, option: Hypothesis | None) -> tuple[str, str] | None:
     """Why the picture yields no marks to work with, and what to do."""
     known = 0 if option is None else len(option.pairs)
@@ -119,6 +132,17 @@ def _unfit_picture(seen: Sight, option: Hypothesis | None) -> tuple[str, str] | 
             f"its picture has a contrast of {seen.contrast:.0f} grey levels, at least {_LEAST_CONTRAST:.0f} are needed",
             "Check light, exposure, lens cap, and that the board lies in its view.",
         )
+    if known < LEAST_MARKS and seen.opposite > len(seen.px):
+        return (
+            f"it shows {seen.opposite} marks of the opposite brightness and {len(seen.px)} of the layout's polarity",
+            "Correct mark.polarity in layout.json.",
+        )
+    if seen.blur_px > BLUR_LIMIT_PX and not len(seen.px):
+        return (
+            f"it shows no mark, and its steepest edges are blurred by {seen.blur_px:.1f} px (sigma), "
+            f"the limit is {BLUR_LIMIT_PX:.1f} px",
+            "Focus the lens, and check that the board lies uncovered in its view.",
+        )
     if seen.blur_px > BLUR_LIMIT_PX:
         return (
             f"its picture is blurred by {seen.blur_px:.1f} px (sigma), the limit is {BLUR_LIMIT_PX:.1f} px",
@@ -126,11 +150,6 @@ def _unfit_picture(seen: Sight, option: Hypothesis | None) -> tuple[str, str] | 
         )
     if known >= LEAST_MARKS:
         return None
-    if seen.opposite > len(seen.px):
-        return (
-            f"it shows {seen.opposite} marks of the opposite brightness and {len(seen.px)} of the layout's polarity",
-            "Correct mark.polarity in layout.json.",
-        )
     return (
         f"it shows {len(seen.px)} marks, of which {known} fit the layout; at least {LEAST_MARKS} are needed",
         "Move the board until every camera sees four marks, uncover them, and check that layout.json belongs to this "
@@ -224,7 +243,7 @@ def _notes(marks: tuple[MarkSeen, ...], seen: Sight, fit: Fit) -> tuple[str, ...
         if all(m.used or np.hypot(*(m.expected_px - (x, y))) > 10 for m in marks)
     ]
     if fit.freedom == 0:
-        notes.append("four marks fix N and leave nothing over to check it by: the residuals are 0 whatever it is worth")
+        notes.append("four marks fix N and leave nothing over to check it by: its residuals are always 0")
     return tuple(notes)
 
 

@@ -23,6 +23,7 @@ _MISSED = 0.5
 _PRIOR_PER_MM2 = 0.04
 """What a shift off the expected place costs: only enough to decide between equals."""
 _CHUNK = 64
+_APART_MM, _AS_GOOD = 0.5, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,12 @@ def hypotheses(
     trial = _Trial(seen, marks_mm[near], nominal_matrix(head, camera), head, size_px)
     found = trial.judged(trial.from_pairs())
     return tuple(Hypothesis(h.similarity, _renamed(h.pairs, near), h.score, h.offset_mm) for h in found)
+
+
+def rival(options: tuple[Hypothesis, ...], chosen: Hypothesis) -> Hypothesis | None:
+    """Another way to lay the layout that explains a frame as well as the chosen one; None if there is none."""
+    others = (h for h in options if h is not chosen and np.hypot(*(h.offset_mm - chosen.offset_mm)) > _APART_MM)
+    return next((h for h in others if h.score >= chosen.score - _AS_GOOD and len(h.pairs) >= 4), None)
 
 
 def choose(options: list[tuple[Hypothesis, ...]]) -> list[Hypothesis | None]:

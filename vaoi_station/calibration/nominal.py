@@ -9,9 +9,9 @@ from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
 
-REACH_MM = 10.0
+REACH_MM = 12.0
 """How far off the design a camera may look, at the most."""
-_REACH_SHARE = 0.3
+_REACH_SHARE = 0.45
 """The same as a share of the shorter side of its view."""
 
 

@@ -10,10 +10,12 @@ from vaoi_station.geometry.transforms import Floats, apply
 
 _LEAST_LEFT = 5
 """Four marks fit anything, so the last five say nothing about one of them."""
-_MOST_SHARE = 0.25
+_MOST_SHARE = 0.4
 _TRIED = 12
 """In how many leave-one-out fits the culprit is sought: those of the largest residuals."""
 _SIGMAS, _LEAST_PX = 6.0, 0.1
+_RAYLEIGH = 1.1774
+"""Median length of a vector of two normal numbers, in their standard deviation; outliers do not move a median."""
 
 
 def without_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[int]]:
@@ -40,14 +42,15 @@ def without_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[
 def _leave_one_out(fit: Fit, marks_mm: Floats, px: Floats, kept: list[int]) -> tuple[Fit, list[int]] | None:
     """The fit without the mark that disturbs most, if it is off by more than noise explains."""
     best: tuple[float, Fit, list[int]] | None = None
-    for n in np.argsort(-np.hypot(*fit.residuals_px.T))[:_TRIED]:
+    lengths = np.hypot(*fit.residuals_px.T)
+    usual = float(np.median(lengths)) / _RAYLEIGH * np.sqrt(2 * len(kept) / max(fit.freedom, 1))
+    for n in np.argsort(-lengths)[:_TRIED]:
         rest = [k for m, k in enumerate(kept) if m != n]
         trial = fit_camera(marks_mm[rest], px[rest], fit.lens.center_px, fit.lens.radius_px)
         if isinstance(trial, Failure):
             continue
         left, out = px[kept[n]], marks_mm[kept[n]]
         off = float(np.hypot(*(trial.lens.undistort(left) - apply(trial.matrix, out))))
-        noise = np.hypot(trial.sigma_px * np.sqrt(2), float(trial.sigma_at_px(left[None])[0]))
-        if off > max(_SIGMAS * noise, _LEAST_PX) and (best is None or trial.rms_px < best[0]):
+        if off > max(_SIGMAS * usual, _LEAST_PX) and (best is None or trial.rms_px < best[0]):
             best = trial.rms_px, trial, rest
     return None if best is None else best[1:]

@@ -24,7 +24,6 @@ def variants(marks_mm: Floats, heads: Sequence[CameraHead]) -> Iterator[tuple[st
     views = np.array([h.nominal_center_mm or (0.0, 0.0) for h in heads])
     own, array = (marks_mm.min(0) + marks_mm.max(0)) / 2, (views.min(0) + views.max(0)) / 2
     about = [(np.zeros(2), np.zeros(2)), (own, own), (own, array)]
-    yield "shifted", marks_mm - own + array
     for said, way in _WAYS:
         seen: list[Floats] = []
         for before, after in about:
@@ -32,3 +31,5 @@ def variants(marks_mm: Floats, heads: Sequence[CameraHead]) -> Iterator[tuple[st
             if not any(np.allclose(changed, s) for s in seen):
                 seen.append(changed)
                 yield said, changed
+    x, y = array - own
+    yield f"shifted by ({x:.1f}, {y:.1f}) mm", marks_mm + (x, y)
