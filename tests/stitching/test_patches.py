@@ -41,7 +41,7 @@ def test_whole_pixels_hardly_attract_whatever_the_fraction(workshop: Any, axis: 
         assert np.hypot(*error.T).max() < 0.04
         bias.append(error[:, axis].mean())
     print("bias over the fraction, px:", " ".join(f"{b:+.4f}" for b in bias))
-    assert np.abs(bias).max() <= 0.010
+    assert np.abs(bias).max() <= 0.005
 
 
 @settings(max_examples=12, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
