@@ -19,7 +19,7 @@ from vaoi_station.geometry.transforms import Floats
 
 WINDOW_PX = 21
 """Side of the patch that is compared."""
-TILE_PX = 39
+TILE_PX = 37
 """Side of what is cut out around it: room for blur, interpolation and a wrong prediction."""
 REACH_PX = 6.0
 """A patch that moves further from its prediction has lost its way."""
