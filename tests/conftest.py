@@ -70,6 +70,10 @@ class Cases:
         """Errors of a result, by the program that knows the truth."""
         path = self.scratch / f"{name}-result.json"
         write_stitch(path, result)
+        return self.score_file(name, path)
+
+    def score_file(self, name: str, path: Path) -> dict[str, Any]:
+        """Errors of a written result or calibration, by the same program."""
         command = [sys.executable, str(_FILMS / "score.py"), str(self._source(name)), str(path)]
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         figures: dict[str, Any] = json.loads(said)

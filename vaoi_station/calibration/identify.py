@@ -15,7 +15,7 @@ from vaoi_station.calibration.nominal import inside, marks_in_view, nominal_matr
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
-_SCALE, _ANGLE_RAD = 0.08, np.radians(6.0)
+_SCALE, _ANGLE_RAD = 0.08, np.radians(8.0)
 """How far scale and direction may be off the design."""
 _SEEDS, _MOST_SEEN = 48, 120
 _MISSED = 0.5
@@ -23,6 +23,7 @@ _MISSED = 0.5
 _PRIOR_PER_MM2 = 0.04
 """What a shift off the expected place costs: only enough to decide between equals."""
 _CHUNK = 64
+_MOST_KEPT = 9
 _APART_MM, _AS_GOOD = 0.5, 1.0
 
 
@@ -135,11 +136,12 @@ class _Trial:
         )
         offsets = self._offset_mm(similarities)
         kept: list[int] = []
-        for n in np.argsort(-scores, kind="stable"):
+        cost = _PRIOR_PER_MM2 * (offsets**2).sum(1)
+        for n in np.argsort(cost - scores, kind="stable"):
             apart = all(np.hypot(*(offsets[n] - offsets[m])) * self.nominal[0, 0] > self.size_px / 2 for m in kept)
             if apart:
                 kept.append(int(n))
-            if len(kept) == 8:
+            if len(kept) == _MOST_KEPT:
                 break
         improved = (self._improved(similarities[n]) for n in kept)
         return sorted((h for h in improved if h is not None), key=lambda h: -h.score)
