@@ -1,4 +1,4 @@
-"""The recorded cases: real board photographs filmed by a program of their own, with a truth the product never sees."""
+"""Hypothesis for a verdict, and the recorded cases: real boards, filmed with a truth the product never sees."""
 
 from __future__ import annotations
 
@@ -13,12 +13,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
 from vaoi_station.model import BoardType, Calibration, Stitch
 from vaoi_station.stitching.offline import stitch_frames
 from vaoi_station.stitching.work import Setup
+
+# A verdict on a commit must not depend on the day: there the examples are fixed; at a desk they are new every time.
+hypothesis.settings.register_profile("verdict", derandomize=True)
+if os.environ.get("CI") == "true":
+    hypothesis.settings.load_profile("verdict")
 
 _FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
 """Beside the checkout: `make.py` films a case, `score.py` compares a result with the truth."""
@@ -64,6 +70,10 @@ class Cases:
         """Errors of a result, by the program that knows the truth."""
         path = self.scratch / f"{name}-result.json"
         write_stitch(path, result)
+        return self.score_file(name, path)
+
+    def score_file(self, name: str, path: Path) -> dict[str, Any]:
+        """Errors of a written result or calibration, by the same program."""
         command = [sys.executable, str(_FILMS / "score.py"), str(self._source(name)), str(path)]
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         figures: dict[str, Any] = json.loads(said)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
-from vaoi_station.model import Finite, Positive, Whole
+from vaoi_station.model import CameraHead, Finite, Positive, Whole
 
 NotNegative = Annotated[Finite, Field(ge=0)]
 
@@ -100,6 +100,20 @@ class CameraConfig(Section):
     height: Annotated[Whole, Field(ge=16, le=65536)]
     exposure_us: Positive
     pixel_format: Literal["Mono8", "Mono16"] = "Mono8"
+    nominal_center_mm: tuple[Finite, Finite] | None = None
+    """Where it is meant to look, by the mechanical design; calibration needs it to a few mm."""
+    nominal_px_per_mm: Positive | None = None
+
+    @property
+    def head(self) -> CameraHead:
+        """What a recording says of it."""
+        return CameraHead(
+            width=self.width,
+            height=self.height,
+            exposure_us=self.exposure_us,
+            nominal_center_mm=self.nominal_center_mm,
+            nominal_px_per_mm=self.nominal_px_per_mm,
+        )
 
     @property
     def frame_bytes(self) -> int:

@@ -121,7 +121,7 @@ def test_look_alikes_do_not_win(workshop: Any, seed: int, turn: float) -> None:
     places = with_look_alikes(sighted(marks), 60, g, (0.75, 0.93))
     found = find_board(frame, places, expected_angle(frame, camera, UPRIGHT), UPRIGHT, NOTHING)
     assert isinstance(found, Hypothesis)
-    assert np.abs(similar(found.c, frame.fiducials) - marks).max() < 0.1
+    assert np.abs(similar(found.c, frame.fiducials) - marks).max() < 0.4, "a first answer, from two of the three"
     assert found.fiducials == (0, 1, 2)
 
 

@@ -6,7 +6,7 @@ from vaoi_station.acquisition.messages import RunFinished, Trouble
 from vaoi_station.acquisition.recorder import Finished
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import VaoiError
-from vaoi_station.model import CameraHead, RecordingHead, Verdict
+from vaoi_station.model import RecordingHead, Verdict
 
 
 def run_finished(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
@@ -17,7 +17,7 @@ def run_finished(config: StationConfig, finished: Finished, now_s: float) -> Run
     head = RecordingHead(
         format="vaoi-recording",
         version=1,
-        cameras=tuple(CameraHead(width=c.width, height=c.height, exposure_us=c.exposure_us) for c in config.cameras),
+        cameras=tuple(c.head for c in config.cameras),
         rows=sheet.rows,
         trigger_period_s=sheet.period_s,
         conveyor_mm_s=config.line.conveyor_mm_s,

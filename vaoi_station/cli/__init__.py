@@ -8,6 +8,8 @@ import sys
 import typer
 
 from vaoi_station.cli.bench import bench
+from vaoi_station.cli.calibrate import calibrate
+from vaoi_station.cli.calibration_board import calibration_board
 from vaoi_station.cli.cut import cut
 from vaoi_station.cli.demo import demo
 from vaoi_station.cli.plan import plan
@@ -41,6 +43,8 @@ app.command()(plan)
 app.command()(simulate)
 app.command()(serve)
 app.command()(record)
+app.command()(calibrate)
+app.command("calibration-board")(calibration_board)
 app.command()(stitch)
 app.command()(report)
 app.command()(teach)

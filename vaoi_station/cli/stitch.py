@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
+
+if TYPE_CHECKING:
+    from vaoi_station.stitching.method import MethodName
 
 
 class Method(StrEnum):
@@ -16,6 +19,7 @@ class Method(StrEnum):
     FIDUCIALS = "fiducials"
     FEATURES = "features"
     REFERENCE = "reference"
+    PAPER = "paper"
 
 
 def stitch(
@@ -29,6 +33,7 @@ def stitch(
     """Stitch a recorded run: one matrix per frame, and C from CAD to tester."""
     from vaoi_station.errors import InputError
     from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
+    from vaoi_station.stitching.by_paper import stitch_by_paper
     from vaoi_station.stitching.offline import stitch_frames
     from vaoi_station.stitching.taught import open_taught, with_reference
     from vaoi_station.stitching.work import Setup
@@ -42,7 +47,7 @@ def stitch(
         conveyor_mm_s=recording.head.conveyor_mm_s,
         trigger_period_s=recording.head.trigger_period_s,
         board_type=board_type,
-        method=method.value,
+        method=cast("MethodName", "auto" if method is Method.PAPER else method.value),
     )
     if method is Method.REFERENCE and reference is None:
         raise InputError("--method reference needs --reference DIR.", action="`vaoi teach` makes one.")
@@ -52,7 +57,10 @@ def stitch(
             raise InputError("--reference needs a board type.", action="Give one with --board.")
         taught = open_taught(reference, setup.cameras, board_type)
     reference_frame = taught.recording.frame if taught else None
-    result = stitch_frames(with_reference(setup, taught), recording.head, recording.frame, reference_frame)
+    if method is Method.PAPER:
+        result = stitch_by_paper(setup, recording.head, recording.frame)
+    else:
+        result = stitch_frames(with_reference(setup, taught), recording.head, recording.frame, reference_frame)
     write_stitch(out, result)
     sigma = result.quality.get("cad_sigma_px")
     typer.echo(f"{result.status}: {recording.head.rows} rows × {len(recording.head.cameras)} cameras → {out}")

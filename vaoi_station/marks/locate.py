@@ -22,7 +22,9 @@ _STEPS = 6
 _COARSE_SIDE = 24
 """Larger marks are first looked at through about so many samples per side."""
 _SMOOTH_PX = 1.5
-"""Blur before symmetry is judged: interpolation between pixels then errs by less than 0.003 px."""
+"""Blur before symmetry is judged: what aliasing the sensor left is out of it then."""
+_TAPS = np.arange(-2, 4)
+"""Pixels that a value between pixels is interpolated from."""
 _ROUND_BY_SYMMETRY_PX = 24.0
 """From this size on the shading across a circle pulls its edge gradients; its symmetry has the last word."""
 _LEAST_SCORE = 0.75
@@ -126,18 +128,20 @@ def _by_symmetry(patch: NDArray[np.float32], start: Floats, size_px: float) -> t
     A gain that rises by a share a per pixel across the mark adds 2·a·u times the mean of the two, odd in u like
     the trace of a shift; a is estimated too, so that vignetting pulls nothing.
     """
-    smooth = cv2.GaussianBlur(patch, (0, 0), _SMOOTH_PX)
-    gradients = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3) / 8, cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3) / 8
     reach, coarse = int(np.ceil(0.62 * size_px)) + 1, max(round(size_px / _COARSE_SIDE), 1)
+    furthest = size_px / 3 + 2
+    pad = int(furthest) + len(_TAPS)
+    smooth = cv2.GaussianBlur(patch, (0, 0), _SMOOTH_PX)
+    smooth = cv2.copyMakeBorder(smooth, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     center, spread = start, np.eye(2)
     for stride, enough in ((coarse, 0.05), (1, 1e-3)) if coarse > 1 else ((1, 1e-3),):
         for _ in range(3 * _STEPS):
-            step = _symmetry_step(smooth, gradients, center, reach, stride)
+            step = _symmetry_step(smooth, center + pad, reach, stride)
             if step is None:
                 return Failure("no point symmetry: the picture changes in one direction only")
             move, spread = step
             center = center - np.clip(move, -1.5, 1.5)
-            if np.abs(center - start).max() > size_px / 3 + 2:
+            if np.abs(center - start).max() > furthest:
                 return Failure("no centre of symmetry near the predicted place")
             if np.abs(move).max() < enough:
                 break
@@ -145,20 +149,19 @@ def _by_symmetry(patch: NDArray[np.float32], start: Floats, size_px: float) -> t
 
 
 def _symmetry_step(
-    smooth: NDArray[np.float32],
-    gradients: tuple[NDArray[np.float32], NDArray[np.float32]],
-    center: Floats,
-    reach: int,
-    stride: int,
+    smooth: NDArray[np.float32], center: Floats, reach: int, stride: int
 ) -> tuple[Floats, Floats] | None:
     """How far the centre of symmetry is from `center` (2,), and the covariance (2, 2); None if nothing fixes it."""
-    side = np.arange(-reach, reach + 1, stride, dtype=np.float32)
-    u, v = np.broadcast_arrays(side[None], side[:, None])
-    fore, back = (center[0] + u, center[1] + v), (center[0] - u, center[1] - v)
-    ahead, behind = _at(smooth, fore), _at(smooth, back)
-    e, mean = ahead - behind, (ahead + behind) / np.float32(2 * reach)
-    slopes = [_at(g, fore) - _at(g, back) for g in gradients]
-    columns = np.stack([*slopes, u * mean, v * mean]).reshape(4, -1)
+    window = _centred(smooth, center, reach + 1)
+    pick = np.s_[1:-1:stride, 1:-1:stride]
+    ahead, behind = window[pick], window[::-1, ::-1][pick]
+    slopes = []
+    for dx, dy in ((1, 0), (0, 1)):
+        slope = cv2.Sobel(window, cv2.CV_32F, dx, dy, ksize=3, scale=1 / 8)
+        slopes.append(slope[pick] - slope[::-1, ::-1][pick])
+    side = np.arange(-reach, reach + 1, stride, dtype=np.float32) / np.float32(2 * reach)
+    e, total = ahead - behind, ahead + behind
+    columns = np.stack([*slopes, side[None] * total, side[:, None] * total]).reshape(4, -1)
     normal = (columns @ columns.T).astype(np.float64)
     if np.linalg.det(normal[:2, :2]) < 1e-6 * max(np.trace(normal[:2, :2]), 1e-6) ** 2:
         return None
@@ -169,9 +172,25 @@ def _symmetry_step(
     return solution[:2], inverse[:2, :2] * float((left * left).mean()) * stride**2
 
 
-def _at(image: NDArray[np.float32], at: tuple[NDArray[np.float32], NDArray[np.float32]]) -> NDArray[np.float32]:
-    x, y = (np.asarray(v, dtype=np.float32) for v in at)
-    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+def _centred(image: NDArray[np.float32], center: Floats, reach: int) -> NDArray[np.float32]:
+    """The square of 2·reach + 1 pixels about a place between pixels, by Lagrange's interpolation over six of them.
+
+    Bilinear interpolation errs in the third derivative, and with opposite signs on opposite edges of a mark.
+    """
+    x, y = (int(v) for v in np.floor(center))
+    before, after = reach - int(_TAPS[0]), reach + int(_TAPS[-1]) + 1
+    cut = image[y - before : y + after, x - before : x + after]
+    kernels = [_lagrange(float(c - np.floor(c))) for c in center]
+    moved = cv2.sepFilter2D(cut, cv2.CV_32F, kernels[0], kernels[1], anchor=(int(-_TAPS[0]), int(-_TAPS[0])))
+    low = before - reach
+    return np.asarray(moved[low : low + 2 * reach + 1, low : low + 2 * reach + 1])
+
+
+def _lagrange(fraction: float) -> NDArray[np.float64]:
+    """Weights of the pixels at `_TAPS` for a place `fraction` behind the pixel at 0."""
+    apart = _TAPS[:, None] - _TAPS[None] + np.eye(len(_TAPS))
+    ways = np.where(np.eye(len(_TAPS), dtype=bool), 1.0, fraction - _TAPS[None])
+    return np.asarray(ways.prod(1) / apart.prod(1))
 
 
 def _likeness(

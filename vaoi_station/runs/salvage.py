@@ -12,7 +12,7 @@ CAUSE = "the acquisition process ended before it arrived"
 
 def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
     """What a recording of this station says of its cameras."""
-    return tuple(CameraHead(width=c.width, height=c.height, exposure_us=c.exposure_us) for c in config.cameras)
+    return tuple(c.head for c in config.cameras)
 
 
 def film_from_pieces(progress: Progress, config: StationConfig) -> RunFinished | None:

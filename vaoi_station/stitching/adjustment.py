@@ -28,8 +28,9 @@ _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
 """… and beyond so many count no more."""
-_PAIR_SIGMA_PX = 0.006
-"""What the links of one pair of frames share and does not average out (interpolation, light, calibration)."""
+_PAIR_SIGMA_PX, _PAIR_SHARE = 0.006, 0.25
+"""What the links of one pair of frames share and does not average out (interpolation, light, parts): so many px, and
+that share of their scatter."""
 _FLOOR_PX = (0.010, 5.0)
 """Range of the scatter of single links beyond image noise."""
 _HEIGHT_SIGMA_MM = 3.0
@@ -196,7 +197,8 @@ class _Solver:
         self.sigma = chi
         self.robust = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
         per_pair = np.bincount(o.group, self.robust, minlength=len(o.groups))
-        share = 1 / (1 + per_pair[o.group] * (_PAIR_SIGMA_PX / floor_px) ** 2)
+        shared = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * floor_px)
+        share = 1 / (1 + per_pair[o.group] * (shared / floor_px) ** 2)
         return np.asarray(information * (self.robust * share)[:, None, None])
 
     def _update_floor(self, residual: Floats) -> None:

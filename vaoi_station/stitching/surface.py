@@ -13,7 +13,7 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Surface
 
-SIGMA_MM = np.array([1.0, 0.15, 0.15, 0.5, 0.2, 0.5])
+SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
 """Prior standard deviation of lift, tilt along u and v, and the coefficients of u², uv, v²."""
 
 

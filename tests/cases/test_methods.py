@@ -1,0 +1,121 @@
+"""The paper's methods on real boards: each by its own evidence alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.files import read_calibration, read_stitch, write_calibration
+from vaoi_station.model import Status, Stitch
+
+pytestmark = pytest.mark.cases
+
+
+def vaoi(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "vaoi_station", *map(str, arguments)]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, check=False)
+
+
+def stitched(case: Path, out: Path, *options: str | Path) -> Stitch:
+    done = vaoi("stitch", case, "--out", out, *options)
+    assert done.returncode == 0, done.stderr
+    return read_stitch(out)
+
+
+def used(result: Stitch) -> dict[str, int]:
+    return {kind: count["used"] for kind, count in result.quality["links"].items() if count["used"]}
+
+
+@pytest.mark.parametrize(("name", "limit_px"), [("fixture", 0.15), ("paper-reference", 0.15)])
+def test_marks_of_a_fixture_place_a_board_without_any_texture(
+    cases: Any, tmp_path: Path, name: str, limit_px: float
+) -> None:
+    result = stitched(cases(name), tmp_path / "result.json", "--method", "fiducials")
+    assert (result.status, result.method) == (Status.OK, "fiducials")
+    assert set(used(result)) == {"fiducials", "fixture"}
+    assert cases.score(name, result)["cad_px"]["rms"] <= limit_px
+
+
+def test_features_use_no_marks_of_the_fixture(cases: Any, tmp_path: Path) -> None:
+    result = stitched(cases("fixture"), tmp_path / "result.json", "--method", "features")
+    assert set(used(result)) == {"rows", "neighbours", "fiducials"}
+    assert cases.score("fixture", result)["cad_px"]["rms"] <= 0.08
+
+
+@pytest.fixture(scope="module")
+def taught(cases: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("taught") / "ulx3s"
+    done = vaoi("teach", cases("ulx3s-top"), "--out", directory)
+    assert done.returncode == 0, done.stderr
+    assert not (directory / "truth.json").exists()
+    return directory
+
+
+def test_a_reference_places_a_later_board(cases: Any, taught: Path, tmp_path: Path) -> None:
+    options = ("--method", "reference", "--reference", taught)
+    result = stitched(cases("ulx3s-top-again"), tmp_path / "result.json", *options)
+    assert (result.status, result.method) == (Status.OK, "reference")
+    assert set(used(result)) == {"reference"}
+    assert cases.score("ulx3s-top-again", result)["cad_px"]["rms"] <= 0.10
+    np.testing.assert_allclose(result.row_motion[0], np.eye(3), atol=1e-12, err_msg="the gauge holds for every method")
+
+
+def test_auto_uses_a_reference_beside_everything_else(cases: Any, taught: Path, tmp_path: Path) -> None:
+    result = stitched(cases("ulx3s-top-again"), tmp_path / "result.json", "--reference", taught)
+    assert set(used(result)) == {"rows", "neighbours", "fiducials", "reference"}
+    assert cases.score("ulx3s-top-again", result)["cad_px"]["rms"] <= 0.08
+
+
+def test_a_reference_filmed_with_another_calibration_is_refused(cases: Any, taught: Path, tmp_path: Path) -> None:
+    case = cases("ulx3s-top-again")
+    calibration = read_calibration(case / "calibration.json")
+    moved = [m.copy() for m in calibration.camera_matrices]
+    moved[1] = np.array([[1, 0, 3.0], [0, 1, 0], [0, 0, 1]]) @ moved[1]
+    other = tmp_path / "other.json"
+    write_calibration(other, calibration.model_copy(update={"camera_matrices": tuple(moved)}))
+    done = vaoi("stitch", case, "--calibration", other, "--reference", taught, "--out", tmp_path / "r.json")
+    assert done.returncode == 2
+    assert "another calibration: camera 1 differs by 3.0 px" in done.stderr
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_a_reference_of_another_board_type_is_refused(cases: Any, taught: Path, tmp_path: Path) -> None:
+    case = cases("fixture")
+    done = vaoi("stitch", case, "--reference", taught, "--method", "reference", "--out", tmp_path / "r.json")
+    assert done.returncode == 2
+    assert "whose components are not those of" in done.stderr
+
+
+def test_a_reference_is_named_where_it_is_needed(cases: Any, tmp_path: Path) -> None:
+    done = vaoi("stitch", cases("sparse"), "--method", "reference", "--out", tmp_path / "r.json")
+    assert done.returncode == 2
+    assert "--method reference needs --reference DIR" in done.stderr
+
+
+def test_what_cannot_be_stitched_is_not_taught(cases: Any, tmp_path: Path) -> None:
+    case = cases.copied("sparse", tmp_path / "case")
+    board = json.loads((case / "board.json").read_text())
+    board["fiducials"][0]["x"] += 5
+    (case / "board.json").write_text(json.dumps(board))
+    done = vaoi("teach", case, "--out", tmp_path / "reference")
+    assert done.returncode == 2
+    assert "cannot be a reference" in done.stderr
+    assert list(tmp_path.glob("*reference*")) == []
+
+
+@pytest.mark.parametrize("name", ["paper-1", "ulx3s-top"])
+def test_the_papers_own_method_is_there_to_compare_with(cases: Any, tmp_path: Path, name: str) -> None:
+    theirs = stitched(cases(name), tmp_path / "result.json", "--method", "paper")
+    assert (theirs.status, theirs.method) == (Status.DEGRADED, "paper")
+    assert theirs.reasons == ("the paper's method has no measure of its own error",)
+    error_px = cases.score(name, theirs)["cad_px"]["rms"]
+    assert error_px < 1.0
+    assert error_px > 3 * cases.score(name, cases.stitched(name))["cad_px"]["rms"]

@@ -1,0 +1,53 @@
+"""Commands as the shell runs them, and a small recording to run them on."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.cli import main
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation.filming import write_passage
+
+
+@dataclass(frozen=True)
+class Said:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def vaoi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
+    """Runs `vaoi …` in this process."""
+
+    def run(*arguments: object) -> Said:
+        monkeypatch.setattr(sys, "argv", ["vaoi", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        code = ended.value.code
+        out, err = capsys.readouterr()
+        return Said(code if isinstance(code, int) else 0, out, err)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A board of the small scenario, without its truth; not to be changed."""
+    directory = tmp_path_factory.mktemp("small")
+    write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), directory, with_truth=False)
+    return directory
+
+
+@pytest.fixture
+def recording(small_recording: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be spoilt."""
+    return Path(shutil.copytree(small_recording, tmp_path / "recording"))

@@ -1,0 +1,91 @@
+"""`vaoi cut` from the outside: pictures, and the matrices that belong to them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.files import open_recording, read_board_type, read_stitch
+from vaoi_station.files.images import read_image
+from vaoi_station.geometry import apply
+
+
+@pytest.fixture(scope="session")
+def result(small_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from typer.testing import CliRunner
+
+    from vaoi_station.cli import app
+
+    out = tmp_path_factory.mktemp("result") / "result.json"
+    assert CliRunner().invoke(app, ["stitch", str(small_recording), "--out", str(out)]).exit_code == 0
+    return out
+
+
+def test_pictures_of_components_with_their_matrices(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
+) -> None:
+    said = vaoi("cut", small_recording, "--result", result, "--component", "U1", "--component", "R1", "--out", tmp_path)
+    assert (said.code, said.err) == (0, "")
+    stitch, recording = read_stitch(result), open_recording(small_recording)
+    r1 = read_board_type(small_recording / "board.json").component("R1")
+    assert r1 is not None
+    assert f"U1: {len(json.loads((tmp_path / 'U1.json').read_text()))} image(s) → {tmp_path}" in said.out
+    listing = json.loads((tmp_path / "R1.json").read_text())
+    assert listing
+    assert [v["coverage"] for v in listing] == sorted((v["coverage"] for v in listing), reverse=True)
+    assert stitch.components is not None
+    shown = {(i, j): (x, y) for i, j, x, y in stitch.components["R1"]}
+    for k, view in enumerate(listing):
+        assert view["file"] == f"R1_{k:02d}_c{view['camera']:02d}_r{view['row']:03d}.png"
+        picture = read_image(tmp_path / view["file"])
+        middle = apply(view["crop_from_cad"], r1.center)
+        assert middle == pytest.approx([(picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2])
+        np.testing.assert_allclose(np.array(view["cad_from_crop"]) @ view["crop_from_cad"], np.eye(3), atol=1e-9)
+        in_frame = apply(view["image_from_crop"], middle)
+        assert in_frame == pytest.approx(shown[view["camera"], view["row"]], abs=0.05)
+        frame = recording.frame(view["camera"], view["row"])
+        assert frame is not None
+        x, y = np.round(in_frame).astype(int)
+        u, v = np.round(middle).astype(int)
+        assert abs(picture[v - 3 : v + 4, u - 3 : u + 4].mean() - frame[y - 3 : y + 4, x - 3 : x + 4].mean()) < 6
+    assert listing[0]["coverage"] == 1
+
+
+def test_resolution_and_least_coverage(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
+    options = ("--component", "R1", "--px-per-mm", 9, "--min-coverage", 1)
+    assert vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path).code == 0
+    listing = json.loads((tmp_path / "R1.json").read_text())
+    assert {(v["px_per_mm"], v["coverage"]) for v in listing} == {(9.0, 1.0)}
+
+
+def test_an_unknown_component_is_refused_with_those_there_are(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
+) -> None:
+    said = vaoi("cut", small_recording, "--result", result, "--component", "U99", "--out", tmp_path)
+    assert said.code == 2
+    assert "board type 'small' has no component 'U99'. It has " in said.err
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_a_run_without_cad_mapping_cannot_be_cut(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
+) -> None:
+    data = json.loads(result.read_text())
+    data.update(cad_matrix=None, status="failed", reasons=["the fiducials were not found"])
+    (tmp_path / "failed.json").write_text(json.dumps(data))
+    said = vaoi("cut", small_recording, "--result", tmp_path / "failed.json", "--component", "U1", "--out", tmp_path)
+    assert said.code == 3
+    assert "no CAD mapping" in said.err
+    assert "the fiducials were not found" in said.err
+
+
+def test_too_large_a_picture_is_refused(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
+    options = ("--component", "U1", "--px-per-mm", 1000)
+    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
+    assert said.code == 2
+    assert "U1: px_per_mm is 1000" in said.err
+    assert "megapixels" in said.err

@@ -1,0 +1,32 @@
+"""What all formats draw: the cross of a mark, the scale bar, the line of text that names the board."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats
+
+LABEL_MM = 8.0
+"""Strip below the views for the scale bar and the name; no camera takes them for marks there."""
+BAR_MM = 50.0
+"""Length of the scale bar, where the board is wide enough."""
+
+
+def cross(center: Floats, size_mm: float, width_mm: float) -> Floats:
+    """Corners (12, 2) of a cross, all the way round."""
+    r, a = size_mm / 2, width_mm / 2
+    quarter = [(a, -r), (a, -a), (r, -a)]
+    corners = []
+    for turn in range(4):
+        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[turn]
+        corners += [(c * x - s * y, s * x + c * y) for x, y in quarter]
+    return np.asarray(np.array(corners) + center)
+
+
+def scale_bar(low_mm: tuple[float, float], high_mm: tuple[float, float]) -> tuple[Floats, float]:
+    """Strokes (3, 2, 2) mm of a bar with end ticks in the strip below the views, and its length in mm."""
+    length = BAR_MM if high_mm[0] - low_mm[0] >= BAR_MM + 10 else 10.0
+    x, y = low_mm[0] + 5, high_mm[1] - LABEL_MM / 2
+    ends = [(x, y), (x + length, y)]
+    ticks = [[(end, y - 1.5), (end, y + 1.5)] for end in (x, x + length)]
+    return np.array([ends, *ticks]), length

@@ -1,0 +1,127 @@
+"""Cross-validation: where two calibrations of one array disagree, in px over every frame.
+
+The board that fixes the tester's coordinates lies a little elsewhere each time. That is no disagreement: one
+rigid motion of the tester's plane, the same for all cameras, is taken out first and told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.errors import InputError
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import Calibration, CameraHead
+
+GRID = (9, 7)
+"""Points across and down a frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """Where the other calibration puts what this one sees at a pixel, minus that pixel."""
+
+    grid_px: tuple[Floats, ...]
+    """Per camera (rows, columns, 2): raw pixels looked at."""
+    difference_px: tuple[Floats, ...]
+    """Per camera (rows, columns, 2)."""
+    shift_mm: Floats
+    """The rigid motion taken out: of the middle of the array, (2,)."""
+    angle_rad: float
+
+    @property
+    def rms_px(self) -> tuple[float, ...]:
+        """Per camera."""
+        return tuple(float(np.sqrt((d**2).sum(-1).mean())) for d in self.difference_px)
+
+    @property
+    def max_px(self) -> tuple[float, ...]:
+        """Per camera."""
+        return tuple(float(np.sqrt((d**2).sum(-1).max())) for d in self.difference_px)
+
+    def lines(self) -> list[str]:
+        """The comparison for people."""
+        turned = math.degrees(self.angle_rad)
+        x, y = self.shift_mm
+        out = [f"the board lay ({x:+.3f}, {y:+.3f}) mm and {turned:+.4f}° from where it lay; that is taken out"]
+        for i, (rms, most) in enumerate(zip(self.rms_px, self.max_px, strict=True)):
+            out.append(f"camera {i}: calibrations differ by {rms:.3f} px rms, {most:.3f} px at most")
+        return out
+
+
+def compare(
+    this: Calibration, other: Calibration, heads: Sequence[CameraHead], grid: tuple[int, int] = GRID
+) -> Difference:
+    """Map of the difference of two calibrations.
+
+    Args:
+        this: one calibration.
+        other: the other, of the same cameras.
+        heads: sizes of the frames.
+        grid: points across and down each frame.
+
+    Raises:
+        InputError: if they are for other numbers of cameras.
+    """
+    counts = len(this.camera_matrices), len(other.camera_matrices), len(heads)
+    if len(set(counts)) > 1:
+        raise InputError(
+            f"calibrations of {counts[0]} and {counts[1]} cameras cannot be compared for {counts[2]} frames.",
+            action="Compare calibrations of one array.",
+        )
+    mine, theirs = this.cameras(tuple(heads)), other.cameras(tuple(heads))
+    grids = [_grid(head, grid) for head in heads]
+    here = [camera.ground(g) for camera, g in zip(mine, grids, strict=True)]
+    there = [camera.ground(g) for camera, g in zip(theirs, grids, strict=True)]
+    a, b = (np.concatenate([p.reshape(-1, 2) for p in places]) for places in (here, there))
+    this_from_other, angle = _rigid(a, b)
+    differences = [
+        camera.project(apply(this_from_other, place)) - g for camera, place, g in zip(mine, there, grids, strict=True)
+    ]
+    return Difference(tuple(grids), tuple(differences), a.mean(0) - b.mean(0), angle)
+
+
+def draw(difference: Difference, heads: Sequence[CameraHead], width_px: int = 420) -> NDArray[np.uint8]:
+    """The map as a picture (h, w, 3) BGR: length as colour, the vectors enlarged as the caption tells."""
+    most = max(*difference.max_px, 1e-9)
+    tiles = []
+    for i, head in enumerate(heads):
+        scale = width_px / head.width
+        size = (width_px, round(head.height * scale))
+        length = np.sqrt((difference.difference_px[i] ** 2).sum(-1)).astype(np.float32)
+        shades = cv2.resize(np.clip(length / most * 255, 0, 255), size, interpolation=cv2.INTER_LINEAR)
+        tile = cv2.applyColorMap(shades.astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+        reach = 0.8 * size[0] / difference.grid_px[i].shape[1] / most
+        for p, d in zip(difference.grid_px[i].reshape(-1, 2), difference.difference_px[i].reshape(-1, 2), strict=True):
+            x, y = p * scale
+            tip = round(float(x + d[0] * reach)), round(float(y + d[1] * reach))
+            cv2.arrowedLine(tile, (round(float(x)), round(float(y))), tip, (255, 255, 255), 1, cv2.LINE_AA)
+        band = np.full((24, width_px, 3), 250, np.uint8)
+        rms, longest = difference.rms_px[i], difference.max_px[i]
+        said = f"camera {i}: {rms:.3f} px rms, {longest:.3f} at most; vectors x{reach / scale:.0f}"
+        cv2.putText(band, said, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (30, 30, 30), 1, cv2.LINE_AA)
+        tiles.append(np.vstack([band, tile]))
+    height = max(t.shape[0] for t in tiles)
+    padded = [cv2.copyMakeBorder(t, 0, height - t.shape[0], 0, 6, cv2.BORDER_CONSTANT, value=(255,) * 3) for t in tiles]
+    return np.asarray(np.hstack(padded), dtype=np.uint8)
+
+
+def _grid(head: CameraHead, grid: tuple[int, int]) -> Floats:
+    x, y = np.linspace(0, head.width - 1, grid[0]), np.linspace(0, head.height - 1, grid[1])
+    return np.stack(np.meshgrid(x, y), -1)
+
+
+def _rigid(target: Floats, source: Floats) -> tuple[Floats, float]:
+    """Least-squares rotation and shift (3, 3), target from source (k, 2), and the angle."""
+    p, q = source - source.mean(0), target - target.mean(0)
+    angle = math.atan2(float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum()))
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    matrix = np.eye(3)
+    matrix[:2, :2], matrix[:2, 2] = turn, target.mean(0) - turn @ source.mean(0)
+    return matrix, angle

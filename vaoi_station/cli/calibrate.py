@@ -1,0 +1,112 @@
+"""`vaoi calibrate CASE --out calibration.json`: camera matrices from a recording of the calibration board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vaoi_station.errors import InputError
+
+if TYPE_CHECKING:
+    from vaoi_station.calibration import Outcome
+    from vaoi_station.model import Calibration, RecordingHead
+
+
+def calibrate(
+    case: Annotated[Path, typer.Argument(help="Directory of the recording that shows the calibration board.")],
+    *,
+    out: Annotated[Path | None, typer.Option(help="Where the calibration is written.")] = None,
+    layout: Annotated[Path | None, typer.Option(help="Marks of the board; by default layout.json beside it.")] = None,
+    row: Annotated[int | None, typer.Option(min=0, help="Row to use, in a recording of several.")] = None,
+    working_distance_mm: Annotated[
+        float | None, typer.Option(min=1, max=1e5, help="Of the cameras above the board's surface.")
+    ] = None,
+    residual_limit_px: Annotated[
+        float, typer.Option(min=0.001, max=100, help="Refuse a camera whose marks fit worse (rms).")
+    ] = 0.2,
+    report: Annotated[Path | None, typer.Option(help="Directory for the pictures; by default that of --out.")] = None,
+    compare: Annotated[
+        Path | None, typer.Option(help="Another calibration of the array: where do they differ, in px?")
+    ] = None,
+    existing: Annotated[Path | None, typer.Option(help="Make no calibration; take this one, to --compare it.")] = None,
+) -> None:
+    """Calibrate the camera array: N_i and lenses from marks, with residuals, or a refusal with a picture."""
+    from vaoi_station.files import open_recording, read_calibration
+
+    recording = open_recording(case)
+    head = recording.head
+    other = None if compare is None else read_calibration(compare, len(head.cameras))
+    if existing is not None:
+        if other is None or out is not None:
+            raise InputError("--existing makes no calibration.", action="Give --compare with it, and no --out.")
+        _compare(read_calibration(existing, len(head.cameras)), other, head, report, f"{existing.stem}")
+        return
+    if out is None:
+        raise InputError("--out is missing.", action="Say where the calibration is to be written.")
+    made = _calibrated(case, out, layout, row, working_distance_mm, residual_limit_px, report or out.parent)
+    if other is not None:
+        _compare(made, other, head, report or out.parent, out.stem)
+
+
+def _calibrated(
+    case: Path,
+    out: Path,
+    layout: Path | None,
+    row: int | None,
+    working_distance_mm: float | None,
+    residual_limit_px: float,
+    report: Path,
+) -> Calibration:
+    from vaoi_station.calibration import Limits
+    from vaoi_station.calibration import calibrate as calibrate_array
+    from vaoi_station.calibration.report import draw
+    from vaoi_station.files import open_recording, write_calibration
+    from vaoi_station.files.images import write_image
+    from vaoi_station.files.layouts import read_layout
+
+    recording = open_recording(case)
+    rows = recording.head.rows
+    if row is None and rows != 1:
+        raise InputError.field(case / "recording.json", "rows", rows, "1", "Choose one row with --row.")
+    if row is not None and row >= rows:
+        raise InputError.field("--row", "row", row, f"below the recording's {rows} rows")
+    marks = read_layout(layout or case / "layout.json")
+    limits = Limits(residual_limit_px, working_distance_mm)
+    outcome = calibrate_array(recording.head.cameras, lambda i: recording.frame(i, row or 0), marks, limits)
+    picture = report / f"{out.stem}-report.png"
+    write_image(picture, draw(outcome))
+    if outcome.refused:
+        error = outcome.error()
+        raise InputError(error.message, action=f"{error.action} The picture is {picture}.", code=error.code)
+    calibration = outcome.calibration()
+    write_calibration(out, calibration)
+    _say(outcome, out, picture)
+    return calibration
+
+
+def _say(outcome: Outcome, out: Path, picture: Path) -> None:
+    for c in outcome.cameras:
+        assert c.fit is not None
+        bent = "".join(f", a{k + 1} = {a:.3g}" for k, a in enumerate(c.fit.lens.radial)) or ", no distortion seen"
+        typer.echo(
+            f"camera {c.camera}: {c.used} of {len(c.marks)} marks, residuals {c.fit.rms_px:.4f} px rms, "
+            f"corners good to {c.corner_sigma_px:.3f} px (1 σ){bent}"
+        )
+    for note in outcome.notes:
+        typer.echo(f"- {note}")
+    typer.echo(f"→ {out}, picture {picture}")
+
+
+def _compare(this: Calibration, other: Calibration, head: RecordingHead, report: Path | None, stem: str) -> None:
+    from vaoi_station.calibration.compare import compare, draw
+    from vaoi_station.files.images import write_image
+
+    difference = compare(this, other, head.cameras)
+    for line in difference.lines():
+        typer.echo(line)
+    if report is not None:
+        picture = report / f"{stem}-difference.png"
+        write_image(picture, draw(difference, head.cameras))
+        typer.echo(f"→ {picture}")

@@ -1,0 +1,116 @@
+"""`vaoi calibration-board`: artwork of a calibration board, tailored to an array."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vaoi_station.errors import InputError
+
+_DEFAULT_MARKS = "5x4"
+
+
+def calibration_board(
+    *,
+    out: Annotated[Path, typer.Option(help="Directory of the artwork; made if need be.")],
+    config: Annotated[
+        Path | None, typer.Option(help="station.toml: number of cameras, frame sizes, and where they look.")
+    ] = None,
+    cameras: Annotated[int | None, typer.Option(min=1, max=64, help="Number of cameras (n).")] = None,
+    pitch_mm: Annotated[float | None, typer.Option(help="Distance of neighbouring cameras.")] = None,
+    field_mm: Annotated[str | None, typer.Option(help="View of one camera, as 34.8x26.")] = None,
+    px_per_mm: Annotated[
+        float | None, typer.Option(min=0.1, max=1000, help="With --config: resolution, to find the view.")
+    ] = None,
+    marks_per_camera: Annotated[str, typer.Option(help="Across x down, as 5x4.")] = _DEFAULT_MARKS,
+    mark_mm: Annotated[float, typer.Option(min=0.1, max=50, help="Size of a cross.")] = 2.0,
+    tolerance_mm: Annotated[
+        float, typer.Option(min=0, max=50, help="Marks keep so far from the edge of a view.")
+    ] = 3.0,
+    light: Annotated[bool, typer.Option("--light", help="Light marks on a dark board.")] = False,
+) -> None:
+    """Make a calibration board for an array: SVG, PDF (1:1, with a scale bar), Gerber, and its layout.json."""
+    from vaoi_station.calibration.artwork import ArrayDesign, design_board, gerber_marks, gerber_outline, pdf, svg
+    from vaoi_station.files.documents import write_bytes
+    from vaoi_station.files.layouts import write_layout
+
+    count, pitch, field = _array(config, cameras, pitch_mm, field_mm, px_per_mm)
+    across, down = _pair(marks_per_camera, "--marks-per-camera")
+    design = ArrayDesign(
+        count,
+        pitch,
+        field,
+        columns=round(across),
+        rows=round(down),
+        mark_mm=mark_mm,
+        tolerance_mm=tolerance_mm,
+        polarity="light" if light else "dark",
+    )
+    board = design_board(design)
+    w, h = board.size_mm
+    title = f"{count} x {pitch:g} mm, {len(board.layout.marks)} marks"
+    files = {
+        "calibration-board.svg": svg(board, title).encode(),
+        "calibration-board.pdf": pdf(board, title),
+        "calibration-board.gbr": gerber_marks(board).encode(),
+        "calibration-board-outline.gbr": gerber_outline(board).encode(),
+    }
+    for name, content in files.items():
+        write_bytes(out / name, content)
+    write_layout(out / "layout.json", board.layout)
+    typer.echo(f"{len(board.layout.marks)} marks for {count} cameras, board {w:g} × {h:g} mm → {out}")
+    typer.echo("camera i: nominal_center_mm = [i × pitch, 0]; check the scale bar of the print with a ruler")
+
+
+def _array(
+    config: Path | None,
+    cameras: int | None,
+    pitch_mm: float | None,
+    field_mm: str | None,
+    px_per_mm: float | None,
+) -> tuple[int, float, tuple[float, float]]:
+    """Number of cameras, their distance and view: as given, else as configured."""
+    view = None if field_mm is None else _pair(field_mm, "--field-mm")
+    if config is not None:
+        found = _configured(config, px_per_mm)
+        cameras, pitch_mm, view = cameras or found[0], pitch_mm or found[1], view or found[2]
+    if cameras == 1:
+        pitch_mm = pitch_mm or 1.0
+    given = {"--cameras": cameras, "--pitch-mm": pitch_mm, "--field-mm": view}
+    missing = [name for name, value in given.items() if value is None]
+    if cameras is None or pitch_mm is None or view is None:
+        raise InputError(
+            f"{', '.join(missing)} must be given.",
+            action="Or give --config with a station whose cameras have nominal_center_mm and nominal_px_per_mm.",
+        )
+    return cameras, pitch_mm, view
+
+
+def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | None, tuple[float, float] | None]:
+    """What a station says: from its cameras' nominal views."""
+    import numpy as np
+
+    from vaoi_station.config import read_config
+
+    cameras = read_config(config).cameras
+    centers = [c.nominal_center_mm for c in cameras]
+    pitch = None
+    if len(cameras) > 1 and None not in centers:
+        pitch = float(np.hypot(*np.diff(np.array(centers, dtype=np.float64), axis=0).T).max())
+    r = px_per_mm or min((c.nominal_px_per_mm or 0.0 for c in cameras), default=0.0)
+    small = min(c.width for c in cameras), min(c.height for c in cameras)
+    return len(cameras), pitch, (small[0] / r, small[1] / r) if r else None
+
+
+def _pair(text: str, name: str) -> tuple[float, float]:
+    match = re.fullmatch(r"\s*([0-9.]+)\s*[x×X*]\s*([0-9.]+)\s*", text)
+    try:
+        pair = (float(match[1]), float(match[2])) if match else None
+    except ValueError:
+        pair = None
+    if pair is None or min(pair) <= 0:
+        raise InputError.field(name, "value", text, "two numbers above 0, as 34.8x26")
+    return pair
