@@ -31,36 +31,19 @@ def stitch(
     method: Annotated[Method, typer.Option(help="Evidence to use.")] = Method.AUTO,
 ) -> None:
     """Stitch a recorded run: one matrix per frame, and C from CAD to tester."""
-    from vaoi_station.errors import InputError
-    from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
+    from vaoi_station.files import write_stitch
     from vaoi_station.stitching.by_paper import stitch_by_paper
     from vaoi_station.stitching.offline import stitch_frames
-    from vaoi_station.stitching.taught import open_taught, with_reference
-    from vaoi_station.stitching.work import Setup
+    from vaoi_station.stitching.opening import open_run
 
-    recording = open_recording(case)
-    cameras = read_calibration(calibration or case / "calibration.json", len(recording.head.cameras))
-    own = case / "board.json"
-    board_type = read_board_type(board or own) if board or own.is_file() else None
-    setup = Setup(
-        cameras=cameras.cameras(recording.head.cameras),
-        conveyor_mm_s=recording.head.conveyor_mm_s,
-        trigger_period_s=recording.head.trigger_period_s,
-        board_type=board_type,
-        method=cast("MethodName", "auto" if method is Method.PAPER else method.value),
-    )
-    if method is Method.REFERENCE and reference is None:
-        raise InputError("--method reference needs --reference DIR.", action="`vaoi teach` makes one.")
-    taught = None
-    if reference is not None:
-        if board_type is None:
-            raise InputError("--reference needs a board type.", action="Give one with --board.")
-        taught = open_taught(reference, setup.cameras, board_type)
-    reference_frame = taught.recording.frame if taught else None
+    evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
+    opened = open_run(case, calibration=calibration, board=board, reference=reference, method=evidence)
+    recording = opened.recording
     if method is Method.PAPER:
-        result = stitch_by_paper(setup, recording.head, recording.frame)
+        result = stitch_by_paper(opened.setup, recording.head, recording.frame)
     else:
-        result = stitch_frames(with_reference(setup, taught), recording.head, recording.frame, reference_frame)
+        reference_frame = opened.taught.recording.frame if opened.taught else None
+        result = stitch_frames(opened.setup, recording.head, recording.frame, reference_frame)
     write_stitch(out, result)
     sigma = result.quality.get("cad_sigma_px")
     typer.echo(f"{result.status}: {recording.head.rows} rows × {len(recording.head.cameras)} cameras → {out}")
