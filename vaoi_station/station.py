@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import signal
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,7 +16,7 @@ from types import FrameType
 
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, InternalError, StateError
+from vaoi_station.errors import StateError
 from vaoi_station.files import read_calibration
 from vaoi_station.runs.acquisition_link import AcquisitionLink, Launch, spawned
 from vaoi_station.runs.archive import Archive
@@ -35,7 +34,6 @@ _log = logging.getLogger(__name__)
 
 GRACE_S = 10.0
 """For runs under way to come to their end when the station is stopped."""
-HTTP_GRACE_S = 5.0
 DATABASE = "station.db"
 
 
@@ -109,9 +107,12 @@ class Station:
 
 def serve(config: StationConfig, port: int | None = None) -> None:
     """The whole service, until SIGTERM or SIGINT."""
+    from vaoi_station.api import create_app
+    from vaoi_station.api.serving import WebServer, listener
+
     address = (config.api.host, config.api.port if port is None else port)
-    with _signals() as asked, _listener(*address) as listener, Station(config) as station:
-        web = WebServer(station, listener, asked)
+    with _signals() as asked, listener(*address, "[api]") as socket_, Station(config) as station:
+        web = WebServer(create_app(station.conductor), socket_, asked)
         web.start()
         notify("READY=1")
         asked.wait()
@@ -119,60 +120,6 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         station.wind_down()
         web.stop()
         web.check()
-
-
-class WebServer:
-    """uvicorn in a thread of its own, so that signals stay the station's."""
-
-    def __init__(self, station: Station, listener: socket.socket, ended: threading.Event) -> None:
-        import uvicorn
-
-        from vaoi_station.api import create_app
-
-        self._listener, self._ended, self._asked = listener, ended, False
-        self._server = uvicorn.Server(
-            uvicorn.Config(
-                create_app(station.conductor),
-                log_config=None,
-                access_log=False,
-                timeout_graceful_shutdown=int(HTTP_GRACE_S),
-            )
-        )
-        self._thread = threading.Thread(target=self._run, name="api", daemon=True)
-
-    def start(self) -> None:
-        """Begin to answer."""
-        self._thread.start()
-        host, port = self._listener.getsockname()[:2]
-        _log.info("listening on http://%s:%s", f"[{host}]" if ":" in host else host, port)
-
-    def stop(self) -> None:
-        """Finish what is being answered, then end."""
-        self._asked = self._thread.is_alive()
-        self._server.should_exit = True
-        self._thread.join(2 * HTTP_GRACE_S)
-
-    def check(self) -> None:
-        """Raise InternalError if it ended without being asked to."""
-        if not self._asked:
-            raise InternalError("The web server ended by itself; the log says why.")
-
-    def _run(self) -> None:
-        try:
-            self._server.run(sockets=[self._listener])
-        finally:
-            self._ended.set()  # without its web server the station is of no use
-
-
-def _listener(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except OSError as error:
-        raise DeviceError(
-            f"[api]: cannot listen on {host} port {port} ({error.strerror}).",
-            action="Stop the other station, or set another port.",
-        ) from error
 
 
 @contextmanager

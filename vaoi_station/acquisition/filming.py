@@ -11,6 +11,7 @@ from vaoi_station.acquisition.messages import (
     Arm,
     Armed,
     BoardMissed,
+    FrameSettled,
     Grant,
     Ready,
     RunFinished,
@@ -21,6 +22,7 @@ from vaoi_station.acquisition.process import run_acquisition
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.model import Verdict
 
 STOP_S = 5.0
 """How long the acquisition process may take to close its devices."""
@@ -43,6 +45,7 @@ def film(
     runs: int,
     finished: Callable[[RunFinished, Ring, int], None],
     notice: Callable[[str], None],
+    settled: Callable[[FrameSettled, Ring, int], None] | None = None,
 ) -> None:
     """Film so many boards in a process of its own; blocks until done.
 
@@ -51,6 +54,7 @@ def film(
         runs: boards to film.
         finished: called with each run, the ring and the run's generation; its memory is free afterwards.
         notice: called with a sentence for whatever the operator should see.
+        settled: called with each whole frame as soon as it is there, the ring and the generation of its bay.
     """
     _check_supply(config, runs)
     context = multiprocessing.get_context("spawn")
@@ -62,7 +66,7 @@ def film(
         process.start()
         theirs.close()
         try:
-            _Director(config, ring, ours, finished, notice).film(runs)
+            _Director(config, ring, ours, finished, notice, settled).film(runs)
         finally:
             _stop(process, ours)
 
@@ -75,9 +79,10 @@ class _Director:
         connection: Connection,
         finished: Callable[[RunFinished, Ring, int], None],
         notice: Callable[[str], None],
+        settled: Callable[[FrameSettled, Ring, int], None] | None,
     ) -> None:
         self._config, self._ring, self._connection = config, ring, connection
-        self._finished, self._notice = finished, notice
+        self._finished, self._notice, self._settled = finished, notice, settled
         self._generations: dict[int, int] = {}
         self._granted = 0
 
@@ -93,6 +98,8 @@ class _Director:
             elif isinstance(report, Armed):
                 armed = True
                 self._notice("Armed: waiting for a board.")
+            elif isinstance(report, FrameSettled):
+                self._hand_on(report)
             elif isinstance(report, RunFinished):
                 self._finished(report, self._ring, self._generations[report.bay])
                 done += 1
@@ -104,6 +111,11 @@ class _Director:
                 if not armed:
                     raise DeviceError(report.message, action=report.action, code=report.code)
                 self._notice(f"{report.message} {report.action}")
+
+    def _hand_on(self, report: FrameSettled) -> None:
+        slot = report.frame.slot
+        if self._settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
+            self._settled(report, self._ring, self._generations[self._ring.layout.place(slot)[0]])
 
     def _grant(self, bay: int) -> None:
         self._generations[bay] = self._ring.claim(bay)

@@ -19,6 +19,7 @@ from vaoi_station.cli.serve import serve
 from vaoi_station.cli.simulate import simulate
 from vaoi_station.cli.stitch import stitch
 from vaoi_station.cli.teach import teach
+from vaoi_station.cli.view import view
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
 
 # Our matrices are small: threads of the linear algebra library cost more than they bring, and would take
@@ -51,6 +52,7 @@ app.command()(teach)
 app.command()(cut)
 app.command()(bench)
 app.command()(demo)
+app.command()(view)
 
 
 def main() -> None:

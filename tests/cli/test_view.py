@@ -1,0 +1,45 @@
+"""`vaoi view --once` from the outside: figures for people and for programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from vaoi_station.cli import app
+from vaoi_station.demo.site import build_site
+from vaoi_station.errors import InputError
+from vaoi_station.simulation import scenario_path
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A station on the twin."""
+    return build_site(scenario_path("small"), tmp_path)[0]
+
+
+def test_a_program_gets_one_document(config: Path) -> None:
+    command = ["view", "--config", str(config), "--once", "--json", "--row", "2", "--mark", "circle"]
+    done = CliRunner().invoke(app, [*command, "--mark-size-mm", "1.0"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert (told["row"], [c["camera"] for c in told["cameras"]]) == (2, [0, 1])
+    for camera in told["cameras"]:
+        assert 0.3 < camera["figures"]["blur_px"] < 1.3
+        assert 0 < camera["figures"]["mean"] < 1
+        assert camera["mark_size_px"] == pytest.approx(18, abs=0.5)
+
+
+def test_people_get_lines(config: Path) -> None:
+    done = CliRunner().invoke(app, ["view", "--config", str(config), "--once"])
+    assert done.exit_code == 0, done.output
+    assert "run 001, row 3 of 6" in done.stdout
+    assert "camera 1 (camera 1): focus " in done.stdout
+
+
+def test_options_that_do_not_go_together_are_refused(config: Path) -> None:
+    for options in (["--json"], ["--row", "1"], ["--once", "--mark", "cross"]):
+        refused = CliRunner().invoke(app, ["view", "--config", str(config), *options])
+        assert isinstance(refused.exception, InputError), options

@@ -1,0 +1,63 @@
+"""The addresses of the page: figures and pictures that belong together, from this machine's own files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from vaoi_station.config import StationConfig
+from vaoi_station.viewing.app import create_app
+from vaoi_station.viewing.newest import Newest
+from vaoi_station.viewing.spec import MarkSpec
+
+
+@pytest.fixture
+def newest() -> Newest:
+    return Newest([MarkSpec("cross", 24.0, light=False, expected=4), None])
+
+
+@pytest.fixture
+def client(newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[TestClient]:
+    with TestClient(create_app(make_config(), newest, ["Armed: waiting for a board."])) as client:
+        yield client
+
+
+def test_before_the_first_frame_there_is_nothing_to_show(client: TestClient) -> None:
+    told = client.get("/api/look").json()
+    assert (told["station"], told["names"], told["cameras"], told["number"]) == ("view", ["c0", "c1"], [], 0)
+    assert told["notices"] == ["Armed: waiting for a board."]
+
+
+def test_figures_marks_and_picture_are_of_one_frame(client: TestClient, newest: Newest, painter: Any) -> None:
+    newest.put(0, "007", 4, painter.marks())
+    told = client.get("/api/look", params={"after": 0, "timeout_s": 5}).json()
+    camera = told["cameras"][0]
+    assert (camera["run"], camera["row"], camera["number"], camera["name"]) == ("007", 4, 1, "c0")
+    assert (len(camera["marks"]), camera["marks_expected"], camera["mark_size_px"]) == (4, 4, 24.0)
+    assert set(camera["figures"]) == {
+        "focus", "blur_px", "mtf50", "blur_tiles_px", "mean", "low", "high", "saturated",
+    }  # fmt: skip
+    picture = client.get("/api/cameras/0/picture", params={"number": 1})
+    assert picture.headers["content-type"] == "image/jpeg"
+    pixels = np.asarray(cv2.imdecode(np.frombuffer(picture.content, np.uint8), cv2.IMREAD_UNCHANGED))
+    assert np.abs(pixels.astype(int) - painter.marks()).mean() < 3
+
+
+def test_what_is_not_there_is_refused_in_words(client: TestClient) -> None:
+    gone = client.get("/api/cameras/0/picture", params={"number": 9})
+    assert (gone.status_code, gone.json()["code"]) == (410, "gone")
+    assert client.get("/api/look", params={"timeout_s": 999}).status_code == 422
+    assert client.get("/elsewhere").status_code == 404
+
+
+@pytest.mark.parametrize("path", ["/", "/web/view.js", "/web/view.css", "/favicon.ico"])
+def test_the_page_is_our_own_and_may_load_nothing_else(client: TestClient, path: str) -> None:
+    answer = client.get(path)
+    assert answer.status_code == 200
+    assert "default-src 'self'" in answer.headers["content-security-policy"]
+    assert "//" not in answer.text.replace("http://www.w3.org/2000/svg", "").replace("// ", "")

@@ -1,0 +1,104 @@
+"""A station is filmed and looked at: once for programs, all the time for people."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+from vaoi_station.config import StationConfig
+from vaoi_station.demo.site import as_toml
+from vaoi_station.errors import InputError
+from vaoi_station.viewing.live import one_row
+from vaoi_station.viewing.spec import MarkSpec
+
+Make = Callable[..., StationConfig]
+SPEC = MarkSpec("cross", 24.0, light=False)
+
+
+def test_one_row_is_told_with_what_is_missing_in_it(make_config: Make, tmp_path: Path) -> None:
+    told = one_row(make_config(), [SPEC, None], None, lambda _: None)
+    assert (told["row"], told["rows"], len(told["cameras"])) == (1, 3, 2)
+    assert len(told["cameras"][0]["marks"]) == 4
+    last = one_row(make_config(), [SPEC, None], 2, lambda _: None)
+    assert last["cameras"][1]["name"] == "c1"
+    assert last["cameras"][1]["missing"]
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+def test_a_row_beyond_the_run_is_refused_and_nothing_stays(make_config: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--row: row is 3, but must be below 3"):
+        one_row(make_config(), [None, None], 3, lambda _: None)
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+@contextmanager
+def viewing(config: StationConfig, folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """`vaoi view` as a process, and its address; ended by SIGTERM."""
+    (folder / "station.toml").write_text(as_toml(config))
+    command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(folder / "station.toml"), "--port", "0"]
+    process = subprocess.Popen(
+        [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ}
+    )
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("Live frames: http://127.0.0.1:"), line + process.stdout.read()
+        yield line.split()[-1], process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=60)[0]
+    assert process.returncode == 0, said
+    assert "Traceback" not in said
+
+
+def look(client: httpx2.Client, after: int) -> dict[str, Any]:
+    told: dict[str, Any] = client.get("/api/look", params={"after": after, "timeout_s": 5}).json()
+    return told
+
+
+def test_frames_keep_coming_until_it_is_stopped(make_config: Make, layout: Path, tmp_path: Path) -> None:
+    config = make_config(nominal_px_per_mm=10.0, nominal_center_mm=(0.0, 0.0))
+    with viewing(config, tmp_path, "--layout", str(layout)) as (address, _), httpx2.Client(base_url=address) as client:
+        number, runs = 0, set[str]()
+        while len(runs) < 3:
+            told = look(client, number)
+            assert told["number"] >= number
+            number = told["number"]
+            runs |= {c["run"] for c in told["cameras"]}
+            for camera in told["cameras"]:
+                params = {"number": camera["number"]}
+                assert client.get(f"/api/cameras/{camera['camera']}/picture", params=params).status_code == 200
+        assert [len(c["marks"]) for c in told["cameras"] if c["camera"] == 0] == [4]
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+def test_when_no_more_boards_come_the_last_frames_stay(make_config: Make, tmp_path: Path) -> None:
+    config = make_config()
+    assert config.replay is not None
+    few = config.model_copy(update={"replay": config.replay.model_copy(update={"runs": 1})})
+    with viewing(few, tmp_path) as (address, process), httpx2.Client(base_url=address) as client:
+        assert process.stdout is not None
+        said = [process.stdout.readline() for _ in range(2)]
+        assert "No more boards will come" in said[-1], said
+        told = look(client, 0)
+        assert {(c["camera"], c["row"]) for c in told["cameras"]} == {(0, 2), (1, 1)}
+        assert told["notices"][-1] == "No more boards will come; these are the last frames."
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+def test_a_port_that_is_taken_is_told(make_config: Make, tmp_path: Path) -> None:
+    with viewing(make_config(), tmp_path) as (address, _):
+        port = address.rsplit(":", 1)[1]
+        command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(tmp_path / "station.toml")]
+        second = subprocess.run([*command, "--port", port], capture_output=True, text=True, timeout=60, check=False)
+    assert second.returncode == 3
+    assert f"--port: cannot listen on 127.0.0.1 port {port}" in second.stderr

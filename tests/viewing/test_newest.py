@@ -1,0 +1,79 @@
+"""The newest frame of each camera is kept, looked at once, and can be fetched while it is shown."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vaoi_station.errors import GoneError
+from vaoi_station.viewing import newest as module
+from vaoi_station.viewing.newest import Newest
+
+
+def frame(level: int) -> Any:
+    return np.full((24, 32), level, np.uint8)
+
+
+def test_only_the_newest_is_shown_but_what_was_shown_can_still_be_fetched() -> None:
+    newest = Newest([None, None])
+    assert newest.shots() == []
+    for k in range(3):
+        newest.put(0, "1", k, frame(k))
+    assert [(s.camera, s.row, s.number) for s in newest.shots()] == [(0, 2, 3)]
+    newest.put(1, "1", 0, frame(9))
+    assert [s.number for s in newest.shots()] == [3, 4]
+    with pytest.raises(GoneError, match="frame 2 of camera 0 is not kept"):
+        newest.shot(0, 2)
+    for k in range(10):
+        newest.put(0, "2", k, frame(k))
+        newest.shots()
+    with pytest.raises(GoneError):
+        newest.shot(0, 3)
+    assert newest.shot(0, 12).row == 7
+    with pytest.raises(GoneError):
+        newest.shot(7, 1)
+
+
+def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def look(pixels: Any, _: Any) -> str:
+        calls.append(int(pixels[0, 0]))
+        return "looked"
+
+    monkeypatch.setattr(module, "look_at", look)
+    newest = Newest([None])
+    newest.put(0, "1", 0, frame(5))
+    shot = newest.shots()[0]
+    threads = [threading.Thread(target=lambda: shot.look) for _ in range(8)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert calls == [5]
+
+
+def test_who_waits_is_woken_by_the_next_frame() -> None:
+    newest = Newest([None])
+    newest.put(0, "1", 0, frame(1))
+    assert newest.wait(0, 0) == 1
+    assert newest.wait(1, 0) == 1, "the time is over"
+    got: list[int] = []
+    waiting = threading.Thread(target=lambda: got.append(newest.wait(1, 30)))
+    waiting.start()
+    newest.put(0, "1", 1, frame(2))
+    waiting.join()
+    assert got == [2]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_pictures_use_the_whole_scale(dtype: type) -> None:
+    newest = Newest([None])
+    pixels: Any = np.full((24, 32), 4095 if dtype is np.uint16 else 255, dtype)
+    newest.put(0, "1", 0, pixels)
+    jpeg = newest.shots()[0].jpeg()
+    assert np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED)).min() > 250

@@ -1,0 +1,82 @@
+"""The page in a browser: marks on the frame they were found in, the best focus remembered, hold means hold."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import cv2
+import pytest
+from playwright.sync_api import Page, expect, sync_playwright
+
+from vaoi_station.api.serving import WebServer, listener
+from vaoi_station.config import StationConfig
+from vaoi_station.viewing.app import create_app
+from vaoi_station.viewing.newest import Newest
+from vaoi_station.viewing.spec import MarkSpec
+
+pytestmark = pytest.mark.browser
+PATIENCE_MS = 20_000
+
+
+@pytest.fixture
+def newest() -> Newest:
+    return Newest([MarkSpec("cross", 24.0, light=False, expected=4), None])
+
+
+@pytest.fixture
+def page(newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        if os.environ.get("CI"):
+            pytest.fail("chromium is missing; install the distribution's package 'chromium'")
+        pytest.skip("needs the distribution's chromium")
+    complaints: list[str] = []
+    with listener("127.0.0.1", 0, "test") as socket_, sync_playwright() as playwright:
+        server = WebServer(create_app(make_config(), newest, ["Armed."]), socket_, threading.Event())
+        server.start()
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page()
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda e: complaints.append(str(e)))
+        page.goto(server.address)
+        yield page
+        browser.close()
+        server.stop()
+        server.check()
+    assert complaints == []
+
+
+def test_frames_are_shown_as_they_come(page: Page, newest: Newest, painter: Any) -> None:
+    expect(page.locator("#state")).to_have_text("Waiting for the first frame.")
+    newest.put(0, "001", 2, painter.marks())
+    first = page.locator(".camera").nth(0)
+    expect(first.locator(".mark")).to_have_count(4, timeout=PATIENCE_MS)
+    expect(first.locator("h2")).to_contain_text("run 001, row 2")
+    expect(first.locator("dl")).to_contain_text("4 of 4")
+    expect(page.locator("#state")).to_have_text("1 cameras have not sent a frame yet.")
+    newest.put(1, "001", 2, painter.tilted_board(2.0, size=(320, 240)))
+    second = page.locator(".camera").nth(1)
+    expect(second.locator(".remarks")).to_contain_text("blurred by", timeout=PATIENCE_MS)
+    expect(second.locator(".tiles td.soft")).to_have_count(9)
+    expect(page.locator("#notices")).to_contain_text("Armed.")
+
+
+def test_the_best_focus_is_remembered_and_hold_holds(page: Page, newest: Newest, painter: Any) -> None:
+    sharp = painter.marks()
+    newest.put(0, "001", 0, sharp)
+    words = page.locator(".words")
+    expect(words).to_contain_text("100 % of the best", timeout=PATIENCE_MS)
+    newest.put(0, "001", 1, cv2.GaussianBlur(sharp, (0, 0), 3.0))
+    expect(words).not_to_contain_text("100 % of the best", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="Hold").click()
+    with page.expect_response(lambda r: "number=3" in r.url):
+        newest.put(0, "001", 2, sharp)
+    expect(page.locator("h2")).to_contain_text("row 1")
+    page.get_by_role("button", name="Go on").click()
+    expect(page.locator("h2")).to_contain_text("row 2", timeout=PATIENCE_MS)
+    expect(words).to_contain_text("100 % of the best")

@@ -1,0 +1,113 @@
+"""One look at one frame: its figures, the marks in it, and what to do about it, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.calibration.sight import SURROUND, MarkKind, sight, to_grey
+from vaoi_station.files.images import Image
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.marks import locate, search
+from vaoi_station.marks.search import reduction
+from vaoi_station.viewing.figures import Figures, measure
+from vaoi_station.viewing.spec import MarkSpec
+
+_MOST = 200
+SATURATED_LIMIT = 0.005
+DARK_LIMIT = 0.35
+"""99 % of the pixels should not all lie below this share of the full scale."""
+BLUR_LIMIT_PX = 1.3
+TILT_LIMIT = 1.5
+"""A part of the frame that is more blurred than another by this factor tells of a tilted camera."""
+LEAST_MARKS = 4
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A mark in a frame, raw px; `why_not` tells why it does not count."""
+
+    x: float
+    y: float
+    score: float
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a frame shows."""
+
+    figures: Figures
+    marks: tuple[Seen, ...]
+    size_px: float | None
+    """Of a mark; None where none are looked for."""
+    expected: int | None
+    remarks: tuple[str, ...]
+
+
+def look_at(pixels: Image, spec: MarkSpec | None) -> Look:
+    """Measure a frame and find the marks in it."""
+    figures = measure(pixels)
+    marks = () if spec is None else find_marks(to_grey(pixels), spec)
+    remarks = (*_of_exposure(figures), *_of_focus(figures), *_of_marks(marks, spec))
+    return Look(figures, marks, spec.size_px if spec else None, spec.expected if spec else None, remarks)
+
+
+def find_marks(grey: NDArray[np.uint8], spec: MarkSpec) -> tuple[Seen, ...]:
+    """All marks of a frame; those of a calibration board are found as `vaoi calibrate` finds them."""
+    if spec.shape == "cross" and spec.light is not None:
+        found = sight(grey, MarkKind(spec.size_px, spec.arm, spec.light))
+        sure = [Seen(float(x), float(y), float(s)) for (x, y), s in zip(found.px, found.score, strict=True)]
+        return (*sure, *(Seen(x, y, 0.0, why) for (x, y), why in found.doubtful))
+    factor = reduction(spec.size_px)
+    h, w = (side // factor * factor for side in grey.shape)
+    small = grey[:h, :w].reshape(h // factor, factor, w // factor, factor).mean(axis=(1, 3)).astype(np.uint8)
+    places, _ = search(small, spec.shape, spec.size_px / factor, _MOST, arm=spec.arm)
+    marks: list[Seen] = []
+    for place in (places + 0.5) * factor - 0.5:
+        mark = locate(grey, place, spec.shape, spec.size_px, arm=spec.arm, surround=SURROUND)
+        if isinstance(mark, Failure):
+            continue
+        x, y = (float(v) for v in mark.px)
+        if all(np.hypot(x - m.x, y - m.y) > spec.size_px / 2 for m in marks):
+            marks.append(Seen(x, y, float(mark.score)))
+    return tuple(marks)
+
+
+def _of_exposure(f: Figures) -> list[str]:
+    if f.saturated > SATURATED_LIMIT:
+        return [
+            f"too bright: {100 * f.saturated:.1f} % of the pixels are saturated (limit {100 * SATURATED_LIMIT:.1f} %)"
+        ]
+    if f.high < DARK_LIMIT:
+        return [f"dark: the 99th percentile is {100 * f.high:.0f} % of full scale (at least {100 * DARK_LIMIT:.0f} %)"]
+    return []
+
+
+def _of_focus(f: Figures) -> list[str]:
+    if f.blur_px is None:
+        return ["no edges to judge the focus by"]
+    if f.blur_px > BLUR_LIMIT_PX:
+        return [f"blurred by {f.blur_px:.2f} px (good: below {BLUR_LIMIT_PX} px)"]
+    parts = [b for row in f.blur_tiles_px for b in row if b is not None]
+    worst, best = max(parts, default=0.0), max(min(parts, default=0.0), 0.5)
+    if worst > BLUR_LIMIT_PX and worst > TILT_LIMIT * best:
+        return [f"unevenly sharp: {best:.2f} to {worst:.2f} px blurred: is the camera tilted?"]
+    return []
+
+
+def _of_marks(marks: tuple[Seen, ...], spec: MarkSpec | None) -> list[str]:
+    if spec is None:
+        return []
+    sure = sum(1 for m in marks if not m.why_not)
+    if not sure:
+        return ["no mark found"]
+    if spec.light is None:
+        return []
+    if sure < LEAST_MARKS:
+        return [f"marks found: {sure}; a calibration takes {LEAST_MARKS}"]
+    if spec.expected is not None and sure < spec.expected:
+        return [f"marks found: {sure} of the {spec.expected} that should be in view"]
+    return []

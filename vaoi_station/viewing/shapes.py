@@ -1,0 +1,67 @@
+"""What programs and the page are told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vaoi_station.config import StationConfig
+from vaoi_station.viewing.figures import Figures
+from vaoi_station.viewing.newest import Shot
+
+
+def shot_document(shot: Shot, config: StationConfig) -> dict[str, Any]:
+    """One frame: where it comes from, figures, marks in raw px, remarks."""
+    look, camera = shot.look, config.cameras[shot.camera]
+    return {
+        "camera": shot.camera,
+        "name": camera.name,
+        "run": shot.run,
+        "row": shot.row,
+        "number": shot.number,
+        "width": camera.width,
+        "height": camera.height,
+        "exposure_us": camera.exposure_us,
+        "figures": _figures(look.figures),
+        "marks": [
+            {"x": round(m.x, 3), "y": round(m.y, 3), "score": round(m.score, 3)} for m in look.marks if not m.why_not
+        ],
+        "doubtful": [{"x": round(m.x, 1), "y": round(m.y, 1), "why": m.why_not} for m in look.marks if m.why_not],
+        "mark_size_px": None if look.size_px is None else round(look.size_px, 2),
+        "marks_expected": look.expected,
+        "remarks": list(look.remarks),
+    }
+
+
+def as_text(told: dict[str, Any]) -> str:
+    """The figures of a row, for people."""
+    return "\n".join([f"run {told['run']}, row {told['row']} of {told['rows']}", *map(_camera_text, told["cameras"])])
+
+
+def _camera_text(document: dict[str, Any]) -> str:
+    if "missing" in document:
+        return f"camera {document['camera']} ({document['name']}): no frame: {document['missing']}"
+    f = document["figures"]
+    blur = "no edges" if f["blur_px"] is None else f"blur {f['blur_px']:.2f} px (MTF50 {f['mtf50']:.2f} cycles/px)"
+    marks = "" if document["mark_size_px"] is None else f", {len(document['marks'])} marks"
+    line = (
+        f"camera {document['camera']} ({document['name']}): focus {f['focus']:.4g}, {blur}, mean {f['mean']:.0%}, "
+        f"1 % below {f['low']:.0%}, 99 % below {f['high']:.0%}, saturated {f['saturated']:.2%}{marks}"
+    )
+    return "\n".join([line, *(f"  - {r}" for r in document["remarks"])])
+
+
+def _figures(f: Figures) -> dict[str, Any]:
+    return {
+        "focus": float(f"{f.focus:.5g}"),
+        "blur_px": _rounded(f.blur_px),
+        "mtf50": _rounded(f.mtf50),
+        "blur_tiles_px": [[_rounded(b) for b in row] for row in f.blur_tiles_px],
+        "mean": _rounded(f.mean),
+        "low": _rounded(f.low),
+        "high": _rounded(f.high),
+        "saturated": round(f.saturated, 6),
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)

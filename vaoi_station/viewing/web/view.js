@@ -1,0 +1,138 @@
+// Live frames with their figures. Each answer brings the figures of the newest frames; the pictures of just these
+// frames are loaded before anything is drawn, so that marks are always drawn on the frame they were found in.
+const $ = (selector, root = document) => root.querySelector(selector);
+const SVG = "http://www.w3.org/2000/svg";
+const BLUR_LIMIT = 1.3;
+const cards = new Map();
+const best = new Map();
+let held = false;
+let number = 0;
+
+$("#hold").addEventListener("click", (event) => {
+  held = !held;
+  event.target.setAttribute("aria-pressed", String(held));
+  event.target.textContent = held ? "Go on" : "Hold";
+});
+$("#forget").addEventListener("click", () => best.clear());
+
+function card(camera) {
+  if (!cards.has(camera.camera)) {
+    const made = $("#card").content.cloneNode(true).firstElementChild;
+    const after = [...cards].filter(([n]) => n > camera.camera).map(([, c]) => c)[0] ?? null;
+    $("#cameras").insertBefore(made, after);
+    cards.set(camera.camera, made);
+  }
+  return cards.get(camera.camera);
+}
+
+function node(name, attributes, words = "") {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (words) made.append(Object.assign(document.createElementNS(SVG, "title"), { textContent: words }));
+  return made;
+}
+
+function marks(camera) {
+  const { width: w, height: h } = camera;
+  const r = Math.max((camera.mark_size_px ?? 0) * 0.65, 0.012 * w);
+  const lines = [1, 2].flatMap((k) => [
+    node("path", { class: "grid", d: `M${(k * w) / 3} 0V${h}` }),
+    node("path", { class: "grid", d: `M0 ${(k * h) / 3}H${w}` }),
+  ]);
+  const found = camera.marks.map((m) =>
+    node("path", { class: "mark", d: `M${m.x - r} ${m.y}h${2 * r}M${m.x} ${m.y - r}v${2 * r}M${m.x - r} ${m.y - r}h${2 * r}v${2 * r}h${-2 * r}z` }));
+  const doubtful = camera.doubtful.map((m) => node("circle", { class: "doubtful", cx: m.x, cy: m.y, r }, m.why));
+  return [...lines, ...found, ...doubtful];
+}
+
+const percent = (share, digits = 0) => `${(100 * share).toFixed(digits)} %`;
+const px = (value) => (value === null ? "–" : value.toFixed(2));
+
+function focus(root, camera) {
+  const f = camera.figures;
+  const top = Math.max(best.get(camera.camera) ?? 0, f.focus);
+  best.set(camera.camera, top);
+  const share = top > 0 ? f.focus / top : 0;
+  $(".now", root).value = share;
+  const sharp = f.blur_px === null ? "no edges" : `blur ${px(f.blur_px)} px, MTF50 ${f.mtf50.toFixed(2)} cycles/px`;
+  $(".words", root).textContent = `${percent(share)} of the best so far (${f.focus.toPrecision(3)}); ${sharp}`;
+  $(".tiles tbody", root).replaceChildren(...f.blur_tiles_px.map((row) => {
+    const line = document.createElement("tr");
+    line.append(...row.map((value) => Object.assign(document.createElement("td"), {
+      textContent: px(value), className: value !== null && value > BLUR_LIMIT ? "soft" : "",
+    })));
+    return line;
+  }));
+}
+
+function facts(root, camera) {
+  const f = camera.figures;
+  const told = [
+    ["mean", percent(f.mean)], ["saturated", percent(f.saturated, 2)],
+    ["1 % below", percent(f.low)], ["99 % below", percent(f.high)],
+    ["exposure", `${camera.exposure_us} µs`],
+  ];
+  if (camera.mark_size_px !== null) {
+    const of = camera.marks_expected === null ? "" : ` of ${camera.marks_expected}`;
+    told.push(["marks", `${camera.marks.length}${of}`]);
+  }
+  $("dl", root).replaceChildren(...told.flatMap(([name, value]) => [
+    Object.assign(document.createElement("dt"), { textContent: name }),
+    Object.assign(document.createElement("dd"), { textContent: value }),
+  ]));
+}
+
+function list(element, sentences) {
+  element.replaceChildren(...sentences.map((s) => Object.assign(document.createElement("li"), { textContent: s })));
+}
+
+function draw(camera, picture) {
+  const root = card(camera);
+  const heading = document.createElement("span");
+  heading.textContent = `run ${camera.run}, row ${camera.row}`;
+  $("h2", root).replaceChildren(`camera ${camera.camera}: ${camera.name}`, heading);
+  picture.alt = `newest frame of camera ${camera.camera}`;
+  $("img", root).replaceWith(picture);
+  const overlay = $("svg", root);
+  overlay.setAttribute("viewBox", `-0.5 -0.5 ${camera.width} ${camera.height}`);
+  overlay.replaceChildren(...marks(camera));
+  focus(root, camera);
+  facts(root, camera);
+  list($(".remarks", root), camera.remarks);
+  root.classList.toggle("warned", camera.remarks.length > 0);
+  root.dataset.number = camera.number;
+}
+
+async function load(camera) {
+  const picture = new Image();
+  picture.src = `/api/cameras/${camera.camera}/picture?number=${camera.number}`;
+  await picture.decode();
+  return picture;
+}
+
+async function look() {
+  const answer = await fetch(`/api/look?after=${number}&timeout_s=2`, { cache: "no-store" });
+  if (!answer.ok) throw new Error(`the program answers ${answer.status}`);
+  const news = await answer.json();
+  $("#station").textContent = news.station;
+  list($("#notices"), news.notices);
+  const fresh = news.cameras.filter((c) => cards.get(c.camera)?.dataset.number !== String(c.number));
+  const loaded = await Promise.allSettled(fresh.map(load));
+  if (held) return;
+  fresh.forEach((camera, k) => loaded[k].status === "fulfilled" && draw(camera, loaded[k].value));
+  number = news.number;
+  const silent = news.names.length - news.cameras.length;
+  if (news.cameras.length) $("#state").textContent = silent ? `${silent} cameras have not sent a frame yet.` : "";
+}
+
+const pause = (ms) => new Promise((done) => setTimeout(done, ms));
+
+for (;;) {
+  try {
+    await look();
+    await pause(held ? 400 : 80);
+  } catch (error) {
+    $("#state").textContent = `No answer (${error.message}): what is shown is old. Is vaoi view still running?`;
+    await pause(1500);
+  }
+}
