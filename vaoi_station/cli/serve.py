@@ -10,7 +10,9 @@ import typer
 
 def serve(
     config: Annotated[Path, typer.Option(help="The station's configuration.")] = Path("station.toml"),
-    port: Annotated[int | None, typer.Option(min=0, max=65535, help="In place of [api] port; 0: any free one.")] = None,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="In place of the configured port; 0: any free one.")
+    ] = None,
     log_json: Annotated[bool, typer.Option("--log-json", help="Log JSON objects, one per line.")] = False,
 ) -> None:
     """Film boards, stitch them, and answer by REST, until stopped."""
