@@ -17,9 +17,11 @@ def serve(
 ) -> None:
     """Film boards, stitch them, and answer by REST, until stopped."""
     from vaoi_station import station
+    from vaoi_station.acquisition.backends import check_backends
     from vaoi_station.config import read_config
     from vaoi_station.runs.logs import start_log
 
     settings = read_config(config)
+    check_backends(settings)
     start_log(log_json)
     station.serve(settings, port)
