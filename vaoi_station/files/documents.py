@@ -108,7 +108,7 @@ def write_bytes(path: Path, content: bytes) -> None:
             os.fsync(file.fileno())
             os.fchmod(file.fileno(), 0o644)
         Path(name).replace(path)
-    except BaseException:
+    except BaseException:  # whatever ended it, tidy up; it is raised again
         Path(name).unlink(missing_ok=True)
         raise
 
