@@ -17,6 +17,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.outline import encloses
 
+MOST = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
+"""How much of a kind a board type may have."""
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
 
@@ -227,6 +229,7 @@ class BoardType(Noun):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        _refuse_crowds(self)
         _refuse_twins([c.address for c in self.components], "components")
         _refuse_twins([f.name for f in self.fiducials], "fiducials")
         if self.outline is not None:
@@ -371,6 +374,22 @@ class Pulse(Noun):
     index: int
     time_s: float
     light: str = ""
+
+
+def _refuse_crowds(board: BoardType) -> None:
+    """What no board has: so much of something, or of such a size, that it can only be a mistake."""
+    for key, most in MOST.items():
+        if len(getattr(board, key) or ()) > most:
+            raise ValueError(f"{key} has {len(getattr(board, key))} entries, at most {most} are taken")
+    mm = board.mm_per_unit
+    for c in board.components:
+        if not 0.01 <= min(c.width, c.height) * mm <= max(c.width, c.height) * mm <= 2000:
+            raise ValueError(f"component {c.address!r} is {c.width}×{c.height} {board.unit}; 0.01 to 2000 mm are taken")
+    for n, f in enumerate(board.fiducials):
+        if not 0.05 <= f.diameter * mm <= 50:
+            raise ValueError(f"fiducial {f.name!r} has diameter {f.diameter} {board.unit}; 0.05 to 50 mm are taken")
+        if any(math.dist((f.x, f.y), (g.x, g.y)) * mm < 0.1 for g in board.fiducials[:n]):
+            raise ValueError(f"fiducial {f.name!r} lies where another one lies; they must be 0.1 mm apart")
 
 
 def _refuse_twins(names: list[str], what: str) -> None:

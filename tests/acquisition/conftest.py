@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import pytest
 
-from vaoi_station.acquisition.filming import trigger_plan
+from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.messages import Arm, Armed, Command, Disarm, Disarmed, Grant, Ready, Report, Shutdown
 from vaoi_station.acquisition.process import run_acquisition
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
@@ -65,7 +65,7 @@ class Bench:
         self.send(Grant(run, bay))
 
     def arm(self) -> None:
-        self.send(Arm(trigger_plan(self.config)))
+        self.send(Arm(TriggerPlan.of(self.config.line)))
         self.until(Armed)
 
     def disarm(self) -> Disarmed:

@@ -12,7 +12,6 @@ from vaoi_station.acquisition.cameras.interface import Arrival, Slot
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import BarrierBlocked, PulseFired, RunEnded, TriggerPlan
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.filming import trigger_plan
 from vaoi_station.acquisition.messages import (
     Armed,
     BoardMissed,
@@ -88,7 +87,7 @@ def stage(make_config: Callable[..., StationConfig]) -> Iterator[Stage]:
             clock.add(ClockReading(0.0, 0.0, 1e-5))
         devices = Devices(cameras, controller)  # type: ignore[arg-type]  # as much of them as a session asks for
         session = Session(config, ring, devices, clocks[0], clocks[1:], said.append)
-        yield Stage(session, cameras, controller, clocks, said, trigger_plan(config))
+        yield Stage(session, cameras, controller, clocks, said, TriggerPlan.of(config.line))
 
 
 def test_slots_are_in_the_cameras_before_the_controller_is_armed(stage: Stage) -> None:

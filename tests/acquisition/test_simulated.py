@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.filming import trigger_plan
+from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.messages import (
     Arm,
     BoardMissed,
@@ -212,7 +212,7 @@ def test_disarming_while_a_board_passes_finishes_the_run_with_what_it_has(
 
 def test_a_plan_the_scenario_was_not_made_for_is_refused_and_the_process_lives(start: Start, make_config: Make) -> None:
     bench = start(make_config())
-    plan = trigger_plan(bench.config)
+    plan = TriggerPlan.of(bench.config.line)
     for change, key in (
         ({"period_s": 0.2}, "period_s"),
         ({"max_rows": 500}, "max_rows"),
@@ -227,7 +227,7 @@ def test_a_plan_the_scenario_was_not_made_for_is_refused_and_the_process_lives(s
 
 def test_another_plan_is_refused_while_a_board_passes(start: Start, make_config: Make, slow: str) -> None:
     bench = start(make_config(slow))
-    plan = trigger_plan(bench.config)
+    plan = TriggerPlan.of(bench.config.line)
     bench.grant("one", 0)
     bench.arm()
     bench.until(PulseSeen)
@@ -269,7 +269,7 @@ def test_a_ring_of_another_configuration_is_refused(start: Callable[..., Any], m
 def test_unknown_lights_are_an_input_error(make_config: Make) -> None:
     from vaoi_station.acquisition.simulated import accept_plan
 
-    plan = trigger_plan(make_config())
+    plan = TriggerPlan.of(make_config().line)
     assert accept_plan(plan, replace(plan, lights=("a",))).lights == ("a",)
     with pytest.raises(InputError, match="lights"):
         accept_plan(replace(plan, lights=("b",)), replace(plan, lights=("a",)))

@@ -1,9 +1,10 @@
-"""Which backend opens the devices of a station."""
+"""Which backend opens the devices of a station, and whether what it is told fits."""
 
 from __future__ import annotations
 
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
 
 
 def open_devices(config: StationConfig) -> Devices:
@@ -15,3 +16,19 @@ def open_devices(config: StationConfig) -> Devices:
     from vaoi_station.acquisition.simulated import open_simulated
 
     return open_simulated(config)
+
+
+def check_backends(config: StationConfig) -> None:
+    """Refuse at once what no attempt to open the devices could mend: a scenario or recordings that do not fit."""
+    if config.controller.backend == "replay":
+        from vaoi_station.files import open_recording
+
+        assert config.replay is not None
+        for directory in config.replay.recordings:
+            cameras = len(open_recording(directory).head.cameras)
+            if cameras != len(config.cameras):
+                raise InputError.field(directory, "cameras", cameras, f"{len(config.cameras)}, as in station.toml")
+    else:
+        from vaoi_station.acquisition.simulated import check_scenario
+
+        check_scenario(config)

@@ -28,18 +28,6 @@ STOP_S = 5.0
 """How long the acquisition process may take to close its devices."""
 
 
-def trigger_plan(config: StationConfig) -> TriggerPlan:
-    """What the controller is told, from the mechanics of the line."""
-    line = config.line
-    return TriggerPlan(
-        start_delay_s=line.start_delay_s,
-        period_s=line.trigger_period_s,
-        tail_s=line.tail_s,
-        max_rows=line.rows_of_longest_board,
-        debounce_s=line.debounce_s,
-    )
-
-
 def film(
     config: StationConfig,
     runs: int,
@@ -94,7 +82,7 @@ class _Director:
             if isinstance(report, Ready):
                 for bay in range(min(runs, self._ring.layout.bays)):
                     self._grant(bay)
-                self._connection.send(Arm(trigger_plan(self._config)))
+                self._connection.send(Arm(TriggerPlan.of(self._config.line)))
             elif isinstance(report, Armed):
                 armed = True
                 self._notice("Armed: waiting for a board.")

@@ -37,7 +37,7 @@ def keep_run(
             shutil.copyfile(source, draft / name)
         write_recording(draft, recording_head(finished), _frames(finished, ring, generation))
         draft.rename(directory)
-    except BaseException:
+    except BaseException:  # whatever ended it, tidy up; it is raised again
         shutil.rmtree(draft, ignore_errors=True)
         raise
     return open_recording(directory)

@@ -70,7 +70,7 @@ class Ring:
         handle = ring_file.create_file(path, layout)
         try:
             ring = cls(path, layout, handle, writable=True, owner=True)
-        except BaseException:
+        except BaseException:  # whatever ended it, tidy up; it is raised again
             path.unlink(missing_ok=True)
             os.close(handle)
             raise

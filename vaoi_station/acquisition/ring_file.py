@@ -80,7 +80,7 @@ def create_file(path: Path, layout: RingLayout) -> int:
         fcntl.flock(handle, fcntl.LOCK_EX)
         os.fchmod(handle, 0o640)
         _allocate(handle, path, layout)
-    except BaseException:
+    except BaseException:  # whatever ended it, tidy up; it is raised again
         os.close(handle)
         path.unlink(missing_ok=True)
         raise

@@ -111,7 +111,7 @@ class Session:
             try:
                 self._load_next()
                 self._devices.controller.arm(plan)
-            except BaseException:
+            except BaseException:  # whatever ended it, tidy up; it is raised again
                 self._plan = None if before is None else before
                 raise
         self._send(Armed())

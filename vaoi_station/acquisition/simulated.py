@@ -54,15 +54,7 @@ def open_simulated(config: StationConfig) -> Devices:
 
 def scenario_plan(twin: Twin) -> TriggerPlan:
     """What the scenario expects of the controller."""
-    line = twin.line
-    return TriggerPlan(
-        start_delay_s=line.start_delay_s,
-        period_s=line.trigger_period_s,
-        tail_s=line.tail_s,
-        max_rows=line.rows_of_longest_board,
-        debounce_s=line.debounce_s,
-        lights=twin.scenario.line.lights,
-    )
+    return TriggerPlan.of(twin.line, twin.scenario.line.lights)
 
 
 def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
@@ -75,6 +67,14 @@ def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
         limit = f"{tuple(expected.lights)}, as in the scenario"
         raise InputError.field("trigger plan", "lights", tuple(asked.lights), limit)
     return replace(asked, lights=tuple(expected.lights))
+
+
+def check_scenario(config: StationConfig) -> None:
+    """Refuse a scenario that is absent, wrong, or of another station."""
+    assert config.simulation is not None
+    scenario = read_scenario(config.simulation.scenario)
+    _check(scenario, config)
+    accept_plan(TriggerPlan.of(config.line), scenario_plan(Twin(scenario)))
 
 
 def _check(scenario: Scenario, config: StationConfig) -> None:

@@ -62,3 +62,12 @@ def main() -> None:
     except VaoiError as error:
         sys.stderr.write(f"vaoi: {error}\n")
         sys.exit(2 if isinstance(error, InputError | NotFoundError) else 4 if isinstance(error, InternalError) else 3)
+    except OSError as error:
+        sys.stderr.write(f"vaoi: {error.filename or 'the system'}: {error.strerror or error}.\n")
+        sys.exit(2)
+    except Exception as error:  # whatever is left is our mistake; a user is told in a sentence all the same
+        if os.environ.get("VAOI_TRACEBACK"):
+            raise
+        kind = type(error).__name__
+        sys.stderr.write(f"vaoi: our own mistake: {kind}: {error}. VAOI_TRACEBACK=1 shows where; please report it.\n")
+        sys.exit(4)

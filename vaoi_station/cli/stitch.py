@@ -31,6 +31,7 @@ def stitch(
     method: Annotated[Method, typer.Option(help="Evidence to use.")] = Method.AUTO,
 ) -> None:
     """Stitch a recorded run: one matrix per frame, and C from CAD to tester."""
+    from vaoi_station.errors import InputError
     from vaoi_station.files import write_stitch
     from vaoi_station.stitching.by_paper import stitch_by_paper
     from vaoi_station.stitching.offline import stitch_frames
@@ -39,6 +40,8 @@ def stitch(
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
     opened = open_run(case, calibration=calibration, board=board, reference=reference, method=evidence)
     recording = opened.recording
+    if out.resolve() in {(case / name).resolve() for name in ("recording.json", "calibration.json", "board.json")}:
+        raise InputError(f"{out}: belongs to the recording and is left as it is.", action="Name another --out.")
     if method is Method.PAPER:
         result = stitch_by_paper(opened.setup, recording.head, recording.frame)
     else:

@@ -88,9 +88,19 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write to a neighbour first, flush it to the disk, then rename: readers never see half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    """Write to a neighbour first, flush it to the disk, then rename: readers never see half a file.
+
+    Raises:
+        InputError: the place is taken by something that is not a file, or cannot be written to.
+    """
+    path = path.resolve()  # a link stays a link; what it points to is written
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file and is left as it is.", action="Name a file to write to.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).", action="Choose another place.") from error
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
@@ -98,7 +108,7 @@ def write_bytes(path: Path, content: bytes) -> None:
             os.fsync(file.fileno())
             os.fchmod(file.fileno(), 0o644)
         Path(name).replace(path)
-    except BaseException:
+    except BaseException:  # whatever ended it, tidy up; it is raised again
         Path(name).unlink(missing_ok=True)
         raise
 
@@ -108,7 +118,7 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise NotFoundError(f"{path}: there is no such file.") from error
-    except (IsADirectoryError, PermissionError) as error:
+    except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text.") from error

@@ -36,7 +36,7 @@ def write_bundle(directory: Path, story: Story) -> None:
         draft.chmod(0o755)
         _fill(draft, story)
         draft.rename(directory)
-    except BaseException:
+    except BaseException:  # whatever ended it, tidy up; it is raised again
         shutil.rmtree(draft, ignore_errors=True)
         raise
 

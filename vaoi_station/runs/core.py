@@ -48,18 +48,6 @@ class Parts:
     run_ids: RunIds
 
 
-def trigger_plan(config: StationConfig) -> TriggerPlan:
-    """What the controller is told when it is armed."""
-    line = config.line
-    return TriggerPlan(
-        start_delay_s=line.start_delay_s,
-        period_s=line.trigger_period_s,
-        tail_s=line.tail_s,
-        max_rows=line.rows_of_longest_board,
-        debounce_s=line.debounce_s,
-    )
-
-
 class Core:
     """Confined to one thread; `post` brings other threads' news into it."""
 
@@ -118,7 +106,7 @@ class Core:
             waiter.set_result(None)
         else:
             self._arming.append(waiter)
-            self._parts.acquisition.send(said.Arm(trigger_plan(self._config)))
+            self._parts.acquisition.send(said.Arm(TriggerPlan.of(self._config.line)))
 
     def disarm(self, waiter: Waiter) -> None:
         """Ignore the barrier; the waiter is told when that is so."""
@@ -307,7 +295,7 @@ class Core:
             self.orders.cancel(time.monotonic())
             return
         self._step(StationStep.ARM)
-        self._parts.acquisition.send(said.Arm(trigger_plan(self._config)))
+        self._parts.acquisition.send(said.Arm(TriggerPlan.of(self._config.line)))
 
     def _fail_arming(self, trouble: said.Trouble) -> None:
         """The cameras or the controller cannot; memory comes back with the answer to the disarming."""

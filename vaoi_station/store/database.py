@@ -80,7 +80,7 @@ class Database:
                     try:
                         result = work(self._writer)
                         self._writer.execute("COMMIT")
-                    except BaseException:
+                    except BaseException:  # whatever ended it, tidy up; it is raised again
                         self._writer.execute("ROLLBACK")
                         raise
             except Exception as error:  # noqa: BLE001  whoever asked for the write is told; the next one may succeed
@@ -102,7 +102,7 @@ def _open(path: Path) -> sqlite3.Connection:
             if fault != "ok":
                 raise sqlite3.DatabaseError(fault)
             migrate(connection, path)
-    except BaseException:
+    except BaseException:  # whatever ended it, tidy up; it is raised again
         connection.close()
         raise
     return connection

@@ -59,6 +59,6 @@ def migrate(connection: sqlite3.Connection, path: Path) -> None:
                 connection.execute(statement)
             connection.execute(f"PRAGMA user_version = {number + 1}")
             connection.execute("COMMIT")
-        except BaseException:
+        except BaseException:  # whatever ended it, tidy up; it is raised again
             connection.execute("ROLLBACK")
             raise

@@ -13,6 +13,7 @@ from typing import Protocol
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.config import Line
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,18 @@ class TriggerPlan:
     debounce_s: float
     lights: Sequence[str] = ()
     """Names of the light patterns, used in turn; empty: always the same light."""
+
+    @classmethod
+    def of(cls, line: Line, lights: Sequence[str] = ()) -> TriggerPlan:
+        """What follows from the mechanics of a line."""
+        return cls(
+            start_delay_s=line.start_delay_s,
+            period_s=line.trigger_period_s,
+            tail_s=line.tail_s,
+            max_rows=line.rows_of_longest_board,
+            debounce_s=line.debounce_s,
+            lights=lights,
+        )
 
 
 @dataclass(frozen=True)

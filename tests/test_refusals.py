@@ -1,0 +1,60 @@
+"""What nobody should be able to do by mistake: lose a file, or slip in a board no line ever saw."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from vaoi_station.errors import InputError
+from vaoi_station.files.documents import write_json
+from vaoi_station.model import BoardType
+
+
+def board(**more: Any) -> dict[str, Any]:
+    marks = [{"name": "A", "x": 1, "y": 1, "diameter": 1}, {"name": "B", "x": 30, "y": 20, "diameter": 1}]
+    parts = [{"ref": "U1", "center": [10, 10], "width": 3, "height": 2}]
+    return {"name": "b", "fiducials": marks, "components": parts} | more
+
+
+def test_a_board_is_a_board() -> None:
+    assert BoardType.model_validate(board()).component("U1") is not None
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        ({"components": [{"ref": "U1", "center": [1, 1], "width": 1e-300, "height": 1}]}, "0.01 to 2000 mm"),
+        ({"components": [{"ref": "U1", "center": [1, 1], "width": 1e308, "height": 1}]}, "0.01 to 2000 mm"),
+        ({"fiducials": [{"name": n, "x": 5, "y": 5, "diameter": 1} for n in "AB"]}, "0.1 mm apart"),
+        ({"fiducials": [{"name": "A", "x": 5, "y": 5, "diameter": 1e6}]}, "0.05 to 50 mm"),
+        (
+            {"components": [{"ref": f"R{n}", "center": [n, 0], "width": 1, "height": 1} for n in range(20_001)]},
+            "at most 20000 are taken",
+        ),
+    ],
+)
+def test_what_no_board_has_is_refused(more: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValidationError, match=sentence):
+        BoardType.model_validate(board(**more))
+
+
+def test_a_device_or_directory_is_left_as_it_is(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for place in (pipe, tmp_path):
+        with pytest.raises(InputError, match="is not a file and is left as it is"):
+            write_json(place, {})
+    assert pipe.is_fifo()
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    target, link = tmp_path / "target.json", tmp_path / "link.json"
+    target.write_text("{}")
+    link.symlink_to(target)
+    write_json(link, {"a": 1})
+    assert link.is_symlink()
+    assert '"a": 1' in target.read_text()
