@@ -5,8 +5,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from vaoi_station.simulation import Twin
+from vaoi_station.simulation.scene import Scene
 
 Make = Callable[..., Twin]
 
@@ -19,6 +21,16 @@ def test_frames_do_not_depend_on_what_was_asked_before(small: Twin) -> None:
     assert np.array_equal(ordered[1, 3], last)
     assert ordered[0, 0].shape == (480, 640)
     assert ordered[0, 0].dtype == np.uint8
+
+
+def test_only_bodies_far_off_are_left_out_beforehand(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = make(array={"cameras": 2, "tilt_deg": 3.0}, board={"height_scale": 2.0, "lift_mm": 3.0, "turned_deg": 90})
+    some = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
+    near = twin.scene._about(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[0]))
+    assert 0 < len(near) < len(twin.artwork.bodies)
+    monkeypatch.setattr(Scene, "_about", lambda scene, camera, pose: list(range(len(scene.artwork.bodies))))
+    looked_at_all = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
+    assert all(np.array_equal(a, b) for a, b in zip(some, looked_at_all, strict=True))
 
 
 def test_boards_cameras_and_rows_have_noise_of_their_own(make: Make) -> None:

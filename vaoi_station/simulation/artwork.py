@@ -15,7 +15,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.files.images import read_image
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation.bodies import Body, build_bodies
-from vaoi_station.simulation.canvas import Bytes, Canvas, to_bytes
+from vaoi_station.simulation.canvas import Bytes, Canvas, bands, to_bytes
 from vaoi_station.simulation.layout import Part, mounting_holes, place_parts
 from vaoi_station.simulation.packages import Look
 from vaoi_station.simulation.routing import Copper, route
@@ -58,7 +58,7 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
         _paint_fiducial(canvas, mark)
     _paint_belt(canvas, section, belt_grey)
     bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
-    surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal * 255)
+    surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal, 255)
     return Artwork(parts, bodies, surface, metal, px_per_mm, canvas.origin_mm)
 
 
@@ -94,7 +94,9 @@ def _weave(canvas: Canvas, seed: int) -> None:
     g, (h, w), k = np.random.default_rng([seed, 7030]), canvas.grey.shape, canvas.px_per_mm
     coarse = g.standard_normal((int(h / k) + 3, int(w / k) + 3), dtype=np.float32)
     fine = cv2.GaussianBlur(g.standard_normal((h, w), dtype=np.float32), (0, 0), max(0.035 * k, 0.6))
-    canvas.grey[:] += 1.6 * cv2.resize(coarse, (w, h), interpolation=cv2.INTER_LINEAR) + 1.3 * fine / fine.std()
+    blotches, scatter = cv2.resize(coarse, (w, h), interpolation=cv2.INTER_LINEAR), fine.std()
+    for band in bands(h):
+        canvas.grey[band] += 1.6 * blotches[band] + 1.3 * fine[band] / scatter
 
 
 def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
@@ -170,8 +172,10 @@ def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
     mask = Canvas(np.zeros_like(canvas.grey), np.zeros_like(canvas.metal), canvas.origin_mm, canvas.px_per_mm)
     w, h = section.width_mm, section.length_mm
     mask.box((w / 2, h / 2), (w, h), 1.0)
-    canvas.grey[:] = canvas.grey * mask.grey + np.float32(grey) * (1 - mask.grey)
-    canvas.metal[:] *= mask.grey
+    for band in bands(len(canvas.grey)):
+        inside = mask.grey[band]
+        canvas.grey[band] = canvas.grey[band] * inside + np.float32(grey) * (1 - inside)
+        canvas.metal[band] *= inside
 
 
 def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:

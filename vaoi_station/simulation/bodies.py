@@ -76,7 +76,7 @@ def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
         side_grey=grey * 0.75,
         middle_mm=part.place,
         top=to_bytes(canvas.grey),
-        metal=to_bytes(canvas.metal * 255),
+        metal=to_bytes(canvas.metal, 255),
         cover=to_bytes(cover.grey),
         origin_mm=origin,
         px_per_mm=px_per_mm,

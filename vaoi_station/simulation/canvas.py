@@ -11,6 +11,7 @@ grey value it keeps how metallic a pixel is, since LED patterns light metal diff
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -26,6 +27,7 @@ Bytes = NDArray[np.uint8]
 
 _FINE = 4
 """Finer steps per pixel and axis where a turned edge meets the pixels at an angle."""
+_BAND_PX = 64
 _LARGE_PX = 64
 """Half diagonal from which a turned box is painted on the pixels themselves: long edges even out."""
 
@@ -88,7 +90,7 @@ class Canvas:
         points = [np.round(self.to_px(line) * 16).astype(np.int32) for line in lines_mm]
         thickness = max(round(width_mm * self.px_per_mm), 1)
         cv2.polylines(mask, points, closed, 255, thickness, cv2.LINE_AA, 4)
-        self._blend(np.s_[:, :], mask.astype(np.float32) / 255, grey, metal)
+        self._blend(np.s_[:, :], mask, grey, metal)
 
     def text(
         self, text: str, place: tuple[float, float], height_mm: float, grey: float, turned_deg: float = 0.0
@@ -141,10 +143,15 @@ class Canvas:
         u, v = np.arange(x0, max(x1, x0)) - x, np.arange(y0, max(y1, y0)) - y
         return np.s_[y0 : max(y1, y0), x0 : max(x1, x0)], u.astype(np.float32), v.astype(np.float32)
 
-    def _blend(self, window: tuple[slice, slice], coverage: Plane, grey: float, metal: float) -> None:
-        for plane, value in ((self.grey, grey), (self.metal, metal)):
-            part = plane[window]
-            part += (np.float32(value) - part) * coverage
+    def _blend(self, window: tuple[slice, slice], coverage: Plane | Bytes, grey: float, metal: float) -> None:
+        """Coverage as a share, or as bytes of 255 to the whole."""
+        for band in bands(len(coverage)):
+            share = coverage[band]
+            if share.dtype == np.uint8:
+                share = share.astype(np.float32) / 255
+            for plane, value in ((self.grey, grey), (self.metal, metal)):
+                part = plane[window][band]
+                part += (np.float32(value) - part) * share
 
 
 def _finely(offset: Plane) -> tuple[Plane, Plane]:
@@ -156,9 +163,16 @@ def _finely(offset: Plane) -> tuple[Plane, Plane]:
     return fine + offset[0], np.asarray(hats, np.float32)
 
 
-def to_bytes(plane: Plane) -> Bytes:
-    """Rounded and clipped to 8 bit, read-only."""
-    result = np.clip(np.rint(plane), 0, 255).astype(np.uint8)
+def bands(rows: int) -> Iterator[slice]:
+    """An image's rows, a few at a time: what lies between stays in the cache, and large boards fit into memory."""
+    return (slice(k, k + _BAND_PX) for k in range(0, rows, _BAND_PX))
+
+
+def to_bytes(plane: Plane, gain: float = 1.0) -> Bytes:
+    """Times a gain, rounded and clipped to 8 bit, read-only."""
+    result = np.empty(plane.shape, np.uint8)
+    for band in bands(len(plane)):
+        result[band] = np.clip(np.rint(plane[band] * np.float32(gain)), 0, 255)
     result.setflags(write=False)
     return result
 

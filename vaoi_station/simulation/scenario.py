@@ -300,7 +300,7 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def scenario_path(name: str) -> Path:
-    """The file of a scenario that comes with the software: "demo" or "small"."""
+    """The file of a scenario that comes with the software: "demo", "paper" or "small"."""
     folder = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
     path = folder / f"{name}.toml"
     if not path.is_file():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -23,6 +24,8 @@ from vaoi_station.simulation.scenario import BoardSection, LightSection
 _SURFACE_STEPS = 4
 _LEAST_LEAN_PX = 0.02
 _SIXTEENTHS = 4
+_ROOM_MM = 10.0
+"""More than a placement's shift and the lean of what stands at the edge of a view."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,9 @@ class Scene:
     ) -> list[Standing]:
         """The bodies a frame can show, those furthest from the camera's foot first."""
         found = []
-        for body, texture in zip(self.artwork.bodies, paint.tops, strict=True):
+        size = np.array([camera.width_px, camera.height_px])
+        for k in self._about(camera, pose):
+            body, texture = self.artwork.bodies[k], paint.tops[k]
             placement = placements[body.ref]
             if placement is None:
                 continue
@@ -126,10 +131,25 @@ class Scene:
             z = float(self.surface_z(np.array([body.middle_mm]))[0])
             low, top = camera.project(outline, z), camera.project(outline, z + body.height_mm)
             both, margin = np.vstack([low, top]), 2 * body.height_mm * body.px_per_mm + 2
-            size = np.array([camera.width_px, camera.height_px])
             if (both.max(0) > -margin).all() and (both.min(0) < size + margin).all():
                 found.append(Standing(body, placement, texture, outline, z, low, top))
         return sorted(found, key=lambda b: -float(np.hypot(*(b.outline_mm.mean(0) - camera.foot_mm))))
+
+    @cached_property
+    def _whereabouts(self) -> tuple[Floats, Floats]:
+        """Middles (k, 2) of all bodies, and how far (k,) from there anything of them or their shadows may be, in mm."""
+        bodies = self.artwork.bodies
+        middles = np.array([b.middle_mm for b in bodies], dtype=np.float64).reshape(-1, 2)
+        reach = [np.abs(b.outline_mm - b.middle_mm).max() * math.sqrt(2) + 4 * b.height_mm for b in bodies]
+        return middles, np.array(reach) + _ROOM_MM
+
+    def _about(self, camera: Pinhole, pose: Floats) -> list[int]:
+        """The bodies that are near enough to the view to be looked at one by one."""
+        middles, reach = self._whereabouts
+        w, h = camera.width_px - 1.0, camera.height_px - 1.0
+        corners = camera.ground(np.array([[0, 0], [w, 0], [w, h], [0, h]]), 0.0)
+        away = np.abs(apply(pose, middles) - corners.mean(0)) - np.ptp(corners, axis=0) / 2
+        return np.flatnonzero((away < reach[:, None]).all(1)).tolist()
 
     def _surface(self, camera: Pinhole, pose: Floats, texture: Bytes) -> Bytes:
         size = np.array([camera.width_px, camera.height_px])
