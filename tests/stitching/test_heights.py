@@ -13,10 +13,10 @@ from vaoi_station.stitching.heights import _highest
 def test_the_twins_parts_are_as_high_as_they_are(filmed: Any) -> None:
     q, true = filmed.stitch.quality, filmed.truth["heights"]
     found = q["heights_mm"]
-    assert len(found) >= 5
+    assert len(found) >= 4
     assert max(found.values()) > 2
     for ref, mm in found.items():
-        assert mm == pytest.approx(true[ref], abs=0.1 + 0.02 * true[ref]), ref
+        assert mm == pytest.approx(true[ref], abs=0.03 + 0.01 * true[ref]), ref
         assert 0.005 < q["height_sigma_mm"][ref] < 0.2
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vaoi_station.geometry.robust import huber_weights, median_sigma
+from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whitened
 from vaoi_station.stitching.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion
@@ -28,11 +28,13 @@ _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
 """… and beyond so many count no more."""
-_PAIR_SIGMA_PX, _PAIR_SHARE = 0.006, 0.25
+_PAIR_SIGMA_PX, _PAIR_SHARE = 0.003, 0.25
 """What the links of one pair of frames share and does not average out (interpolation, light, parts): so many px, and
-that share of their scatter."""
-_FLOOR_PX = (0.010, 5.0)
-"""Range of the scatter of single links beyond image noise."""
+that share of what they scatter beyond noise."""
+_FLOOR_PX = (0.003, 5.0)
+"""Range of what single links scatter beyond image noise."""
+_MEDIAN, _HALVINGS = 2 * float(np.log(2)), 14
+"""Median of χ² of two degrees of freedom, and halvings of the range in which the scatter is looked for."""
 _HEIGHT_SIGMA_MM = 3.0
 FIXTURE, REFERENCE = -1, -2
 _FIDUCIAL_SIGMA_PX = 0.020
@@ -196,22 +198,25 @@ class _Solver:
         chi = np.sqrt((whitened(roots(information), residual) ** 2).sum(0) / 2)
         self.sigma = chi
         self.robust = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
-        per_pair = np.bincount(o.group, self.robust, minlength=len(o.groups))
-        shared = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * floor_px)
-        share = 1 / (1 + per_pair[o.group] * (shared / floor_px) ** 2)
+        told = self.robust * np.trace(information, axis1=1, axis2=2) / 2
+        per_pair = np.bincount(o.group, told, minlength=len(o.groups))
+        shared = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * floor_px) / o.px_per_mm
+        share = 1 / (1 + per_pair[o.group] * shared**2)
         return np.asarray(information * (self.robust * share)[:, None, None])
 
     def _update_floor(self, residual: Floats) -> None:
-        """The scatter of single links, from those on the bare board (they are the ones the model should explain).
+        """What single links scatter beyond image noise, from those on the bare board, which the model should explain.
 
         Links between rows and between cameras have each their own: a lifted board first shows as a large
         scatter of the latter, which keeps their weight until the surface explains it.
         """
-        bare = self.p.component < 0
+        o, bare = self.p.links, self.p.component < 0
+        noise = o.noise_mm2 * (o.px_per_mm**2)[:, None, None]
+        residual = residual * o.px_per_mm[:, None]
         for kind in (False, True):
-            px = (residual * self.p.links.px_per_mm[:, None])[bare & (self.same_row == kind)]
-            if len(px) >= 20:
-                self.floor_px[kind] = float(np.clip(median_sigma(px), *_FLOOR_PX))
+            at = bare & (self.same_row == kind)
+            if at.sum() >= 20:
+                self.floor_px[kind] = float(np.clip(_excess(residual[at], noise[at]), *_FLOOR_PX))
 
     def _link_blocks(self) -> list[Block]:
         """One block per pair of rows; what links say of component heights is set aside for elimination."""
@@ -372,6 +377,16 @@ def _runs_of_equal(values: Ints) -> list[Ints]:
         return []
     order = np.argsort(values, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
+
+
+def _excess(residual: Floats, noise: Floats) -> float:
+    """Standard deviation that, added to noise (k, 2, 2), explains the median of the residuals (k, 2)."""
+    low, high = 0.0, _FLOOR_PX[1]
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        chi2 = (whitened(roots(_inverses(noise, np.full(len(noise), middle**2))), residual) ** 2).sum(0)
+        low, high = (middle, high) if np.median(chi2) > _MEDIAN else (low, middle)
+    return (low + high) / 2
 
 
 def _inverses(noise: Floats, floor: Floats) -> Floats:

@@ -19,7 +19,7 @@ from vaoi_station.stitching.prepare import Prepared
 _POINTS = 80
 """Places per pair of frames: enough that losing half of them to tall parts costs nothing."""
 _LEAST_SCORE = 0.80
-_WORST_SIGMA_PX = 0.30
+_WORST_SIGMA_PX = 0.80
 _PLACEMENT_MM = 4.0
 """How far a board may lie from where the reference lay, in the same row."""
 _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
