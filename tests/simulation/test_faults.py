@@ -55,3 +55,25 @@ def test_an_absent_part_must_be_one_of_the_board_s(make: Make) -> None:
     twin = make(faults={"absent_parts": [{"ref": "X99"}]})
     with pytest.raises(InputError, match="X99"):
         twin.passage(0).frame(0, 0)
+
+
+@pytest.mark.parametrize(("about", "way"), [("x", (0.0, -1.0)), ("y", (1.0, 0.0))])
+def test_a_knocked_camera_looks_elsewhere_from_its_board_on(make: Make, about: str, way: tuple[float, float]) -> None:
+    """By the focal length times the angle in the middle of its frame; it hangs where it hung."""
+    twin = make(
+        array={"cameras": 2}, faults={"knocked": [{"camera": 1, "from_board": 2, "about": about, "angle_deg": 0.1}]}
+    )
+    before, after = twin.passage(1), twin.passage(2)
+    assert before.pinholes == twin.pinholes
+    assert after.pinholes[0] is twin.pinholes[0]
+    middle = np.array([[79.5, 59.5]])
+    moved = after.pinholes[1].project(twin.pinholes[1].ground(middle, 0.0), 0.0) - middle
+    assert moved[0] == pytest.approx(np.multiply(way, 200 * 10 * np.radians(0.1)), rel=0.01, abs=0.01)
+    lifted = after.pinholes[1].calibrated(200.0)
+    assert lifted.foot_mm == pytest.approx(twin.pinholes[1].foot_mm, abs=0.02)
+    assert after.truth()["image_matrices"][1][0] != before.truth()["image_matrices"][1][0]
+
+
+def test_a_knocked_camera_must_be_there(make: Make) -> None:
+    with pytest.raises(ValueError, match="a fault names camera 3"):
+        make(faults={"knocked": [{"camera": 3, "angle_deg": 0.1}]})

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+from vaoi_station.simulation.pinholes import Pinhole
 from vaoi_station.simulation.scenario import FaultSection
 
 
@@ -67,3 +69,12 @@ def stuck_row(section: FaultSection, board_number: int) -> int | None:
 def extra_turn_deg(section: FaultSection, board_number: int) -> int:
     """Quarter turns by which this board was laid on the belt wrongly."""
     return sum(f.turned_deg for f in section.turned if f.befalls(board_number)) % 360
+
+
+def as_knocked(section: FaultSection, pinholes: tuple[Pinhole, ...], board_number: int) -> tuple[Pinhole, ...]:
+    """The cameras as they hang while this board passes: those knocked before it are turned."""
+    hanging = list(pinholes)
+    for f in section.knocked:
+        if board_number >= f.from_board:
+            hanging[f.camera] = hanging[f.camera].turned(f.about, math.radians(f.angle_deg))
+    return tuple(hanging)

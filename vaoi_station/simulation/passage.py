@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import RecordingHead
-from vaoi_station.simulation.faults import PassageFaults
+from vaoi_station.simulation.faults import PassageFaults, as_knocked
+from vaoi_station.simulation.pinholes import Pinhole
 from vaoi_station.simulation.scene import Placement
 from vaoi_station.simulation.sensor import expose, generator
 from vaoi_station.simulation.timetable import Timetable, timetable
@@ -80,6 +81,11 @@ class Passage:
         return PassageFaults(self.twin.scenario.faults, self.board_number, self.blocked_s, self._times.stuck)
 
     @cached_property
+    def pinholes(self) -> tuple[Pinhole, ...]:
+        """The cameras as they hang now; the calibration may be of a time before somebody knocked one."""
+        return as_knocked(self.twin.scenario.faults, self.twin.pinholes, self.board_number)
+
+    @cached_property
     def placements(self) -> dict[str, Placement | None]:
         """How every part of this board was set; None for one that is absent."""
         self._check_absent()
@@ -106,7 +112,7 @@ class Passage:
         twin, array = self.twin, self.twin.scenario.array
         light = twin.scenario.lights[light_name]
         samples = twin.scene.view(
-            twin.pinholes[camera],
+            self.pinholes[camera],
             self.pose(t_s),
             paint=twin.paint(light_name),
             light=light,
@@ -153,7 +159,7 @@ class Passage:
 
     def truth(self) -> dict[str, Any]:
         """The truth in the format of truth.json."""
-        return passage_truth(self.twin, [self.pose(t) for t in self.pulse_times_s])
+        return passage_truth(self.twin, self.pinholes, [self.pose(t) for t in self.pulse_times_s])
 
     def _check_absent(self) -> None:
         known = {p.ref for p in self.twin.parts}
@@ -169,7 +175,7 @@ class Passage:
         """Way of the board's picture across the middle of a frame during the exposure, (2,) px."""
         if t_s >= self._times.course.stop_s:
             return np.zeros(2)
-        pinhole, seconds = self.twin.pinholes[camera], self.twin.scenario.array.exposure_us(camera) * 1e-6
+        pinhole, seconds = self.pinholes[camera], self.twin.scenario.array.exposure_us(camera) * 1e-6
         middle = np.array([[(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2]])
         place = apply(np.linalg.inv(self.pose(t_s)), pinhole.ground(middle, 0.0))
         before, after = (pinhole.project(apply(self.pose(t_s + d), place), 0.0)[0] for d in (-_SLOPE_S, _SLOPE_S))

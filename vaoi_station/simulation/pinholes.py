@@ -7,7 +7,8 @@ Written from the projection itself, not from the station's formulas for planes a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -27,6 +28,8 @@ class Pinhole:
     lens: Lens
     foot_mm: tuple[float, float]
     """Point of the calibrated plane straight below."""
+    inner: Floats
+    """(3, 3): directions in the camera's own axes (x right and y down in the image, z ahead) to undistorted pixels."""
 
     def plane(self) -> Floats:
         """N_i: the homography of the calibrated plane z = 0, (3, 3), last entry 1."""
@@ -46,6 +49,12 @@ class Pinhole:
         ra, rb = -(a[:, 2] * z_mm + a[:, 3]), -(b[:, 2] * z_mm + b[:, 3])
         det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
         return np.column_stack([(ra * b[:, 1] - a[:, 1] * rb) / det, (a[:, 0] * rb - ra * b[:, 0]) / det])
+
+    def turned(self, about: Literal["x", "y", "z"], angle_rad: float) -> Pinhole:
+        """The same camera after a knock has turned it about one of its own axes; it hangs where it hung."""
+        angles = {axis: angle_rad if axis == about else 0.0 for axis in "xyz"}
+        turn = _rotation(angles["x"], angles["y"], angles["z"])
+        return replace(self, projection=self.inner @ turn @ np.linalg.inv(self.inner) @ self.projection)
 
     def calibrated(self, working_distance_mm: float) -> Camera:
         """What a perfect calibration knows of this camera."""
@@ -72,7 +81,8 @@ def _mounted(array: ArraySection, camera: int) -> Pinhole:
     projection = inner @ _rotation(tilt_x, tilt_y, roll) @ np.hstack([down, -down @ place])
     radius = math.hypot(array.width_px, array.height_px) / 2
     radial = (-array.distortion_px * float(strength) / radius,) if array.distortion_px else ()
-    return Pinhole(array.width_px, array.height_px, projection, Lens(middle, radius, radial), (float(x), float(y)))
+    lens = Lens(middle, radius, radial)
+    return Pinhole(array.width_px, array.height_px, projection, lens, (float(x), float(y)), inner)
 
 
 def _rotation(about_x: float, about_y: float, about_z: float) -> Floats:

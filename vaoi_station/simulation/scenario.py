@@ -247,6 +247,15 @@ class AbsentPart(OnBoard):
     ref: str
 
 
+class KnockedCamera(Section):
+    """A camera that somebody knocked: from a board on it looks elsewhere than it was calibrated."""
+
+    camera: Index
+    from_board: Index = 0
+    about: Literal["x", "y", "z"] = "z"
+    angle_deg: Annotated[float, Field(ge=-5, le=5)]
+
+
 class FaultSection(Section):
     """What goes wrong."""
 
@@ -258,6 +267,7 @@ class FaultSection(Section):
     stuck: tuple[StuckBoard, ...] = ()
     turned: tuple[TurnedBoard, ...] = ()
     absent_parts: tuple[AbsentPart, ...] = ()
+    knocked: tuple[KnockedCamera, ...] = ()
 
 
 class Scenario(Section):
@@ -284,9 +294,10 @@ class Scenario(Section):
 
     def _check_faults(self) -> None:
         faults = self.faults
-        for fault in (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames):
-            if fault.camera >= self.array.cameras:
-                raise ValueError(f"a fault names camera {fault.camera}, but there are {self.array.cameras} (from 0)")
+        named = [f.camera for f in (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames)]
+        for camera in (*named, *(f.camera for f in faults.knocked)):
+            if camera >= self.array.cameras:
+                raise ValueError(f"a fault names camera {camera}, but there are {self.array.cameras} (from 0)")
 
 
 def read_scenario(path: Path) -> Scenario:

@@ -8,17 +8,19 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.simulation.layout import board_from_cad
+from vaoi_station.simulation.pinholes import Pinhole
 from vaoi_station.simulation.world import World
 
 
-def passage_truth(twin: World, poses: list[Floats]) -> dict[str, Any]:
+def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, Any]:
     """M_ij = N_i·D_j, C = E_0·(board from CAD), D_j = E_j·E_0⁻¹, heights, and where every footprint is seen.
 
     Args:
-        twin: cameras and board.
+        twin: the board.
+        pinholes: the cameras as they hang.
         poses: E_j, tester from board, one per row.
     """
-    planes = [p.plane() for p in twin.pinholes]
+    planes = [p.plane() for p in pinholes]
     first = np.linalg.inv(poses[0])
     motions = [e @ first for e in poses]
     board = board_from_cad(twin.scenario.board)
@@ -27,17 +29,17 @@ def passage_truth(twin: World, poses: list[Floats]) -> dict[str, Any]:
         "cad_matrix": (poses[0] @ board).tolist(),
         "row_motion": [d.tolist() for d in motions],
         "heights": {p.ref: p.body_height_mm for p in twin.parts},
-        "views": views(twin, poses),
+        "views": views(twin, pinholes, poses),
     }
 
 
-def views(twin: World, poses: list[Floats]) -> dict[str, list[list[float]]]:
+def views(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, list[list[float]]]:
     """Raw pixels of the middle of every footprint, on the board's surface, in every image that shows it."""
     if not twin.parts:
         return {}
     places = np.array([p.place for p in twin.parts])
     seen: dict[str, list[list[float]]] = {}
-    for i, pinhole in enumerate(twin.pinholes):
+    for i, pinhole in enumerate(pinholes):
         limit = (pinhole.width_px - 1, pinhole.height_px - 1)
         for j, pose in enumerate(poses):
             pixels = pinhole.project(apply(pose, places), twin.scene.surface_z(places))

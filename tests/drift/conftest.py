@@ -1,0 +1,87 @@
+"""Boards of a small twin of three cameras, filmed and checked; one camera may be knocked from a board on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.drift.check_run import check_run
+from vaoi_station.drift.checks import CameraCheck, RunCheck
+from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.stitching.work import Desk, Setup, all_tasks
+
+SCENARIO: dict[str, Any] = {
+    "array": {
+        "cameras": 3,
+        "width_px": 480,
+        "height_px": 360,
+        "px_per_mm": 14.0,
+        "working_distance_mm": 300.0,
+        "overlap": 1.15,
+    },
+    "board": {"name": "small", "width_mm": 80.0, "length_mm": 40.0},
+    "line": {"barrier_mm": -40.0, "period_s": 0.11, "longest_board_mm": 60.0, "interval_s": 3.0},
+}
+
+
+def twin_with(*knocks: dict[str, Any]) -> Twin:
+    return Twin(Scenario.model_validate({**SCENARIO, "faults": {"knocked": knocks}}))
+
+
+def checked(twin: Twin, board: int) -> RunCheck:
+    """Film a board, stitch it, and keep what a station keeps."""
+    passage = twin.passage(board)
+    head, frames = passage.head(), passage.render_all()
+    setup = Setup(twin.cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
+    times_s, present = head.row_times_s(), sorted(frames)
+    desk = Desk(setup, lambda i, j: frames.get((i, j)))
+    evidence = [desk.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
+    stitch = desk.conclude(times_s, present, evidence)
+    return check_run(f"run {board}", f"2026-01-01T00:00:{board:02d}Z", "small", setup, times_s, evidence, stitch)
+
+
+@pytest.fixture(scope="session")
+def film() -> Callable[[Twin, int], RunCheck]:
+    return checked
+
+
+@pytest.fixture(scope="session")
+def knocked_twin() -> Callable[..., Twin]:
+    return twin_with
+
+
+@pytest.fixture(scope="session")
+def undisturbed() -> list[RunCheck]:
+    """Four boards under cameras nobody has touched."""
+    twin = twin_with()
+    return [checked(twin, board) for board in range(4)]
+
+
+Shown = list[tuple[float, float, float]]
+
+
+def check(run: int, shown: Shown, sigma_px: float = 0.02, board_type: str = "a") -> RunCheck:
+    """A run in which the cameras show these displacements."""
+    size = 3 * len(shown)
+    information = np.eye(size) / sigma_px**2
+    cameras = tuple(
+        CameraCheck(x_px=x, y_px=y, turn_px=t, sigma_px=(sigma_px,) * 3, rms_px=0.1, left_px=0.1, links=40, fiducials=0)
+        for x, y, t in shown
+    )
+    return RunCheck(
+        run=f"r{run:03d}",
+        time=f"t{run:03d}",
+        board_type=board_type,
+        cameras=cameras,
+        rivals=(),
+        information=tuple(information[np.tril_indices(size)]),
+        vector=tuple((np.ravel(shown) / sigma_px**2).tolist()),
+    )
+
+
+@pytest.fixture(scope="session")
+def made() -> Callable[..., RunCheck]:
+    return check

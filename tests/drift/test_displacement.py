@@ -1,0 +1,50 @@
+"""Displacements as they act on cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.drift.displacement import arm_px, displaced, moved_from_calibrated, size_px
+from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.geometry.transforms import apply
+
+N = np.array([[40.0, 0.1, 300.0], [-0.1, 40.0, 200.0], [1e-6, -2e-6, 1.0]])
+CAMERA = Camera(641, 481, Projective(N, System.IMAGE, System.ROW), Lens((0.0, 0.0), 1.0), 400.0)
+px = st.floats(-40, 40)
+
+
+@given(x=px, y=px)
+@pytest.mark.parametrize("distance_mm", [400.0, None])
+def test_the_middle_of_the_picture_moves_by_x_and_y(distance_mm: float | None, x: float, y: float) -> None:
+    t = moved_from_calibrated(replace(CAMERA, working_distance_mm=distance_mm), np.array([x, y, 0.0]))
+    assert apply(t, CAMERA.center_px) - CAMERA.center_px == pytest.approx((x, y), abs=1e-3)
+
+
+@pytest.mark.parametrize("distance_mm", [400.0, None])
+def test_a_turn_is_told_by_how_far_the_corner_goes(distance_mm: float | None) -> None:
+    camera = replace(CAMERA, working_distance_mm=distance_mm)
+    t = moved_from_calibrated(camera, np.array([0.0, 0.0, 0.7]))
+    off = apply(t, [640.0, 480.0]) - (640.0, 480.0)
+    assert np.hypot(*off) == pytest.approx(0.7, rel=5e-3)
+    assert off[0] < 0 < off[1], "from x towards y"
+    assert arm_px(camera) == pytest.approx(400.8, abs=0.1)
+
+
+def test_a_turned_camera_hangs_where_it_hung() -> None:
+    assert displaced(CAMERA, np.array([12.0, -7.0, 1.0])).foot_mm == pytest.approx(CAMERA.foot_mm, abs=0.01)
+
+
+def test_no_displacement_is_no_change() -> None:
+    assert displaced(CAMERA, np.zeros(3)) is CAMERA
+
+
+def test_the_size_is_the_rms_over_the_frame() -> None:
+    d = np.array([0.3, -0.2, 0.9])
+    grid = np.stack(np.meshgrid(np.linspace(0, 640, 161), np.linspace(0, 480, 121)), -1).reshape(-1, 2)
+    t = moved_from_calibrated(replace(CAMERA, working_distance_mm=None), d)
+    assert size_px(d) == pytest.approx(np.sqrt(((apply(t, grid) - grid) ** 2).sum(1).mean()), rel=0.01)

@@ -1,0 +1,31 @@
+"""A run's check from its evidence: the same for the live station and for recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vaoi_station.drift.checks import RunCheck, check_of
+from vaoi_station.drift.equations import told_by
+from vaoi_station.drift.evidence import lay_out
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Stitch
+from vaoi_station.stitching.evidence import Evidence
+from vaoi_station.stitching.work import Setup
+
+
+def check_run(
+    run: str, time: str, board_type: str, setup: Setup, times_s: Floats, evidence: Sequence[Evidence], stitch: Stitch
+) -> RunCheck:
+    """What a finished run tells of its cameras.
+
+    Args:
+        run: its id.
+        time: when it was, as text.
+        board_type: name or digest.
+        setup: what it was stitched with.
+        times_s: (m,) time of every row.
+        evidence: of its tasks.
+        stitch: its result.
+    """
+    laid_out = lay_out(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, evidence, stitch)
+    return check_of(run, time, board_type, told_by(laid_out))

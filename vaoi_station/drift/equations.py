@@ -1,0 +1,292 @@
+"""What one run tells of its cameras: its adjustment once more, with a displacement of every camera as unknowns.
+
+The links of a run and the sightings of fiducials are those of its stitching; so are the equations, but for three more
+unknowns per camera. What belongs to the run alone (the motion of its rows, C, the height of its board) is eliminated.
+What remains says nothing of a motion of the whole array, which no picture of a board tells: those directions of the
+information are empty, and `attribution` decides whose motion it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.drift.displacement import PARAMETERS, displaced
+from vaoi_station.drift.evidence import RunEvidence
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.robust import huber_weights, median_sigma
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment import similar, similar_jacobian
+from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whitened
+from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.observations import Ints
+
+_ITERATIONS = 8
+_CONVERGED_PX = 1e-3
+_STEP_PX = 0.05
+"""For derivatives by differences; the functions are smooth over hundreds of px."""
+_ANYWHERE_PX = 100.0
+_FIRST_FLOOR_PX = 20.0
+"""Scatter of links before anything is known: a knocked camera must not look like an outlier."""
+_FLOOR_PX = (0.010, 20.0)
+_PAIR_SIGMA_PX, _PAIR_SHARE = 0.010, 0.25
+"""What the links of one pair of frames share, as in the adjustment of a run."""
+_FIDUCIAL_SIGMA_PX = 0.05
+"""Sightings made while filming are rougher than those of the result."""
+_KNEE, _CUT = 2.0, 6.0
+_SCALE_SIGMA = 3e-4
+"""How far a board may be shrunk or stretched against its CAD data (1 σ, relative)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a run says of its n cameras, in px: minimise (d − d̂)ᵀ·information·(d − d̂)."""
+
+    information: Floats
+    """(3n, 3n) px⁻²; singular along motions of the whole array."""
+    vector: Floats
+    """(3n,) px⁻¹: information · d̂, which stays finite where d̂ is not known."""
+    rms_px: Floats
+    """(n,) residuals of the links between neighbours and of the fiducials under the calibration; NaN without any."""
+    left_px: Floats
+    """(n,) the same when the displacements are taken out."""
+    links: Ints
+    """(n,) links to neighbouring cameras that were used."""
+    fiducials: Ints
+    """(n,) sightings of fiducials that were used."""
+
+
+def told_by(run: RunEvidence) -> Told:
+    """Solve one run for the displacements of its cameras.
+
+    Args:
+        run: links and fiducials of a run, on the ground of the calibration in force.
+    """
+    solver = _Solver(run)
+    for _ in range(_ITERATIONS):
+        if solver.step() < _CONVERGED_PX:
+            break
+    return solver.told()
+
+
+class _Solver:
+    def __init__(self, run: RunEvidence) -> None:
+        self.run = run
+        self.n, self.m = len(run.cameras), len(run.motion.angle)
+        self.d = np.zeros((self.n, PARAMETERS))
+        self.motion = run.motion
+        self.c = None if run.similarity is None else run.similarity.copy()
+        self.height = np.zeros(run.surface.sigma_mm.shape[0])
+        self.rows_at = PARAMETERS * self.n
+        self.c_at = self.rows_at + 3 * self.m
+        self.height_at = self.c_at + (4 if self.c is not None else 0)
+        self.size = self.height_at + len(self.height)
+        self.floor_px = {False: _FIRST_FLOOR_PX, True: _FIRST_FLOOR_PX}
+        self.same_row = run.links.p == run.links.q
+        self.told_first: tuple[Floats, Floats] | None = None
+
+    def step(self) -> float:
+        """One reweighted Gauss-Newton step; the largest change of a displacement in px."""
+        self._look()
+        normal, right = summed([*self._links(), *self._belt(), *self._fiducials(), *self._height()], self.size)
+        first = slice(self.rows_at, self.rows_at + 3)
+        normal[first, :] = normal[:, first] = 0
+        normal[first, first], right[first] = np.eye(3), 0
+        own = slice(self.rows_at, None)
+        tied = np.linalg.solve(normal[own, own], np.column_stack([normal[own, : self.rows_at], right[own]]))
+        cross = normal[: self.rows_at, own]
+        self.information = normal[: self.rows_at, : self.rows_at] - cross @ tied[:, :-1]
+        self.information = (self.information + self.information.T) / 2
+        self.vector = right[: self.rows_at] - cross @ tied[:, -1] + self.information @ self.d.ravel()
+        still = np.eye(self.rows_at) / _ANYWHERE_PX**2  # whose motion it was, is decided later
+        found = np.linalg.solve(self.information + still, self.vector)
+        change = found.reshape(self.n, PARAMETERS) - self.d
+        self._move(change, tied[:, -1] - tied[:, :-1] @ change.ravel())
+        return float(np.abs(change).max())
+
+    def _move(self, change: Floats, rest: Floats) -> None:
+        self.d = self.d + change
+        rows = rest[: 3 * self.m].reshape(self.m, 3)
+        self.motion = Motion(self.motion.angle + rows[:, 0], self.motion.shift + rows[:, 1:], self.motion.pivot)
+        if self.c is not None:
+            self.c = self.c + rest[3 * self.m : 3 * self.m + 4]
+        self.height = self.height + rest[self.height_at - self.rows_at :]
+
+    def _look(self) -> None:
+        """Ground points of all links and sightings through the cameras as they hang by now, with derivatives."""
+        run, cameras = self.run, self.run.cameras
+        self.a, self.a_by = _ground(cameras, self.d, run.camera_a, run.a_px)
+        self.b, self.b_by = _ground(cameras, self.d, run.camera_b, run.b_px)
+        self.f, self.f_by = _ground(cameras, self.d, run.camera_f, run.f_px)
+
+    def _residuals(self) -> tuple[Floats, Floats]:
+        """Misfit (k, 2) mm of the links, and its change per mm of height."""
+        o, motion = self.run.links, self.motion
+        lean = motion.turned(o.q, o.b_lean) - motion.turned(o.p, o.a_lean)
+        rise = self.run.surface.at_links @ self.height
+        return motion.board(o.q, self.b) - motion.board(o.p, self.a) + lean * rise[:, None], lean
+
+    def _fiducial_residuals(self) -> tuple[Floats, Floats]:
+        """Misfit (s, 2) mm of the fiducials, and its change per mm of height."""
+        s, run = self.run.fiducials, self.run
+        assert s is not None
+        assert self.c is not None
+        lean = self.motion.turned(s.row, s.lean)
+        rise = run.surface.at_fiducials @ self.height
+        return self.motion.board(s.row, self.f) + lean * rise[:, None] - similar(self.c, s.cad), lean
+
+    def _weights(self, residual: Floats) -> Floats:
+        """(k, 2, 2) mm⁻²: robust, and less where a pair of frames has many links."""
+        o = self.run.links
+        for kind in (False, True):
+            px = (residual * o.px_per_mm[:, None])[self.same_row == kind]
+            if len(px) and self.told_first is not None:
+                self.floor_px[kind] = float(np.clip(median_sigma(px - np.median(px, axis=0)), *_FLOOR_PX))
+        floor = np.where(self.same_row, self.floor_px[True], self.floor_px[False])
+        scatter = o.noise_mm2 + ((floor / o.px_per_mm) ** 2)[:, None, None] * np.eye(2)
+        information = np.asarray(np.linalg.inv(scatter), dtype=np.float64)
+        chi = np.sqrt((whitened(roots(information), residual) ** 2).sum(0) / 2)
+        self.used = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
+        per_pair = np.bincount(o.group, self.used, minlength=len(o.groups))
+        shared = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * floor)
+        share = 1 / (1 + per_pair[o.group] * (shared / floor) ** 2)
+        return np.asarray(information * (self.used * share)[:, None, None])
+
+    def _links(self) -> Iterator[Block]:
+        """One block per pair of frames."""
+        o, run = self.run.links, self.run
+        if not len(o):
+            return
+        residual, lean = self._residuals()
+        root = roots(self._weights(residual))
+        if self.told_first is None:
+            self.told_first = self._rms(residual)
+        parts = [
+            -_turned(self.motion, o.p, self.a_by),
+            _turned(self.motion, o.q, self.b_by),
+            -_row_jacobian(self.motion, o.p, self.a),
+            _row_jacobian(self.motion, o.q, self.b),
+            lean[:, :, None] * run.surface.at_links[:, None, :],
+        ]
+        a, b = whitened(root, np.concatenate(parts, 2)), whitened(root, residual)
+        for group, e in enumerate(o.groups):
+            at = slice(*np.searchsorted(o.group, [group, group + 1]))
+            partner = e.task.b or e.task.a
+            columns = self._columns((e.task.a[0], partner[0]), (e.task.a[1], partner[1]))
+            yield Block(columns, a[:, at].reshape(-1, a.shape[2]), b[:, at].ravel())
+
+    def _columns(self, cameras: tuple[int, ...], rows: tuple[int, ...], *, with_c: bool = False) -> Ints:
+        three = np.arange(3)
+        return np.concatenate(
+            [
+                *(PARAMETERS * i + three for i in cameras),
+                *(self.rows_at + 3 * j + three for j in rows),
+                np.arange(self.c_at if with_c else self.height_at, self.size),
+            ]
+        )
+
+    def _belt(self) -> list[Block]:
+        """The conveyor at its mean speed, as measured."""
+        if self.m < 2:
+            return []
+        dt = np.diff(self.run.times_s)
+        velocity = -np.median(np.diff(self.motion.shift, axis=0) / dt[:, None], axis=0)
+        block = belt_block(self.motion, self.run.times_s, velocity)
+        return [Block(block.columns + self.rows_at, block.a, block.b)]
+
+    def _fiducials(self) -> Iterator[Block]:
+        s = self.run.fiducials
+        if s is None or self.c is None:
+            return
+        residual, lean = self._fiducial_residuals()
+        sigma = np.hypot(s.sigma_mm, _FIDUCIAL_SIGMA_PX / s.px_per_mm)
+        chi = np.sqrt((residual**2).sum(1) / 2) / sigma
+        weight = (np.sqrt(huber_weights(chi, _KNEE)) / sigma)[:, None]
+        parts = [
+            _turned(self.motion, s.row, self.f_by),
+            _row_jacobian(self.motion, s.row, self.f),
+            -similar_jacobian(s.cad),
+            lean[:, :, None] * self.run.surface.at_fiducials[:, None, :],
+        ]
+        a, b = weight[:, :, None] * np.concatenate(parts, 2), weight * residual
+        for k, (camera, row) in enumerate(zip(self.run.camera_f.tolist(), s.row.tolist(), strict=True)):
+            yield Block(self._columns((camera,), (row,), with_c=True), a[k], b[k])
+        scale = float(np.hypot(*self.c[:2]))
+        sigma_scale = _SCALE_SIGMA * self.run.nominal_scale
+        off = np.array([(scale - self.run.nominal_scale) / sigma_scale])
+        yield Block(np.arange(self.c_at, self.c_at + 2), self.c[None, :2] / scale / sigma_scale, off)
+
+    def _height(self) -> list[Block]:
+        sigma = self.run.surface.sigma_mm
+        return [Block(np.arange(self.height_at, self.size), np.diag(1 / sigma), self.height / sigma)]
+
+    def _rms(self, residual: Floats) -> tuple[Floats, Floats]:
+        """Sums of squares (n,) px² and counts (n,): links to neighbours, and fiducials, by camera."""
+        o, run = self.run.links, self.run
+        squares, counts = np.zeros(self.n), np.zeros(self.n)
+        kept = self.same_row & (self.used > 0.1)
+        off = ((residual * o.px_per_mm[:, None]) ** 2).sum(1)[kept]
+        for camera in (run.camera_a[kept], run.camera_b[kept]):
+            squares += np.bincount(camera, off, minlength=self.n)
+            counts += np.bincount(camera, minlength=self.n)
+        if run.fiducials is not None:
+            off = ((self._fiducial_residuals()[0] * run.fiducials.px_per_mm[:, None]) ** 2).sum(1)
+            squares += np.bincount(run.camera_f, off, minlength=self.n)
+            counts += np.bincount(run.camera_f, minlength=self.n)
+        return squares, counts
+
+    def told(self) -> Told:
+        """The result."""
+        run = self.run
+        nothing = np.zeros(self.n), np.zeros(self.n)
+        self._look()
+        last = nothing
+        linked = np.zeros(self.n, dtype=np.int_)
+        if len(run.links):
+            residual, _ = self._residuals()
+            self._weights(residual)
+            last = self._rms(residual)
+            kept = self.same_row & (self.used > 0.1)
+            for camera in (run.camera_a[kept], run.camera_b[kept]):
+                linked += np.bincount(camera, minlength=self.n)
+        first = self.told_first or nothing
+        return Told(
+            self.information,
+            self.vector,
+            _root_mean(*first),
+            _root_mean(*last),
+            linked,
+            np.bincount(run.camera_f, minlength=self.n),
+        )
+
+
+def _root_mean(squares: Floats, counts: Floats) -> Floats:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.sqrt(squares / counts))
+
+
+def _ground(cameras: Sequence[Camera], d: Floats, which: Ints, px: Floats) -> tuple[Floats, Floats]:
+    """Ground points (k, 2) mm, and their derivatives (k, 2, 3) by the displacement of their camera."""
+    ground, by = np.zeros((len(px), 2)), np.zeros((len(px), 2, PARAMETERS))
+    for i, camera in enumerate(cameras):
+        at = np.flatnonzero(which == i)
+        if not len(at):
+            continue
+        ground[at] = displaced(camera, d[i]).ground(px[at])
+        for k, step in enumerate(np.eye(PARAMETERS) * _STEP_PX):
+            by[at, :, k] = (displaced(camera, d[i] + step).ground(px[at]) - ground[at]) / _STEP_PX
+    return ground, by
+
+
+def _turned(motion: Motion, row: Ints, arrows: Floats) -> Floats:
+    """Derivatives (k, 2, f) turned as the board's coordinates are."""
+    return np.stack([motion.turned(row, arrows[:, :, k]) for k in range(arrows.shape[2])], -1)
+
+
+def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
+    """Derivative (k, 2, 3) of a board point by (φ, sx, sy) of its row."""
+    arm = motion.turned(row, ground_mm - motion.pivot)
+    one, nil = np.ones(len(arm)), np.zeros(len(arm))
+    return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)

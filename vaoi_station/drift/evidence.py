@@ -1,0 +1,150 @@
+"""The evidence of a finished run, laid out for `equations`: links off the parts, fiducials, first values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Stitch
+from vaoi_station.stitching.adjustment import FiducialPoints, SurfaceBasis
+from vaoi_station.stitching.cad import Frame, assign, board_frame
+from vaoi_station.stitching.evidence import Evidence, Links, Sightings
+from vaoi_station.stitching.footprints import component_of
+from vaoi_station.stitching.motion import Motion, nominal_motion
+from vaoi_station.stitching.observations import Ints, Observations, observe
+from vaoi_station.stitching.start import chained
+from vaoi_station.stitching.surface import SIGMA_MM, basis_on_board
+
+
+@dataclass(frozen=True, eq=False)
+class RunEvidence:
+    """A run as its calibration sees it; k links and s sightings of fiducials."""
+
+    cameras: tuple[Camera, ...]
+    times_s: Floats
+    links: Observations
+    """Of the bare board, where C tells which they are."""
+    camera_a: Ints
+    a_px: Floats
+    camera_b: Ints
+    b_px: Floats
+    motion: Motion
+    """First values."""
+    surface: SurfaceBasis
+    """Of the board's height; one constant where C is not known."""
+    fiducials: FiducialPoints | None
+    camera_f: Ints
+    f_px: Floats
+    similarity: Floats | None
+    nominal_scale: float
+
+
+def lay_out(
+    cameras: tuple[Camera, ...],
+    board_type: BoardType | None,
+    times_s: Floats,
+    velocity_mm_s: tuple[float, float],
+    evidence: Sequence[Evidence],
+    stitch: Stitch,
+) -> RunEvidence:
+    """Prepare the evidence of a run.
+
+    Args:
+        cameras: as calibrated.
+        board_type: what was filmed.
+        times_s: (m,) time of every row.
+        velocity_mm_s: nominal motion of the belt.
+        evidence: of the run's tasks, in any order.
+        stitch: the run's result; only its C is used, if it has one.
+    """
+    order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
+    found = [e for e in order if isinstance(e, Links) and e.task.kind != "reference" and not e.unmatched]
+    pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
+    seen = observe(found, cameras)
+    motion = chained(nominal_motion(times_s, np.asarray(velocity_mm_s, dtype=np.float64), pivot), seen)
+    frame = None if board_type is None or stitch.cad_matrix is None else board_frame(board_type, cameras[0])
+    c = None if frame is None or stitch.cad_matrix is None else _similarity(stitch.cad_matrix)
+    if frame is not None and c is not None:
+        bare = component_of(frame, c, motion.board(seen.p, seen.a_mm)) < 0
+        found, seen = _kept(found, bare), observe(_kept(found, bare), cameras)
+    points, camera_f, f_px = _fiducials(frame, c, order, cameras, motion)
+    return RunEvidence(
+        cameras,
+        times_s,
+        seen,
+        _spread([e.task.a[0] for e in seen.groups], seen.groups),
+        _stacked([e.a_px for e in seen.groups]),
+        _spread([(e.task.b or e.task.a)[0] for e in seen.groups], seen.groups),
+        _stacked([e.b_px for e in seen.groups]),
+        motion,
+        _surface(frame, c, motion, seen, points),
+        points,
+        camera_f,
+        f_px,
+        c if points is not None else None,
+        board_type.mm_per_unit if board_type else 1.0,
+    )
+
+
+def _kept(links: Sequence[Links], keep: np.ndarray) -> list[Links]:
+    """The links without those on parts."""
+    out, start = [], 0
+    for e in links:
+        use = keep[start : start + len(e.a_px)]
+        start += len(e.a_px)
+        out.append(replace(e, a_px=e.a_px[use], b_px=e.b_px[use], information=e.information[use], score=e.score[use]))
+    return out
+
+
+def _similarity(cad_matrix: Floats) -> Floats:
+    """(4,) a, b, x, y of a C as results carry it."""
+    c = cad_matrix / cad_matrix[2, 2]
+    return np.array([c[0, 0], c[1, 0], c[0, 2], c[1, 2]])
+
+
+def _fiducials(
+    frame: Frame | None, c: Floats | None, evidence: Sequence[Evidence], cameras: Sequence[Camera], motion: Motion
+) -> tuple[FiducialPoints | None, Ints, Floats]:
+    """Sightings that are fiducials under C, with their cameras and pixels; None if there are none."""
+    parts, camera, px = [], [], []
+    for s in evidence:
+        if frame is None or c is None or not isinstance(s, Sightings) or not len(s.px):
+            continue
+        points = assign(frame, c, [s], cameras, motion)
+        if len(points.row):
+            parts.append(points)
+            camera.append(np.full(len(points.row), s.task.a[0]))
+            px.append(_pixels_of(points, s, cameras[s.task.a[0]]))
+    if not parts:
+        return None, np.zeros(0, dtype=np.int_), np.zeros((0, 2))
+    return FiducialPoints.joined(parts), np.concatenate(camera), np.concatenate(px)
+
+
+def _pixels_of(points: FiducialPoints, s: Sightings, camera: Camera) -> Floats:
+    """The sightings that became these points."""
+    ground = camera.ground(s.px)
+    off = np.hypot(*np.moveaxis(ground[None] - points.ground_mm[:, None], 2, 0))
+    return np.asarray(s.px[off.argmin(1)])
+
+
+def _surface(
+    frame: Frame | None, c: Floats | None, motion: Motion, links: Observations, points: FiducialPoints | None
+) -> SurfaceBasis:
+    marks = np.zeros((0, 2)) if points is None else motion.board(points.row, points.ground_mm)
+    if frame is None or c is None:
+        return SurfaceBasis(np.ones((len(links), 1)), np.ones((len(marks), 1)), SIGMA_MM[:1])
+    on_board = motion.board(links.p, links.a_mm)
+    at_links, at_marks = (basis_on_board(frame.board_type, frame.matrix(c), at) for at in (on_board, marks))
+    return SurfaceBasis(at_links, at_marks, SIGMA_MM)
+
+
+def _spread(values: Sequence[int], groups: Sequence[Links]) -> Ints:
+    return np.repeat(np.array(values, dtype=np.int_), [len(e.a_px) for e in groups])
+
+
+def _stacked(parts: Sequence[Floats]) -> Floats:
+    return np.concatenate(parts) if parts else np.zeros((0, 2))

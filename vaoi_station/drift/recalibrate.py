@@ -1,0 +1,182 @@
+"""Corrected N_i from production runs: a proposal, with its uncertainty, or a refusal with numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from vaoi_station.drift.attribution import Attributed
+from vaoi_station.drift.checks import RunCheck, joint
+from vaoi_station.drift.displacement import PARAMETERS, displaced, size_px
+from vaoi_station.drift.watch import LEAST_PX
+from vaoi_station.errors import InputError
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Calibration, CameraHead
+
+LEAST_RUNS = 3
+LEAST_LINKS = 30
+"""Links to neighbours of one camera, over all runs."""
+_SIGMAS = 4.0
+_AGREE_PX, _AGREE_SIGMAS = 0.15, 5.0
+"""How far a single run may tell otherwise than all of them."""
+_STEP_PX = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A corrected calibration and what it rests on."""
+
+    calibration: Calibration
+    found: Attributed
+    corrected: tuple[int, ...]
+    """Cameras whose N_i changes."""
+    before_px: tuple[float | None, ...]
+    """Per camera: residuals of links to neighbours and of fiducials under the calibration in force, rms."""
+    after_px: tuple[float | None, ...]
+    """The same with the displacements taken out."""
+    runs: int
+
+    def lines(self) -> list[str]:
+        """The proposal for people."""
+        said = []
+        for i, (d, sigma) in enumerate(zip(self.found.displacement_px, self.found.sigma_px, strict=True)):
+            x, y, turn = d
+            what = (
+                f"moved by ({x:+.3f}, {y:+.3f}) px, {turn:+.3f} px at its corners by a turn "
+                f"(± {sigma[0]:.3f}, {sigma[1]:.3f}, {sigma[2]:.3f}); N is corrected"
+                if i in self.corrected
+                else "has not moved; its N stays"
+            )
+            said.append(f"camera {i}: residuals {_px(self.before_px[i])} → {_px(self.after_px[i])} px rms; {what}")
+        if self.found.rivals:
+            others = ", ".join(str(i) for i in self.found.rivals)
+            said.append(
+                f"it may as well be camera {others} that moved the other way: pictures of boards tell only how "
+                "cameras moved against one another. Stitching comes out the same."
+            )
+        return said
+
+
+def recalibrate(
+    calibration: Calibration,
+    heads: Sequence[CameraHead],
+    checks: Sequence[RunCheck],
+    created: datetime | None = None,
+) -> Proposal:
+    """Propose corrected N_i.
+
+    Args:
+        calibration: under which the runs were stitched.
+        heads: sizes of the frames.
+        checks: the runs, oldest first.
+        created: date of the new calibration; by default now.
+
+    Raises:
+        InputError: too few runs or links, a camera nothing is told of, runs that contradict one another.
+    """
+    cameras = calibration.cameras(tuple(heads))
+    _refuse_too_little(checks, len(cameras))
+    found = joint(checks)
+    corrected = tuple(i for i in range(len(cameras)) if _has_moved(found, i))
+    for i in corrected:
+        _refuse_contradictions(checks, found, i)
+    matrices, covariances = list(calibration.camera_matrices), calibration.covariances
+    if isinstance(covariances, list):
+        covariances = [_wider(c, cameras[i], found, i) if i in corrected else c for i, c in enumerate(covariances)]
+    for i in corrected:
+        matrices[i] = displaced(cameras[i], found.displacement_px[i]).image_from_row.matrix
+    made = (created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
+    update = {"camera_matrices": tuple(matrices), "covariances": covariances, "created": made}
+    return Proposal(
+        calibration.model_copy(update=update),
+        found,
+        corrected,
+        _mean(checks, "rms_px"),
+        _mean(checks, "left_px"),
+        len(checks),
+    )
+
+
+def _has_moved(found: Attributed, i: int) -> bool:
+    d = found.displacement_px[i]
+    at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
+    distance = float(np.sqrt(d @ np.linalg.solve(found.covariance[at, at], d)))
+    return size_px(d) >= LEAST_PX and distance > _SIGMAS
+
+
+def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
+    if cameras < 2:
+        raise InputError(
+            "an array of one camera has no neighbours to compare it with.",
+            action="Calibrate it with the calibration board.",
+            code="too-little-evidence",
+        )
+    if len(checks) < LEAST_RUNS:
+        raise InputError(
+            f"{len(checks)} run(s) are too few to correct a calibration; at least {LEAST_RUNS} are needed.",
+            action="Let more boards pass, or give more recordings.",
+            code="too-little-evidence",
+        )
+    for i in range(cameras):
+        links = sum(check.cameras[i].links for check in checks)
+        marks = sum(check.cameras[i].fiducials for check in checks)
+        if links < LEAST_LINKS and marks < LEAST_RUNS:
+            raise InputError(
+                f"camera {i} has {links} links to its neighbours (needed: {LEAST_LINKS}) and saw {marks} fiducials "
+                f"(needed: {LEAST_RUNS}) in {len(checks)} runs: nothing tells where it looks.",
+                action="Take runs of boards that cover it, or calibrate with the calibration board.",
+                code="too-little-evidence",
+            )
+
+
+def _refuse_contradictions(checks: Sequence[RunCheck], found: Attributed, i: int) -> None:
+    """Runs before and after a knock, or of a mount that is loose, have no common answer."""
+    worst: tuple[float, RunCheck] | None = None
+    for check in checks:
+        camera = check.cameras[i]
+        if not camera.seen:
+            continue
+        limit = np.maximum(_AGREE_PX, _AGREE_SIGMAS * np.array(camera.sigma_px))
+        off = float((np.abs(camera.displacement_px - found.displacement_px[i]) / limit).max())
+        if off > 1 and (worst is None or off > worst[0]):
+            worst = (off, check)
+    if worst is not None:
+        told, all_ = worst[1].cameras[i].displacement_px, found.displacement_px[i]
+        raise InputError(
+            f"the runs disagree about camera {i}: run {worst[1].run} tells ({told[0]:+.2f}, {told[1]:+.2f}) px, turn "
+            f"{told[2]:+.2f}, all together ({all_[0]:+.2f}, {all_[1]:+.2f}) px, turn {all_[2]:+.2f}.",
+            action="Use only runs since the camera moved (fewer --runs); if they disagree too, its mount is loose.",
+            code="runs-disagree",
+        )
+
+
+def _wider(covariance: list[list[float]], camera: Camera, found: Attributed, i: int) -> list[list[float]]:
+    """The covariance of N_i (n11 … n32, then the lens) with that of the displacement added."""
+
+    def entries(d: Floats) -> Floats:
+        m = displaced(camera, d).image_from_row.matrix
+        return np.asarray((m / m[2, 2]).ravel()[:8])
+
+    d = found.displacement_px[i]
+    j = np.stack([(entries(d + s) - entries(d)) / _STEP_PX for s in np.eye(PARAMETERS) * _STEP_PX], -1)
+    at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
+    wider = np.array(covariance, dtype=np.float64)
+    wider[:8, :8] += j @ found.covariance[at, at] @ j.T
+    return [[float(v) for v in row] for row in wider]
+
+
+def _mean(checks: Sequence[RunCheck], key: str) -> tuple[float | None, ...]:
+    """Root mean square over the runs, per camera; None where no run tells."""
+    out = []
+    for i in range(len(checks[0].cameras)):
+        values = [v for check in checks if (v := getattr(check.cameras[i], key)) is not None]
+        out.append(float(np.sqrt(np.mean(np.square(values)))) if values else None)
+    return tuple(out)
+
+
+def _px(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.3f}"
