@@ -21,7 +21,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment import Adjusted, Problem
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.observations import Ints
-from vaoi_station.stitching.patches import TILE_PX
+from vaoi_station.stitching.patches import PATCH_PX
 
 _CORE = 0.8
 """Share of a footprint's width and height that is taken for body; leads are at its edge."""
@@ -78,7 +78,7 @@ def _on_body(frame: Frame, c: Floats, problem: Problem, adjusted: Adjusted, at: 
     cos, sin = np.cos(angle[number]), np.sin(angle[number])
     offset = np.stack([cos * d[:, 0] + sin * d[:, 1], cos * d[:, 1] - sin * d[:, 0]], -1)
     room_px = size[number].min(1) * board_type.mm_per_unit * o.px_per_mm[at]
-    return np.asarray((np.abs(offset) <= _CORE / 2 * size[number]).all(1) & (room_px >= TILE_PX))
+    return np.asarray((np.abs(offset) <= _CORE / 2 * size[number]).all(1) & (room_px >= PATCH_PX))
 
 
 def _bodies(board_type: BoardType) -> tuple[Floats, Floats, Floats]:

@@ -13,8 +13,9 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.coarse import NoFit, find_shift
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.stitching.overlap import overlap_box, predict
-from vaoi_station.stitching.patches import TILE_PX, fits, match
+from vaoi_station.stitching.patches import fits, match, middles
 from vaoi_station.stitching.prepare import Prepared
+from vaoi_station.stitching.refine import MARGIN_PX
 
 _POINTS = 80
 """Places per pair of frames: enough that losing half of them to tall parts costs nothing."""
@@ -85,20 +86,21 @@ def _fine(
     box = overlap_box(camera_a, camera_b, shift_mm)
     if box is None:
         return Links.none(task, "the frames do not overlap")
-    a_px = choose_places(a, _reduced(box, a.grey.shape, correction_px))
-    guess = predict(a_px.astype(np.float64), camera_a, camera_b, shift_mm) + correction_px
-    inside = fits(b.grey.shape, guess) & fits(a.grey.shape, a_px.astype(np.float64))
-    a_px, guess = a_px[inside], guess[inside]
+    places = choose_places(a, _reduced(box, a.grey.shape, correction_px))
+    a_px = middles(places)
+    guess = predict(a_px, camera_a, camera_b, shift_mm) + correction_px
+    inside = fits(b.grey.shape, guess) & fits(a.grey.shape, a_px)
+    places, a_px, guess = places[inside], a_px[inside], guess[inside]
     if not len(a_px):
         return Links.none(task, "no textured place in the overlap")
-    m = match(a.grey, b.grey, a_px, guess)
+    m = match(a.grey, b.grey, places, guess)
     sigma = np.sqrt(1 / np.maximum(np.linalg.eigvalsh(m.information)[:, 0], 1e-9))
     good = m.found & (m.score >= _LEAST_SCORE) & (sigma <= _WORST_SIGMA_PX)
     if not good.any():
         return Links.none(task, f"none of {len(a_px)} places was found again with correlation ≥ {_LEAST_SCORE}")
     return Links(
         task,
-        a_px[good].astype(np.float64),
+        a_px[good],
         m.b_px[good],
         m.information[good],
         m.score[good],
@@ -135,8 +137,8 @@ def _least_corner(values: NDArray[np.float32]) -> float:
 def _reduced(
     box: tuple[int, int, int, int], shape: tuple[int, ...], correction_px: Floats
 ) -> tuple[int, int, int, int]:
-    """The overlap after the coarse correction, kept off both frames' borders by half a tile."""
-    m = TILE_PX // 2 + 1
+    """The overlap after the coarse correction, kept off both frames' borders."""
+    m = MARGIN_PX + 1
     cx, cy = correction_px
     x0, y0, x1, y1 = box[0] - min(cx, 0), box[1] - min(cy, 0), box[2] - max(cx, 0), box[3] - max(cy, 0)
     return (
