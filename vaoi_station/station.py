@@ -27,6 +27,7 @@ from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.systemd import alive, notify
+from vaoi_station.runs.watch import CalibrationWatch
 from vaoi_station.runs.workers import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
@@ -67,8 +68,9 @@ class Station:
             workers = WorkerPool(config.workers, ring.path)
             link = AcquisitionLink(self._launch or spawned(config, ring.path))
             archive = Archive(store, events)
+            watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
             conductor = StationConductor(
-                Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run())),
+                Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
                 ring,
                 BoardTypeDirectory(config.board_types),
                 OrderDesk(config.line, calibration, camera_heads(config), store),

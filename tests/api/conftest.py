@@ -47,6 +47,7 @@ class HeldStation:
         self.state = f.StationState.IDLE
         self.armed: f.ArmedWith | None = None
         self.reasons: tuple[f.Reason, ...] = ()
+        self.warnings: tuple[f.Reason, ...] = ()
         self.types = {"demo-board": BoardType.model_validate(BOARD)}
         self.log: list[f.EventRecord] = []
         self.filmed: dict[str, f.RunDetail] = {}
@@ -117,7 +118,8 @@ class HeldStation:
         ring = f.RingStatus(path="ring", size_bytes=1, bays=(), leases=())
         worker = f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
         return f.StationSnapshot(
-            name="test", state=self.state, since=NOW, reasons=self.reasons, armed_with=self.armed,
+            name="test", state=self.state, since=NOW, reasons=self.reasons, warnings=self.warnings,
+            armed_with=self.armed,
             cameras=tuple(camera), controller="ok", processes=(worker,), ring=ring, versions=VERSIONS,
             retention=f.Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
@@ -158,6 +160,21 @@ class HeldStation:
         if self.armed and self.armed.board_type == name:
             raise StateError("The station is armed with it.")
         del self.types[name]
+
+    def calibration(self) -> f.CalibrationStatus:
+        moment = f.CameraMoment(
+            run="r000001", time=NOW, x_px=0.01, y_px=9.4, turn_px=0.0, sigma_px=0.02, rms_px=9.1, links=80, fiducials=2
+        )
+        drift = f.CameraDrift(size_px=9.4, x_px=0.0, y_px=9.4, turn_px=0.0, since_run="r000001", since=NOW, runs=2)
+        drifted = f.CameraCalibration(camera=1, name="cam1", state="drifted", drift=drift, history=(moment,))
+        still = [f.CameraCalibration(camera=i, name=f"cam{i}", state="steady") for i in (0, 2)]
+        return f.CalibrationStatus(digest="c0ffee", created=NOW, runs=2, cameras=(still[0], drifted, still[1]))
+
+    def drift(self) -> None:
+        """A camera was knocked: the station films on, and says so."""
+        message = "Camera cam1 looks 9.40 px beside where it was calibrated."
+        self.warnings = (f.Reason(code="calibration-drift", message=message, action="Call the engineer."),)
+        self.tell("trouble", message, code="calibration-drift")
 
     def runs(self, limit: int = 50, before: str | None = None) -> tuple[f.RunSummary, ...]:
         older = [

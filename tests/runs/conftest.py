@@ -18,6 +18,7 @@ import pytest
 from vaoi_station.acquisition import messages as said
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files import write_board_type
 from vaoi_station.model import (
@@ -38,10 +39,11 @@ from vaoi_station.runs.archive import Archive
 from vaoi_station.runs.conductor import StationConductor
 from vaoi_station.runs.core import Parts
 from vaoi_station.runs.events import EventLog
-from vaoi_station.runs.jobs import Answer, Concluded, ConcludeJob, Job, LinkJob
+from vaoi_station.runs.jobs import Answer, CheckJob, Concluded, ConcludeJob, Job, LinkJob
 from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
+from vaoi_station.runs.watch import CalibrationWatch
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
@@ -124,6 +126,8 @@ class ScriptedWorkers:
     done: list[Job] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
     result: Callable[[RecordingHead], Stitch] = a_stitch
+    displacement_px: float = 0.0
+    """By which camera 1 shows itself displaced along y."""
 
     def submit(self, job: Job, done: Callable[[Answer], None]) -> None:
         if self.keep:
@@ -137,8 +141,24 @@ class ScriptedWorkers:
             done(Answer(Links.none(job.task, "scripted"), None, 0.001))
         elif isinstance(job, ConcludeJob):
             done(Answer(Concluded(stitch := self.result(job.head), stitch.model_dump_json()), None, 0.002))
+        elif isinstance(job, CheckJob):
+            done(Answer(self.check(job.run), None, 0.003))
         else:
             done(Answer(b"picture", None, 0.001))
+
+    def check(self, run: str) -> RunCheck:
+        """Camera 0 as it was calibrated, camera 1 displaced."""
+        cameras = [
+            CameraCheck(
+                x_px=0.0, y_px=y, turn_px=0.0, sigma_px=(0.02,) * 3, rms_px=y, left_px=0.1, links=50, fiducials=2
+            )
+            for y in (0.0, self.displacement_px)
+        ]
+        return RunCheck(
+            run=run, time="2026-01-01T00:00:00Z", board_type="b", cameras=tuple(cameras), rivals=(),
+            information=tuple(2500.0 * np.eye(6)[np.tril_indices(6)]),
+            vector=(0.0, 0.0, 0.0, 0.0, 2500.0 * self.displacement_px, 0.0),
+        )  # fmt: skip
 
     def let_go(self) -> None:
         self.keep = False
@@ -375,8 +395,9 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         events = EventLog(store)
         archive, peer, workers = Archive(store, events), Peer(), ScriptedWorkers()
         link = AcquisitionLink(peer.launch)
+        watch = CalibrationWatch(store.checks, events, a_calibration(), [c.name for c in config.cameras])
         conductor = StationConductor(
-            Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run())),
+            Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
             ring,
             BoardTypeDirectory(config.board_types),
             OrderDesk(config.line, a_calibration(), camera_heads(config), store),

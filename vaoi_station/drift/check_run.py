@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from vaoi_station.drift.checks import RunCheck, check_of
 from vaoi_station.drift.equations import told_by
-from vaoi_station.drift.evidence import lay_out
+from vaoi_station.drift.evidence import lay_out, thinned
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch
 from vaoi_station.stitching.evidence import Evidence
@@ -27,5 +27,6 @@ def check_run(
         evidence: of its tasks.
         stitch: its result.
     """
-    laid_out = lay_out(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, evidence, stitch)
+    few = [thinned(e) for e in evidence]
+    laid_out = lay_out(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, few, stitch)
     return check_of(run, time, board_type, told_by(laid_out))

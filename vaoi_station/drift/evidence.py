@@ -19,6 +19,9 @@ from vaoi_station.stitching.observations import Ints, Observations, observe
 from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import SIGMA_MM, basis_on_board
 
+_LINKS_OF_ROWS = 24
+"""Links of one camera from row to row that are looked at."""
+
 
 @dataclass(frozen=True, eq=False)
 class RunEvidence:
@@ -88,6 +91,14 @@ def lay_out(
         c if points is not None else None,
         board_type.mm_per_unit if board_type else 1.0,
     )
+
+
+def thinned(e: Evidence) -> Evidence:
+    """Evenly chosen links of a pair of rows, of which there are more than are needed here; the rest as it is."""
+    if not isinstance(e, Links) or e.task.kind != "rows" or len(e.a_px) <= _LINKS_OF_ROWS:
+        return e
+    use = np.linspace(0, len(e.a_px) - 1, _LINKS_OF_ROWS).round().astype(np.int_)
+    return replace(e, a_px=e.a_px[use], b_px=e.b_px[use], information=e.information[use], score=e.score[use])
 
 
 def _kept(links: Sequence[Links], keep: np.ndarray) -> list[Links]:

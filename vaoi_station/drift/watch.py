@@ -65,12 +65,8 @@ def drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
     formal = np.array([[c.sigma_px for c in check.cameras] for check in checks])
     scatter = median_sigma(off[seen]) if seen.any() else 0.0
     z = off / np.sqrt(formal**2 + _FLOOR_PX**2 + scatter**2)
-    return tuple(
-        drift
-        for camera in range(d.shape[1])
-        if (since := _since(z[:, camera], seen[:, camera])) is not None
-        and (drift := _drift(checks, d[:, camera], seen[:, camera], camera, since)).size_px >= LEAST_PX
-    )
+    found = [_drift(checks, d[:, i], seen[:, i], i, k) for i, k in _since(z, seen).items()]
+    return tuple(drift for drift in found if drift.size_px >= LEAST_PX)
 
 
 def _habits(checks: Sequence[RunCheck], d: Floats) -> Floats:
@@ -86,15 +82,17 @@ def _habits(checks: Sequence[RunCheck], d: Floats) -> Floats:
     return habits
 
 
-def _since(z: Floats, seen: np.ndarray) -> int | None:
-    """The run since which a camera (runs, 3) is off, if it is off at the end."""
-    sums, began = np.zeros(2 * PARAMETERS), np.zeros(2 * PARAMETERS, dtype=np.int_)
-    for k in np.flatnonzero(seen):
-        step = np.clip(np.concatenate([z[k], -z[k]]), -_MOST, _MOST) - _SLACK
-        began = np.where(sums <= 0, k, began)
-        sums = np.clip(sums + step, 0, _CEILING)
+def _since(z: Floats, seen: np.ndarray) -> dict[int, int]:
+    """Cameras that are off at the end of the runs (runs, n, 3), and the run since which each is."""
+    n = z.shape[1]
+    sums, began = np.zeros((n, 2 * PARAMETERS)), np.zeros((n, 2 * PARAMETERS), dtype=np.int_)
+    steps = np.clip(np.concatenate([z, -z], -1), -_MOST, _MOST) - _SLACK
+    for k, step in enumerate(steps):
+        here = seen[k][:, None]
+        began = np.where(here & (sums <= 0), k, began)
+        sums = np.where(here, np.clip(sums + step, 0, _CEILING), sums)
     alarmed = sums > _ALARM
-    return int(began[alarmed].min()) if alarmed.any() else None
+    return {i: int(began[i][alarmed[i]].min()) for i in np.flatnonzero(alarmed.any(1)).tolist()}
 
 
 def _drift(checks: Sequence[RunCheck], d: Floats, seen: np.ndarray, camera: int, since: int) -> Drift:

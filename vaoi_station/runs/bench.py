@@ -17,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring import Ring
+from vaoi_station.drift.check_run import check_run
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files.images import encode, encode_jpeg, encode_png
 from vaoi_station.files.results import stitch_document
 from vaoi_station.rendering import render
 from vaoi_station.runs.jobs import (
     Answer,
+    CheckJob,
     CloseRun,
     Concluded,
     ConcludeJob,
@@ -106,6 +108,10 @@ class Bench:
                 return self._conclude(job)
             case RenderJob():
                 return self._render(job)
+            case CheckJob():
+                return check_run(
+                    job.run, job.time, job.board_type, job.setup, np.array(job.times_s), job.evidence, job.stitch
+                )
 
     def _link(self, job: LinkJob) -> Evidence:
         opened = self._runs[job.run]

@@ -43,6 +43,7 @@ from vaoi_station.runs.shapes import (
 )
 from vaoi_station.runs.state import FINISHED
 from vaoi_station.runs.status import snapshot_of
+from vaoi_station.runs.watch_shapes import CalibrationStatus
 from vaoi_station.store import BoardTypeDirectory
 
 ARM_LIMIT_S = 30.0
@@ -169,6 +170,10 @@ class StationConductor:
         with self._teaching:
             self._board_types.delete(name)
         self._parts.events.add("board-type", f"Board type {name!r} was forgotten.")
+
+    def calibration(self) -> CalibrationStatus:
+        """The calibration in force, and how the cameras stand to it."""
+        return self._inbox.ask(self._parts.watch.status)
 
     # --- runs
 

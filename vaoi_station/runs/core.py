@@ -24,6 +24,7 @@ from vaoi_station.runs.reasons import Reasons
 from vaoi_station.runs.salvage import film_from_pieces
 from vaoi_station.runs.shapes import Reason
 from vaoi_station.runs.state import STATION, RunState, RunStep, StationState, StationStep
+from vaoi_station.runs.watch import CalibrationWatch
 
 Waiter = Future[None]
 
@@ -46,13 +47,14 @@ class Parts:
     archive: Archive
     events: EventLog
     run_ids: RunIds
+    watch: CalibrationWatch
 
 
 class Core:
     """Confined to one thread; `post` brings other threads' news into it."""
 
     def __init__(self, parts: Parts, post: Callable[..., None]) -> None:
-        self._parts = parts
+        self._parts, self._post, self.watch = parts, post, parts.watch
         self._config, self._events, self._archive = parts.config, parts.events, parts.archive
         self.leases = Leases(parts.config.ring.lease_s)
         self.memory = Memory(parts.ring, parts.config.ring.runs, self.leases)
@@ -335,6 +337,7 @@ class Core:
 
     def _run_ended(self, progress: Progress) -> None:
         self.memory.use(progress.run, "finished")
+        self.watch.look_at(progress, self._parts.workers, self._post)
         self._provide()
         self._tell_if_drained()
 

@@ -34,6 +34,7 @@ from vaoi_station.runs.shapes import (
     Versions,
 )
 from vaoi_station.runs.state import RunState, StationState
+from vaoi_station.runs.watch_shapes import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
 
 if TYPE_CHECKING:
     from vaoi_station.rendering import View
@@ -43,6 +44,10 @@ __all__ = [
     "BayStatus",
     "BeltSpeed",
     "BoardTypeSummary",
+    "CalibrationStatus",
+    "CameraCalibration",
+    "CameraDrift",
+    "CameraMoment",
     "CameraStatus",
     "ComponentSummary",
     "Conductor",
@@ -96,6 +101,9 @@ class Conductor(Protocol):
 
     def delete_board_type(self, name: str) -> None:
         """Forget a board type; `StateError` while armed with it."""
+
+    def calibration(self) -> CalibrationStatus:
+        """The calibration in force, and how the cameras have stood to it in the latest runs."""
 
     def runs(self, limit: int = 50, before: str | None = None) -> tuple[RunSummary, ...]:
         """Runs, newest first; `before`: only those older than this id."""

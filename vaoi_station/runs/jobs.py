@@ -16,11 +16,12 @@ from vaoi_station.stitching.work import Setup
 
 
 class Priority(IntEnum):
-    """Lower goes first: matrices before pictures, the run that is nearly done before the next one."""
+    """Lower goes first: matrices before pictures, the run that is nearly done before the next one, checks last."""
 
     CONCLUDE = 0
     LINK = 1
     RENDER = 2
+    CHECK = 3
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,27 @@ class RenderJob:
         return f"a picture from camera {self.view.camera}, row {self.view.row} of run {self.run}"
 
 
-Job = LinkJob | ConcludeJob | RenderJob
+@dataclass(frozen=True)
+class CheckJob:
+    """What a finished run tells of its cameras; needs its evidence, no frames."""
+
+    run: str
+    time: str
+    board_type: str
+    """Digest."""
+    setup: Setup
+    times_s: tuple[float, ...]
+    evidence: tuple[Evidence, ...]
+    stitch: Stitch
+
+    priority = Priority.CHECK
+    affinity: int | None = None
+
+    def __str__(self) -> str:
+        return f"the check of the cameras by run {self.run}"
+
+
+Job = LinkJob | ConcludeJob | RenderJob | CheckJob
 
 
 @dataclass(frozen=True)

@@ -116,6 +116,9 @@ class StationSnapshot(Shape):
     state: StationState
     since: str
     reasons: tuple[Reason, ...]
+    """Why it is in this state."""
+    warnings: tuple[Reason, ...] = ()
+    """What does not keep it from filming, but should be seen to."""
     armed_with: ArmedWith | None
     cameras: tuple[CameraStatus, ...]
     controller: str

@@ -36,6 +36,7 @@ def snapshot_of(
         state=core.state,
         since=core.since,
         reasons=_reasons(core, config),
+        warnings=core.watch.warnings(),
         armed_with=core.orders.shown(),
         cameras=_cameras(core, config),
         controller=core.health.controller if core.health else "",

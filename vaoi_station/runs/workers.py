@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InternalError, StateError
-from vaoi_station.runs.jobs import Answer, CloseRun, Hello, Job, OpenRun, Ping, Priority, RenderJob
+from vaoi_station.runs.jobs import Answer, CloseRun, ConcludeJob, Hello, Job, LinkJob, OpenRun, Ping, Priority
 from vaoi_station.runs.shapes import ProcessStatus
 from vaoi_station.runs.worker_process import work
 
@@ -280,7 +280,7 @@ class WorkerPool:
     def _hand(self, worker: _Worker, queued: _Queued) -> None:
         assert worker.connection is not None
         worker.job, worker.since_s = queued, time.monotonic()
-        if not isinstance(queued.job, RenderJob) and queued.job.run not in worker.opened:
+        if isinstance(queued.job, LinkJob | ConcludeJob) and queued.job.run not in worker.opened:
             worker.opened.add(queued.job.run)
             _send(worker.connection, OpenRun(queued.job.context))
         _send(worker.connection, queued.job)

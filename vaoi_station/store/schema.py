@@ -40,6 +40,14 @@ STEPS: tuple[tuple[str, ...], ...] = (
             document TEXT NOT NULL
         ) STRICT""",
     ),
+    (
+        """CREATE TABLE calibration_checks (
+            run TEXT PRIMARY KEY REFERENCES runs (id),
+            calibration_digest TEXT NOT NULL REFERENCES documents (digest),
+            document TEXT NOT NULL
+        ) STRICT""",
+        "CREATE INDEX calibration_checks_in_order ON calibration_checks (calibration_digest, run)",
+    ),
 )
 VERSION = len(STEPS)
 

@@ -32,6 +32,21 @@ def test_a_fault_is_told_by_word_shape_colour_and_sentence(page: Page, served: A
     expect(page.locator("#state-word")).to_have_css("color", "rgb(176, 0, 32)")
 
 
+def test_a_drift_is_told_while_boards_go_on(page: Page, served: Any) -> None:
+    served.station.arm("demo-board")
+    page.goto(served.url)
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#warnings")).to_be_hidden()
+    served.station.drift()
+    expect(page.locator("#warnings li")).to_have_text(
+        ["Camera cam1 looks 9.40 px beside where it was calibrated. Call the engineer."]
+    )
+    expect(page.locator("#what-to-do")).to_have_text("Let the next board in.")
+    served.station.warnings = ()
+    served.station.tell("calibration", "Camera cam1 looks where it was calibrated again.")
+    expect(page.locator("#warnings")).to_be_hidden()
+
+
 def test_only_faults_are_red(page: Page, served: Any) -> None:
     page.goto(served.url)
     for state, word in (("armed", "Ready"), ("filming", "Filming"), ("blocked", "Memory full"), ("idle", "Not armed")):
@@ -165,7 +180,7 @@ def test_words_stand_out_from_their_ground(page: Page, served: Any) -> None:
 
 def test_the_drawn_interface_needs_no_network(page: Page, served: Any) -> None:
     page.goto(f"{served.url}/docs")
-    expect(page.locator(".opblock")).to_have_count(21)
+    expect(page.locator(".opblock")).to_have_count(22)
 
 
 def wait_for_pictures(page: Page, count: int) -> None:

@@ -65,15 +65,15 @@ function showStation(now) {
   setText($("state-word"), word);
   setText($("what-to-do"), first?.action || sentence);
   setText($("armed-with"), now.armed_with ? texts.armedWith(now.armed_with) : "");
-  showReasons(now.reasons);
+  showLines($("reasons"), now.reasons.map((r) => r.message));
+  showLines($("warnings"), now.warnings.map((w) => `${w.message} ${w.action}`));
+  $("warnings").hidden = now.warnings.length === 0;
   setText($("name"), now.name);
   setText($("version"), `VAOI station ${now.versions.station}`);
   controls.show(now);
 }
 
-function showReasons(reasons) {
-  const lines = reasons.map((r) => r.message);
-  const list = $("reasons");
+function showLines(list, lines) {
   if (lines.join("\n") === list.dataset.shown) return;
   list.dataset.shown = lines.join("\n");
   list.replaceChildren(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));

@@ -1,0 +1,27 @@
+"""GET calibration, and the warning of the station."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def test_a_drift_is_told_camera_by_camera(client: Any) -> None:
+    answer = client.get("/api/v1/calibration")
+    assert answer.status_code == 200
+    assert answer.headers["Cache-Control"] == "no-store"
+    told = answer.json()
+    assert (told["digest"], told["runs"]) == ("c0ffee", 2)
+    assert [c["state"] for c in told["cameras"]] == ["steady", "drifted", "steady"]
+    assert "drift" not in told["cameras"][0]
+    drift = told["cameras"][1]["drift"]
+    assert (drift["y_px"], drift["since_run"], drift["runs"]) == (9.4, "r000001", 2)
+    assert told["cameras"][1]["history"][0]["links"] == 80
+
+
+def test_the_station_warns_but_is_not_at_fault(client: Any, station: Any) -> None:
+    assert client.get("/api/v1/station").json()["warnings"] == []
+    station.drift()
+    told = client.get("/api/v1/station").json()
+    assert [w["code"] for w in told["warnings"]] == ["calibration-drift"]
+    assert told["reasons"] == []
+    assert client.get("/healthz").status_code == 200

@@ -1,0 +1,54 @@
+"""What runs told of their cameras, one small document per run, by the calibration they were stitched with."""
+
+from __future__ import annotations
+
+import sqlite3
+from concurrent.futures import Future
+
+from vaoi_station.store.database import Database
+
+FIRST_KEPT, LATEST_KEPT = 100, 2000
+"""Of each calibration: what runs showed when it was new, and what they show lately."""
+
+
+class Checks:
+    """The checks of one station."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def save(self, run: str, calibration_digest: str, document: str) -> Future[None]:
+        """Write the check of a run; those between the first and the latest of its calibration make room."""
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.execute(
+                "INSERT OR REPLACE INTO calibration_checks VALUES (?, ?, ?)", (run, calibration_digest, document)
+            )
+            connection.execute(
+                """DELETE FROM calibration_checks WHERE calibration_digest = ?1
+                   AND run IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1
+                               ORDER BY run DESC LIMIT -1 OFFSET ?2)
+                   AND run NOT IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1
+                                   ORDER BY run LIMIT ?3)""",
+                (calibration_digest, LATEST_KEPT, FIRST_KEPT),
+            )
+
+        return self._database.write(write)
+
+    def of(self, calibration_digest: str, first: int, latest: int) -> list[str]:
+        """So many of the first and of the latest checks of a calibration, oldest first, each once."""
+        rows = self._database.read(
+            """SELECT run, document FROM calibration_checks WHERE calibration_digest = ?1 AND (
+                   run IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1 ORDER BY run LIMIT ?2)
+                OR run IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1
+                           ORDER BY run DESC LIMIT ?3)) ORDER BY run""",
+            (calibration_digest, first, latest),
+        )
+        return [str(row["document"]) for row in rows]
+
+    def count(self, calibration_digest: str) -> int:
+        """How many are kept of a calibration."""
+        rows = self._database.read(
+            "SELECT count(*) AS n FROM calibration_checks WHERE calibration_digest = ?", (calibration_digest,)
+        )
+        return int(rows[0]["n"])
