@@ -33,6 +33,8 @@ class Difference:
     shift_mm: Floats
     """The rigid motion taken out: of the middle of the array, (2,)."""
     angle_rad: float
+    one_board: bool = False
+    """Both calibrations are of one board where it lay: nothing was taken out."""
 
     @property
     def rms_px(self) -> tuple[float, ...]:
@@ -48,14 +50,23 @@ class Difference:
         """The comparison for people."""
         turned = math.degrees(self.angle_rad)
         x, y = self.shift_mm
-        out = [f"the board lay ({x:+.3f}, {y:+.3f}) mm and {turned:+.4f}° from where it lay; that is taken out"]
+        out = (
+            []
+            if self.one_board
+            else [f"the board lay ({x:+.3f}, {y:+.3f}) mm and {turned:+.4f}° from where it lay; that is taken out"]
+        )
         for i, (rms, most) in enumerate(zip(self.rms_px, self.max_px, strict=True)):
             out.append(f"camera {i}: calibrations differ by {rms:.3f} px rms, {most:.3f} px at most")
         return out
 
 
 def compare(
-    this: Calibration, other: Calibration, heads: Sequence[CameraHead], grid: tuple[int, int] = GRID
+    this: Calibration,
+    other: Calibration,
+    heads: Sequence[CameraHead],
+    grid: tuple[int, int] = GRID,
+    *,
+    one_board: bool = False,
 ) -> Difference:
     """Map of the difference of two calibrations.
 
@@ -64,6 +75,7 @@ def compare(
         other: the other, of the same cameras.
         heads: sizes of the frames.
         grid: points across and down each frame.
+        one_board: both share the tester's coordinates, as a calibration and its correction do; nothing is taken out.
 
     Raises:
         InputError: if they are for other numbers of cameras.
@@ -79,11 +91,11 @@ def compare(
     here = [camera.ground(g) for camera, g in zip(mine, grids, strict=True)]
     there = [camera.ground(g) for camera, g in zip(theirs, grids, strict=True)]
     a, b = (np.concatenate([p.reshape(-1, 2) for p in places]) for places in (here, there))
-    this_from_other, angle = _rigid(a, b)
+    this_from_other, angle = (np.eye(3), 0.0) if one_board else _rigid(a, b)
     differences = [
         camera.project(apply(this_from_other, place)) - g for camera, place, g in zip(mine, there, grids, strict=True)
     ]
-    return Difference(tuple(grids), tuple(differences), a.mean(0) - b.mean(0), angle)
+    return Difference(tuple(grids), tuple(differences), a.mean(0) - b.mean(0), angle, one_board)
 
 
 def draw(difference: Difference, heads: Sequence[CameraHead], width_px: int = 420) -> NDArray[np.uint8]:

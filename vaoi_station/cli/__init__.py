@@ -13,6 +13,7 @@ from vaoi_station.cli.calibration_board import calibration_board
 from vaoi_station.cli.cut import cut
 from vaoi_station.cli.demo import demo
 from vaoi_station.cli.plan import plan
+from vaoi_station.cli.recalibrate import recalibrate
 from vaoi_station.cli.record import record
 from vaoi_station.cli.report import report
 from vaoi_station.cli.serve import serve
@@ -46,6 +47,7 @@ app.command()(serve)
 app.command()(record)
 app.command()(calibrate)
 app.command("calibration-board")(calibration_board)
+app.command()(recalibrate)
 app.command()(stitch)
 app.command()(report)
 app.command()(teach)

@@ -17,7 +17,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead
 
-LEAST_RUNS = 3
+LEAST_RUNS, MOST_RUNS = 3, 50
 LEAST_LINKS = 30
 """Links to neighbours of one camera, over all runs."""
 _SIGMAS = 4.0
@@ -46,7 +46,7 @@ class Proposal:
         for i, (d, sigma) in enumerate(zip(self.found.displacement_px, self.found.sigma_px, strict=True)):
             x, y, turn = d
             what = (
-                f"moved by ({x:+.3f}, {y:+.3f}) px, {turn:+.3f} px at its corners by a turn "
+                f"its picture moved by ({x:+.3f}, {y:+.3f}) px, and by {turn:+.3f} px at its corners by a turn "
                 f"(± {sigma[0]:.3f}, {sigma[1]:.3f}, {sigma[2]:.3f}); N is corrected"
                 if i in self.corrected
                 else "has not moved; its N stays"

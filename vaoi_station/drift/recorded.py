@@ -1,0 +1,29 @@
+"""Recorded runs looked at as the station looks at its own."""
+
+from __future__ import annotations
+
+import hashlib
+
+from vaoi_station.drift.check_run import check_run
+from vaoi_station.drift.checks import RunCheck
+from vaoi_station.stitching.opening import Opened
+from vaoi_station.stitching.work import all_tasks
+
+
+def check_recording(opened: Opened) -> RunCheck:
+    """Stitch a recording and look at what it tells of its cameras; it is named by its directory."""
+    times_s, present = opened.recording.head.row_times_s(), opened.present
+    desk = opened.desk()
+    evidence = [desk.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), opened.setup)]
+    stitch = desk.conclude(times_s, present, evidence)
+    board_type = opened.setup.board_type
+    known = "" if board_type is None else board_type.model_dump_json()
+    return check_run(
+        str(opened.recording.directory),
+        "",
+        hashlib.sha256(known.encode()).hexdigest()[:16],
+        opened.setup,
+        times_s,
+        evidence,
+        stitch,
+    )
