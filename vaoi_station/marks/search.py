@@ -1,23 +1,29 @@
-"""Where in a frame something looks like a mark: one correlation at a size where the mark is a few pixels wide.
+"""Where in a frame something looks like a mark, at a size where the mark is a few pixels wide.
 
-The compared square is the one that fits into the bare rim, so that what lies beyond does not matter.
+What does not stand out from a bare rim all around is passed over (`scan`); the rest is correlated with the artwork. The
+compared square is the one that fits into the bare rim, so that what lies beyond does not matter.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks.artwork import CROSS_ARM, Shape, coverage
+from vaoi_station.marks.scan import alike, best_apart, ring_offsets
 
 SURROUND = 2.0
 """Diameter of the compared disc in sizes of the mark: the mark, and the bare rim that board makers leave around it."""
 _SMALLEST_PX = 5.0
 _LEAST_SCORE = 0.75
+_RIM_SHARE, _RIM_PX = 0.2, 1.25
+"""How far outside a mark the rim is looked at, in sizes, and at the least."""
+_CORE_SHARE = 0.22
+"""Pixels so far from the centre along the axes belong to every mark, in sizes."""
 
 
 def reduction(size_px: float) -> int:
@@ -40,15 +46,22 @@ def search(
     Returns:
         Positions (k, 2) in pixels of `image`, good to about half a pixel, and scores (k,) in 0…1.
     """
-    side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
-    if min(image.shape) < side:
+    template, ring, near = _artwork(shape, size_px, arm)
+    if min(image.shape) <= 2 * max(len(template) // 2, int(ring[0, 0])):
         return np.zeros((0, 2)), np.zeros(0)
-    template = np.round(coverage(shape, size_px, side, arm=arm) * 200 + 20).astype(np.uint8)
-    surface = np.abs(cv2.matchTemplate(image, template, cv2.TM_CCOEFF_NORMED))
-    surface[~(surface <= 1)] = 0  # windows without any contrast
-    near = max(round(size_px / 2), 1)
-    peaks = (surface == cv2.dilate(surface, np.ones((2 * near + 1, 2 * near + 1)))) & (surface >= _LEAST_SCORE)
-    y, x = np.nonzero(peaks)
-    best = np.argsort(-surface[y, x], kind="stable")[:most]
-    places = np.stack([x[best], y[best]], -1).astype(np.float64) + (side - 1) / 2
-    return places, surface[y[best], x[best]].astype(np.float64)
+    hits = alike(np.ascontiguousarray(image), template, ring, near, _LEAST_SCORE)
+    hits = hits[np.argsort(-hits[:, 2], kind="stable")]
+    hits = hits[best_apart(hits, max(round(size_px / 2), 1), most)]
+    return hits[:, :2], hits[:, 2]
+
+
+@lru_cache(maxsize=64)
+def _artwork(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.float32], NDArray[np.int_], int]:
+    """The template (of mean 0 and square sum 1), the rim around it, and how far along the axes its core reaches."""
+    side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
+    template = coverage(shape, size_px, side, arm=arm)
+    template -= template.mean()
+    template /= np.sqrt((template**2).sum())
+    outermost = size_px / 2 * (math.sqrt(2) if shape == "square" else 1)
+    rim = outermost + max(_RIM_SHARE * size_px, _RIM_PX)
+    return template, ring_offsets(rim), max(round(_CORE_SHARE * size_px), 1)
