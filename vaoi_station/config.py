@@ -15,6 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from vaoi_station.files.documents import parse, read_toml
 from vaoi_station.model import CameraHead, Finite, Positive, Whole
 
+MethodName = Literal["auto", "fiducials", "features", "reference"]
+"""Ways to stitch; `stitching.method` says what each looks at."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 
 
@@ -178,6 +180,8 @@ class StationConfig(Section):
     data: Path
     """Directory for the database, results and kept recordings."""
     workers: Annotated[Whole, Field(ge=1, le=64)] = 2
+    method: MethodName = "auto"
+    """How runs are stitched whose board type has no way of its own; `auto` uses a reference where one was taught."""
     line: Line
     cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1)]
     controller: ControllerConfig = ControllerConfig()

@@ -26,6 +26,7 @@ from vaoi_station.runs.events import EventLog
 from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
+from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.runs.systemd import alive, notify
 from vaoi_station.runs.watch import CalibrationWatch
 from vaoi_station.runs.workers import WorkerPool
@@ -35,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 GRACE_S = 10.0
 """For runs under way to come to their end when the station is stopped."""
-DATABASE = "station.db"
+DATABASE, REFERENCES = "station.db", "references"
 
 
 class Station:
@@ -69,11 +70,15 @@ class Station:
             link = AcquisitionLink(self._launch or spawned(config, ring.path))
             archive = Archive(store, events)
             watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
+            cameras = calibration.cameras(camera_heads(config))
+            shelf = ReferenceShelf(config.data / REFERENCES, store, cameras)
+            shelf.sweep()
             conductor = StationConductor(
                 Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
                 ring,
                 BoardTypeDirectory(config.board_types),
-                OrderDesk(config.line, calibration, camera_heads(config), store),
+                OrderDesk(config.line, calibration, camera_heads(config), store, shelf, config.method),
+                shelf,
                 lambda: (link.status(), *workers.status()),
                 alive,
             )

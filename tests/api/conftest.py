@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.api import create_app
 from vaoi_station.api.encoders import ImageFormat, encode_image
+from vaoi_station.config import MethodName
 from vaoi_station.errors import GoneError, InternalError, NotFoundError, StateError
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
@@ -53,6 +54,8 @@ class HeldStation:
         self.filmed: dict[str, f.RunDetail] = {}
         self.pixels: dict[tuple[str, int, int], NDArray[np.uint8]] = {}
         self.holders: dict[tuple[str, str], f.LeaseStatus] = {}
+        self.references: dict[str, f.ReferenceStatus] = {}
+        self.methods: dict[str, MethodName] = {}
         self.broken = False
         self.closed = False
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
@@ -175,6 +178,42 @@ class HeldStation:
         message = "Camera cam1 looks 9.40 px beside where it was calibrated."
         self.warnings = (f.Reason(code="calibration-drift", message=message, action="Call the engineer."),)
         self.tell("trouble", message, code="calibration-drift")
+
+    def reference(self, board_type: str) -> f.ReferenceStatus:
+        self.board_type(board_type)
+        if board_type not in self.references:
+            raise NotFoundError(f"Board type {board_type!r} has no reference.", code="no-reference")
+        return self.references[board_type]
+
+    def teach_reference(self, board_type: str, run: str) -> bool:
+        self.board_type(board_type)
+        detail = self.run(run)
+        if detail.verdict != Status.OK:
+            raise StateError(f"Run {run} is {detail.verdict}.", code="not-a-reference")
+        if not detail.frames_available:
+            raise GoneError(f"The frames of run {run} were released.", code="frames-gone")
+        new = board_type not in self.references
+        self.references[board_type] = f.ReferenceStatus(
+            run=run, taught=NOW, calibration="c0ffee", cameras=CAMERAS, rows=ROWS, frames=CAMERAS * ROWS,
+            size_bytes=1000, cad_sigma_px=0.01, board_type=board_type, usable=True,
+        )  # fmt: skip
+        return new
+
+    def forget_reference(self, board_type: str) -> None:
+        self.reference(board_type)
+        del self.references[board_type]
+
+    def method(self, board_type: str) -> f.StitchingMethod:
+        self.board_type(board_type)
+        own = self.methods.get(board_type)
+        return f.StitchingMethod(method=own or "auto", chosen="board-type" if own else "station")
+
+    def set_method(self, board_type: str, method: MethodName | None) -> f.StitchingMethod:
+        self.board_type(board_type)
+        self.methods.pop(board_type, None)
+        if method is not None:
+            self.methods[board_type] = method
+        return self.method(board_type)
 
     def runs(self, limit: int = 50, before: str | None = None) -> tuple[f.RunSummary, ...]:
         older = [

@@ -83,7 +83,7 @@ def test_a_reference_filmed_with_another_calibration_is_refused(cases: Any, taug
     write_calibration(other, calibration.model_copy(update={"camera_matrices": tuple(moved)}))
     done = vaoi("stitch", case, "--calibration", other, "--reference", taught, "--out", tmp_path / "r.json")
     assert done.returncode == 2
-    assert "another calibration: camera 1 differs by 3.0 px" in done.stderr
+    assert "another calibration: camera 1 differs by 3.00 px" in done.stderr
     assert not (tmp_path / "r.json").exists()
 
 

@@ -43,6 +43,7 @@ from vaoi_station.runs.jobs import Answer, CheckJob, Concluded, ConcludeJob, Job
 from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
+from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.runs.watch import CalibrationWatch
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
@@ -392,6 +393,7 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         write_board_type(config.board_types / "small.json", a_board_type())
         ring = Ring.create(ring_path(config), RingLayout.of(config))
         ends.append(ring.close)
+        shelf = ReferenceShelf(config.data / "references", store, a_calibration().cameras(camera_heads(config)))
         events = EventLog(store)
         archive, peer, workers = Archive(store, events), Peer(), ScriptedWorkers()
         link = AcquisitionLink(peer.launch)
@@ -400,7 +402,8 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
             Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
             ring,
             BoardTypeDirectory(config.board_types),
-            OrderDesk(config.line, a_calibration(), camera_heads(config), store),
+            OrderDesk(config.line, a_calibration(), camera_heads(config), store, shelf),
+            shelf,
             lambda: (link.status(),),
         )
         ends.append(conductor.close)

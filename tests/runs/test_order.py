@@ -6,6 +6,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.model import BoardType, Calibration
 from vaoi_station.runs.order import Order, OrderDesk, Orders
 from vaoi_station.runs.salvage import camera_heads
+from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.store import Store
 
 
@@ -14,7 +15,9 @@ def order_of(desk: OrderDesk, board_type: BoardType, board_id: str) -> Order:
 
 
 def make_desk(config: StationConfig, calibration: Calibration, store: Store) -> OrderDesk:
-    return OrderDesk(config.line, calibration, camera_heads(config), store)
+    heads = camera_heads(config)
+    shelf = ReferenceShelf(config.data / "references", store, calibration.cameras(heads))
+    return OrderDesk(config.line, calibration, heads, store, shelf)
 
 
 def test_a_board_that_was_there_first_belongs_to_the_order_before(

@@ -11,11 +11,14 @@ from vaoi_station.runs.memory import Bay
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.progress import Progress
 from vaoi_station.runs.salvage import CAUSE, camera_heads, film_from_pieces
+from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.store import Store
 
 
 def progress_of(config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType) -> Progress:
-    order = OrderDesk(config.line, calibration, camera_heads(config), store)(board_type, None, None)
+    heads = camera_heads(config)
+    shelf = ReferenceShelf(config.data / "references", store, calibration.cameras(heads))
+    order = OrderDesk(config.line, calibration, heads, store, shelf)(board_type, None, None)
     return Progress.begin(RunStarted("r1", 1, 50.0), Bay(1, "filming", "r1", 7), order)
 
 

@@ -11,7 +11,7 @@ from fastapi.routing import APIRoute
 from vaoi_station import __version__
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.edge import Edge
-from vaoi_station.api.routes import board_types, calibration, components, events, frames, runs, station
+from vaoi_station.api.routes import board_types, calibration, components, events, frames, runs, station, stitching
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import Health
 from vaoi_station.api.waiting import Hub
@@ -47,7 +47,7 @@ def create_app(conductor: Conductor) -> FastAPI:
     )
     app.state.hub = services.hub
     problems.install(app)
-    for module in (station, calibration, board_types, runs, frames, components, events):
+    for module in (station, calibration, board_types, stitching, runs, frames, components, events):
         app.include_router(module.router(services), prefix=PREFIX)
     _add_health(app, services)
     pages.install(app)

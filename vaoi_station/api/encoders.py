@@ -9,11 +9,10 @@ from __future__ import annotations
 import io
 from enum import StrEnum
 
-import cv2
 import numpy as np
 
 from vaoi_station.api.problems import NotAcceptableError
-from vaoi_station.files.images import Image, encode, encode_jpeg, encode_png
+from vaoi_station.files.images import Image, encode_jpeg, encode_png, encode_tiff
 
 
 class ImageFormat(StrEnum):
@@ -85,7 +84,7 @@ def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[s
     if image_format is ImageFormat.PNG:
         return encode_png(image), headers
     if image_format is ImageFormat.TIFF:
-        return encode(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1]), headers
+        return encode_tiff(image), headers
     buffer = io.BytesIO()
     np.save(buffer, _rgb(image), allow_pickle=False)
     return buffer.getvalue(), headers

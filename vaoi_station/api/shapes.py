@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from vaoi_station.config import MethodName
 from vaoi_station.runs.facade import BoardTypeSummary, RunSummary
 
 Matrix3 = list[list[float]]
@@ -33,6 +34,18 @@ class BoardTypeList(Shape):
     """All board types, by name."""
 
     board_types: list[BoardTypeSummary]
+
+
+class TeachRequest(Shape):
+    """Which run is to be the reference of its board type."""
+
+    run: str = Field(min_length=1, max_length=64, description="Id of a finished run of the board type.")
+
+
+class MethodRequest(Shape):
+    """How runs of a board type are to be stitched."""
+
+    method: MethodName
 
 
 class RunPage(Shape):

@@ -63,13 +63,16 @@ def open_recording(directory: Path) -> Recording:
     return recording
 
 
-def write_recording(directory: Path, head: RecordingHead, frames: Iterable[tuple[int, int, Image]]) -> Recording:
+def write_recording(
+    directory: Path, head: RecordingHead, frames: Iterable[tuple[int, int, Image]], suffix: str = ".png"
+) -> Recording:
     """Write frames (camera, row, pixels) first and the head last: a directory with a head is complete.
 
-    The head of an older recording in the same directory goes before the first frame is replaced.
+    The head of an older recording in the same directory goes before the first frame is replaced. Frames are PNG, or
+    uncompressed ".tiff" where they are read again and again.
     """
     (directory / "recording.json").unlink(missing_ok=True)
     for camera, row, image in frames:
-        write_image(directory / "frames" / f"c{camera:02d}_r{row:03d}.png", image)
+        write_image(directory / "frames" / f"c{camera:02d}_r{row:03d}{suffix}", image)
     write_json(directory / "recording.json", head.model_dump(mode="json", exclude_none=True))
     return open_recording(directory)

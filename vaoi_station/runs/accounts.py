@@ -92,7 +92,7 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     for verdict, cause in sorted(causes):
         where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
         words.append(Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}."))
-    return (*words, *progress.faults)
+    return (*words, *progress.faults, *progress.order.notes)
 
 
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:

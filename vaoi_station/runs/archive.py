@@ -36,6 +36,8 @@ class Dossier:
     cameras: tuple[Camera, ...]
     stitch: Stitch | None
     timeline: Timeline
+    head: RecordingHead | None
+    """What was filmed; None if the station ended meanwhile."""
 
     @cached_property
     def album(self) -> Album:
@@ -82,7 +84,13 @@ class Archive:
         self._finished += 1
         detail, order = detail_of(progress), progress.order
         dossier = Dossier(
-            detail, self._finished, order.board_type, order.setup.cameras, progress.stitch, timeline_of(progress)
+            detail,
+            self._finished,
+            order.board_type,
+            order.setup.cameras,
+            progress.stitch,
+            timeline_of(progress),
+            progress.head,
         )
         with self._news:
             self._under_way.discard(progress.run)
@@ -92,6 +100,10 @@ class Archive:
         saved = self._store.save_run(row, dossier.timeline.model_dump_json(), document)
         saved.add_done_callback(lambda future: self._announce(dossier, future))
         return detail
+
+    def calibration_of(self, dossier: Dossier) -> Calibration:
+        """The calibration a run was stitched with."""
+        return Calibration.model_validate_json(self._store.document(dossier.detail.calibration))
 
     def mark(self, run: str, step: RunStep) -> None:
         """A finished run's frames were released, or their memory was taken."""
@@ -219,6 +231,7 @@ class Archive:
             cameras=calibration.cameras(head.cameras) if head else (),
             stitch=Stitch.model_validate_json(result) if result else None,
             timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
+            head=head,
         )
 
 

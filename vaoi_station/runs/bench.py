@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.errors import InternalError, VaoiError
-from vaoi_station.files.images import encode, encode_jpeg, encode_png
+from vaoi_station.files import Recording, open_recording
+from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
 from vaoi_station.files.results import stitch_document
 from vaoi_station.rendering import render
 from vaoi_station.runs.jobs import (
@@ -59,6 +60,7 @@ class Bench:
         cv2.setNumThreads(1)
         self._ring = Ring.attach(Path(ring_path))
         self._runs: dict[str, _OpenedRun] = {}
+        self._reference: Recording | None = None
 
     def __enter__(self) -> Bench:
         return self
@@ -98,7 +100,21 @@ class Bench:
             slot = slots.get((camera, row))
             return None if slot is None else self._ring.frame(slot)
 
-        self._runs[context.run] = _OpenedRun(context, Desk(context.setup, frame), slots)
+        self._runs[context.run] = _OpenedRun(context, Desk(context.setup, frame, self._reference_of(context)), slots)
+
+    def _reference_of(self, context: RunContext) -> Callable[[int, int], NDArray[Any] | None] | None:
+        """What reads the reference's frames; they are on disk, and in the page cache from the second board on."""
+        if context.reference is None:
+            return None
+
+        directory = context.reference
+
+        def frame(camera: int, row: int) -> NDArray[Any] | None:
+            if self._reference is None or self._reference.directory != directory:
+                self._reference = open_recording(directory)
+            return self._reference.frame(camera, row)
+
+        return frame
 
     def _perform(self, job: Job) -> Any:
         match job:
@@ -149,7 +165,7 @@ def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:
         case "jpeg":
             return encode_jpeg(image)
         case "tiff":
-            return encode(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
+            return encode_tiff(image)
         case "npy":
             file = io.BytesIO()
             np.save(file, image)

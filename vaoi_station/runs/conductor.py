@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.messages import Report
 from vaoi_station.acquisition.ring import Ring
+from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Stitch
 from vaoi_station.rendering import View
@@ -36,13 +37,17 @@ from vaoi_station.runs.shapes import (
     LeaseStatus,
     ProcessStatus,
     Reason,
+    ReferenceStatus,
     RunDetail,
     RunSummary,
     StationSnapshot,
+    StitchingMethod,
     Timeline,
 )
+from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.runs.state import FINISHED
 from vaoi_station.runs.status import snapshot_of
+from vaoi_station.runs.teaching import Teaching
 from vaoi_station.runs.watch_shapes import CalibrationStatus
 from vaoi_station.store import BoardTypeDirectory
 
@@ -63,6 +68,7 @@ class StationConductor:
         ring: Ring,
         board_types: BoardTypeDirectory,
         make_order: MakeOrder,
+        shelf: ReferenceShelf,
         processes: Callable[[], tuple[ProcessStatus, ...]],
         alive: Callable[[], None] = lambda: None,
     ) -> None:
@@ -72,6 +78,7 @@ class StationConductor:
         self._core = Core(parts, self._inbox.post)
         self._uses = itertools.count(1)
         self._teaching = threading.Lock()
+        self._references = Teaching(shelf, parts.config.method)
 
     # --- its life
 
@@ -128,6 +135,8 @@ class StationConductor:
                 action="See the health of cameras and controller.",
                 code="arming-failed",
             ) from None
+        for note in order.notes:
+            self._parts.events.add("trouble", note.message, code=note.code, action=note.action)
         return self.snapshot()
 
     def disarm(self) -> StationSnapshot:
@@ -169,11 +178,45 @@ class StationConductor:
             raise StateError(f"The line is armed for board type {name!r}.", action="Disarm first.")
         with self._teaching:
             self._board_types.delete(name)
+            self._references.board_type_forgotten(name)
+        self._sweep_references()
         self._parts.events.add("board-type", f"Board type {name!r} was forgotten.")
 
     def calibration(self) -> CalibrationStatus:
         """The calibration in force, and how the cameras stand to it."""
         return self._inbox.ask(self._parts.watch.status)
+
+    # --- how board types are stitched
+
+    def reference(self, board_type: str) -> ReferenceStatus:
+        """The reference of a board type."""
+        return self._references.status(self._board_types.get(board_type))
+
+    def teach_reference(self, board_type: str, run: str) -> bool:
+        """Make a finished run the reference of its board type."""
+        known, dossier = self._board_types.get(board_type), self._parts.archive.get(run)
+        calibration = self._parts.archive.calibration_of(dossier)
+        with self._lease(run, "taught as the reference") as bay:
+            new = self._references.teach(
+                known, dossier, calibration, lambda slot: self._ring.snapshot(slot, bay.generation)
+            )
+        self._sweep_references()
+        self._parts.events.add("reference", f"Board type {board_type!r} has it as its reference.", run=run)
+        return new
+
+    def forget_reference(self, board_type: str) -> None:
+        """Place boards without a reference from the next arming on."""
+        self._references.forget(self._board_types.get(board_type).name)
+        self._sweep_references()
+        self._parts.events.add("reference", f"Board type {board_type!r} has no reference any more.")
+
+    def method(self, board_type: str) -> StitchingMethod:
+        """How runs of a board type are stitched."""
+        return self._references.method(self._board_types.get(board_type).name)
+
+    def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
+        """Give a board type a way of its own, from the next arming on."""
+        return self._references.set_method(self._board_types.get(board_type).name, method)
 
     # --- runs
 
@@ -293,6 +336,13 @@ class StationConductor:
             last_run=latest.detail.id if latest else None,
             last_event=self._parts.events.last,
         )
+
+    def _sweep_references(self) -> None:
+        def in_use() -> set[str]:
+            under_way = {p.order.reference.run for p in self._core.book.active.values() if p.order.reference}
+            return under_way | self._core.orders.references
+
+        self._references.sweep(self._inbox.ask(in_use))
 
     def _active(self, run: str) -> RunDetail | None:
         progress = self._core.book.active.get(run)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import NDArray
 
+from vaoi_station.config import MethodName
 from vaoi_station.model import BoardType, FrameRecord, Stitch
 from vaoi_station.runs.shapes import (
     ArmedWith,
@@ -22,11 +23,13 @@ from vaoi_station.runs.shapes import (
     LeaseStatus,
     ProcessStatus,
     Reason,
+    ReferenceStatus,
     Retention,
     RingStatus,
     RunDetail,
     RunSummary,
     StationSnapshot,
+    StitchingMethod,
     TaskTiming,
     Timeline,
     Timings,
@@ -56,6 +59,7 @@ __all__ = [
     "LeaseStatus",
     "ProcessStatus",
     "Reason",
+    "ReferenceStatus",
     "Retention",
     "RingStatus",
     "RunDetail",
@@ -63,6 +67,7 @@ __all__ = [
     "RunSummary",
     "StationSnapshot",
     "StationState",
+    "StitchingMethod",
     "TaskTiming",
     "Timeline",
     "Timings",
@@ -104,6 +109,25 @@ class Conductor(Protocol):
 
     def calibration(self) -> CalibrationStatus:
         """The calibration in force, and how the cameras have stood to it in the latest runs."""
+
+    def reference(self, board_type: str) -> ReferenceStatus:
+        """The reference of a board type; `NotFoundError` if it has none."""
+
+    def teach_reference(self, board_type: str, run: str) -> bool:
+        """Make a finished run the reference of its board type, from the next arming on; True if it had none.
+
+        `NotFoundError`: no such run or board type; `InputError`: the run shows another board type;
+        `StateError`: it has no result yet, or not one that is ok; `GoneError`: its frames are gone.
+        """
+
+    def forget_reference(self, board_type: str) -> None:
+        """Place boards without a reference from the next arming on; `NotFoundError` if there is none."""
+
+    def method(self, board_type: str) -> StitchingMethod:
+        """How runs of a board type are stitched."""
+
+    def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
+        """Give a board type a way of its own from the next arming on; None: the station's holds again."""
 
     def runs(self, limit: int = 50, before: str | None = None) -> tuple[RunSummary, ...]:
         """Runs, newest first; `before`: only those older than this id."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import VaoiError
@@ -32,6 +33,8 @@ class RunContext:
     setup: Setup
     bay: int
     generation: int
+    reference: Path | None = None
+    """Directory of the reference that `setup` names."""
 
 
 @dataclass(frozen=True)

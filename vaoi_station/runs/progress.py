@@ -53,7 +53,8 @@ class Progress:
     @classmethod
     def begin(cls, report: RunStarted, bay: Bay, order: Order) -> Progress:
         """A board has interrupted the barrier."""
-        context = RunContext(report.run, order.setup, bay.number, bay.generation)
+        reference = order.reference.directory if order.reference else None
+        context = RunContext(report.run, order.setup, bay.number, bay.generation, reference)
         return cls(order, context, report.host_time_s)
 
     @property
@@ -158,4 +159,5 @@ class Progress:
 
 
 def _frames_of(task: Task) -> list[FrameKey]:
-    return [key for key in (task.a, task.b) if key is not None]
+    """The frames of the run that a task looks at; a reference's frame is none of them."""
+    return [task.a] if task.b is None or task.kind == "reference" else [task.a, task.b]

@@ -10,6 +10,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from vaoi_station.config import MethodName
 from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.state import RunState, StationState
 
@@ -38,6 +39,9 @@ class ArmedWith(Shape):
     job_id: str | None
     runs_left: int | None
     """Runs until the station disarms by itself; None: it stays armed."""
+    method: MethodName = "auto"
+    reference: str | None = None
+    """The run that boards are placed against; None: no reference is used."""
 
 
 class CameraStatus(Shape):
@@ -144,6 +148,39 @@ class BoardTypeSummary(Shape):
     components: int = 0
     fiducials: int = 0
     fault: Reason | None = None
+
+
+class ReferenceRecord(Shape):
+    """A run that was taught as the reference of its board type."""
+
+    run: str
+    taught: str
+    calibration: str
+    """Digest of the calibration it was filmed with."""
+    cameras: int
+    rows: int
+    frames: int
+    """How many were kept: a small set of each row."""
+    size_bytes: int
+    cad_sigma_px: float | None
+    """How well its own positions are known: of one standard deviation, at the worst corner of the board."""
+
+
+class ReferenceStatus(ReferenceRecord):
+    """The same, and whether boards can be placed against it now."""
+
+    board_type: str
+    usable: bool
+    fault: Reason | None = None
+    """Why not."""
+
+
+class StitchingMethod(Shape):
+    """How runs of a board type are stitched."""
+
+    method: MethodName
+    chosen: Literal["board-type", "station"]
+    """Whether the board type has a way of its own, or the station's holds."""
 
 
 class VerdictCounts(Shape):

@@ -102,6 +102,7 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
     quality = quality_of(findings) | {
         "timings_ms": stages.ms,
         "software": f"vaoi_station {__version__}",
+        **({"reference": terms.reference.name} if terms.reference is not None and method.reference else {}),
         "opencv": cv2.__version__,
     }
     stages.done("verdict")

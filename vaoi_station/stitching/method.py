@@ -6,9 +6,10 @@ A method uses no other kind of evidence than its own; `auto` uses whatever there
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
-MethodName = Literal["auto", "fiducials", "features", "reference"]
+from vaoi_station.config import MethodName
+
+__all__ = ["METHODS", "Method", "MethodName"]
 
 
 @dataclass(frozen=True)

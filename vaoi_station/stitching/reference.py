@@ -30,7 +30,10 @@ class Reference:
     """A stitched run of the board type, and which of its frames are good."""
 
     stitch: Stitch
+    """Its CAD mapping and row motion are what is used; the rest may have been left out."""
     present: frozenset[FrameKey]
+    name: str = ""
+    """What results call it."""
 
     def task(self, key: FrameKey) -> Task | None:
         """The link of a frame of the run to the reference; None where that has no such frame."""

@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 import shutil
+import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from vaoi_station.errors import InputError
-from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch, write_stitch
+from vaoi_station.files import (
+    Recording,
+    open_recording,
+    read_board_type,
+    read_calibration,
+    read_stitch,
+    write_board_type,
+    write_calibration,
+    write_recording,
+    write_stitch,
+)
+from vaoi_station.files.images import Image
 from vaoi_station.geometry import Camera
-from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.stitching.offline import stitch_frames
 from vaoi_station.stitching.reference import Reference
 from vaoi_station.stitching.work import Setup
 
 RESULT = "result.json"
-_SAME_CALIBRATION_PX = 0.5
+_SAME_CALIBRATION_PX = 0.05
+"""What two calibrations may differ by: a reference brings that difference into every position."""
+_CAD_TERMS = ("unit", "y_axis", "side", "fiducials")
+"""Keys of a board type that C depends on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +68,38 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
     return stitch
 
 
+def write_taught(
+    directory: Path,
+    head: RecordingHead,
+    frames: Iterable[tuple[int, int, Image]],
+    calibration: Calibration,
+    board_type: BoardType,
+    stitch: Stitch,
+) -> None:
+    """Keep a run that has been stitched as a reference; the directory appears complete or not at all.
+
+    Args:
+        directory: must not exist.
+        head: of the run; frames that are not kept are `missing`.
+        frames: (camera, row, pixels).
+        calibration: the run was stitched with.
+        board_type: the run shows.
+        stitch: its result.
+    """
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
+    try:
+        draft.chmod(0o755)
+        write_calibration(draft / "calibration.json", calibration)
+        write_board_type(draft / "board.json", board_type)
+        write_stitch(draft / RESULT, stitch)
+        write_recording(draft, head, frames, suffix=".tiff")
+        draft.rename(directory)
+    except BaseException:  # whatever ended it, tidy up; it is raised again
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
 def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> Taught:
     """Open a reference for runs of these cameras and this board type; one that was never stitched is stitched now.
 
@@ -62,11 +110,7 @@ def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardT
     theirs = read_calibration(directory / "calibration.json").cameras(recording.head.cameras)
     _check_calibration(directory, theirs, cameras)
     own = read_board_type(directory / "board.json")
-    if [c.address for c in own.components] != [c.address for c in board_type.components]:
-        raise InputError(
-            f"{directory}: shows board type {own.name!r}, whose components are not those of {board_type.name!r}.",
-            action="Teach a reference of this board type.",
-        )
+    _check_board_type(directory, own, board_type)
     if (directory / RESULT).is_file():
         stitch = read_stitch(directory / RESULT)
     else:
@@ -75,7 +119,8 @@ def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardT
         raise InputError(f"{directory}: the reference has no CAD mapping: {'; '.join(stitch.reasons)}.")
     lost = set(recording.head.missing)
     everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
-    return Taught(Reference(stitch, frozenset(everything - lost)), recording)
+    used = stitch.model_copy(update={"image_matrices": (), "components": None, "quality": {}})
+    return Taught(Reference(used, frozenset(everything - lost), directory.name), recording)
 
 
 def with_reference(setup: Setup, taught: Taught | None) -> Setup:
@@ -87,6 +132,20 @@ def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardT
     return Setup(cameras, recording.head.conveyor_mm_s, recording.head.trigger_period_s, board_type)
 
 
+def _check_board_type(directory: Path, theirs: BoardType, ours: BoardType) -> None:
+    if [c.address for c in theirs.components] != [c.address for c in ours.components]:
+        raise InputError(
+            f"{directory}: shows board type {theirs.name!r}, whose components are not those of {ours.name!r}.",
+            action="Teach a reference of this board type.",
+        )
+    changed = [key for key in _CAD_TERMS if getattr(theirs, key) != getattr(ours, key)]
+    if changed:
+        raise InputError(
+            f"{directory}: was taught when the board type {ours.name!r} had other {', '.join(changed)}.",
+            action="Teach a reference of the board type as it is now.",
+        )
+
+
 def _check_calibration(directory: Path, theirs: tuple[Camera, ...], ours: tuple[Camera, ...]) -> None:
     if len(theirs) != len(ours):
         raise InputError(f"{directory}: was filmed by {len(theirs)} cameras, this run by {len(ours)}.")
@@ -95,7 +154,7 @@ def _check_calibration(directory: Path, theirs: tuple[Camera, ...], ours: tuple[
         off = float(np.abs(a.project(b.ground(corners)) - corners).max())
         if (a.width_px, a.height_px) != (b.width_px, b.height_px) or off > _SAME_CALIBRATION_PX:
             raise InputError(
-                f"{directory}: was filmed with another calibration: camera {i} differs by {off:.1f} px "
+                f"{directory}: was filmed with another calibration: camera {i} differs by {off:.2f} px "
                 f"(limit {_SAME_CALIBRATION_PX}).",
                 action="Teach the reference again with the present calibration.",
             )

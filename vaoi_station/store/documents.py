@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from vaoi_station.errors import NotFoundError
+from vaoi_station.store.board_stitching import BoardStitching
 from vaoi_station.store.checks import Checks
 from vaoi_station.store.database import Database
 
@@ -55,6 +56,7 @@ class Store:
     def __init__(self, database: Database) -> None:
         self._database = database
         self.checks = Checks(database)
+        self.stitching = BoardStitching(database)
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
         """Remember a board type or a calibration as it was used; its digest names it from then on."""

@@ -48,6 +48,16 @@ STEPS: tuple[tuple[str, ...], ...] = (
         ) STRICT""",
         "CREATE INDEX calibration_checks_in_order ON calibration_checks (calibration_digest, run)",
     ),
+    (
+        """CREATE TABLE board_references (
+            board_type TEXT PRIMARY KEY,
+            document TEXT NOT NULL
+        ) STRICT""",
+        """CREATE TABLE board_methods (
+            board_type TEXT PRIMARY KEY,
+            method TEXT NOT NULL
+        ) STRICT""",
+    ),
 )
 VERSION = len(STEPS)
 

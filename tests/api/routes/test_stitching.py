@@ -1,0 +1,59 @@
+"""`board-types/{name}/reference` and `…/method` over REST."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from vaoi_station.model import Status
+
+TYPE = "/api/v1/board-types/demo-board"
+
+
+def test_a_run_is_taught_told_and_forgotten(client: Any, station: Any) -> None:
+    none = client.get(f"{TYPE}/reference")
+    assert (none.status_code, none.json()["code"]) == (404, "no-reference")
+    first = client.put(f"{TYPE}/reference", json={"run": station.film()})
+    assert (first.status_code, first.headers["location"]) == (201, f"{TYPE}/reference")
+    assert {k: first.json()[k] for k in ("run", "board_type", "usable", "calibration", "rows", "cameras")} == {
+        "run": "r000001", "board_type": "demo-board", "usable": True, "calibration": "c0ffee", "rows": 4, "cameras": 3,
+    }  # fmt: skip
+    assert client.get(f"{TYPE}/reference").json() == first.json()
+    assert first.headers["cache-control"] == "no-store"
+    second = client.put(f"{TYPE}/reference", json={"run": station.film()})
+    assert (second.status_code, second.json()["run"]) == (200, "r000002")
+    assert client.delete(f"{TYPE}/reference").status_code == 204
+    assert client.delete(f"{TYPE}/reference").json()["code"] == "no-reference"
+
+
+def test_what_cannot_be_taught(client: Any, station: Any) -> None:
+    def refused(**body: Any) -> tuple[int, str]:
+        answer = client.put(f"{TYPE}/reference", json=body)
+        assert answer.headers["content-type"] == "application/problem+json"
+        return answer.status_code, answer.json()["code"]
+
+    assert refused() == (422, "invalid-input")
+    assert refused(run="r000099") == (404, "not-found")
+    assert refused(run=station.film(), extra=1) == (422, "invalid-input")
+    assert refused(run=station.film(verdict=Status.DEGRADED)) == (409, "not-a-reference")
+    gone = station.film()
+    station.release(gone)
+    assert refused(run=gone) == (410, "frames-gone")
+    assert client.put("/api/v1/board-types/unheard/reference", json={"run": gone}).status_code == 404
+
+
+def test_a_method_is_chosen_and_given_up(client: Any) -> None:
+    assert client.get(f"{TYPE}/method").json() == {"method": "auto", "chosen": "station"}
+    assert client.put(f"{TYPE}/method", json={"method": "reference"}).json() == {
+        "method": "reference",
+        "chosen": "board-type",
+    }
+    assert client.get(f"{TYPE}/method").json()["method"] == "reference"
+    assert client.delete(f"{TYPE}/method").json() == {"method": "auto", "chosen": "station"}
+
+
+@pytest.mark.parametrize("body", [{"method": "paper"}, {"method": None}, {}, {"method": "auto", "more": 1}])
+def test_a_method_there_is_not(client: Any, body: Any) -> None:
+    answer = client.put(f"{TYPE}/method", json=body)
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid-input")

@@ -1,0 +1,131 @@
+"""Teaching over the whole station: a run is kept, later boards are placed against it, as `vaoi stitch` would."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.config import MethodName, StationConfig
+from vaoi_station.errors import StateError
+from vaoi_station.files import read_calibration, write_calibration
+from vaoi_station.geometry import apply
+from vaoi_station.model import Status, Stitch
+from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.runs.shapes import RunDetail
+from vaoi_station.simulation import Twin
+from vaoi_station.station import Station
+from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.opening import open_run
+
+PATIENCE_S = 60.0
+RunStation = Callable[[StationConfig], StationConductor]
+
+
+def filmed(conductor: StationConductor) -> RunDetail:
+    """The next board."""
+    seen, deadline = conductor.snapshot().last_event, time.monotonic() + PATIENCE_S
+    conductor.arm("small", runs=1)
+    while True:
+        assert time.monotonic() < deadline, conductor.snapshot()
+        for record in conductor.events(seen, 1.0):
+            seen = record.number
+            if record.kind == "run" and record.run and record.state in ("ready", "degraded", "failed"):
+                return conductor.run(record.run)
+
+
+def used(stitch: Stitch) -> dict[str, int]:
+    return {kind: count["used"] for kind, count in stitch.quality["links"].items() if count["used"]}
+
+
+def apart_px(a: Stitch, b: Stitch, twin: Twin) -> float:
+    """How far two results disagree about where the frames' corners lie in CAD, px."""
+    w, h = twin.scenario.array.width_px - 1.0, twin.scenario.array.height_px - 1.0
+    corners = np.array([[0, 0], [w, 0], [w, h], [0, h]])
+    assert a.cad_matrix is not None
+    assert b.cad_matrix is not None
+    worst = 0.0
+    for rows_a, rows_b in zip(a.image_matrices, b.image_matrices, strict=True):
+        for m_a, m_b in zip(rows_a, rows_b, strict=True):
+            assert m_a is not None
+            assert m_b is not None
+            b_from_a = m_b @ b.cad_matrix @ np.linalg.inv(m_a @ a.cad_matrix)
+            worst = max(worst, float(np.abs(apply(b_from_a, corners) - corners).max()))
+    return worst
+
+
+def offline(reference: Path, recording: Path, method: MethodName) -> Stitch:
+    """What `vaoi stitch RECORDING --reference DIR --method METHOD` makes of it."""
+    opened = open_run(recording, reference=reference, method=method)
+    assert opened.taught is not None
+    return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, opened.taught.recording.frame)
+
+
+@pytest.fixture
+def config(replay_config: Callable[..., StationConfig]) -> StationConfig:
+    """It plays two boards in turn."""
+    return replay_config(pace="fast", pause_s=0.01)
+
+
+@pytest.mark.parametrize("method", ["auto", "reference"])
+def test_later_boards_are_placed_against_a_taught_run_as_offline(
+    config: StationConfig, run_station: RunStation, recordings: tuple[Path, Path], twin: Twin, method: MethodName
+) -> None:
+    station = run_station(config)
+    first = filmed(station)
+    assert station.teach_reference("small", first.id)
+    status = station.reference("small")
+    assert (status.run, status.usable, status.fault) == (first.id, True, None)
+    assert (status.cameras, status.rows, status.calibration) == (first.cameras, first.rows, first.calibration)
+    assert 0 < status.frames <= first.counts.ok
+    station.set_method("small", method)
+    second = filmed(station)
+    stitch = station.stitch(second.id)
+    assert (stitch.method, stitch.quality["reference"]) == (method, first.id)
+    assert stitch.status is Status.OK, stitch.reasons
+    assert used(stitch)["reference"] > 100
+    assert method == "auto" or set(used(stitch)) == {"reference"}
+    assert "reference" in {task.kind for task in station.timeline(second.id).tasks}
+    expected = offline(config.data / "references" / first.id, recordings[1], method)
+    assert used(expected) == used(stitch)
+    assert apart_px(stitch, expected, twin) <= 1e-6
+
+
+def test_a_reference_survives_a_restart_but_not_another_calibration(
+    config: StationConfig, wait_state: Callable[[StationConductor, str], None]
+) -> None:
+    with Station(config) as life:
+        wait_state(life.conductor, "idle")
+        first = filmed(life.conductor)
+        life.conductor.teach_reference("small", first.id)
+    with Station(config) as life:
+        wait_state(life.conductor, "idle")
+        assert life.conductor.reference("small").usable
+        again = filmed(life.conductor)
+        assert life.conductor.stitch(again.id).quality["reference"] == first.id
+    calibration = read_calibration(config.calibration)
+    moved = [np.array([[1, 0, 0.4], [0, 1, 0], [0, 0, 1]]) @ m for m in calibration.camera_matrices]
+    write_calibration(config.calibration, calibration.model_copy(update={"camera_matrices": tuple(moved)}))
+    with Station(config) as life:
+        station = life.conductor
+        wait_state(station, "idle")
+        status = station.reference("small")
+        assert not status.usable
+        assert status.fault is not None
+        assert "another calibration: camera 0 differs by 0.40 px" in status.fault.message
+        seen = station.snapshot().last_event
+        later = filmed(station)
+        (reason,) = [r for r in later.reasons if r.code == "reference-unusable"]
+        assert reason.action == "Teach the reference again with the present calibration."
+        assert "reference-unusable" in {record.code for record in station.events(seen)}
+        stitch = station.stitch(later.id)
+        assert "reference" not in stitch.quality
+        assert "reference" not in used(stitch)
+        station.set_method("small", "reference")
+        with pytest.raises(StateError, match="another calibration") as refused:
+            station.arm("small")
+        assert refused.value.code == "reference-unusable"
+        assert station.snapshot().state == "idle"
