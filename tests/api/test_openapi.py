@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 GOLDEN = Path(__file__).parent / "openapi.json"
@@ -128,6 +128,7 @@ PIECES = st.one_of(
 )
 
 
+@settings(deadline=None)
 @given(data=st.data())
 def test_whatever_is_asked_the_answer_is_one_of_those_declared(shared_client: Any, data: st.DataObject) -> None:
     """Any path and query parameters: an answer of the document or a problem of the caller's, never one of ours."""

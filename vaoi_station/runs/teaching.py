@@ -125,7 +125,7 @@ def _write(path: Path, dossier: Dossier, calibration: Calibration, pixels: Pixel
     slots = {(f.camera, f.row): f.slot for f in dossier.detail.frames if f.verdict is Verdict.OK and f.slot is not None}
     chosen = small_set(dossier.result, dossier.cameras, dossier.board_type, slots)
     everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
-    kept = head.model_copy(update={"missing": tuple(sorted(everything - chosen))})
+    kept = head.model_copy(update={"missing": tuple(sorted(everything - chosen)), "x_run": dossier.detail.id})
 
     def frames() -> Iterator[tuple[int, int, Image]]:
         for key in sorted(chosen):

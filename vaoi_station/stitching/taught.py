@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import tempfile
 from collections.abc import Iterable
@@ -120,7 +121,7 @@ def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardT
     lost = set(recording.head.missing)
     everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
     used = stitch.model_copy(update={"image_matrices": (), "components": None, "quality": {}})
-    return Taught(Reference(used, frozenset(everything - lost), directory.name), recording)
+    return Taught(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
 
 
 def with_reference(setup: Setup, taught: Taught | None) -> Setup:
@@ -130,6 +131,14 @@ def with_reference(setup: Setup, taught: Taught | None) -> Setup:
 
 def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> Setup:
     return Setup(cameras, recording.head.conveyor_mm_s, recording.head.trigger_period_s, board_type)
+
+
+def _name(head: RecordingHead, stitch: Stitch) -> str:
+    """The run's id where the recording tells it, else a fingerprint of its matrices: the same wherever it lies."""
+    if isinstance(run := (head.model_extra or {}).get("x_run"), str):
+        return run
+    matrices = b"".join(m.tobytes() for m in (stitch.cad_matrix, *stitch.row_motion) if m is not None)
+    return hashlib.sha256(matrices).hexdigest()[:16]
 
 
 def _check_board_type(directory: Path, theirs: BoardType, ours: BoardType) -> None:

@@ -180,7 +180,7 @@ def test_words_stand_out_from_their_ground(page: Page, served: Any) -> None:
 
 def test_the_drawn_interface_needs_no_network(page: Page, served: Any) -> None:
     page.goto(f"{served.url}/docs")
-    expect(page.locator(".opblock")).to_have_count(22)
+    expect(page.locator(".opblock")).to_have_count(28)
 
 
 def wait_for_pictures(page: Page, count: int) -> None:
