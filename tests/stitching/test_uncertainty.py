@@ -55,9 +55,9 @@ def test_c_counts_in_every_row(scene: Scene, frame: Any) -> None:
 
 
 def test_an_angle_counts_by_its_arm(scene: Scene, frame: Any) -> None:
-    """U28 is seen 4 mm from the pivot in row 0: an angle moves it across; the sigma is a mean over the axes."""
+    """U28 is seen 4 mm from the pivot in row 0: an angle moves it across; the sigma is that across."""
     sigma = predicted_sigma(scene, frame, adjusted([0.0] * 3, angle_sigma=0.01))
-    assert sigma.rows_px[0] == pytest.approx(np.hypot(0.01 * 4 * 10 / np.sqrt(2), MODEL_PX), rel=0.01)
+    assert sigma.rows_px[0] == pytest.approx(np.hypot(0.01 * 4 * 10, MODEL_PX), rel=0.01)
 
 
 def test_without_c_rows_have_a_sigma_and_components_none(scene: Scene, frame: Any) -> None:

@@ -28,17 +28,21 @@ _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
 """… and beyond so many count no more."""
-_PAIR_SIGMA_PX, _PAIR_SHARE = 0.003, 0.25
-"""What the links of one pair of frames share and does not average out (interpolation, light, parts): so many px, and
-that share of what they scatter beyond noise."""
+_PAIR_SIGMA_PX, _PAIR_SHARE = {False: 0.002, True: 0.010}, 0.25
+"""What the links of one pair of frames share and does not average out: so many px between rows of one camera
+(interpolation), and between two cameras (each has its own light and its own view of what stands a little above the
+board), and that share of what they scatter beyond noise."""
 _FLOOR_PX = (0.003, 5.0)
 """Range of what single links scatter beyond image noise."""
 _MEDIAN, _HALVINGS = 2 * float(np.log(2)), 14
 """Median of χ² of two degrees of freedom, and halvings of the range in which the scatter is looked for."""
 _HEIGHT_SIGMA_MM = 3.0
 FIXTURE, REFERENCE = -1, -2
-_FIDUCIAL_SIGMA_PX = 0.020
-"""What sightings scatter beyond their own standard deviation."""
+_MARK_OWN_PX, _MARK_SHARED_PX = 0.004, 0.004
+"""What a sighting of a fiducial is off beyond its own standard deviation: by itself, and in common with all sightings
+of the same fiducial (its artwork, its phase on the pixels, the light on it) …"""
+_MARK_SHARE = 0.5
+"""… which also share that part of their variance: it does not average out."""
 _SCALE_SIGMA = 3e-4
 """How far a board may be shrunk or stretched against its CAD data (1 σ, relative)."""
 
@@ -134,6 +138,16 @@ def adjust(problem: Problem, start: Motion, similarity: Floats | None = None) ->
     return solver.result()
 
 
+def _mark_sigma_mm(s: FiducialPoints) -> Floats:
+    """Standard deviation (s,) of each sighting, such that those of one fiducial are no surer together than that."""
+    own = (1 - _MARK_SHARE) * s.sigma_mm**2 + (_MARK_OWN_PX / s.px_per_mm) ** 2
+    shared = _MARK_SHARE * s.sigma_mm**2 + (_MARK_SHARED_PX / s.px_per_mm) ** 2
+    fiducial = s.which >= 0
+    count = np.bincount(s.which[fiducial], minlength=1)
+    times = np.where(fiducial, count[np.maximum(s.which, 0)], 1)
+    return np.asarray(np.sqrt(own + times * shared))
+
+
 class _Solver:
     def __init__(self, problem: Problem, start: Motion, similarity: Floats | None) -> None:
         self.p = problem
@@ -142,9 +156,14 @@ class _Solver:
         self.m = len(start.angle)
         self.f = problem.surface.at_links.shape[1] if problem.surface else 0
         self.beta = np.zeros(self.f)
-        self.n_components = int(problem.component.max(initial=-1)) + 1
-        self.heights = np.zeros(self.n_components)
         self.same_row = problem.links.p == problem.links.q
+        # what a part shows to two cameras at once (its top) and from row to row (its leads, the board between them) may
+        # stand at different heights: were they one unknown, the difference would lift the whole board
+        self.n_parts = int(problem.component.max(initial=-1)) + 1
+        self.n_components = 2 * self.n_parts
+        self.component = np.where(self.same_row, problem.component + self.n_parts, problem.component)
+        self.component[problem.component < 0] = -1
+        self.heights = np.zeros(self.n_components)
         self.floor_px = {False: 0.05, True: 0.05}
         self.size = 3 * self.m + (4 if problem.fiducials else 0) + self.f
         self.tail = np.arange(self.size - self.f, self.size)
@@ -186,8 +205,8 @@ class _Solver:
         if self.p.surface is not None:
             h += self.p.surface.at_links @ self.beta
         if self.n_components:
-            on = self.p.component >= 0
-            h[on] += self.heights[self.p.component[on]]
+            on = self.component >= 0
+            h[on] += self.heights[self.component[on]]
         return h
 
     def _weights(self, residual: Floats) -> Floats:
@@ -200,7 +219,8 @@ class _Solver:
         self.robust = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
         told = self.robust * np.trace(information, axis1=1, axis2=2) / 2
         per_pair = np.bincount(o.group, told, minlength=len(o.groups))
-        shared = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * floor_px) / o.px_per_mm
+        shared = np.where(self.same_row, _PAIR_SIGMA_PX[True], _PAIR_SIGMA_PX[False])
+        shared = np.maximum(shared, _PAIR_SHARE * floor_px) / o.px_per_mm
         share = 1 / (1 + per_pair[o.group] * shared**2)
         return np.asarray(information * (self.robust * share)[:, None, None])
 
@@ -244,8 +264,8 @@ class _Solver:
         """Each component's height is tied only to its own links: its row of the normal equations."""
         if not self.n_components:
             return
-        o, on = self.p.links, np.flatnonzero(self.p.component >= 0)
-        c = self.p.component[on]
+        o, on = self.p.links, np.flatnonzero(self.component >= 0)
+        c = self.component[on]
         lean = lean[:, on]
         self.height_normal += np.bincount(c, (lean**2).sum(0), minlength=self.n_components)
         self.height_right -= np.bincount(c, (lean * b[:, on]).sum(0), minlength=self.n_components)
@@ -283,7 +303,7 @@ class _Solver:
         if s is None or self.c is None:
             return []
         residual, j = self._fiducial_terms(s)
-        sigma = np.hypot(s.sigma_mm, _FIDUCIAL_SIGMA_PX / s.px_per_mm)
+        sigma = _mark_sigma_mm(s)
         chi = np.sqrt((residual**2).sum(1) / 2) / sigma
         many = s.which < 0
         if many.any():  # while the rows are still where the belt put them, all are far off: none is an outlier yet
@@ -330,10 +350,10 @@ class _Solver:
             used, sigma = self.robust, self.sigma
             px = residual * o.px_per_mm[:, None]
             sigma0 = float(np.sqrt(np.average(sigma**2, weights=np.maximum(used, 1e-9))))
-        heights = np.full(self.n_components, np.nan)
-        on = self.p.component >= 0
-        told = np.bincount(self.p.component[on], used[on] > 0.1, minlength=self.n_components) >= 3
-        heights[told] = self.heights[told]
+        heights = np.full(self.n_parts, np.nan)
+        on = (self.p.component >= 0) & ~self.same_row
+        told = np.bincount(self.p.component[on], used[on] > 0.1, minlength=self.n_parts) >= 3
+        heights[told] = self.heights[: self.n_parts][told]
         fiducial_px = np.zeros((0, 2))
         if s is not None and self.c is not None:
             fiducial_px = self._fiducial_terms(s)[0] * s.px_per_mm[:, None]

@@ -6,7 +6,6 @@ that of the misfit a sighting of it would have.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,25 +20,25 @@ from vaoi_station.stitching.evidence import FrameKey
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.surface import basis
 
-MODEL_PX = 0.03
+MODEL_PX = 0.003
 """Standard deviation of what no residual shows: calibration, artwork, flatness."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sigma:
-    """Standard deviations in px; covariances are of x and y in one image."""
+    """Standard deviations in px, in the direction where they are largest; covariances are of x and y in one image."""
 
     rows_px: tuple[float, ...]
-    """Of each row, per axis: of the worst component in view there; of the motion alone where there is none."""
+    """Of each row: of the worst component in view there, of the motion alone where there is none."""
     worst_px: float | None
-    """The largest of all views of components, per axis; None without C."""
+    """The largest of all views of components; None without C."""
     views: dict[str, dict[FrameKey, Floats]]
     """(2, 2) px² of every view of every component, by address and frame."""
 
     def of_component(self, address: str) -> float | None:
-        """The largest over a component's views, per axis."""
-        variances = [float(c[0, 0] + c[1, 1]) / 2 for c in self.views.get(address, {}).values()]
-        return math.sqrt(max(variances)) if variances else None
+        """The largest over a component's views."""
+        views = list(self.views.get(address, {}).values())
+        return float(_longest(np.array(views)).max()) if views else None
 
 
 def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:
@@ -58,7 +57,7 @@ def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Si
         seen, covariance = _covariances(scene.cameras[key[0]], frame, adjusted, key[1], cad, board)
         for n, c in zip(seen.tolist(), covariance, strict=True):
             views.setdefault(names[n], {})[key] = c
-            rows[key[1]] = max(rows[key[1]], float(np.sqrt(np.trace(c) / 2)))
+        rows[key[1]] = max(rows[key[1]], float(_longest(covariance).max(initial=0)))
     shown = [v for v in rows if v]
     return Sigma(tuple(v or w for v, w in zip(rows, motion, strict=True)), max(shown, default=None), views)
 
@@ -89,7 +88,13 @@ def _covariances(
     return seen, covariance * camera.px_per_mm**2 + MODEL_PX**2 * np.eye(2)
 
 
+def _longest(covariance: Floats) -> Floats:
+    """Standard deviation (k,) in the worst direction, for covariances (k, 2, 2)."""
+    a, b, d = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    return np.asarray(np.sqrt((a + d) / 2 + np.hypot((a - d) / 2, b)))
+
+
 def _motion_sigma(cameras: Sequence[Camera], adjusted: Adjusted, row: int) -> float:
     at = slice(3 * row + 1, 3 * row + 3)
     resolution = float(np.mean([camera.px_per_mm for camera in cameras]))
-    return float(np.hypot(np.sqrt(max(np.trace(adjusted.covariance[at, at]) / 2, 0)) * resolution, MODEL_PX))
+    return float(np.hypot(_longest(adjusted.covariance[None, at, at])[0] * resolution, MODEL_PX))

@@ -125,13 +125,16 @@ class Findings:
 
     @cached_property
     def strangers(self) -> dict[tuple[int, int], int]:
-        """Neighbouring cameras whose overlap shows texture, but not the same, and in how many rows."""
+        """Neighbouring cameras whose overlap shows texture, but not the same, and in how many rows.
+
+        Links on parts do not contradict it: a height of the part explains whatever they say across the seam.
+        """
         o = self.problem.links
         out = {}
         for i in range(len(self.scene.cameras) - 1):
             rows = sum(e.unmatched for e in self.links if e.task.kind == "neighbours" and e.task.a[0] == i)
             mine = [n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i]
-            agreeing = np.isin(o.group, mine) & (self.adjusted.weight > 0.1)
+            agreeing = np.isin(o.group, mine) & (self.adjusted.weight > 0.1) & (self.problem.component < 0)
             if rows >= 2 and agreeing.sum() < _SEAM_LINKS and (i, i + 1) not in self.seams_px:
                 out[i, i + 1] = rows
         return out
