@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.refine import BLUR_PX, MARGIN_PX, WINDOW_PX, refine
+from vaoi_station.stitching.patch_tables import BLUR_PX, WINDOW_PX
+from vaoi_station.stitching.refine import MARGIN_PX, refine
 
 PATCH_PX = WINDOW_PX + 10
 """Side of what a patch looks at, blur included."""
