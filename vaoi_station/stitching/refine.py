@@ -30,8 +30,7 @@ _MOST_TILES = 5
 """… so many times."""
 MARGIN_PX = WINDOW_PX // 2 + TAPS // 2
 """A patch's middle keeps so far off the border of either image; what the blur wants beyond that is repeated."""
-_MOST_STEPS, _STILL_PX, _LONGEST_STEP_PX = 12, 0.02, 1.5
-_LEAST_GAIN = 1e-3
+_MOST_STEPS, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.02, 1.5, 1e-3
 _LEAST_CORNER = 1e-6
 """det H / (trace H)² below which a patch is but an edge."""
 _SATURATED = 254
@@ -97,7 +96,7 @@ def refine(
             b_px[k] = guess_px[k]
             continue
         inverse = (tt, yy / determinant, -xy / determinant, xx / determinant)
-        px, py = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5  # of the window's first pixel from here on
+        px, py = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5  # of the window's first pixel from here
         x0, y0, settled = 0, 0, False
         for _ in range(_MOST_TILES):
             x0, y0 = math.floor(px) - _B_FIRST, math.floor(py) - _B_FIRST
@@ -364,8 +363,8 @@ def _products(s: _Plane, patch: _Patch) -> tuple[float, float, float, float, flo
 @compiled
 def _bilinear(tile: _Plane, x: float, y: float, out: _Plane) -> None:
     """The window whose first pixel lies at (x, y) of a tile."""
-    x0, y0 = int(x), int(y)
-    fx, fy, one = _Float(x - x0), _Float(y - y0), _Float(1)
+    x0, y0, one = int(x), int(y), _Float(1)
+    fx, fy = _Float(x - x0), _Float(y - y0)
     w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
     for r in range(WINDOW_PX):
         upper = tile[y0 + r, x0 : x0 + WINDOW_PX + 1]
