@@ -18,8 +18,8 @@ from vaoi_station.geometry.transforms import Floats
 
 STILL_PX = 0.03
 """How well a camera that nobody has touched is known (1 σ, each of x, y and turn)."""
-MOVED_PX = 0.15
-"""A displacement (root of the sum of the three squares) that is none of the calibration's own errors."""
+MOVED_PX = 2 * STILL_PX
+"""A larger displacement (root of the sum of the three squares) is more likely a move than an error of calibration."""
 _WIDE_PX = 100.0
 _ITERATIONS = 60
 _CLOSE = 3.0
@@ -39,7 +39,7 @@ class Attributed:
 
     @property
     def moved(self) -> tuple[int, ...]:
-        """Cameras displaced by more than their calibration may be wrong."""
+        """Cameras that are displaced by more than they are known."""
         return tuple(np.flatnonzero(np.hypot.reduce(self.displacement_px, axis=1) > MOVED_PX).tolist())
 
     @property
@@ -55,9 +55,9 @@ def attributed(information: Floats, vector: Floats) -> Attributed:
     is taken, so that the same array is explained the same way run after run.
     """
     found = [_maximum(information, vector, still) for still in range(len(vector) // PARAMETERS)]
-    best = min(cost for cost, _ in found)
-    good = [a for cost, a in found if cost < best + _CLOSE]
-    first = min(good, key=lambda a: a.moved)
+    least, best = min(found, key=lambda f: f[0])
+    good = [a for cost, a in found if cost < least + _CLOSE and a.moved]
+    first = min(good, key=lambda a: a.moved) if best.moved else best
     others = {camera for a in good for camera in a.moved} - {*first.moved}
     return Attributed(first.displacement_px, first.covariance, tuple(sorted(others)))
 

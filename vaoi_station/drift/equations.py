@@ -24,6 +24,8 @@ from vaoi_station.stitching.motion import Motion
 from vaoi_station.stitching.observations import Ints
 
 _ITERATIONS = 8
+_HELD_ITERATIONS = 2
+"""With the cameras as they were calibrated: what residuals that leaves."""
 _CONVERGED_PX = 1e-3
 _STEP_PX = 0.05
 """For derivatives by differences; the functions are smooth over hundreds of px."""
@@ -65,6 +67,9 @@ def told_by(run: RunEvidence) -> Told:
         run: links and fiducials of a run, on the ground of the calibration in force.
     """
     solver = _Solver(run)
+    for _ in range(_HELD_ITERATIONS):
+        solver.step(held=True)
+    solver.release()
     for _ in range(_ITERATIONS):
         if solver.step() < _CONVERGED_PX:
             break
@@ -85,10 +90,12 @@ class _Solver:
         self.size = self.height_at + len(self.height)
         self.floor_px = {False: _FIRST_FLOOR_PX, True: _FIRST_FLOOR_PX}
         self.same_row = run.links.p == run.links.q
-        self.told_first: tuple[Floats, Floats] | None = None
+        self.used = np.zeros(len(run.links))
+        self.fresh = True
+        self.held: tuple[Floats, Floats] = (np.zeros(0), np.zeros(0))
 
-    def step(self) -> float:
-        """One reweighted Gauss-Newton step; the largest change of a displacement in px."""
+    def step(self, *, held: bool = False) -> float:
+        """One reweighted Gauss-Newton step; the largest change of a displacement in px. `held`: they stay zero."""
         self._look()
         normal, right = summed([*self._links(), *self._belt(), *self._fiducials(), *self._height()], self.size)
         first = slice(self.rows_at, self.rows_at + 3)
@@ -102,9 +109,15 @@ class _Solver:
         self.vector = right[: self.rows_at] - cross @ tied[:, -1] + self.information @ self.d.ravel()
         still = np.eye(self.rows_at) / _ANYWHERE_PX**2  # whose motion it was, is decided later
         found = np.linalg.solve(self.information + still, self.vector)
-        change = found.reshape(self.n, PARAMETERS) - self.d
+        change = np.zeros_like(self.d) if held else found.reshape(self.n, PARAMETERS) - self.d
         self._move(change, tied[:, -1] - tied[:, :-1] @ change.ravel())
         return float(np.abs(change).max())
+
+    def release(self) -> None:
+        """From now on cameras may be displaced; none of them is an outlier yet."""
+        self._look()
+        self.held = self._squares()
+        self.fresh, self.floor_px = True, {False: _FIRST_FLOOR_PX, True: _FIRST_FLOOR_PX}
 
     def _move(self, change: Floats, rest: Floats) -> None:
         self.d = self.d + change
@@ -142,8 +155,9 @@ class _Solver:
         o = self.run.links
         for kind in (False, True):
             px = (residual * o.px_per_mm[:, None])[self.same_row == kind]
-            if len(px) and self.told_first is not None:
+            if len(px) and not self.fresh:
                 self.floor_px[kind] = float(np.clip(median_sigma(px - np.median(px, axis=0)), *_FLOOR_PX))
+        self.fresh = False
         floor = np.where(self.same_row, self.floor_px[True], self.floor_px[False])
         scatter = o.noise_mm2 + ((floor / o.px_per_mm) ** 2)[:, None, None] * np.eye(2)
         information = np.asarray(np.linalg.inv(scatter), dtype=np.float64)
@@ -161,8 +175,6 @@ class _Solver:
             return
         residual, lean = self._residuals()
         root = roots(self._weights(residual))
-        if self.told_first is None:
-            self.told_first = self._rms(residual)
         parts = [
             -_turned(self.motion, o.p, self.a_by),
             _turned(self.motion, o.q, self.b_by),
@@ -222,61 +234,46 @@ class _Solver:
         sigma = self.run.surface.sigma_mm
         return [Block(np.arange(self.height_at, self.size), np.diag(1 / sigma), self.height / sigma)]
 
-    def _rms(self, residual: Floats) -> tuple[Floats, Floats]:
-        """Sums of squares (n,) px² and counts (n,): links to neighbours, and fiducials, by camera."""
-        o, run = self.run.links, self.run
-        squares, counts = np.zeros(self.n), np.zeros(self.n)
-        kept = self.same_row & (self.used > 0.1)
-        off = ((residual * o.px_per_mm[:, None]) ** 2).sum(1)[kept]
-        for camera in (run.camera_a[kept], run.camera_b[kept]):
-            squares += np.bincount(camera, off, minlength=self.n)
-            counts += np.bincount(camera, minlength=self.n)
-        if run.fiducials is not None:
-            off = ((self._fiducial_residuals()[0] * run.fiducials.px_per_mm[:, None]) ** 2).sum(1)
-            squares += np.bincount(run.camera_f, off, minlength=self.n)
-            counts += np.bincount(run.camera_f, minlength=self.n)
-        return squares, counts
+    def _squares(self) -> tuple[Floats, Floats]:
+        """Squared residuals px² of the links (k,) and of the fiducials (s,)."""
+        residual, _ = self._residuals()
+        links = ((residual * self.run.links.px_per_mm[:, None]) ** 2).sum(1)
+        if self.run.fiducials is None:
+            return links, np.zeros(0)
+        off, _ = self._fiducial_residuals()
+        return links, ((off * self.run.fiducials.px_per_mm[:, None]) ** 2).sum(1)
 
     def told(self) -> Told:
         """The result."""
         run = self.run
-        nothing = np.zeros(self.n), np.zeros(self.n)
         self._look()
-        last = nothing
-        linked = np.zeros(self.n, dtype=np.int_)
         if len(run.links):
-            residual, _ = self._residuals()
-            self._weights(residual)
-            last = self._rms(residual)
-            kept = self.same_row & (self.used > 0.1)
-            for camera in (run.camera_a[kept], run.camera_b[kept]):
-                linked += np.bincount(camera, minlength=self.n)
-        first = self.told_first or nothing
-        return Told(
-            self.information,
-            self.vector,
-            _root_mean(*first),
-            _root_mean(*last),
-            linked,
-            np.bincount(run.camera_f, minlength=self.n),
-        )
+            self._weights(self._residuals()[0])
+        kept = np.flatnonzero(self.same_row & (self.used > 0.1))
+        links = sum(np.bincount(camera[kept], minlength=self.n) for camera in (run.camera_a, run.camera_b))
+        marks = np.bincount(run.camera_f, minlength=self.n)
+        before, after = (self._rms(squares, kept, links + marks) for squares in (self.held, self._squares()))
+        return Told(self.information, self.vector, before, after, np.asarray(links), marks)
 
-
-def _root_mean(squares: Floats, counts: Floats) -> Floats:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.sqrt(squares / counts))
+    def _rms(self, squares: tuple[Floats, Floats], kept: Ints, count: Ints) -> Floats:
+        """(n,) px: of the links to neighbours that are kept, and of the fiducials; NaN without any."""
+        run, (links, marks) = self.run, squares
+        total = np.bincount(run.camera_f, marks, minlength=self.n)
+        for camera in (run.camera_a, run.camera_b):
+            total = total + np.bincount(camera[kept], links[kept], minlength=self.n)
+        return np.asarray(np.sqrt(np.divide(total, count, out=np.full(self.n, np.nan), where=count > 0)))
 
 
 def _ground(cameras: Sequence[Camera], d: Floats, which: Ints, px: Floats) -> tuple[Floats, Floats]:
-    """Ground points (k, 2) mm, and their derivatives (k, 2, 3) by the displacement of their camera."""
+    """Ground points (k, 2) mm of undistorted pixels, and their derivatives (k, 2, 3) by their camera's displacement."""
     ground, by = np.zeros((len(px), 2)), np.zeros((len(px), 2, PARAMETERS))
     for i, camera in enumerate(cameras):
         at = np.flatnonzero(which == i)
         if not len(at):
             continue
-        ground[at] = displaced(camera, d[i]).ground(px[at])
+        ground[at] = displaced(camera, d[i]).row_from_image(px[at])
         for k, step in enumerate(np.eye(PARAMETERS) * _STEP_PX):
-            by[at, :, k] = (displaced(camera, d[i] + step).ground(px[at]) - ground[at]) / _STEP_PX
+            by[at, :, k] = (displaced(camera, d[i] + step).row_from_image(px[at]) - ground[at]) / _STEP_PX
     return ground, by
 
 

@@ -33,6 +33,7 @@ class RunEvidence:
     """Of the bare board, where C tells which they are."""
     camera_a: Ints
     a_px: Floats
+    """(k, 2) undistorted."""
     camera_b: Ints
     b_px: Floats
     motion: Motion
@@ -80,9 +81,9 @@ def lay_out(
         times_s,
         seen,
         _spread([e.task.a[0] for e in seen.groups], seen.groups),
-        _stacked([e.a_px for e in seen.groups]),
+        _stacked([cameras[e.task.a[0]].lens.undistort(e.a_px) for e in seen.groups]),
         _spread([(e.task.b or e.task.a)[0] for e in seen.groups], seen.groups),
-        _stacked([e.b_px for e in seen.groups]),
+        _stacked([cameras[(e.task.b or e.task.a)[0]].lens.undistort(e.b_px) for e in seen.groups]),
         motion,
         _surface(frame, c, motion, seen, points),
         points,
@@ -129,7 +130,8 @@ def _fiducials(
         if len(points.row):
             parts.append(points)
             camera.append(np.full(len(points.row), s.task.a[0]))
-            px.append(_pixels_of(points, s, cameras[s.task.a[0]]))
+            seen_by = cameras[s.task.a[0]]
+            px.append(seen_by.lens.undistort(_pixels_of(points, s, seen_by)))
     if not parts:
         return None, np.zeros(0, dtype=np.int_), np.zeros((0, 2))
     return FiducialPoints.joined(parts), np.concatenate(camera), np.concatenate(px)

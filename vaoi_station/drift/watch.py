@@ -14,14 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vaoi_station.drift.attribution import MOVED_PX
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.drift.displacement import PARAMETERS, size_px
 from vaoi_station.geometry.robust import median_sigma
 from vaoi_station.geometry.transforms import Floats
 
 HABIT_RUNS = 5
-"""The first runs of a board type show its habits."""
+"""The first runs of a board type show its habits …"""
+_HABIT_PX = 0.15
+"""… and larger displacements (root of the sum of the three squares) are none."""
 LEAST_PX = 0.05
 """Smaller drifts than this (rms over the frame) do not hurt."""
 _FLOOR_PX = 0.02
@@ -77,7 +78,7 @@ def _habits(checks: Sequence[RunCheck], d: Floats) -> Floats:
     habits = np.zeros_like(d)
     for at in by_type.values():
         usual = np.median(d[at[:HABIT_RUNS]], axis=0)
-        small = np.hypot.reduce(usual, axis=1, keepdims=True) <= MOVED_PX
+        small = np.hypot.reduce(usual, axis=1, keepdims=True) <= _HABIT_PX
         habits[at] = np.where(small, usual, 0.0)
     return habits
 
