@@ -13,27 +13,20 @@ import pytest
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.files import read_calibration, write_calibration
 from vaoi_station.model import Calibration
-from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.simulation import Scenario, Twin, read_scenario
 from vaoi_station.simulation.filming import write_passage
 from vaoi_station.station import DATABASE
 from vaoi_station.store import Database, RunRow, Store
 
 Vaoi = Callable[..., Any]
-SCENARIO = {
-    "array": {
-        "cameras": 3, "width_px": 480, "height_px": 360, "px_per_mm": 14.0, "working_distance_mm": 300.0,
-        "overlap": 1.15,
-    },
-    "board": {"name": "small", "width_mm": 80.0, "length_mm": 40.0},
-    "line": {"barrier_mm": -40.0, "period_s": 0.11, "longest_board_mm": 60.0, "interval_s": 3.0},
-    "faults": {"knocked": [{"camera": 2, "about": "x", "angle_deg": 0.1}]},
-}  # fmt: skip
+KNOCK = {"knocked": [{"camera": 2, "about": "x", "angle_deg": 0.1}]}
+THREE = read_scenario(Path(__file__).parents[1] / "drift" / "three.toml").model_dump()
 
 
 @pytest.fixture(scope="module")
 def cases(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Three boards under an array whose camera 2 was knocked; to read."""
-    twin = Twin(Scenario.model_validate(SCENARIO))
+    twin = Twin(Scenario.model_validate({**THREE, "faults": KNOCK}))
     directories = [tmp_path_factory.mktemp("case") for _ in range(3)]
     for number, directory in enumerate(directories):
         write_passage(twin.passage(number), directory, with_truth=False)
@@ -107,7 +100,7 @@ CAMERA = '[[cameras]]\nname = "c{i}"\nbackend = "replay"\nwidth = 480\nheight = 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     """A station of three cameras that has filmed nothing yet."""
-    write_calibration(tmp_path / "calibration.json", Twin(Scenario.model_validate(SCENARIO)).calibration)
+    write_calibration(tmp_path / "calibration.json", Twin(Scenario.model_validate(THREE)).calibration)
     path = tmp_path / "station.toml"
     path.write_text(STATION + "".join(CAMERA.format(i=i) for i in range(3)))
     return path

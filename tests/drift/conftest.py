@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,21 +11,10 @@ import pytest
 
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import CameraCheck, RunCheck
-from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.simulation import Scenario, Twin, read_scenario
 from vaoi_station.stitching.work import Desk, Setup, all_tasks
 
-SCENARIO: dict[str, Any] = {
-    "array": {
-        "cameras": 3,
-        "width_px": 480,
-        "height_px": 360,
-        "px_per_mm": 14.0,
-        "working_distance_mm": 300.0,
-        "overlap": 1.15,
-    },
-    "board": {"name": "small", "width_mm": 80.0, "length_mm": 40.0},
-    "line": {"barrier_mm": -40.0, "period_s": 0.11, "longest_board_mm": 60.0, "interval_s": 3.0},
-}
+SCENARIO = read_scenario(Path(__file__).parent / "three.toml").model_dump()
 
 
 def twin_with(*knocks: dict[str, Any]) -> Twin:

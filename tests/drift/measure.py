@@ -3,6 +3,7 @@
     python tests/drift/measure.py SCENARIO CAMERA UNDISTURBED KNOCKED [SEED]
 
 SCENARIO is a name ("small", "demo") or a file; so many boards pass before and after the knock, once for each axis.
+Where none pass after a knock, the camera creeps instead: it turns about its x axis a little more with every board.
 """
 
 from __future__ import annotations
@@ -85,9 +86,29 @@ def main(name: str, camera: int, undisturbed: int, knocked: int, seed: int = 0) 
     shown = np.array([[c.displacement_px for c in check.cameras] for check in checks])
     print(f"{name}, seed {seed}: {undisturbed} undisturbed runs, {alarms} with an alarm")
     print(f"displacements shown: rms {np.sqrt((shown**2).mean()):.4f}, largest {np.abs(shown).max():.4f} px")
+    if not knocked:
+        creep(scenario, camera, checks)
     for axis in "xyz" if knocked else "":
         scenario["faults"]["knocked"] = [{"camera": camera, "from_board": undisturbed, "about": axis, "angle_deg": 0.1}]
         tell(Twin(Scenario.model_validate(scenario)), camera, axis, checks, knocked)
+
+
+def creep(scenario: dict[str, Any], camera: int, before: list[RunCheck]) -> None:
+    """A camera that turns by a fifth of a thousandth of a degree per board, until it is told."""
+    checks = list(before)
+    for step in range(1, 101):
+        knock = {"camera": camera, "about": "x", "angle_deg": 2e-4 * step}
+        scenario["faults"]["knocked"] = [knock]
+        board = Board(Twin(Scenario.model_validate(scenario)), len(before) + step - 1)
+        check, stitch = board.stitched()
+        checks.append(check)
+        if found := drifts(checks):
+            off = matrix_px(board.passage.twin.calibration, board.passage, camera)
+            named = [(d.camera, round(d.size_px, 3), d.since_run, d.instead) for d in found]
+            print(f"creeping: told after {step} boards, N off by {off} px; {named}")
+            print(f"  components px: {board.components_px(stitch)}")
+            return
+    print("creeping: not told within 100 boards")
 
 
 def tell(twin: Twin, camera: int, axis: str, before: list[RunCheck], knocked: int) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.drift.watch import drifts
+from vaoi_station.drift.watch import drifts, vanished
 
 Made = Callable[..., RunCheck]
 STILL = (0.0, 0.0, 0.0)
@@ -58,5 +58,29 @@ def test_small_habits_of_a_board_type_are_no_drift_but_large_ones_are(made: Made
     assert (drift.camera, drift.since_run) == (1, "r000")
 
 
+def blind(run: RunCheck, camera: int) -> RunCheck:
+    cameras = list(run.cameras)
+    cameras[camera] = cameras[camera].model_copy(update={"links": 2})
+    return run.model_copy(update={"cameras": tuple(cameras)})
+
+
+def test_a_camera_that_lost_its_neighbours_has_vanished(made: Made) -> None:
+    runs = [made(k, [STILL, STILL, STILL]) for k in range(8)]
+    after = [blind(made(k, [STILL, STILL, STILL]), 2) for k in range(8, 11)]
+    assert vanished(runs) == ()
+    assert vanished(runs + after[:2]) == ()
+    assert vanished(runs + after) == (2,)
+    assert drifts(runs + after) == ()
+    assert vanished([*runs, *after, runs[0]]) == ()
+
+
+def test_a_camera_that_small_boards_never_cover_has_not_vanished(made: Made) -> None:
+    small = [blind(made(k, [STILL] * 3, board_type="small"), 2) for k in range(12)]
+    large = [made(k, [STILL] * 3, board_type="large") for k in range(12)]
+    assert vanished(small) == ()
+    assert vanished([*large, *small]) == ()
+
+
 def test_no_runs_no_drift() -> None:
     assert drifts([]) == ()
+    assert vanished([]) == ()

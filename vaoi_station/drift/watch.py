@@ -23,6 +23,10 @@ HABIT_RUNS = 5
 """The first runs of a board type show its habits …"""
 _HABIT_PX = 0.15
 """… and larger displacements (root of the sum of the three squares) are none."""
+VANISHED_RUNS = 3
+"""Boards in a row that tell nothing of a camera …"""
+_USUALLY = 0.8
+"""… though such a share of the boards before did."""
 LEAST_PX = 0.05
 """Smaller drifts than this (rms over the frame) do not hurt."""
 _FLOOR_PX = 0.02
@@ -68,6 +72,20 @@ def drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
     z = off / np.sqrt(formal**2 + _FLOOR_PX**2 + scatter**2)
     found = [_drift(checks, d[:, i], seen[:, i], i, k) for i, k in _since(z, seen).items()]
     return tuple(drift for drift in found if drift.size_px >= LEAST_PX)
+
+
+def vanished(checks: Sequence[RunCheck]) -> tuple[int, ...]:
+    """Cameras of which the last boards tell nothing, though boards of their type used to: perhaps knocked far away.
+
+    Args:
+        checks: runs under one calibration, oldest first.
+    """
+    alike = [check for check in checks if check.board_type == checks[-1].board_type]
+    seen = np.array([[camera.seen for camera in check.cameras] for check in alike])
+    if len(seen) < VANISHED_RUNS + HABIT_RUNS:
+        return ()
+    used_to = seen[:-VANISHED_RUNS].mean(0) >= _USUALLY
+    return tuple(np.flatnonzero(used_to & ~seen[-VANISHED_RUNS:].any(0)).tolist())
 
 
 def _habits(checks: Sequence[RunCheck], d: Floats) -> Floats:

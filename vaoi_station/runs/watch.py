@@ -13,7 +13,7 @@ from typing import Protocol
 
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.drift.evidence import thinned
-from vaoi_station.drift.watch import Drift, drifts
+from vaoi_station.drift.watch import VANISHED_RUNS, Drift, drifts, vanished
 from vaoi_station.errors import StateError
 from vaoi_station.model import Calibration
 from vaoi_station.runs.events import EventLog
@@ -51,7 +51,7 @@ class CalibrationWatch:
         known = [RunCheck.model_validate_json(text) for text in checks.of(self.digest, FIRST, LATEST)]
         self._first, self._latest = known[:FIRST], deque(known[FIRST:], LATEST)
         self._runs = checks.count(self.digest)
-        self._drifts = drifts(known)
+        self._drifts, self._vanished = drifts(known), vanished(known)
 
     def look_at(self, progress: Progress, workers: Workers, post: Callable[..., None]) -> None:
         """A run has ended: have its evidence looked at."""
@@ -73,7 +73,8 @@ class CalibrationWatch:
 
     def warnings(self) -> tuple[Reason, ...]:
         """What the operator should know of the calibration."""
-        return tuple(Reason(code=CODE, message=self._said(d), action=self._advice(d)) for d in self._drifts)
+        drifted = [Reason(code=CODE, message=self._said(d), action=self._advice(d)) for d in self._drifts]
+        return (*drifted, *(self._unseen(camera) for camera in self._vanished))
 
     def status(self) -> CalibrationStatus:
         """All there is to say of the calibration in force."""
@@ -96,10 +97,16 @@ class CalibrationWatch:
             return
         self._runs += 1
         (self._first if len(self._first) < FIRST else self._latest).append(check)
-        before, self._drifts = self._drifts, drifts([*self._first, *self._latest])
+        checks = [*self._first, *self._latest]
+        before, gone = self._drifts, self._vanished
+        self._drifts, self._vanished = drifts(checks), vanished(checks)
+        for camera in sorted({*self._vanished} - {*gone}):
+            reason = self._unseen(camera)
+            self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action)
         self._tell(before, run)
 
     def _tell(self, before: tuple[Drift, ...], run: str) -> None:
+        """New drifts, and those that are over, as events."""
         known, now = {d.camera for d in before}, {d.camera for d in self._drifts}
         for d in self._drifts:
             if d.camera not in known:
@@ -107,6 +114,15 @@ class CalibrationWatch:
         for camera in sorted(known - now):
             name = self._names[camera]
             self._events.add("calibration", f"Camera {name} looks where it was calibrated again.", run=run)
+
+    def _unseen(self, camera: int) -> Reason:
+        name = self._names[camera]
+        return Reason(
+            code="calibration-unseen",
+            message=f"The last {VANISHED_RUNS} boards tell nothing of where camera {name} looks; it saw what its "
+            "neighbours see, and no longer does.",
+            action=f"Call the engineer: see whether camera {name} was knocked, is covered or out of focus.",
+        )
 
     def _said(self, d: Drift) -> str:
         seen = "1 board" if d.runs == 1 else f"{d.runs} boards"
