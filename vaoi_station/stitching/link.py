@@ -18,7 +18,11 @@ from vaoi_station.stitching.prepare import Prepared
 from vaoi_station.stitching.refine import MARGIN_PX
 
 _POINTS = 80
-"""Places per pair of frames: enough that losing half of them to tall parts costs nothing."""
+"""Places per pair of frames: enough that losing half of them to tall parts costs nothing …"""
+_POINTS_APART = 40
+"""… and per pair of rows that are not consecutive: they stiffen the chain."""
+_LEAST_CELL_PX = 28
+"""Places stand no closer: patches that overlap tell the same twice."""
 _LEAST_SCORE = 0.80
 _WORST_SIGMA_PX = 0.80
 _PLACEMENT_MM = 4.0
@@ -41,7 +45,8 @@ def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b
     coarse = find_shift(a, b, box, offset, reach)
     if isinstance(coarse, Failure):
         return Links.none(task, coarse.reason)
-    return _fine(task, a, b, camera_a, camera_b, shift_mm, coarse.px)
+    count = _POINTS if task.b is not None and task.b[1] - task.a[1] == 1 else _POINTS_APART
+    return _fine(task, a, b, camera_a, camera_b, shift_mm, coarse.px, count)
 
 
 def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera) -> Links:
@@ -81,12 +86,19 @@ def link_reference(task: Task, a: Prepared, b: Prepared, camera: Camera) -> Link
 
 
 def _fine(
-    task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera, shift_mm: Floats, correction_px: Floats
+    task: Task,
+    a: Prepared,
+    b: Prepared,
+    camera_a: Camera,
+    camera_b: Camera,
+    shift_mm: Floats,
+    correction_px: Floats,
+    count: int = _POINTS,
 ) -> Links:
     box = overlap_box(camera_a, camera_b, shift_mm)
     if box is None:
         return Links.none(task, "the frames do not overlap")
-    places = choose_places(a, _reduced(box, a.grey.shape, correction_px))
+    places = choose_places(a, _reduced(box, a.grey.shape, correction_px), count)
     a_px = middles(places)
     guess = predict(a_px, camera_a, camera_b, shift_mm) + correction_px
     inside = fits(b.grey.shape, guess) & fits(a.grey.shape, a_px)
@@ -114,10 +126,10 @@ def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POI
     w, h = x1 - x0, y1 - y0
     if w < 1 or h < 1:
         return np.zeros((0, 2), dtype=np.int_)
-    cell = max(int(np.sqrt(w * h / count)), 4)
+    cell = max(int(np.sqrt(w * h / count)), _LEAST_CELL_PX // 4)
     nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
     sx, sy = max(w // nx, 1), max(h // ny, 1)
-    cut = a.corners[y0 : y0 + ny * sy, x0 : x0 + nx * sx]
+    cut = a.corners(x0, y0, x0 + nx * sx, y0 + ny * sy)
     ny, nx = cut.shape[0] // sy, cut.shape[1] // sx
     cells = cut[: ny * sy, : nx * sx].reshape(ny, sy, nx, sx).swapaxes(1, 2).reshape(ny * nx, sy * sx)
     best = cells.argmax(1)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 _COARSE_WIDTH_PX = 150
 """The coarsest copy is at least this wide."""
+_CORNER_PX = 2
+"""How far around a pixel its structure tensor looks."""
 
 
 class Prepared:
@@ -48,10 +50,12 @@ class Prepared:
         wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
         return np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
 
-    @cached_property
-    def corners(self) -> NDArray[np.float32]:
-        """Smaller eigenvalue of the structure tensor of `quarter`: how well a place is fixed in both directions."""
-        return np.asarray(cv2.cornerMinEigenVal(self.quarter, 3, ksize=3), dtype=np.float32)
+    def corners(self, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float32]:
+        """Smaller eigenvalue of the structure tensor of a part of `quarter`: how well a place is fixed both ways."""
+        left, top = max(x0 - _CORNER_PX, 0), max(y0 - _CORNER_PX, 0)
+        part = self.quarter[top : y1 + _CORNER_PX, left : x1 + _CORNER_PX]
+        found = cv2.cornerMinEigenVal(part, 3, ksize=3)
+        return np.asarray(found[y0 - top : y1 - top, x0 - left : x1 - left], dtype=np.float32)
 
 
 def reduced(frame: Prepared, factor: int) -> NDArray[np.uint8]:

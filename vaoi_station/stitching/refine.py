@@ -30,7 +30,7 @@ _MOST_TILES = 5
 """… so many times."""
 MARGIN_PX = WINDOW_PX // 2 + TAPS // 2
 """A patch's middle keeps so far off the border of either image; what the blur wants beyond that is repeated."""
-_MOST_STEPS, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.02, 1.5, 1e-3
+_MOST_STEPS, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.05, 1.5, 1e-3
 _LEAST_CORNER = 1e-6
 """det H / (trace H)² below which a patch is but an edge."""
 _SATURATED = 254
