@@ -202,3 +202,17 @@ def test_strangers_do_no_harm(rig: Any) -> None:
     outcome = rig.calibrate(change=add)
     assert any(len(c.sight.px) > c.used for c in outcome.cameras)
     assert max(rig.errors_px(outcome.calibration())) < 0.02
+
+
+def test_a_layout_that_is_its_own_mirror_image_is_told(film: Any) -> None:
+    """Nothing could tell it from itself, so it is no error; but its symmetry hides how layout.json is written."""
+    places = [(x, y) for x in (-7.0, 0.0, 7.0) for y in (-5.0, 5.0)]
+
+    def laid(*more: tuple[float, float]) -> Layout:
+        marks = [{"x": x, "y": y} for x, y in (*places, *more)]
+        return Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": marks})
+
+    told = film(layout=laid(), cameras=1, distortion_px=0.0).calibrate().notes
+    assert any("mirrored in x or mirrored in y or turned by 180° is the same layout" in note for note in told)
+    cured = film(layout=laid((3.1, 1.2)), cameras=1, distortion_px=0.0).calibrate().notes
+    assert not any("is the same layout" in note for note in cured)

@@ -78,6 +78,24 @@ def test_nan_in_a_matrix_is_refused_by_its_place(write: Write, calibration_docum
         read_calibration(write(calibration_document))
 
 
+@pytest.mark.parametrize(
+    ("matrix", "complaint"),
+    [
+        ((np.eye(3) * 1e-9).tolist(), "gives camera 1 a resolution of 1 px/mm, .* within a factor of 4 of the array's"),
+        ([[1e-3, 0, 6], [0, 1e-3, 5], [0, 0, 1]], "of 0.001 px/mm, but it must be between 0.05 and 5000 px/mm"),
+        ([[1e5, 0, 6], [0, 1e5, 5], [0, 0, 1]], r"of 1e\+05 px/mm, but it must be between 0.05 and 5000 px/mm"),
+        ([[40.0, 0, 600], [0, -40, 500], [0, 0, 1]], "has a determinant of the other sign than most: camera 1 mirrors"),
+    ],
+)
+def test_a_view_that_no_camera_of_the_array_has_is_refused(
+    write: Write, calibration_document: dict[str, Any], matrix: Any, complaint: str
+) -> None:
+    calibration_document = {k: calibration_document[k] for k in ("format", "version", "unit")}
+    calibration_document["camera_matrices"] = [MATRIX, matrix, MATRIX]
+    with pytest.raises(InputError, match=rf"document\.json: camera_matrices\.1 .*{complaint}"):
+        read_calibration(write(calibration_document))
+
+
 @pytest.mark.parametrize("scale", [1e-7, -1.0, 1e5])
 def test_the_scale_of_a_homography_does_not_matter(
     write: Write, calibration_document: dict[str, Any], scale: float

@@ -13,7 +13,7 @@ from vaoi_station.calibration.identify import choose, hypotheses, rival
 from vaoi_station.calibration.nominal import nominal_matrix
 from vaoi_station.calibration.plausible import local_scales, scale_note
 from vaoi_station.calibration.sight import MarkKind, Sight, sight, to_grey
-from vaoi_station.calibration.variants import variants
+from vaoi_station.calibration.variants import own_images, variants
 from vaoi_station.errors import InputError, InternalError
 from vaoi_station.files.images import Image
 from vaoi_station.files.layouts import Layout
@@ -29,6 +29,8 @@ class Outcome:
     limits: Limits
     hint: str = ""
     """What would make the refused cameras fit."""
+    ambiguous: tuple[str, ...] = ()
+    """Ways of writing the layout that change nothing, so that no picture could tell them from the right one."""
 
     @property
     def refused(self) -> bool:
@@ -46,7 +48,11 @@ class Outcome:
         fits = [(c.fit.matrix, c.head) for c in self.cameras if c.fit is not None]
         ratios = [np.sqrt(np.prod(local_scales(n, head))) / (head.nominal_px_per_mm or 1.0) for n, head in fits]
         about_print = scale_note(float(np.median(ratios))) if ratios else None
-        return tuple(notes + ([about_print] if about_print else []))
+        about_layout = (
+            f"the layout {' or '.join(self.ambiguous)} is the same layout: whether layout.json is written as the "
+            "cameras see the board cannot be checked; one mark more, off the pattern, would tell"
+        )
+        return (*notes, *([about_print] if about_print else []), *([about_layout] if self.ambiguous else []))
 
     def error(self) -> InputError:
         """Every refused camera in a sentence, and what to do."""
@@ -113,7 +119,7 @@ def calibrate(
     marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
     results = _solved(heads, sights, kinds, marks_mm, limits)
     hint = _hint(heads, sights, kinds, marks_mm, limits) if any(c.refusal for c in results) else ""
-    return Outcome(results, limits, hint)
+    return Outcome(results, limits, hint, own_images(marks_mm, layout.mark.size * layout.mm_per_unit / 4))
 
 
 def _solved(

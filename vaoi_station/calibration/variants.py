@@ -19,6 +19,18 @@ _WAYS = (
 )
 
 
+def own_images(marks_mm: Floats, tolerance_mm: float) -> tuple[str, ...]:
+    """Ways after which a layout (k, 2) lies on itself again: written so by mistake, nothing could tell."""
+    middle = (marks_mm.min(0) + marks_mm.max(0)) / 2
+    found = []
+    for said, way in _WAYS:
+        changed = (marks_mm - middle) @ np.array(way, dtype=np.float64).T + middle
+        apart = np.hypot(*np.moveaxis(changed[:, None] - marks_mm[None], 2, 0)).min(1)
+        if apart.max() <= tolerance_mm:
+            found.append(said)
+    return tuple(found)
+
+
 def variants(marks_mm: Floats, heads: Sequence[CameraHead]) -> Iterator[tuple[str, Floats]]:
     """What was done to the layout (k, 2), and the layout after it: about the origin, its own middle, the array's."""
     views = np.array([h.nominal_center_mm or (0.0, 0.0) for h in heads])
