@@ -127,3 +127,10 @@ def test_of_five_marks_none_can_be_blamed() -> None:
     fit, kept = without_outliers(_fit(marks, px), marks, px)
     assert kept == [0, 1, 2, 3, 4]
     assert fit.rms_px > 0.5
+
+
+def test_marks_seen_all_in_one_place_are_a_reason() -> None:
+    marks = _grid(0.0)
+    refused = fit_camera(marks, np.full_like(marks, 500.0), CENTER, RADIUS)
+    assert isinstance(refused, Failure)
+    assert "in one place, which fixes no view" in refused.reason

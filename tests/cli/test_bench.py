@@ -27,3 +27,10 @@ def test_a_recording_that_is_not_there(vaoi: Any, tmp_path: Path) -> None:
     said = vaoi("bench", "--case", tmp_path / "nothing")
     assert said.code == 2
     assert "there is no such file" in said.err
+
+
+def test_a_plot_is_of_marks(vaoi: Any, tmp_path: Path) -> None:
+    said = vaoi("bench", "--plot", tmp_path / "curve.svg")
+    assert said.code == 2
+    assert "--plot belongs to --marks" in said.err
+    assert not (tmp_path / "curve.svg").exists()

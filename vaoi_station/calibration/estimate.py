@@ -24,6 +24,8 @@ _SEEN = 12.0
 _LEAST_MARKS = (4, 6, 16)
 """Marks that 0, 1 and 2 coefficients of distortion ask for."""
 _DEGENERATE = 1e-3
+_SINGULAR = 1e-8
+"""Least singular value of the adjustment, in the largest: below, equation 10 has no one solution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +74,10 @@ def fit_camera(marks_mm: Floats, px: Floats, center_px: tuple[float, float], rad
         if len(marks_mm) < least:
             break
         fit = _adjust(marks_mm, px, Lens(center_px, radius_px, (0.0,) * order))
+        if isinstance(fit, Failure):
+            if best is None:
+                return fit
+            break
         if best is not None and not _sees_more(best, fit):
             break
         best = fit
@@ -107,12 +113,13 @@ def _flatness(marks_mm: Floats) -> Failure | None:
     return None
 
 
-def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit:
+def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
     """Gauss-Newton over the eight entries of N (source normalised) and the coefficients of `lens`."""
     normal_from_mm = _normalizer(marks_mm)
     p, order = apply(normal_from_mm, marks_mm), len(lens.radial)
     h = homography(px, p)
-    assert h is not None
+    if h is None:
+        return Failure(f"its {len(p)} marks are seen in one place, which fixes no view of a plane")
     freedom = 2 * len(p) - 8 - order
     for _ in range(_STEPS):
         residual = lens.undistort(px) - apply(h, p)
@@ -126,7 +133,10 @@ def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit:
     residual = lens.undistort(px) - apply(h, p)
     variance = float((residual**2).sum() + _PRIOR_FREEDOM * MARK_SIGMA_PX**2) / (freedom + _PRIOR_FREEDOM)
     scaled = design / scale
-    covariance = np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale) * variance
+    _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
+    if not singular[-1] > _SINGULAR * singular[0]:
+        return Failure(f"its {len(p)} marks fix no view of a plane: some of them are mistaken for others")
+    covariance = (vt.T / singular**2) @ vt / np.outer(scale, scale) * variance
     matrix, jacobian = _in_mm(h, normal_from_mm, order)
     return Fit(matrix, lens, residual, jacobian @ covariance @ jacobian.T, float(np.sqrt(variance)), freedom)
 

@@ -6,6 +6,7 @@ brightness or gain, on its slope across the mark, or on how much of the rim is b
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -23,8 +24,12 @@ _COARSE_SIDE = 24
 """Larger marks are first looked at through about so many samples per side."""
 _QUICK_SIDE = 12
 """The same for places that need not be precise."""
-_SMOOTH_PX = 1.5
-"""Blur before symmetry is judged: what aliasing the sensor left is out of it then."""
+_SMOOTH, _LEAST_SMOOTH_PX, _MOST_SMOOTH_PX = 1 / 16, 0.8, 1.5
+"""Blur before symmetry is judged, in sizes and px: what aliasing the sensor left is out of it then."""
+_EDGE_PX = 2.0
+"""So far from a mark its edge is felt."""
+_SHARP_PX = 0.67
+"""Blur of a sharp camera's edge, the pixel's own width included."""
 _LEAST_SCORE = 0.75
 _LEAST_CONTRAST = 8.0
 _LEAST_SIGMA_PX = 0.005
@@ -101,12 +106,13 @@ def _disc(image: NDArray[np.uint8], start: tuple[float, float], size_px: float, 
 
 
 def _symmetric(image: NDArray[np.uint8], start: tuple[float, float], size_px: float, half: int) -> Place | Failure:
-    reach, coarse = int(np.ceil(0.62 * size_px)) + 1, max(round(size_px / _COARSE_SIDE), 1)
+    reach, coarse = math.ceil(0.5 * size_px + _EDGE_PX), max(round(size_px / _COARSE_SIDE), 1)
     furthest = size_px / 3 + 2
     left, top = round(start[0]) - half, round(start[1]) - half
     patch = image[top : top + 2 * half + 1, left : left + 2 * half + 1]
     pad = int(furthest) + symmetry.BEFORE + symmetry.AFTER + 1
-    smooth = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _SMOOTH_PX)
+    blur = min(max(_SMOOTH * size_px, _LEAST_SMOOTH_PX), _MOST_SMOOTH_PX)
+    smooth = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), blur)
     smooth = cv2.copyMakeBorder(smooth, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     at = start[0] - left + pad, start[1] - top + pad
     code, x, y, sigma = symmetry.fit_symmetry(np.asarray(smooth), *at, reach, furthest, coarse)
@@ -114,4 +120,10 @@ def _symmetric(image: NDArray[np.uint8], start: tuple[float, float], size_px: fl
         return Failure("no point symmetry: the picture changes in one direction only")
     if code == symmetry.TOO_FAR:
         return Failure("no centre of symmetry near the predicted place")
-    return (x + left - pad, y + top - pad), sigma
+    return (x + left - pad, y + top - pad), sigma * _correlated(blur)
+
+
+def _correlated(blur_px: float) -> float:
+    """By how much the noise of a smoothed picture, alike in neighbours, moves an edge more than white noise."""
+    s2, edge2 = blur_px**2, _SHARP_PX**2
+    return math.sqrt(4 * math.pi * s2 * math.sqrt((edge2 + s2) / (edge2 + 2 * s2)))

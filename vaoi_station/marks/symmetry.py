@@ -19,6 +19,8 @@ BEFORE, AFTER = 2, 3
 """Pixels before and after a place that its value is interpolated from."""
 _STEPS, _LONGEST_PX = 18, 1.5
 _COARSE_PX, _FINE_PX = 0.05, 1e-3
+_OUTLIER = 0.15
+"""Of the contrast: what differs by more from its counterpart loses weight, so that copper on one side pulls little."""
 
 
 @compiled
@@ -39,33 +41,37 @@ def fit_symmetry(
     window, lines = np.empty((side, side), np.float32), np.empty((side + BEFORE + AFTER, side), np.float32)
     normal = np.zeros((4, 5))
     cx, cy, noise = x, y, 0.0
-    stride, enough = coarse, _COARSE_PX if coarse > 1 else _FINE_PX
-    for _ in range(2 if coarse > 1 else 1):
-        for _ in range(_STEPS):
+    for stage in range(2):
+        stride, enough, unknowns = (coarse, _COARSE_PX, 2) if stage == 0 else (1, _FINE_PX, 4)
+        limit = np.inf
+        for step in range(_STEPS):
             _centred(image, cx, cy, reach + 1, window, lines)
-            square, count = _differences(window, stride, normal)
+            square, count = _differences(window, stride, limit, normal)
             right = normal[:, 4].copy()
             if normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 < 1e-6 * (normal[0, 0] + normal[1, 1]) ** 2:
                 return NOTHING_FIXES, cx, cy, 0.0
-            if not solve(normal, 4):
+            if not solve(normal, unknowns):
                 return NOTHING_FIXES, cx, cy, 0.0
             dx, dy = normal[0, 4], normal[1, 4]
-            noise = math.sqrt(max(square - (right * normal[:, 4]).sum(), 0.0) / max(count - 4, 1))
+            noise = math.sqrt(max(square - (right * normal[:, 4])[:unknowns].sum(), 0.0) / max(count - unknowns, 1.0))
             cx -= min(max(dx, -_LONGEST_PX), _LONGEST_PX)
             cy -= min(max(dy, -_LONGEST_PX), _LONGEST_PX)
             if max(abs(cx - x), abs(cy - y)) > furthest:
                 return TOO_FAR, cx, cy, 0.0
-            if max(abs(dx), abs(dy)) < enough:
+            if max(abs(dx), abs(dy)) < enough and step > stage:
                 break
-        stride, enough = 1, _FINE_PX
+            if stage == 1:
+                limit = max(3 * noise, _OUTLIER * (window.max() - window.min()))
     return FITTED, cx, cy, noise * math.sqrt(variance(normal))
 
 
 @compiled
-def _differences(window: NDArray[np.float32], stride: int, normal: NDArray[np.float64]) -> tuple[float, int]:
+def _differences(
+    window: NDArray[np.float32], stride: int, limit: float, normal: NDArray[np.float64]
+) -> tuple[float, float]:
     """Normal equations of the shift and of the gain's slope, right side in column 4; square sum and count.
 
-    Of every two pixels that face each other one suffices.
+    Of every two pixels that face each other one suffices; differences beyond the limit lose weight.
     """
     last = window.shape[0] - 1
     half = window.shape[0] // 2
@@ -73,7 +79,8 @@ def _differences(window: NDArray[np.float32], stride: int, normal: NDArray[np.fl
     eighth = np.float32(0.125)
     a00 = a01 = a02 = a03 = a0e = 0.0
     a11 = a12 = a13 = a1e = a22 = a23 = a2e = a33 = a3e = 0.0
-    total, count = 0.0, 0
+    total = count = 0.0
+    steep = np.float32(1 / limit)
     for i in range(1, half + 1, stride):
         over, here, under = window[i - 1], window[i], window[i + 1]
         far_over, far, far_under = window[last - i - 1], window[last - i], window[last - i + 1]
@@ -88,7 +95,12 @@ def _differences(window: NDArray[np.float32], stride: int, normal: NDArray[np.fl
             hy = far_under[k - 1] + 2 * far_under[k] + far_under[k + 1]
             hy = (hy - far_over[k - 1] - 2 * far_over[k] - far_over[k + 1]) * eighth
             e, both = here[j] - far[k], here[j] + far[k]
-            c0, c1, c2, c3 = gx - hx, gy - hy, np.float32(j - half) * per_side * both, v * both
+            weight = 1 / (1 + (e * steep) ** 2)
+            root = math.sqrt(weight)
+            e *= root
+            c0, c1 = (gx - hx) * root, (gy - hy) * root
+            c2, c3 = np.float32(j - half) * per_side * both * root, v * both * root
+            count += weight
             a00 += c0 * c0
             a01 += c0 * c1
             a02 += c0 * c2
@@ -104,7 +116,6 @@ def _differences(window: NDArray[np.float32], stride: int, normal: NDArray[np.fl
             a33 += c3 * c3
             a3e += c3 * e
             total += e * e
-        count += max((end - 1 + stride - 1) // stride, 0)
     normal[0, 0], normal[0, 1], normal[0, 2], normal[0, 3], normal[0, 4] = a00, a01, a02, a03, a0e
     normal[1, 1], normal[1, 2], normal[1, 3], normal[1, 4] = a11, a12, a13, a1e
     normal[2, 2], normal[2, 3], normal[2, 4] = a22 * (1 + 1e-6), a23, a2e
