@@ -168,6 +168,8 @@ class ApiConfig(Section):
 
     host: str = "127.0.0.1"
     port: Annotated[Whole, Field(ge=0, le=65535)] = 8350
+    names: tuple[str, ...] = ()
+    """Further names by which callers may address the station; loopback, the machine's own and addresses always do."""
 
 
 class StationConfig(Section):

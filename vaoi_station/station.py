@@ -119,7 +119,7 @@ def serve(config: StationConfig, port: int | None = None) -> None:
 
     address = (config.api.host, config.api.port if port is None else port)
     with _signals() as asked, listener(*address, "[api]") as socket_, Station(config) as station:
-        web = WebServer(create_app(station.conductor), socket_, asked)
+        web = WebServer(create_app(station.conductor, (config.api.host, *config.api.names)), socket_, asked)
         web.start()
         notify("READY=1")
         asked.wait()

@@ -348,7 +348,7 @@ def station() -> HeldStation:
 
 @pytest.fixture
 def client(station: HeldStation) -> Iterator[TestClient]:
-    with TestClient(create_app(station), raise_server_exceptions=False) as client:
+    with TestClient(create_app(station, ["testserver"]), raise_server_exceptions=False) as client:
         yield client
 
 
@@ -358,7 +358,7 @@ def shared_client() -> Iterator[TestClient]:
     station = HeldStation()
     station.film()
     station.film()
-    with TestClient(create_app(station), raise_server_exceptions=False) as client:
+    with TestClient(create_app(station, ["testserver"]), raise_server_exceptions=False) as client:
         yield client
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+import socket
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from starlette.types import Message
 
-from vaoi_station.api.edge import MAX_BODY_BYTES
+from vaoi_station.api.edge import MAX_BODY_BYTES, Edge
+from vaoi_station.api.hosts import addressed, allowed_names
 
 ARM = "/api/v1/station/arm"
 ORDER = '{"board_type": "demo-board", "board_id": "B1"}'
@@ -57,3 +62,91 @@ def test_bodies_are_bounded_whether_announced_or_not(client: Any) -> None:
 def test_an_absurd_length_is_refused(client: Any) -> None:
     answer = client.put("/api/v1/board-types/x", content=b"{}", headers={"content-length": "9" * 5000})
     assert answer.status_code == 413
+
+
+@pytest.mark.parametrize(
+    "host", ["rebound.example", "rebound.example:8350", "localhost.evil.example", "127.0.0.1.evil", "::x"]
+)
+def test_names_that_are_not_the_stations_are_refused(client: Any, station: Any, host: str) -> None:
+    for answer in (client.get("/", headers={"host": host}), client.post(ARM, content=ORDER, headers={"host": host})):
+        assert (answer.status_code, answer.json()["code"]) == (421, "unknown-host")
+        assert (
+            answer.json()["action"]
+            == "Call the station by its address, or add the name to [api] names in station.toml."
+        )
+    assert station.armed is None
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "localhost",
+        "LOCALHOST:8350",
+        "localhost.",
+        "127.0.0.1:1",
+        "10.0.0.7",
+        "[::1]:8350",
+        "[fe80::1]",
+        "testserver",
+        "",
+    ],
+)
+def test_addresses_and_own_names_pass(client: Any, host: str) -> None:
+    assert client.get("/api/v1/station", headers={"host": host}).status_code == 200
+
+
+def test_the_machines_names_and_configured_ones_are_the_stations() -> None:
+    own = socket.gethostname().lower()
+    names = allowed_names(["AOI-3.plant.example."])
+    assert {"localhost", own, f"{own.partition('.')[0]}.local", "aoi-3.plant.example"} <= names
+    assert addressed("aoi-3.plant.example:80", names)
+    assert not addressed("aoi-4.plant.example", names)
+
+
+def test_a_key_given_twice_is_refused(client: Any, station: Any) -> None:
+    answer = client.post(ARM, content='{"board_type": "demo-board", "board_type": "other"}')
+    assert (answer.status_code, answer.json()["code"]) == (400, "malformed")
+    assert answer.json()["detail"] == "body: key 'board_type' appears twice in one object."
+    nested = '{"name": "x", "components": [{"ref": "U1", "ref": "U2", "center": [1, 2], "width": 3, "height": 4}]}'
+    assert "'ref' appears twice" in client.put("/api/v1/board-types/x", content=nested).json()["detail"]
+    assert station.armed is None
+
+
+def test_a_body_that_trickles_is_given_up() -> None:
+    async def never(scope: Any, receive: Any, send: Any) -> None:
+        raise AssertionError("a request without its body has come through")
+
+    async def ask() -> list[Message]:
+        sent: list[Message] = []
+        first = [{"type": "http.request", "body": b"{", "more_body": True}]
+
+        async def receive() -> Message:
+            if first:
+                return first.pop()
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        async def send(message: Message) -> None:
+            sent.append(message)
+
+        scope = {"type": "http", "method": "POST", "path": ARM, "headers": [(b"host", b"localhost")]}
+        await Edge(never, body_limit_s=0.01)(scope, receive, send)
+        return sent
+
+    start, body = asyncio.run(ask())
+    assert start["status"] == 408
+    assert (b"connection", b"close") in start["headers"]
+    assert json.loads(body["body"])["code"] == "too-slow"
+
+
+@pytest.mark.parametrize("path", ["/", "/healthz", "/api/v1/station", "/api/v1/board-types/demo-board", "/nowhere"])
+def test_head_is_get_without_its_body(client: Any, path: str) -> None:
+    full, head = client.get(path), client.head(path)
+    assert head.content == b""
+    assert head.status_code == full.status_code
+    assert head.headers["content-type"] == full.headers["content-type"]
+    assert head.headers.get("etag") == full.headers.get("etag")
+
+
+def test_head_of_a_stream_without_end_is_refused(client: Any) -> None:
+    assert client.head("/api/v1/events").status_code == 405

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from vaoi_station.api import waiting
+
 
 def messages(response: Any) -> Iterator[dict[str, str]]:
     """The stream as a browser reads it: fields up to an empty line; comments are skipped."""
@@ -86,3 +88,14 @@ def test_streams_end_when_the_station_stops(served: Any) -> None:
         next(stream)
         served.station.tell("station", "Stopping.", state="stopping")
         assert [json.loads(m["data"])["state"] for m in stream] == ["stopping"]
+
+
+def test_one_listener_too_many_is_told_before_the_stream_begins(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(waiting, "MAX_WAITING", 1)
+    with served.client.stream("GET", "/api/v1/events") as response:
+        stream = messages(response)
+        assert next(stream)["event"] == "heartbeat"
+        refused = served.client.get("/api/v1/events")
+        assert (refused.status_code, refused.json()["code"]) == (503, "busy")
+        assert refused.headers["content-type"] == "application/problem+json"
+        assert served.app.state.hub.waiting == 1

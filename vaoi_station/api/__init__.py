@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 
 from fastapi import FastAPI, Response
@@ -11,6 +11,7 @@ from fastapi.routing import APIRoute
 from vaoi_station import __version__
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.edge import Edge
+from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.routes import board_types, calibration, components, events, frames, runs, station, stitching
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import Health
@@ -21,8 +22,10 @@ PREFIX = "/api/v1"
 UNWELL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
 
 
-def create_app(conductor: Conductor) -> FastAPI:
+def create_app(conductor: Conductor, names: Iterable[str] = ()) -> FastAPI:
     """The service over a conductor; the caller starts and stops the conductor.
+
+    Callers may address it by `names`, besides loopback, the machine's own names and any bare address.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for their
     callers; an event of kind "station" with state "stopping" does the same.
@@ -52,7 +55,7 @@ def create_app(conductor: Conductor) -> FastAPI:
     _add_health(app, services)
     pages.install(app)
     openapi.install(app)
-    app.add_middleware(Edge)
+    app.add_middleware(Edge, names=allowed_names(names))
     return app
 
 

@@ -1,6 +1,8 @@
-"""What every request passes first, and every answer last: limits, origin, headers of safety.
+"""What every request passes first, and every answer last: limits, names, origin, headers of safety.
 
-- Bodies are bounded. The API takes JSON only, so a body counts as JSON whatever its Content-Type says:
+- Requests that call the station by a name that is not its own are refused (`hosts.py`).
+- Bodies are bounded in size and time. A key that appears twice in an object would be read one way here and another way
+  elsewhere, so it is refused. The API takes JSON only, so a body counts as JSON whatever its Content-Type says:
   the HTTP libraries of LabVIEW, Delphi or C, and curl, send none or a wrong one.
 - That lenience would let any web page send commands from an operator's browser. Browsers say where a
   request comes from (Origin), so commands from foreign pages are refused; programs send no Origin.
@@ -9,14 +11,25 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from vaoi_station import __version__
+from vaoi_station.api.hosts import addressed, allowed_names
 from vaoi_station.api.problems import problem_response
+from vaoi_station.files.documents import TwinKeyError, refuse_twins
 
 MAX_BODY_BYTES = 8 * 1024 * 1024
 """A board type of twenty thousand components has about 3 MB."""
+BODY_LIMIT_S = 20.0
+"""For a body to arrive whole; 8 MB take a second on a slow line."""
+SAFE = ("GET", "HEAD", "OPTIONS")
+STREAM = "/api/v1/events"
+"""Has no end, so there is no telling its headers without it."""
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
 SAFETY = {
@@ -30,9 +43,17 @@ SAFETY = {
 class Edge:
     """ASGI middleware around the whole application."""
 
-    def __init__(self, app: ASGIApp, max_body_bytes: int = MAX_BODY_BYTES) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        names: frozenset[str] | None = None,
+        max_body_bytes: int = MAX_BODY_BYTES,
+        body_limit_s: float = BODY_LIMIT_S,
+    ) -> None:
+        """`names`: by which callers may address the station; by default loopback and the machine's own."""
         self._app = app
-        self._max_body_bytes = max_body_bytes
+        self._names = allowed_names() if names is None else names
+        self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check, pass on, and add the headers."""
@@ -50,24 +71,48 @@ class Edge:
         await self._checked(scope, receive, send_safely)
 
     async def _checked(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers, path = Headers(scope=scope), scope["path"]
-        if scope["method"] in ("GET", "HEAD", "OPTIONS"):
+        refusal = self._refusal(scope)
+        if refusal is not None:
+            await refusal(scope, receive, send)
+        elif scope["method"] == "HEAD" and scope["path"] != STREAM:
+            await self._app({**scope, "method": "GET"}, receive, _without_body(send))
+        elif scope["method"] in SAFE:
             await self._app(scope, receive, send)
-            return
-        if _foreign(headers):
-            detail = (
-                f"The command came from a page of {headers.get('origin', 'another site'):.100}, not of this station."
-            )
-            await problem_response(path, "foreign-origin", detail)(scope, receive, send)
-            return
-        body = await self._body(headers, receive)
-        if body is None:
-            detail = f"The body is larger than {self._max_body_bytes} bytes."
-            await problem_response(path, "too-large", detail)(scope, receive, send)
-            return
-        await self._app(_as_json(scope), _replay(body, receive), send)
+        else:
+            body = await self._body(scope, receive)
+            if isinstance(body, bytes):
+                await self._app(_as_json(scope), _replay(body, receive), send)
+            else:
+                await body(scope, receive, send)
 
-    async def _body(self, headers: Headers, receive: Receive) -> bytes | None:
+    def _refusal(self, scope: Scope) -> Response | None:
+        """Why a request is refused whatever it carries."""
+        headers, path = Headers(scope=scope), scope["path"]
+        if not addressed(headers.get("host", ""), self._names):
+            detail = f"The request was addressed to {headers['host']!r:.100}, which is no name of this station."
+            return problem_response(path, "unknown-host", detail)
+        if scope["method"] not in SAFE and _foreign(headers):
+            page = f"{headers.get('origin', 'another site'):.100}"
+            detail = f"The command came from a page of {page}, not of this station."
+            return problem_response(path, "foreign-origin", detail)
+        return None
+
+    async def _body(self, scope: Scope, receive: Receive) -> bytes | Response:
+        """The whole body, or why it is refused."""
+        path = scope["path"]
+        try:
+            async with asyncio.timeout(self._body_limit_s):
+                body = await self._read(Headers(scope=scope), receive)
+        except TimeoutError:
+            detail = f"The body had not arrived after {self._body_limit_s:g} s."
+            return problem_response(path, "too-slow", detail, headers={"Connection": "close"})
+        if body is None:
+            return problem_response(path, "too-large", f"The body is larger than {self._max_body_bytes} bytes.")
+        if (twin := _twin_in(body)) is not None:
+            return problem_response(path, "malformed", f"body: {twin}.")
+        return body
+
+    async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
         """The whole body; None if it is too large, which a Content-Length tells before it is read."""
         announced = headers.get("content-length", "")
         if announced.isdecimal() and (len(announced) > 15 or int(announced) > self._max_body_bytes):
@@ -88,6 +133,28 @@ def _foreign(headers: Headers) -> bool:
     if origin is None:
         return headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
     return origin.lower().partition("://")[2] != headers.get("host", "").lower()
+
+
+def _twin_in(body: bytes) -> str | None:
+    """What key appears twice in an object of a JSON body; what else may be wrong with it is told by its reader."""
+    try:
+        json.loads(body, object_pairs_hook=refuse_twins)
+    except TwinKeyError as twin:
+        return str(twin)
+    except (ValueError, RecursionError):
+        return None
+    return None
+
+
+def _without_body(send: Send) -> Send:
+    """The answer to GET, headers only: what HEAD is answered with."""
+
+    async def headers_only(message: Message) -> None:
+        if message["type"] == "http.response.body":
+            message = {**message, "body": b""}
+        await send(message)
+
+    return headers_only
 
 
 def _as_json(scope: Scope) -> Scope:

@@ -55,6 +55,12 @@ KINDS: dict[str, tuple[int, str, str]] = {
         "Another site's page sent this command",
         "Open the station's own page, or send the command from a program.",
     ),
+    "unknown-host": (
+        421,
+        "Another name than this station's was called",
+        "Call the station by its address, or add the name to [api] names in station.toml.",
+    ),
+    "too-slow": (408, "The request took too long to arrive", "Send it again over a better connection."),
     "not-found": (404, "There is no such thing", "Check the address; lists are at /api/v1/runs and board-types."),
     "no-route": (404, "There is no such address", "Check the address; all addresses are listed at /docs."),
     "wrong-method": (405, "The address does not take this method", "Use a method that the header Allow names."),

@@ -36,22 +36,26 @@ def router(services: Services) -> APIRouter:
             after = int(last_event_id)
         return newest if after is None else min(after, newest)
 
+    async def seat() -> AsyncIterator[None]:
+        """A place among those who wait, taken before the first header is sent; 503 when there is none."""
+        async with services.hub.place():
+            yield
+
     @routes.get("/events", response_class=EventSourceResponse)
-    async def stream_events(after: int = Depends(start)) -> AsyncIterator[ServerSentEvent]:
+    async def stream_events(after: int = Depends(start), _: None = Depends(seat)) -> AsyncIterator[ServerSentEvent]:
         """Every event as one message whose id is its number, in order and without gaps.
 
         Resume with `Last-Event-ID` (browsers do it by themselves) or `?after=`; without either, only what
         happens from now on. Every two seconds without news an event `heartbeat` tells state and time.
         """
-        async with services.hub.place():
-            yield await _heartbeat(services)
-            while not services.hub.closed:
-                records = await services.hub.events(after, HEARTBEAT_S)
-                for record in records:
-                    after = record.number
-                    yield _message(record)
-                if not records and not services.hub.closed:
-                    yield await _heartbeat(services)
+        yield await _heartbeat(services)
+        while not services.hub.closed:
+            records = await services.hub.events(after, HEARTBEAT_S)
+            for record in records:
+                after = record.number
+                yield _message(record)
+            if not records and not services.hub.closed:
+                yield await _heartbeat(services)
 
     return routes
 
