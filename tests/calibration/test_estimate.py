@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.calibration.estimate import MARK_SIGMA_PX, Fit, fit_camera, homography
+from vaoi_station.calibration.estimate import IN_COMMON_MARKS, MARK_SIGMA_PX, Fit, fit_camera, homography
 from vaoi_station.calibration.outliers import without_outliers
 from vaoi_station.geometry import Lens
 from vaoi_station.geometry.robust import Failure
@@ -62,7 +62,10 @@ def test_four_marks_fix_n_and_leave_nothing_over() -> None:
 
 @pytest.mark.parametrize("a1", [0.0, -0.001])
 def test_the_covariance_is_that_of_many_repetitions(a1: float) -> None:
-    """Offsets over the frame, in units of what the covariance predicts, have mean square 1."""
+    """Offsets over the frame, in units of what the covariance predicts, have mean square 1.
+
+    But for what it is raised by for errors that marks have in common; these here are independent.
+    """
     n, lens, marks = _matrix(66, -0.004, 0.002, 0.001), Lens(CENTER, RADIUS, (a1,) if a1 else ()), _grid(66, 7, 6)
     g, scores = np.random.default_rng(5), []
     for _ in range(60):
@@ -72,7 +75,7 @@ def test_the_covariance_is_that_of_many_repetitions(a1: float) -> None:
         off = apply(fit.matrix, apply(np.linalg.inv(n), lens.undistort(FRAME))) - fit.lens.undistort(FRAME)
         scores.append(((off**2).sum(1) / fit.sigma_at_px(FRAME) ** 2).mean())
     assert len(scores) > 55
-    assert 0.75 < np.mean(scores) < 1.3
+    assert 0.75 < np.mean(scores) * (1 + len(marks) / IN_COMMON_MARKS) < 1.3
 
 
 def test_distortion_is_modelled_where_marks_see_it_and_only_there() -> None:

@@ -14,10 +14,12 @@ from vaoi_station.geometry.lens import Lens
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 
-MARK_SIGMA_PX = 0.01
+MARK_SIGMA_PX = 0.007
 """What a mark's place is good to per axis, before the residuals of a fit say better."""
 _PRIOR_FREEDOM = 4.0
 """Weight of that expectation, in degrees of freedom."""
+IN_COMMON_MARKS = 48.0
+"""Marks do not err independently (print, sampling, what the lens model leaves out): beyond so many, more add little."""
 _STEPS = 12
 _SEEN = 12.0
 """A coefficient is seen when it lowers the sum of squares by so many variances: about 3.5 sigma."""
@@ -136,7 +138,8 @@ def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
     _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
     if not singular[-1] > _SINGULAR * singular[0]:
         return Failure(f"its {len(p)} marks fix no view of a plane: some of them are mistaken for others")
-    covariance = (vt.T / singular**2) @ vt / np.outer(scale, scale) * variance
+    in_common = 1 + len(p) / IN_COMMON_MARKS
+    covariance = (vt.T / singular**2) @ vt / np.outer(scale, scale) * variance * in_common
     matrix, jacobian = _in_mm(h, normal_from_mm, order)
     return Fit(matrix, lens, residual, jacobian @ covariance @ jacobian.T, float(np.sqrt(variance)), freedom)
 
