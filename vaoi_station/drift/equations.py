@@ -23,7 +23,7 @@ from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whit
 from vaoi_station.stitching.motion import Motion
 from vaoi_station.stitching.observations import Ints
 
-_ITERATIONS = 8
+_ITERATIONS = 15
 _HELD_ITERATIONS = 2
 """With the cameras as they were calibrated: what residuals that leaves."""
 _CONVERGED_PX = 1e-3
@@ -33,6 +33,8 @@ _ANYWHERE_PX = 100.0
 _FIRST_FLOOR_PX = 20.0
 """Scatter of links before anything is known: a knocked camera must not look like an outlier."""
 _FLOOR_PX = (0.010, 20.0)
+_PATIENCE = 0.25
+"""The scatter is taken to shrink to no less than this share in one step: the right links win over false ones slowly."""
 _PAIR_SIGMA_PX, _PAIR_SHARE = 0.010, 0.25
 """What the links of one pair of frames share, as in the adjustment of a run."""
 _FIDUCIAL_SIGMA_PX = 0.05
@@ -71,7 +73,7 @@ def told_by(run: RunEvidence) -> Told:
         solver.step(held=True)
     solver.release()
     for _ in range(_ITERATIONS):
-        if solver.step() < _CONVERGED_PX:
+        if solver.step() < _CONVERGED_PX and solver.settled:
             break
     return solver.told()
 
@@ -91,7 +93,7 @@ class _Solver:
         self.floor_px = {False: _FIRST_FLOOR_PX, True: _FIRST_FLOOR_PX}
         self.same_row = run.links.p == run.links.q
         self.used = np.zeros(len(run.links))
-        self.fresh = True
+        self.fresh = self.settled = True
         self.held: tuple[Floats, Floats] = (np.zeros(0), np.zeros(0))
 
     def step(self, *, held: bool = False) -> float:
@@ -152,15 +154,18 @@ class _Solver:
 
     def _weights(self, residual: Floats) -> Floats:
         """(k, 2, 2) mm⁻²: robust, and less where a pair of frames has many links."""
-        o = self.run.links
+        o, self.settled = self.run.links, not self.fresh
         for kind in (False, True):
             px = (residual * o.px_per_mm[:, None])[self.same_row == kind]
             if len(px) and not self.fresh:
-                self.floor_px[kind] = float(np.clip(median_sigma(px - np.median(px, axis=0)), *_FLOOR_PX))
+                scatter = float(np.clip(median_sigma(px), *_FLOOR_PX))
+                least = _PATIENCE * self.floor_px[kind]
+                self.settled = self.settled and scatter >= least
+                self.floor_px[kind] = max(scatter, least)
         self.fresh = False
         floor = np.where(self.same_row, self.floor_px[True], self.floor_px[False])
-        scatter = o.noise_mm2 + ((floor / o.px_per_mm) ** 2)[:, None, None] * np.eye(2)
-        information = np.asarray(np.linalg.inv(scatter), dtype=np.float64)
+        variance = o.noise_mm2 + ((floor / o.px_per_mm) ** 2)[:, None, None] * np.eye(2)
+        information = np.asarray(np.linalg.inv(variance), dtype=np.float64)
         chi = np.sqrt((whitened(roots(information), residual) ** 2).sum(0) / 2)
         self.used = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
         per_pair = np.bincount(o.group, self.used, minlength=len(o.groups))

@@ -21,6 +21,8 @@ LEAST_RUNS, MOST_RUNS = 3, 50
 LEAST_LINKS = 30
 """Links to neighbours of one camera, over all runs."""
 _SIGMAS = 4.0
+_KNOWN_PX = 0.25
+"""How well a displacement must be known to be corrected (1 σ, each number)."""
 _AGREE_PX, _AGREE_SIGMAS = 0.15, 5.0
 """How far a single run may tell otherwise than all of them."""
 _STEP_PX = 0.05
@@ -83,6 +85,7 @@ def recalibrate(
     found = joint(checks)
     corrected = tuple(i for i in range(len(cameras)) if _has_moved(found, i))
     for i in corrected:
+        _refuse_vague(found, i)
         _refuse_contradictions(checks, found, i)
     matrices, covariances = list(calibration.camera_matrices), calibration.covariances
     if isinstance(covariances, list):
@@ -131,6 +134,20 @@ def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
                 action="Take runs of boards that cover it, or calibrate with the calibration board.",
                 code="too-little-evidence",
             )
+
+
+def _refuse_vague(found: Attributed, i: int) -> None:
+    """A camera that shares too little with its neighbours: what it shows may as well be the height of the boards."""
+    sigma = found.sigma_px[i]
+    if sigma.max() > _KNOWN_PX:
+        x, y, turn = found.displacement_px[i]
+        raise InputError(
+            f"camera {i} has moved, by ({x:+.2f}, {y:+.2f}) px and a turn of {turn:+.2f} px, but that is known to "
+            f"{sigma.max():.2f} px only (1 σ; needed: {_KNOWN_PX}): its overlaps show too little.",
+            action="Set the camera back roughly, or take more runs of boards with texture there, or calibrate with the "
+            "calibration board.",
+            code="too-little-evidence",
+        )
 
 
 def _refuse_contradictions(checks: Sequence[RunCheck], found: Attributed, i: int) -> None:

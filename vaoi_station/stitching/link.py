@@ -33,6 +33,8 @@ _MOVED_MM = 4.0
 """How far a camera that has been pushed is looked for."""
 _ENOUGH = 8
 """Links between two cameras that show that both are where they were calibrated."""
+_BEYOND_DOUBT = 24
+"""So many are no look-alikes: those of a camera that has moved were up to eleven."""
 
 
 def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera, shift_mm: Floats) -> Links:
@@ -52,17 +54,17 @@ def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b
 def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera) -> Links:
     """Links between neighbouring cameras in one row; N_i alone predict them.
 
-    Where that finds next to nothing a camera may have moved: then the overlap is searched further, and
+    Where that finds few a camera may have moved, and these be look-alikes: then the overlap is searched further, and
     links are marked `unmatched` if there is texture but little of it in both, so that the verdict can tell.
     """
     still = np.zeros(2)
     links = _fine(task, a, b, camera_a, camera_b, still, still)
     box = overlap_box(camera_a, camera_b, still)
-    if len(links.a_px) >= _ENOUGH or box is None:
+    if len(links.a_px) >= _BEYOND_DOUBT or box is None:
         return links
     coarse = find_shift(a, b, box, _offset(box, camera_a, camera_b, still), np.full(2, _MOVED_MM * camera_a.px_per_mm))
     if isinstance(coarse, Failure):
-        return replace(links, unmatched=isinstance(coarse, NoFit))
+        return replace(links, unmatched=len(links.a_px) < _ENOUGH and isinstance(coarse, NoFit))
     moved = _fine(task, a, b, camera_a, camera_b, still, coarse.px)
     best = moved if len(moved.a_px) > len(links.a_px) else links
     return replace(best, unmatched=len(best.a_px) < _ENOUGH)
