@@ -36,6 +36,8 @@ _log = logging.getLogger(__name__)
 
 GRACE_S = 10.0
 """For runs under way to come to their end when the station is stopped."""
+WARM_S = 60.0
+"""For workers to warm up before a board is taken; one that takes longer finds its jobs waiting."""
 DATABASE, REFERENCES = "station.db", "references"
 
 
@@ -86,6 +88,7 @@ class Station:
             conductor.start()
             parts.callback(workers.stop)
             workers.start(conductor.worker_lost)
+            workers.wait_ready(WARM_S)
             parts.callback(link.stop)
             link.start(conductor.hear, conductor.acquisition_lost)
             if ring.lock_note:

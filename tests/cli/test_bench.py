@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 
 def test_figures_are_printed_and_kept(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
     said = vaoi("bench", "--case", small_recording, "--repetitions", 1, "--json", tmp_path / "bench.json")
@@ -34,3 +36,36 @@ def test_a_plot_is_of_marks(vaoi: Any, tmp_path: Path) -> None:
     assert said.code == 2
     assert "--plot belongs to --marks" in said.err
     assert not (tmp_path / "curve.svg").exists()
+
+
+def test_a_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path) -> None:
+    options = ("--scenario", "small", "--rates", "1,3", "--boards", 1, "--films", tmp_path, "--ring", tmp_path)
+    said = vaoi("bench", "--station", *options, "--json", tmp_path / "station.json")
+    assert (said.code, said.err) == (0, "")
+    document = json.loads((tmp_path / "station.json").read_text())
+    assert [r["rate"] for r in document["rates"]] == [1, 3]
+    assert all(r["boards"] == 1 and r["frames_lost"] == 0 for r in document["rates"])
+    assert "| 3× |" in said.out
+    assert (tmp_path / "small" / "frames.raw").is_file(), "kept for the next time"
+
+
+def test_growth_is_measured_for_the_rows_asked_for(vaoi: Any, tmp_path: Path) -> None:
+    said = vaoi("bench", "--growth", "--rows", "4", "--json", tmp_path / "growth.json")
+    assert (said.code, said.err) == (0, "")
+    assert [b["frames"] for b in json.loads((tmp_path / "growth.json").read_text())["boards"]] == [12]
+    assert "| 12 | 4 |" in said.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--station", "--growth"), "one at a time"),
+        (("--station", "--rates", "1,fast"), "--rates"),
+        (("--growth", "--rows", "0"), "--rows"),
+        (("--station", "--scenario", "nowhere"), "nowhere"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(vaoi: Any, arguments: tuple[str, ...], told: str) -> None:
+    said = vaoi("bench", *arguments)
+    assert said.code == 2
+    assert told in said.err

@@ -39,7 +39,7 @@ from vaoi_station.runs.archive import Archive
 from vaoi_station.runs.conductor import StationConductor
 from vaoi_station.runs.core import Parts
 from vaoi_station.runs.events import EventLog
-from vaoi_station.runs.jobs import Answer, CheckJob, Concluded, ConcludeJob, Job, LinkJob
+from vaoi_station.runs.jobs import Answer, CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun
 from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
@@ -125,6 +125,7 @@ class ScriptedWorkers:
     keep: bool = False
     kept: list[tuple[Job, Callable[[Answer], None]]] = field(default_factory=list)
     done: list[Job] = field(default_factory=list)
+    opened: list[OpenRun] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
     result: Callable[[RecordingHead], Stitch] = a_stitch
     displacement_px: float = 0.0
@@ -139,7 +140,7 @@ class ScriptedWorkers:
     def perform(self, job: Job, done: Callable[[Answer], None]) -> None:
         self.done.append(job)
         if isinstance(job, LinkJob):
-            done(Answer(Links.none(job.task, "scripted"), None, 0.001))
+            done(Answer(tuple(Linked(Links.none(task, "scripted"), 0.001) for task in job.tasks), None, 0.001))
         elif isinstance(job, ConcludeJob):
             done(Answer(Concluded(stitch := self.result(job.head), stitch.model_dump_json()), None, 0.002))
         elif isinstance(job, CheckJob):
@@ -167,11 +168,14 @@ class ScriptedWorkers:
             self.perform(job, done)
         self.kept.clear()
 
+    def open_run(self, opening: OpenRun) -> None:
+        self.opened.append(opening)
+
     def close_run(self, run: str) -> None:
         self.closed.append(run)
 
     def tasks(self, run: str) -> list[Task]:
-        return [job.task for job in self.done if isinstance(job, LinkJob) and job.run == run]
+        return [task for job in self.done if isinstance(job, LinkJob) and job.run == run for task in job.tasks]
 
 
 class FakeProcess:

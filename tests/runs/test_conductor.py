@@ -41,7 +41,7 @@ def test_links_are_asked_for_as_soon_as_both_frames_are_there(rig: Any) -> None:
     rig.row(grant, 0)
     rig.row(grant, 1)
     rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
-    asked = {(j.task.kind, j.task.a, j.task.b) for j, _ in rig.workers.kept}
+    asked = {(t.kind, t.a, t.b) for j, _ in rig.workers.kept for t in j.tasks}
     assert {("rows", (0, 0), (0, 1)), ("rows", (1, 0), (1, 1)), ("neighbours", (0, 0), (1, 0))} <= asked
     assert rig.conductor.run(grant.run).state == "filming"
     with pytest.raises(StateError, match="no result yet"):

@@ -70,8 +70,8 @@ def test_the_next_order_is_placed_against_it_and_the_workers_are_told_where_it_i
     assert {task.a for task in tasks} == rig.conductor._make_order(
         rig.conductor.board_type("small"), None, None
     ).reference.reference.present
-    contexts = {job.context.reference for job in rig.workers.done if job.run == grant.run and hasattr(job, "context")}
-    assert contexts == {rig.config.data / "references" / run}
+    references = {opening.reference for opening in rig.workers.opened if opening.context.run == grant.run}
+    assert references == {rig.config.data / "references" / run}
 
 
 @pytest.mark.parametrize(

@@ -18,13 +18,13 @@ from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.model import BoardType, Calibration
 from vaoi_station.rendering import views_of
 from vaoi_station.runs import workers as module
-from vaoi_station.runs.jobs import Answer, Job, LinkJob, RenderJob, RunContext
+from vaoi_station.runs.jobs import Answer, Job, LinkJob, OpenRun, RenderJob, RunContext
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.workers import WorkerPool
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.stitching.work import Setup
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 class Plant:
@@ -35,7 +35,7 @@ class Plant:
         self.cameras = calibration.cameras(camera_heads(config))
         self.setup = Setup(self.cameras, config.line.conveyor_mm_s, config.line.trigger_period_s, board_type)
         self.generation = self.ring.claim(0)
-        self.context = RunContext("r1", self.setup, 0, self.generation)
+        self.context = RunContext("r1", 0, self.generation)
         picture = np.random.default_rng(1).integers(0, 255, self.ring.frame(0).shape, dtype=np.uint8)
         for camera in range(2):
             for row in range(3):
@@ -43,6 +43,7 @@ class Plant:
         self.lost: list[str] = []
         self.news = threading.Condition()
         self.pool = WorkerPool(2, self.ring.path)
+        self.pool.open_run(OpenRun(self.context, self.setup))
         self.pool.start(self._note)
 
     def _note(self, sentence: str) -> None:
@@ -70,7 +71,7 @@ class Plant:
     def link(self, camera: int = 0, row: int = 0) -> LinkJob:
         a, b = (camera, row), (camera, row + 1)
         slots = {a: self.ring.slot(0, *a), b: self.ring.slot(0, *b)}
-        return LinkJob(self.context, Task("rows", a, b, 0.1), slots)
+        return LinkJob(self.context, camera, (Task("rows", a, b, 0.1),), slots)
 
     def picture(self, make_stitch: Callable[..., Any], head: Any) -> RenderJob:
         board_type = self.setup.board_type
@@ -115,7 +116,7 @@ def plant(config: StationConfig, calibration: Calibration, board_type: BoardType
 def test_tasks_and_pictures_are_done(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
     answer = plant.submit(plant.link()).get()
     assert answer.error is None, answer.error
-    assert isinstance(answer.value, Links)
+    assert isinstance(answer.value[0].evidence, Links)
     assert answer.worker_s > 0
     picture = plant.submit(plant.picture(make_stitch, make_head(3))).get()
     assert picture.value[:4] == b"\x89PNG"
@@ -143,7 +144,7 @@ def test_a_worker_killed_in_mid_task_loses_nothing(plant: Plant) -> None:
     assert "rows of (0, 0)" in plant.pool.status()[0].doing
     os.kill(victim, signal.SIGKILL)
     answers = [p.get() for p in pending]
-    assert all(isinstance(answer.value, Links) for answer in answers)
+    assert all(isinstance(answer.value[0].evidence, Links) for answer in answers)
     plant.until(lambda: len(plant.lost) == 1)
     assert "Worker 0 ended with code -9 while doing rows of (0, 0)" in plant.lost[0]
     plant.all_idle()
@@ -197,7 +198,7 @@ def test_pixels_of_a_later_board_are_not_mistaken_for_this_ones(
 
 
 def test_a_job_that_fails_is_our_fault_and_the_worker_lives_on(plant: Plant) -> None:
-    broken = LinkJob(plant.context, plant.link().task, {})
+    broken = LinkJob(plant.context, 0, plant.link().tasks, {})
     answer = plant.submit(broken).get()
     assert isinstance(answer.error, InternalError)
     assert "is not there" in answer.error.message

@@ -24,9 +24,10 @@ def test_frames_do_not_depend_on_what_was_asked_before(small: Twin) -> None:
 
 
 def test_only_bodies_far_off_are_left_out_beforehand(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    twin = make(array={"cameras": 2, "tilt_deg": 3.0}, board={"height_scale": 2.0, "lift_mm": 3.0, "turned_deg": 90})
+    board = {"width_mm": 90.0, "length_mm": 70.0, "density": 2.0, "height_scale": 2.0, "lift_mm": 3.0, "turned_deg": 90}
+    twin = make(array={"cameras": 2, "tilt_deg": 3.0}, board=board)
     some = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
-    near = twin.scene._about(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[0]))
+    near = twin.scene._about(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[2]))
     assert 0 < len(near) < len(twin.artwork.bodies)
     monkeypatch.setattr(Scene, "_about", lambda scene, camera, pose: list(range(len(scene.artwork.bodies))))
     looked_at_all = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]

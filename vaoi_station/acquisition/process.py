@@ -13,6 +13,7 @@ import queue
 import signal
 import threading
 import time
+from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -34,14 +35,19 @@ FIRST_READINGS = 8
 """Clock readings before the process is ready."""
 
 
-def run_acquisition(config: StationConfig, ring_path: Path, connection: Connection) -> None:
-    """Film until told to stop, or until the other end of the pipe is gone."""
+def run_acquisition(
+    config: StationConfig,
+    ring_path: Path,
+    connection: Connection,
+    open_them: Callable[[StationConfig], Devices] = open_devices,
+) -> None:
+    """Film until told to stop, or until the other end of the pipe is gone; `open_them` gives the devices."""
     if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to answer, by Shutdown
     try:
         with Ring.attach(ring_path, writable=True) as ring:
             _check_layout(ring, config)
-            devices = open_devices(config)
+            devices = open_them(config)
             try:
                 _Loop(config, ring, devices, connection).run()
             finally:

@@ -1,7 +1,8 @@
-"""`vaoi bench [--json FILE]`: how fast stitching and rendering are here, as ratios in one run."""
+"""`vaoi bench [--json FILE]`: how fast stitching and rendering are here, as ratios in one run; or a whole station."""
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,24 +17,50 @@ def bench(
     repetitions: Annotated[int, typer.Option(min=1, max=100, help="Of each measurement; the median counts.")] = 5,
     marks: Annotated[bool, typer.Option("--marks", help="Measure how well and how fast marks are found.")] = False,
     plot: Annotated[Path | None, typer.Option(help="With --marks: draw the S-curve to this SVG file.")] = None,
+    station: Annotated[bool, typer.Option("--station", help="Let boards pass a whole station in real time.")] = False,
+    growth: Annotated[bool, typer.Option("--growth", help="Stitch longer and longer boards.")] = False,
+    scenario: Annotated[
+        str | None, typer.Option(help="For --station (paper) and --growth (small): a shipped scenario, or a file.")
+    ] = None,
+    rates: Annotated[str, typer.Option(help="For --station: multiples of the scenario's own rate.")] = "1,2,4",
+    boards: Annotated[int, typer.Option(min=1, max=1000, help="For --station: how many pass at each rate.")] = 12,
+    workers: Annotated[int, typer.Option(min=1, max=64, help="For --station: worker processes.")] = 2,
+    rows: Annotated[str, typer.Option(help="For --growth: rows of three cameras.")] = "4,10,33,100,333",
+    films: Annotated[
+        Path | None, typer.Option(help="Where rendered boards are kept for the next time; else they are not kept.")
+    ] = None,
+    ring: Annotated[Path, typer.Option(help="For --station: directory of the ring.")] = Path("/dev/shm"),  # noqa: S108  (as [ring] directory has it)
 ) -> None:
-    """Measure stitching and rendering on frames in memory, one thread, beside the paper's method; or marks."""
-    from vaoi_station.benchmarks.frames import of_recording, of_twin
-    from vaoi_station.benchmarks.measure import measure
+    """Measure stitching and rendering on frames in memory, one thread, beside the paper's method.
+
+    With --marks, --station or --growth the marks, a whole station, or the growth of cost and memory instead.
+    """
     from vaoi_station.files.documents import write_json
 
+    if marks + station + growth > 1:
+        raise InputError("--marks, --station and --growth are measured one at a time.", action="Give one of them.")
     if plot is not None and not marks:
         raise InputError("--plot belongs to --marks.", action="Add --marks, or leave it out.")
     if marks:
         document = _marks(plot)
-        if json is not None:
-            write_json(json, document)
-        return
+    elif station:
+        document = _station(scenario or "paper", _numbers("--rates", rates), boards, workers, films, ring)
+    elif growth:
+        document = _growth(scenario or "small", tuple(int(n) for n in _numbers("--rows", rows)), films)
+    else:
+        document = _stitching(case, repetitions)
+    if json is not None:
+        write_json(json, document)
+
+
+def _stitching(case: Path | None, repetitions: int) -> dict[str, Any]:
+    from vaoi_station.benchmarks.frames import of_recording, of_twin
+    from vaoi_station.benchmarks.measure import measure
+
     figures = measure(of_recording(case) if case else of_twin(), repetitions)
     for key, value in figures.document().items():
         typer.echo(f"{key:28s} {value}")
-    if json is not None:
-        write_json(json, figures.document())
+    return figures.document()
 
 
 def _marks(plot: Path | None) -> dict[str, Any]:
@@ -48,3 +75,48 @@ def _marks(plot: Path | None) -> dict[str, Any]:
     if plot is not None:
         write_bytes(plot, draw(figures.curves).encode())
     return figures.document()
+
+
+def _station(
+    scenario: str, rates: tuple[float, ...], boards: int, workers: int, films: Path | None, ring: Path
+) -> dict[str, Any]:
+    from vaoi_station.benchmarks.film import film
+    from vaoi_station.benchmarks.paced import paced
+    from vaoi_station.benchmarks.tables import shares_table, station_table
+    from vaoi_station.simulation import read_scenario
+
+    with tempfile.TemporaryDirectory(prefix="vaoi-bench-") as temporary:
+        board = film(read_scenario(_path(scenario)), (films or Path(temporary)) / Path(scenario).stem, typer.echo)
+        figures = []
+        for rate in rates:
+            typer.echo(f"{boards} boards at {rate:g} times the scenario's rate.")
+            figures.append(paced(board, rate, boards, workers, Path(temporary) / f"station-{rate:g}", ring))
+    typer.echo("\n" + station_table(figures) + "\n\n" + shares_table(figures))
+    return {"scenario": scenario, "workers": workers, "rates": [f.document() for f in figures]}
+
+
+def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[str, Any]:
+    from vaoi_station.benchmarks.growth import growth
+    from vaoi_station.benchmarks.tables import growth_table
+    from vaoi_station.simulation import read_scenario
+
+    with tempfile.TemporaryDirectory(prefix="vaoi-bench-") as temporary:
+        figures = growth(read_scenario(_path(scenario)), films or Path(temporary), rows, typer.echo)
+    typer.echo("\n" + growth_table(figures))
+    return {"scenario": scenario, "boards": [f.document() for f in figures]}
+
+
+def _path(scenario: str) -> Path:
+    from vaoi_station.simulation import scenario_path
+
+    return Path(scenario) if scenario.endswith(".toml") else scenario_path(scenario)
+
+
+def _numbers(option: str, given: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) for part in given.split(","))
+    except ValueError:
+        numbers = ()
+    if not numbers or not all(0 < n <= 10_000 for n in numbers):
+        raise InputError.field("vaoi bench", option, given, "numbers above 0, at most 10000, with commas between them")
+    return numbers

@@ -17,6 +17,11 @@ from numpy.typing import ArrayLike
 from vaoi_station.geometry.lens import Lens
 from vaoi_station.geometry.transforms import Floats, Projective, System, apply
 
+_BORDER_POINTS = 9
+"""Per side of the frame, whose places tell what a camera sees."""
+_BOX_ROOM = 0.01
+"""More than a usable lens bends a border between two of them, of the view."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -60,6 +65,19 @@ class Camera:
         """Where points seen at raw pixels (..., 2) are, in mm (..., 2), if they stand `height_mm` above the plane."""
         ground = self.row_from_image(self.lens.undistort(raw_px))
         return ground + self.parallax(ground) * np.asarray(height_mm, dtype=np.float64)[..., None]
+
+    def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
+        """Corners of a box that holds all places seen at least a margin inside the frame, at heights between two.
+
+        It is a little too large, for what lenses do between the points of the border that are looked at.
+        """
+        x = np.linspace(margin_px, self.width_px - 1 - margin_px, _BORDER_POINTS)
+        y = np.linspace(margin_px, self.height_px - 1 - margin_px, _BORDER_POINTS)
+        border = [np.column_stack([x, np.full_like(x, end)]) for end in (y[0], y[-1])]
+        border += [np.column_stack([np.full_like(y, end), y]) for end in (x[0], x[-1])]
+        seen = np.concatenate([self.ground(np.concatenate(border), height) for height in heights_mm])
+        room = _BOX_ROOM * np.ptp(seen, axis=0)
+        return np.asarray(seen.min(0) - room), np.asarray(seen.max(0) + room)
 
     def parallax(self, ground_mm: ArrayLike) -> Floats:
         """mm per mm of height by which a point seen at ground position (..., 2) really lies elsewhere, (..., 2)."""

@@ -66,11 +66,11 @@ class Lens:
         """ρ_raw / ρ_undistorted for undistorted radii in units of R."""
         edge = self.turning_point
         furthest = edge * float(self._polynomial(np.array(edge**2))[0]) if math.isfinite(edge) else math.inf
-        inside = np.minimum(reach, furthest)
-        rho = inside
+        inside, beyond = np.minimum(reach, furthest), reach >= furthest
+        rho = np.where(beyond, edge, inside)
         for _ in range(_NEWTON_STEPS):
             factor, slope = self._polynomial(rho**2)
-            step = (rho * factor - inside) / np.maximum(slope, 1e-12)
+            step = np.where(beyond, 0.0, (rho * factor - inside) / np.maximum(slope, 1e-12))
             rho = np.clip(rho - step, 0.0, edge)
             if (np.abs(step) <= _CONVERGED * (1 + rho)).all():
                 break

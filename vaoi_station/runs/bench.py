@@ -31,14 +31,14 @@ from vaoi_station.runs.jobs import (
     ConcludeJob,
     Hello,
     Job,
+    Linked,
     LinkJob,
     OpenRun,
     Ping,
     RenderJob,
-    RunContext,
 )
 from vaoi_station.runs.shapes import ImageFormat
-from vaoi_station.stitching.evidence import Evidence, FrameKey
+from vaoi_station.stitching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import Desk
 
 T = TypeVar("T")
@@ -48,7 +48,6 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class _OpenedRun:
-    context: RunContext
     desk: Desk
     slots: dict[FrameKey, int] = field(default_factory=dict)
 
@@ -78,7 +77,7 @@ class Bench:
         if isinstance(message, Ping):
             return self.hello()
         if isinstance(message, OpenRun):
-            self._open(message.context)
+            self._open(message)
             return None
         if isinstance(message, CloseRun):
             self._runs.pop(message.run, None)
@@ -93,21 +92,22 @@ class Bench:
             value, error = None, InternalError(f"{message} failed: {type(fault).__name__}: {fault}.")
         return Answer(value, error, time.monotonic() - began_s)
 
-    def _open(self, context: RunContext) -> None:
+    def _open(self, opening: OpenRun) -> None:
         slots: dict[FrameKey, int] = {}
 
         def frame(camera: int, row: int) -> NDArray[Any] | None:
             slot = slots.get((camera, row))
             return None if slot is None else self._ring.frame(slot)
 
-        self._runs[context.run] = _OpenedRun(context, Desk(context.setup, frame, self._reference_of(context)), slots)
+        desk = Desk(opening.setup, frame, self._reference_of(opening))
+        self._runs[opening.context.run] = _OpenedRun(desk, slots)
 
-    def _reference_of(self, context: RunContext) -> Callable[[int, int], NDArray[Any] | None] | None:
+    def _reference_of(self, opening: OpenRun) -> Callable[[int, int], NDArray[Any] | None] | None:
         """What reads the reference's frames; they are on disk, and in the page cache from the second board on."""
-        if context.reference is None:
+        if opening.reference is None:
             return None
 
-        directory = context.reference
+        directory = opening.reference
 
         def frame(camera: int, row: int) -> NDArray[Any] | None:
             if self._reference is None or self._reference.directory != directory:
@@ -129,10 +129,12 @@ class Bench:
                     job.run, job.time, job.board_type, job.setup, np.array(job.times_s), job.evidence, job.stitch
                 )
 
-    def _link(self, job: LinkJob) -> Evidence:
+    def _link(self, job: LinkJob) -> tuple[Linked, ...]:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
-        return self._guarded(job.context.bay, job.context.generation, lambda: opened.desk.perform(job.task))
+        return self._guarded(
+            job.context.bay, job.context.generation, lambda: tuple(_timed(opened.desk, task) for task in job.tasks)
+        )
 
     def _conclude(self, job: ConcludeJob) -> Concluded:
         opened = self._runs[job.run]
@@ -155,6 +157,12 @@ class Bench:
         seen = look()
         self._ring.check(bay, generation)
         return seen
+
+
+def _timed(desk: Desk, task: Task) -> Linked:
+    began_s = time.monotonic()
+    evidence = desk.perform(task)
+    return Linked(evidence, time.monotonic() - began_s)
 
 
 def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:

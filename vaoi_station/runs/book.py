@@ -11,11 +11,10 @@ from vaoi_station.acquisition.messages import FrameSettled, PulseSeen, RunFinish
 from vaoi_station.model import Status
 from vaoi_station.runs.archive import Archive
 from vaoi_station.runs.events import EventLog
-from vaoi_station.runs.jobs import Answer, Job, LinkJob
+from vaoi_station.runs.jobs import Answer, Job, LinkJob, OpenRun
 from vaoi_station.runs.progress import Progress
 from vaoi_station.runs.shapes import Reason
 from vaoi_station.runs.state import RunState, RunStep
-from vaoi_station.stitching.evidence import Task
 
 
 class Workers(Protocol):
@@ -23,6 +22,9 @@ class Workers(Protocol):
 
     def submit(self, job: Job, done: Callable[[Answer], None]) -> None:
         """Have a job done; `done` is called once, in any thread."""
+
+    def open_run(self, opening: OpenRun) -> None:
+        """Jobs of a run are about to come."""
 
     def close_run(self, run: str) -> None:
         """Nothing more of a run will be asked for."""
@@ -51,6 +53,7 @@ class RunBook:
     def open(self, progress: Progress) -> None:
         """A board has interrupted the barrier."""
         self.active[progress.run] = progress
+        self._workers.open_run(progress.opening)
         self._archive.begin(progress)
         self._tell(progress, f"A board of type {progress.order.board_type.name!r} is being filmed.")
 
@@ -82,17 +85,17 @@ class RunBook:
 
     def _submit(self, jobs: Iterable[LinkJob]) -> None:
         for job in jobs:
-            self._workers.submit(job, partial(self._hear_link, job.run, job.task))
+            self._workers.submit(job, partial(self._hear_links, job))
 
-    def _hear_link(self, run: str, task: Task, answer: Answer) -> None:
-        self._post(self._linked, run, task, answer, time.monotonic())
+    def _hear_links(self, job: LinkJob, answer: Answer) -> None:
+        self._post(self._linked, job, answer, time.monotonic())
 
     def _hear_result(self, run: str, answer: Answer) -> None:
         self._post(self._concluded, run, answer, time.monotonic())
 
-    def _linked(self, run: str, task: Task, answer: Answer, now_s: float) -> None:
-        if (progress := self.active.get(run)) is not None:
-            progress.answered(task, answer, now_s)
+    def _linked(self, job: LinkJob, answer: Answer, now_s: float) -> None:
+        if (progress := self.active.get(job.run)) is not None:
+            progress.answered(job, answer, now_s)
             self._go_on(progress)
 
     def _concluded(self, run: str, answer: Answer, now_s: float) -> None:

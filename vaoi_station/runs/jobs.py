@@ -27,22 +27,24 @@ class Priority(IntEnum):
 
 @dataclass(frozen=True)
 class RunContext:
-    """What every task of a run needs; a worker gets it once."""
+    """Where the frames of a run are."""
 
     run: str
-    setup: Setup
     bay: int
     generation: int
-    reference: Path | None = None
-    """Directory of the reference that `setup` names."""
 
 
 @dataclass(frozen=True)
 class LinkJob:
-    """One stitching task on frames that are in the ring."""
+    """Stitching tasks on frames that are in the ring: those that one frame makes possible, so that it is prepared once.
+
+    Its answer is one `Linked` per task, in their order.
+    """
 
     context: RunContext
-    task: Task
+    camera: int
+    """Of the frame."""
+    tasks: tuple[Task, ...]
     slots: Mapping[FrameKey, int]
 
     priority = Priority.LINK
@@ -54,12 +56,12 @@ class LinkJob:
 
     @property
     def affinity(self) -> int | None:
-        """Frames of one camera go to one worker, which has prepared them before."""
-        return self.task.a[0]
+        """Neighbouring cameras go to one worker, which has prepared their frames before."""
+        return self.camera
 
     def __str__(self) -> str:
-        other = f" and {self.task.b}" if self.task.b else ""
-        return f"{self.task.kind} of {self.task.a}{other} of run {self.run}"
+        each = (f"{t.kind} of {t.a}" + (f" and {t.b}" if t.b else "") for t in self.tasks)
+        return f"{', '.join(each)} of run {self.run}"
 
 
 @dataclass(frozen=True)
@@ -127,9 +129,12 @@ Job = LinkJob | ConcludeJob | RenderJob | CheckJob
 
 @dataclass(frozen=True)
 class OpenRun:
-    """A run whose tasks are about to come."""
+    """A run whose tasks are about to come, and what all of them need; a worker gets it once."""
 
     context: RunContext
+    setup: Setup
+    reference: Path | None = None
+    """Directory of the reference that `setup` names."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +154,15 @@ class Hello:
     """The worker is there: said once it has its ring and its libraries, and whenever it is asked."""
 
     pid: int
+
+
+@dataclass(frozen=True)
+class Linked:
+    """What one task gave."""
+
+    evidence: Evidence
+    worker_s: float
+    """Time it took in the worker."""
 
 
 @dataclass(frozen=True)

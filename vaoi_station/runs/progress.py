@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from vaoi_station.acquisition.messages import FrameSettled, RunFinished, RunStarted
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Stitch, Verdict
-from vaoi_station.runs.jobs import Answer, Concluded, ConcludeJob, LinkJob, RunContext
+from vaoi_station.runs.jobs import Answer, Concluded, ConcludeJob, Linked, LinkJob, OpenRun, RunContext
 from vaoi_station.runs.memory import Bay
 from vaoi_station.runs.order import Order
 from vaoi_station.runs.shapes import Reason, TaskTiming
@@ -25,18 +25,22 @@ class Progress:
     """A run under way; host times are time.monotonic()."""
 
     order: Order
-    context: RunContext
+    opening: OpenRun
     barrier_s: float
     state: RunState = RUN.start
     pulses: dict[int, Pulse] = field(default_factory=dict)
     frames: dict[FrameKey, FrameRecord] = field(default_factory=dict)
     settled_s: dict[FrameKey, float] = field(default_factory=dict)
+    linkable: set[FrameKey] = field(default_factory=set)
+    """Frames that arrived whole, of pulses that were reported."""
     asked_s: dict[Task, float] = field(default_factory=dict)
     """Tasks given to the workers, and when their last frame had settled."""
     evidence: dict[Task, Evidence] = field(default_factory=dict)
     unanswered: set[Task] = field(default_factory=set)
     needed: tuple[Task, ...] = ()
     """The canonical tasks, once everything has been filmed."""
+    awaited: set[Task] = field(default_factory=set)
+    """Those of them that are unanswered."""
     timings: list[TaskTiming] = field(default_factory=list)
     film: RunFinished | None = None
     faults: list[Reason] = field(default_factory=list)
@@ -54,8 +58,13 @@ class Progress:
     def begin(cls, report: RunStarted, bay: Bay, order: Order) -> Progress:
         """A board has interrupted the barrier."""
         reference = order.reference.directory if order.reference else None
-        context = RunContext(report.run, order.setup, bay.number, bay.generation, reference)
-        return cls(order, context, report.host_time_s)
+        context = RunContext(report.run, bay.number, bay.generation)
+        return cls(order, OpenRun(context, order.setup, reference), report.host_time_s)
+
+    @property
+    def context(self) -> RunContext:
+        """Where its frames are."""
+        return self.opening.context
 
     @property
     def run(self) -> str:
@@ -89,8 +98,8 @@ class Progress:
         if report.frame.verdict is not Verdict.OK or key[1] not in self.pulses:
             return []
         times_s = {row: pulse.time_s for row, pulse in self.pulses.items()}
-        known = [k for k in self.present if k[1] in times_s]
-        return self._ask(possible_tasks(key, known, times_s, self.order.setup))
+        self.linkable.add(key)
+        return self._ask(key[0], possible_tasks(key, self.linkable, times_s, self.order.setup))
 
     def filmed(self, report: RunFinished) -> list[LinkJob]:
         """Every frame has its verdict; the canonical tasks that were not asked for yet."""
@@ -99,31 +108,36 @@ class Progress:
         self.frames = {(f.camera, f.row): f for f in report.frames}
         times_s = dict(enumerate(report.head.row_times_s()))
         self.needed = all_tasks(self.present, times_s, self.order.setup)
-        return self._ask(self.needed)
+        jobs = [job for task in self.needed for job in self._ask(task.a[0], (task,))]
+        self.awaited = self.unanswered.intersection(self.needed)
+        return jobs
 
-    def answered(self, task: Task, answer: Answer, now_s: float) -> None:
-        """A task is done, or cannot be done."""
-        self.unanswered.discard(task)
+    def answered(self, job: LinkJob, answer: Answer, now_s: float) -> None:
+        """Tasks are done, or cannot be done."""
+        self.unanswered.difference_update(job.tasks)
+        self.awaited.difference_update(job.tasks)
         if answer.error is not None:
             self._blame(answer.error)
             return
-        self.evidence[task] = answer.value
-        self.timings.append(
-            TaskTiming(
-                kind=task.kind,
-                camera=task.a[0],
-                row=task.a[1],
-                other_camera=task.b[0] if task.b else None,
-                other_row=task.b[1] if task.b else None,
-                ready_s=self.asked_s[task] - self.barrier_s,
-                done_s=now_s - self.barrier_s,
-                worker_ms=answer.worker_s * 1e3,
-            )
+        for task, linked in zip(job.tasks, answer.value, strict=True):
+            self.evidence[task] = linked.evidence
+            self.timings.append(self._timing(task, linked, now_s))
+
+    def _timing(self, task: Task, linked: Linked, now_s: float) -> TaskTiming:
+        return TaskTiming(
+            kind=task.kind,
+            camera=task.a[0],
+            row=task.a[1],
+            other_camera=task.b[0] if task.b else None,
+            other_row=task.b[1] if task.b else None,
+            ready_s=self.asked_s[task] - self.barrier_s,
+            done_s=now_s - self.barrier_s,
+            worker_ms=linked.worker_s * 1e3,
         )
 
     def conclusion(self) -> ConcludeJob | None:
         """The last job, once all evidence is there; None before, and if there can be none."""
-        if self.film is None or self.concluding or self.hopeless or self.unanswered & {*self.needed}:
+        if self.film is None or self.concluding or self.hopeless or self.awaited:
             return None
         self.concluding = True
         evidence = tuple(self.evidence[t] for t in self.needed if t in self.evidence)
@@ -147,12 +161,14 @@ class Progress:
         self.blame(Reason(code=error.code, message=error.message, action=error.action))
         self.hopeless = self.hopeless or error.code == "worker-lost"
 
-    def _ask(self, tasks: Iterable[Task]) -> list[LinkJob]:
-        new = [task for task in tasks if task not in self.asked_s]
+    def _ask(self, camera: int, tasks: Iterable[Task]) -> list[LinkJob]:
+        """One job for those tasks that were not asked for yet; none if there are none."""
+        new = tuple(task for task in tasks if task not in self.asked_s)
         for task in new:
             self.asked_s[task] = max(self.settled_s.get(key, self.barrier_s) for key in _frames_of(task))
         self.unanswered.update(new)
-        return [LinkJob(self.context, task, self._slots(_frames_of(task))) for task in new]
+        frames = dict.fromkeys(key for task in new for key in _frames_of(task))
+        return [LinkJob(self.context, camera, new, self._slots(frames))] if new else []
 
     def _slots(self, keys: Iterable[FrameKey]) -> dict[FrameKey, int]:
         return {key: slot for key in keys if (slot := self.frames[key].slot) is not None}

@@ -12,9 +12,11 @@ def work(connection: Connection[Any, Any], ring_path: str) -> None:
     """Do jobs until there are no more; heavy imports only after the number of threads is set."""
     settle_in(one_thread=True)
     from vaoi_station.runs.bench import Bench
+    from vaoi_station.runs.warming import warm_up
 
     with connection, Bench(ring_path) as bench:
         try:
+            warm_up()
             connection.send(bench.hello())
             while (message := connection.recv()) is not None:
                 if (answer := bench.take(message)) is not None:

@@ -12,7 +12,7 @@ import logging
 import multiprocessing
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
@@ -29,6 +29,8 @@ _log = logging.getLogger(__name__)
 
 JOB_LIMIT_S = 30.0
 """A worker that takes longer for one job is taken for hung and killed."""
+START_LIMIT_S = 120.0
+"""The same before it says that it is there: after an installation the first ones compile what is compiled."""
 PULSE_S = 1.0
 """An idle worker is asked for a sign of life so often."""
 LIVES = 2
@@ -39,7 +41,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 Done = Callable[[Answer], None]
 
 
-@dataclass
+@dataclass(eq=False)
 class _Queued:
     job: Job
     done: Done
@@ -75,8 +77,10 @@ class WorkerPool:
         self._lost: Callable[[str], None] = lambda _: None
         self._spawn = multiprocessing.get_context("spawn")
         self._workers = [_Worker(k) for k in range(count)]
+        self._runs: dict[str, OpenRun] = {}
         self._queues: dict[Priority, deque[_Queued]] = {p: deque() for p in Priority}
         self._lock = threading.RLock()
+        self._all_ready = threading.Condition(self._lock)
         self._wake_here, self._wake_there = multiprocessing.Pipe(duplex=False)
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
@@ -87,6 +91,11 @@ class WorkerPool:
         atexit.register(self.stop, 0.0)  # workers leave SIGTERM to the station: nobody else would end them
         self._thread.start()
 
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Wait until every worker is there and warm; False if that takes too long, which jobs survive: they wait."""
+        with self._all_ready:
+            return self._all_ready.wait_for(lambda: all(w.ready for w in self._workers), timeout_s)
+
     def submit(self, job: Job, done: Done) -> None:
         """Have a job done; `done` is called once, with a value or a reason."""
         with self._lock:
@@ -96,9 +105,15 @@ class WorkerPool:
                 return
         done(_refused(StateError("The station is stopping; its workers take no more jobs.")))
 
+    def open_run(self, opening: OpenRun) -> None:
+        """Jobs of a run are about to come."""
+        with self._lock:
+            self._runs[opening.context.run] = opening
+
     def close_run(self, run: str) -> None:
         """Nothing more of a run will be asked for: links that still wait are dropped, workers forget it."""
         with self._lock:
+            self._runs.pop(run, None)
             links = self._queues[Priority.LINK]
             self._queues[Priority.LINK] = deque(q for q in links if q.job.run != run)
             for worker in self._workers:
@@ -189,6 +204,7 @@ class WorkerPool:
                 queued, worker.job = worker.job, None
             if isinstance(message, Hello):
                 worker.ready, worker.failed_starts = True, 0
+                self._all_ready.notify_all()
             self._dispatch()
         if isinstance(message, Answer) and queued is not None:
             queued.done(message)
@@ -212,7 +228,8 @@ class WorkerPool:
         now = time.monotonic()
         busy = worker.job is not None or not worker.ready
         since_s = worker.since_s if busy else worker.asked_s
-        if since_s is not None and now - since_s > JOB_LIMIT_S:
+        limit_s = JOB_LIMIT_S if worker.ready else START_LIMIT_S
+        if since_s is not None and now - since_s > limit_s:
             _kill(worker.process)
         elif not busy and worker.asked_s is None and now - (worker.seen_s or now) > PULSE_S:
             worker.asked_s = now
@@ -259,30 +276,35 @@ class WorkerPool:
 
     def _choose(self, worker: _Worker) -> _Queued | None:
         for queue in self._queues.values():
-            mine = next((q for q in queue if self._home(q) in (None, worker.index)), None)
-            chosen = mine or next((q for q in queue if self._may_take(q, queue)), None)
+            homes = [self._home(q) for q in queue]
+            waiting = Counter(homes)
+            mine = next((q for q, home in zip(queue, homes, strict=True) if home in (None, worker.index)), None)
+            chosen = mine or next((q for q, h in zip(queue, homes, strict=True) if self._may_take(h, waiting)), None)
             if chosen is not None:
                 queue.remove(chosen)
                 return chosen
         return None
 
     def _home(self, queued: _Queued) -> int | None:
-        """The worker that has this job's frames prepared."""
-        affinity = queued.job.affinity
-        return None if affinity is None else affinity % len(self._workers)
+        """The worker that has this job's frames prepared: each has a part of the array, side by side.
 
-    def _may_take(self, queued: _Queued, queue: deque[_Queued]) -> bool:
+        Only where two parts meet are frames prepared by both.
+        """
+        job, opening = queued.job, self._runs.get(queued.job.run)
+        if job.affinity is None or opening is None:
+            return None
+        return job.affinity * len(self._workers) // len(opening.setup.cameras)
+
+    def _may_take(self, home: int | None, waiting: Counter[int | None]) -> bool:
         """Whether another worker than its own should do a job: its own is away, or has more than it can do next."""
-        home = self._home(queued)
-        assert home is not None
-        return not self._workers[home].ready or sum(self._home(q) == home for q in queue) > 1
+        return home is None or not self._workers[home].ready or waiting[home] > 1
 
     def _hand(self, worker: _Worker, queued: _Queued) -> None:
         assert worker.connection is not None
         worker.job, worker.since_s = queued, time.monotonic()
         if isinstance(queued.job, LinkJob | ConcludeJob) and queued.job.run not in worker.opened:
             worker.opened.add(queued.job.run)
-            _send(worker.connection, OpenRun(queued.job.context))
+            _send(worker.connection, self._runs[queued.job.run])
         _send(worker.connection, queued.job)
 
     def _abandoned(self) -> list[_Queued]:

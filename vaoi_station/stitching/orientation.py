@@ -187,10 +187,16 @@ def _both_sides(board: Floats) -> Floats:
 def _nearest_frame(middle: Floats, scene: Scene, motion: Motion) -> NDArray[np.int_]:
     """For each board point (k, 2) the number of the frame that shows it closest to its middle; −1 for none."""
     best, chosen = np.full(len(middle), np.inf), np.full(len(middle), -1)
+    places = {row: motion.row_from_tester(row)(middle) for row in {row for _, row in scene.present}}
+    boxes = [camera.view_mm() for camera in scene.cameras]
     for n, (number, row) in enumerate(scene.present):
+        low, high = boxes[number]
+        near = np.flatnonzero(((places[row] >= low) & (places[row] <= high)).all(1))
+        if not len(near):
+            continue
         camera = scene.cameras[number]
-        px = camera.project(motion.row_from_tester(row)(middle))
+        px = camera.project(places[row][near])
         off = np.hypot(*(px - camera.center_px).T)
-        take = camera.sees(px, _MARGIN_MM * camera.px_per_mm) & (off < best)
-        best[take], chosen[take] = off[take], n
+        take = camera.sees(px, _MARGIN_MM * camera.px_per_mm) & (off < best[near])
+        best[near[take]], chosen[near[take]] = off[take], n
     return chosen

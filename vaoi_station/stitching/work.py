@@ -30,8 +30,8 @@ from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.sight import sight_marks
 from vaoi_station.stitching.verdict import Findings
 
-_KEPT_FRAMES = 8
-"""Prepared frames a desk remembers: enough for the neighbours of a row of several cameras."""
+_KEPT_ROWS, _KEPT_MORE = 3, 4
+"""Prepared frames a desk remembers: the row being done, the two before it, and a few."""
 _WIDE_PX = 110.0
 """Rows j and j + 2 are linked where they still share a strip so wide: three patches. A narrower one, in which a patch
 and its margin fit once, costs as much as any pair of frames and makes positions surer by 3 to 8 per cent only."""
@@ -58,18 +58,23 @@ def possible_tasks(
 
     Args:
         new: camera and row of the frame.
-        present: all good frames so far, with or without `new`.
+        present: all good frames so far, with or without `new`; best a set.
         times_s: time of each row's pulse, by row.
         setup: what is known beforehand.
     """
-    frames = {*present, new}
-    return tuple(t for t in _tasks_of(new, times_s, setup) if _possible(t, frames))
+    return tuple(t for t in _tasks_of(new, times_s, setup) if _possible(t, lambda key: key == new or key in present))
 
 
 def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: Setup) -> tuple[Task, ...]:
-    """The canonical tasks of a finished run, in a fixed order: the evidence a result is made from."""
+    """The canonical tasks of a finished run, row by row: the evidence a result is made from."""
     frames = set(present)
-    tasks = {task: None for key in sorted(frames) for task in possible_tasks(key, frames, times_s, setup)}
+    in_order = sorted(frames, key=lambda key: (key[1], key[0]))
+    tasks = {
+        task: None
+        for key in in_order
+        for task in _tasks_of(key, times_s, setup)
+        if _possible(task, frames.__contains__)
+    }
     for task in _bridges(frames, times_s, setup):
         tasks.setdefault(task)
     return tuple(tasks)
@@ -143,7 +148,7 @@ class Desk:
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} is not there")
         self._prepared[key] = Prepared(pixels)
-        if len(self._prepared) > _KEPT_FRAMES:
+        if len(self._prepared) > _KEPT_ROWS * len(self._setup.cameras) + _KEPT_MORE:
             self._prepared.popitem(last=False)
         return self._prepared[key]
 
@@ -176,8 +181,8 @@ def _strip_px(setup: Setup, number: int, dt_s: float) -> float:
     return float((np.array([camera.width_px, camera.height_px]) - np.abs(moved - middle)).min())
 
 
-def _possible(task: Task, frames: set[FrameKey]) -> bool:
-    return task.a in frames and (task.b is None or task.kind == "reference" or task.b in frames)
+def _possible(task: Task, there: Callable[[FrameKey], bool]) -> bool:
+    return there(task.a) and (task.b is None or task.kind == "reference" or there(task.b))
 
 
 def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: Setup) -> list[Task]:

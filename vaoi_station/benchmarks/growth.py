@@ -1,0 +1,156 @@
+"""How cost and memory grow with the frames: longer and longer boards, each stitched in a process of its own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vaoi_station.benchmarks.film import Film, film
+from vaoi_station.benchmarks.usage import own_memory_bytes
+from vaoi_station.errors import InternalError
+from vaoi_station.runs.child import settle_in
+from vaoi_station.simulation import Scenario
+
+ROWS = (4, 10, 33, 100, 333)
+"""Of three cameras: 12 to 999 frames."""
+_CAMERAS, _BOARD_WIDTH_MM = 3, 90.0
+_OVERLAP = 1.15
+"""So much that neighbours overlap for certain, however crooked they hang."""
+_SAMPLE_S = 0.005
+
+
+@dataclass(frozen=True)
+class Growth:
+    """One board; times are CPU time of one thread, once everything is compiled."""
+
+    frames: int
+    rows: int
+    board_mm: tuple[float, float]
+    components: int
+    links_ms_per_frame: float
+    conclude_ms_per_frame: float
+    own_memory_mb: float
+    """The most the process held of its own while stitching, above what it held before: frames are not its own."""
+    frames_mb: float
+    """What the frames take in shared memory."""
+    status: str
+    reasons: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def growth(scenario: Scenario, folder: Path, rows: tuple[int, ...], tell: Callable[[str], None]) -> list[Growth]:
+    """Stitch boards of a scenario's kind, made so long that they take so many rows of three cameras."""
+    found = []
+    for count in rows:
+        made = film(long_board(scenario, count), folder / f"{count}", tell)
+        found.append(_stitched_apart(made))
+    return found
+
+
+def long_board(scenario: Scenario, rows: int) -> Scenario:
+    """The scenario with three cameras and a board of so many rows."""
+    line, belt = scenario.line, scenario.belt
+    passing_s = (rows - 0.5) * line.period_s + line.start_delay_s - line.tail_s
+    length_mm = round(passing_s * belt.speed_mm_s * (1 + belt.speed_error), 1)
+    changes: dict[str, dict[str, Any]] = {
+        "array": {"cameras": _CAMERAS, "overlap": _OVERLAP},
+        "board": {"name": f"long-{rows}", "width_mm": _BOARD_WIDTH_MM, "length_mm": length_mm},
+        "line": {"longest_board_mm": length_mm + 2 * line.period_s * belt.speed_mm_s},
+    }
+    plain = scenario.model_dump()
+    return Scenario.model_validate(plain | {name: plain[name] | section for name, section in changes.items()})
+
+
+def _stitched_apart(board: Film) -> Growth:
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=_stitch, args=(board, there), name="vaoi-bench-growth", daemon=True)
+    process.start()
+    there.close()
+    try:
+        figures: Growth = here.recv()
+    except EOFError as end:
+        process.join()
+        raise InternalError(f"stitching {board.directory} ended with code {process.exitcode}.") from end
+    finally:
+        here.close()
+    process.join()
+    process.close()
+    return figures
+
+
+def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
+    settle_in(one_thread=True)
+    import cv2
+
+    from vaoi_station.stitching.expectation import expectation_of
+    from vaoi_station.stitching.work import Desk, Setup, all_tasks
+
+    cv2.setNumThreads(1)
+    head, frames, board_type = board.head, board.map(), board.board_type
+    cameras = board.calibration.cameras(head.cameras)
+    expected = expectation_of(board.line, board_type)
+    setup = Setup(cameras, head.conveyor_mm_s, head.trigger_period_s, board_type, expected)
+    times_s = head.row_times_s()
+    present = [(camera, row) for row in range(head.rows) for camera in range(len(cameras))]
+    tasks = all_tasks(present, dict(enumerate(times_s)), setup)
+    early = [t for t in tasks if max(t.a[1], (t.b or t.a)[1]) <= 1]
+    warm = Desk(setup, lambda i, j: frames[j, i])
+    warm.conclude(times_s[:2], [key for key in present if key[1] <= 1], [warm.perform(t) for t in early])
+    with _Highest() as highest:
+        desk = Desk(setup, lambda i, j: frames[j, i])
+        began_s = time.process_time()
+        evidence = [desk.perform(t) for t in tasks]
+        linked_s = time.process_time()
+        stitch = desk.conclude(times_s, present, evidence)
+        ended_s = time.process_time()
+    width_mm, length_mm = np.ptp(board_type.extent(), axis=0) * board_type.mm_per_unit
+    figures = Growth(
+        frames=len(present),
+        rows=head.rows,
+        board_mm=(round(float(width_mm), 1), round(float(length_mm), 1)),
+        components=len(board_type.components),
+        links_ms_per_frame=round((linked_s - began_s) * 1e3 / len(present), 3),
+        conclude_ms_per_frame=round((ended_s - linked_s) * 1e3 / len(present), 3),
+        own_memory_mb=round(highest.bytes / 1e6, 1),
+        frames_mb=round(frames.nbytes / 1e6, 1),
+        status=str(stitch.status),
+        reasons=stitch.reasons,
+    )
+    answer.send(figures)
+    answer.close()
+
+
+class _Highest:
+    """Watches this process's own memory from a thread; `bytes` is the most it was above the beginning."""
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
+
+    def __enter__(self) -> _Highest:
+        self._before = own_memory_bytes()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while True:
+            self.bytes = max(self.bytes, own_memory_bytes() - self._before)
+            if self._ended.wait(_SAMPLE_S):
+                return

@@ -1,0 +1,55 @@
+"""The figures of the station and of growth as tables, for the terminal and for the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vaoi_station.benchmarks.growth import Growth
+from vaoi_station.benchmarks.paced import RateFigures
+
+
+def station_table(figures: Sequence[RateFigures]) -> str:
+    """One row per rate."""
+    head = (
+        "rate", "frames/s", "Mbit/s", "boards", "missed", "frames lost", "kept up", "ready ms (median, p99)",
+        "conclude ms", "link lag ms", "links open", "cores", "sender cores", "load",
+    )  # fmt: skip
+    return _table(head, [_station_row(f) for f in figures])
+
+
+def shares_table(figures: Sequence[RateFigures]) -> str:
+    """CPU ms per frame and MB of every process, one row per process."""
+    names = list(figures[0].cpu_ms_per_frame)
+    head = ("process", *(f"{f.rate:g}×: CPU ms/frame, MB" for f in figures))
+    return _table(
+        head, [(name, *(f"{f.cpu_ms_per_frame[name]:.2f}, {f.memory_mb[name]:.0f}" for f in figures)) for name in names]
+    )
+
+
+def growth_table(figures: Sequence[Growth]) -> str:
+    """One row per board."""
+    head = ("frames", "rows", "board mm", "components", "links ms/frame", "conclude ms/frame", "own MB", "frames MB")
+    return _table(head, [_growth_row(f) for f in figures])
+
+
+def _growth_row(f: Growth) -> tuple[object, ...]:
+    width, length = f.board_mm
+    return (
+        f.frames, f.rows, f"{width:.0f} × {length:.0f}", f.components, f"{f.links_ms_per_frame:.2f}",
+        f"{f.conclude_ms_per_frame:.2f}", f"{f.own_memory_mb:.1f}", f"{f.frames_mb:.0f}",
+    )  # fmt: skip
+
+
+def _station_row(f: RateFigures) -> tuple[object, ...]:
+    ready = f.ready_after_last_frame_ms
+    return (
+        f"{f.rate:g}×", f"{f.frames_per_s:.2f}", f"{f.mbit_per_s:.0f}", f.boards, f.boards_missed, f.frames_lost,
+        "yes" if f.kept_up else "no", f"{ready['median']:.0f}, {ready['p99']:.0f}", f"{f.conclude_ms:.0f}",
+        f"{f.lag_first_half_ms:.0f} → {f.lag_second_half_ms:.0f}", f"{f.links_open_at_last_frame:.0f}",
+        f"{f.cores:.2f}", f"{f.sender_cores:.2f}", f"{f.load_before:.1f}",
+    )  # fmt: skip
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    lines = ["| " + " | ".join(str(cell) for cell in row) + " |" for row in (head, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])

@@ -1,0 +1,72 @@
+"""Warming up: a small board of noise and three discs is stitched before a worker says that it is there.
+
+What is compiled on first use is compiled now, libraries are paged in, and the first real frame is as fast as the last.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.model import BoardType, Stitch
+from vaoi_station.stitching.work import Desk, Setup, all_tasks
+
+_PX_PER_MM, _WIDTH_PX, _HEIGHT_PX = 10.0, 400, 300
+_CAMERAS, _ROWS, _PITCH_MM, _STEP_MM, _PERIOD_S = 2, 3, 36.0, 12.0, 0.1
+_MARKS_MM, _MARK_MM = ((8.0, 5.0), (66.0, 8.0), (30.0, 24.0)), 1.5
+_SIZE_MM = (_PITCH_MM * (_CAMERAS - 1) + _WIDTH_PX / _PX_PER_MM, _HEIGHT_PX / _PX_PER_MM)
+_BELT, _AROUND, _COPPER = 20, 40, 220
+_SUBPIXEL_BITS = 4
+
+
+def warm_up() -> Stitch:
+    """Stitch the board; its result is of no use but to see that it is one."""
+    setup, times_s = _setup(), np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
+    present = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
+    desk = Desk(setup, partial(_frame, _picture()))
+    tasks = all_tasks(present, dict(enumerate(times_s)), setup)
+    return desk.conclude(times_s, present, [desk.perform(task) for task in tasks])
+
+
+def _setup() -> Setup:
+    lens = Lens(((_WIDTH_PX - 1) / 2, (_HEIGHT_PX - 1) / 2), float(np.hypot(_WIDTH_PX, _HEIGHT_PX)) / 2, (-1e-4,))
+    matrices = (
+        np.array([[_PX_PER_MM, 0, -_PX_PER_MM * _PITCH_MM * i], [0, _PX_PER_MM, 0], [0, 0, 1]]) for i in range(_CAMERAS)
+    )
+    cameras = tuple(
+        Camera(_WIDTH_PX, _HEIGHT_PX, Projective(n, System.IMAGE, System.ROW), lens, 300.0) for n in matrices
+    )
+    return Setup(cameras, (0.0, _STEP_MM / _PERIOD_S), _PERIOD_S, _board_type())
+
+
+def _board_type() -> BoardType:
+    parts = [{"ref": f"U{n}", "center": (15 + 12 * n, 15), "width": 4, "height": 4} for n in range(4)]
+    marks = [{"name": f"F{n}", "x": x, "y": y, "diameter": _MARK_MM} for n, (x, y) in enumerate(_MARKS_MM)]
+    return BoardType.model_validate(
+        {"name": "warm-up", "y_axis": "down", "outline": ((0, 0), _SIZE_MM), "fiducials": marks, "components": parts}
+    )
+
+
+def _picture() -> NDArray[np.uint8]:
+    """What lies on the belt from where the last row begins to where the first ends, (h, w)."""
+    g = np.random.default_rng(0)
+    height, width = (round(mm * _PX_PER_MM) for mm in (_SIZE_MM[1] + _STEP_MM * (_ROWS - 1), _SIZE_MM[0]))
+    noise = cv2.GaussianBlur(g.normal(0, 60, (height, width)), (0, 0), 1.5)
+    image: NDArray[np.uint8] = np.clip(90 + noise, 0, 255).astype(np.uint8)
+    image[: round(_STEP_MM * (_ROWS - 1) * _PX_PER_MM)] = _BELT
+    for x, y in _MARKS_MM:
+        at = np.array([x, y + _STEP_MM * (_ROWS - 1)]) * _PX_PER_MM
+        middle = tuple(np.round(at * 2**_SUBPIXEL_BITS).astype(int).tolist())
+        for diameter, grey in ((2.2 * _MARK_MM, _AROUND), (_MARK_MM, _COPPER)):
+            radius = round(diameter / 2 * _PX_PER_MM * 2**_SUBPIXEL_BITS)
+            cv2.circle(image, middle, radius, grey, cv2.FILLED, cv2.LINE_AA, _SUBPIXEL_BITS)
+    return image
+
+
+def _frame(picture: NDArray[np.uint8], camera: int, row: int) -> NDArray[np.uint8]:
+    x, y = round(_PITCH_MM * camera * _PX_PER_MM), round(_STEP_MM * (_ROWS - 1 - row) * _PX_PER_MM)
+    return picture[y : y + _HEIGHT_PX, x : x + _WIDTH_PX]
