@@ -70,7 +70,7 @@ def test_rows_two_apart_are_linked_where_enough_of_both_is_the_same(workshop: An
     """A frame is 160 px high; two steps of 2 mm leave a strip of 120 px, two of 3 mm one of 100 px."""
     frames, times = [(i, j) for i in range(2) for j in range(4)], {j: 0.1 * j for j in range(4)}
     slow, fast = (replace(setup_of(workshop, 2), conveyor_mm_s=(0.0, v)) for v in (20.0, 30.0))
-    far = [t for t in all_tasks(frames, times, slow) if t.b and t.b[1] - t.a[1] == 2]
+    far = sorted((t for t in all_tasks(frames, times, slow) if t.b and t.b[1] - t.a[1] == 2), key=lambda t: t.a)
     assert far == [Task("rows", (i, p), (i, p + 2), 0.2) for i in range(2) for p in range(2)]
     assert {t for f in frames for t in possible_tasks(f, frames, times, slow)} >= set(far), "as soon as both are there"
     assert not [t for t in all_tasks(frames, times, fast) if t.b and t.b[1] - t.a[1] == 2]
