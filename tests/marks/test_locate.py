@@ -107,6 +107,22 @@ def test_a_mark_of_another_size_is_refused(paint: Paint, factor: float) -> None:
     assert isinstance(refused, Failure)
 
 
+def test_a_disc_that_is_partly_covered_is_refused_by_its_size(paint: Paint) -> None:
+    image = paint([("circle", 48, 40, 16.0)])
+    image[:, 51:] = 60
+    refused = locate(image, np.array([48.0, 40.0]), "circle", 16.0)
+    assert isinstance(refused, Failure)
+    assert "more than 15% off the artwork's" in refused.reason
+
+
+def test_a_disc_that_is_partly_covered_and_found_says_how_unsure_it_is(paint: Paint) -> None:
+    image = paint([("circle", 48, 40, 30.0)])
+    image[:, 54:] = 60
+    found = locate(image, np.array([48.0, 40.0]), "circle", 30.0)
+    assert isinstance(found, Mark)
+    assert np.hypot(*(found.px - (48, 40))) < 4 * found.sigma_px
+
+
 def test_an_edge_is_no_mark(paint: Paint) -> None:
     image = np.full((80, 96), 60, dtype=np.uint8)
     image[:, 48:] = 200

@@ -33,8 +33,8 @@ _SHARP_PX = 0.67
 _LEAST_SCORE = 0.75
 _LEAST_CONTRAST = 8.0
 _LEAST_SIGMA_PX = 0.005
-_MOST_OFF_SIZE = 0.3
-"""Discs that are larger or smaller than the artwork by a greater share are others."""
+_MOST_OFF_SIZE = 0.15
+"""Discs that are larger or smaller than the artwork by a greater share are others, or partly covered."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def _disc(image: NDArray[np.uint8], start: tuple[float, float], size_px: float, 
     if abs(2 * radius / size_px - 1) > _MOST_OFF_SIZE:
         return Failure(
             f"the disc at ({x:.0f}, {y:.0f}) px has a diameter of {2 * radius:.1f} px, more than {_MOST_OFF_SIZE:.0%} "
-            f"off the artwork's {size_px:.1f} px"
+            f"off the artwork's {size_px:.1f} px: another one, or partly covered"
         )
     return (x, y), sigma
 
