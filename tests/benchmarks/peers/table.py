@@ -1,0 +1,162 @@
+"""Scores what was run and renews the table: `python -m peers.table STRIPS RUNS`.
+
+Only stitchers that were run anew are scored anew; of the others `results.json` keeps what it had. The page in the
+documentation is written between its two marks, from `results.json` alone.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .scoring import score
+from .strip import STRIPS, Strip, translations
+
+HERE = Path(__file__).parent
+RESULTS = HERE / "results.json"
+PAGE = HERE.parents[2] / "docs" / "peers.md"
+MARKS = ("<!-- table -->", "<!-- end of table -->")
+TITLES = {
+    "ours": "this station",
+    "stitching": "`stitching`",
+    "ashlar": "ASHLAR",
+    "multiview_stitcher": "multiview-stitcher",
+    "m2stitch": "m2stitch",
+    "nominal": "nothing: nominal places",
+}
+
+Run = dict[str, Any]
+
+
+def scored(lines: Iterable[str], strips: Path) -> list[Run]:
+    """Runs of `place`, one a line, with their scores in place of their matrices."""
+    return [_scored(json.loads(line), strips) for line in lines]
+
+
+def nominal(strips: Path) -> list[Run]:
+    """What placing every frame where the mechanics put it would have given."""
+    runs = []
+    for name in STRIPS:
+        matrices = [m.tolist() for m in translations(Strip.read(strips / name).nominal_px) if m is not None]
+        runs.append(_scored({"name": "nominal", "strip": name, "setting": "", "matrices": matrices}, strips))
+    return runs
+
+
+def _scored(run: Run, strips: Path) -> Run:
+    if "failure" in run:
+        return run
+    height, width = np.load(strips / run["strip"] / "frames.npy", mmap_mode="r").shape[1:]
+    placed = [None if m is None else np.array(m, np.float64) for m in run["matrices"]]
+    errors = score(placed, np.load(strips / run["strip"] / "truth.npy"), (width, height))
+    kept = {key: value for key, value in run.items() if key != "matrices"}
+    return kept | {key: round(v, 4) if isinstance(v, float) else v for key, v in (kept | asdict(errors)).items()}
+
+
+def renewed(before: list[Run], new: list[Run]) -> list[Run]:
+    """Earlier results, but of those stitchers that were run again."""
+    names = {run["name"] for run in new}
+    return [run for run in before if run["name"] not in names] + new
+
+
+def page_part(runs: list[Run]) -> str:
+    """The tables as Markdown."""
+    return "\n".join([*_summary(runs), "", *_details(runs), "", *_circumstances(runs)])
+
+
+def _summary(runs: list[Run]) -> list[str]:
+    lines = ["| | " + " | ".join(f"{s}: px | CPU s" for s in STRIPS) + " |", "|---|" + "--:|--:|" * len(STRIPS)]
+    for name, title in TITLES.items():
+        cells = []
+        for strip in STRIPS:
+            best = _best(runs, name, strip)
+            cells += [_px(best), _seconds(best)] if best else [_no_result(runs, name, strip), "–"]
+        lines.append(f"| {title} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _no_result(runs: list[Run], name: str, strip: str) -> str:
+    return "failed" if any((r["name"], r["strip"]) == (name, strip) for r in runs) else "not run"
+
+
+def _best(runs: list[Run], name: str, strip: str) -> Run | None:
+    """The setting with the smallest error; of equals the quickest. None where none placed every frame."""
+    own = [r for r in runs if (r["name"], r["strip"]) == (name, strip) and r.get("as_it_is", True)]
+    return min((r for r in own if not _verdict(r, runs)), key=lambda r: (r["rms_px"], r.get("cpu_s", 0)), default=None)
+
+
+def _verdict(run: Run, runs: list[Run]) -> str:
+    """Why a run is no result; empty if it is one."""
+    if "failure" in run:
+        return f"gave up: {run['failure'].splitlines()[0][:120]}"
+    if run["dropped"]:
+        return f"{run['dropped']} frames not placed"
+    mechanics = next((r for r in runs if (r["name"], r["strip"]) == ("nominal", run["strip"])), None)
+    if mechanics is not None and run["rms_px"] > mechanics["rms_px"]:
+        return "wrong: worse than the nominal places"
+    return ""
+
+
+def _px(run: Run) -> str:
+    rms = run["rms_px"]
+    return f"{rms:.4f}" if rms < 0.01 else f"{rms:.3f}" if rms < 1 else f"{rms:.2f}"
+
+
+def _seconds(run: Run, key: str = "cpu_s") -> str:
+    return "–" if key not in run else f"{run[key]:.2f}" if run[key] < 10 else f"{run[key]:.0f}"
+
+
+def _details(runs: list[Run]) -> list[str]:
+    lines = [
+        "| stitcher | setting | strip | rms px | max px | CPU s | wall s | runs |",
+        "|---|---|---|--:|--:|--:|--:|--:|",
+    ]
+    order = list(TITLES)
+    for run in sorted(runs, key=lambda r: (order.index(r["name"]), r["setting"], STRIPS.index(r["strip"]))):
+        head = f"| {TITLES[run['name']]} | {run['setting']} | {run['strip']} | "
+        if why := _verdict(run, runs):
+            lines.append(head + f"{why} | – | {_seconds(run)} | {_seconds(run, 'wall_s')} | {run.get('repeats', 1)} |")
+        elif run["name"] != "nominal":
+            figures = (_px(run), f"{run['max_px']:.3f}", _seconds(run), _seconds(run, "wall_s"), str(run["repeats"]))
+            lines.append(head + " | ".join(figures) + " |")
+    return lines
+
+
+def _circumstances(runs: list[Run]) -> list[str]:
+    lines = []
+    for name, title in TITLES.items():
+        of_it = next((r for r in runs if r["name"] == name and "versions" in r), None)
+        if of_it is not None:
+            versions = ", ".join(f"{package} {v}" for package, v in of_it["versions"].items())
+            lines.append(f"- {title}: {versions}; {of_it['machine']}")
+    return lines
+
+
+def write_page(page: Path, part: str) -> None:
+    """Put the tables between the marks of a page."""
+    before, found, rest = page.read_text().partition(MARKS[0])
+    _, ended, after = rest.partition(MARKS[1])
+    if not (found and ended):
+        raise ValueError(f"{page.name} has no {MARKS[0]} … {MARKS[1]}")
+    page.write_text(f"{before}{MARKS[0]}\n{part}\n{MARKS[1]}{after}")
+
+
+def main() -> None:
+    """Score the runs of a directory, renew `results.json` and the page."""
+    strips, runs = Path(sys.argv[1]), Path(sys.argv[2])
+    new = nominal(strips)
+    for path in sorted(runs.glob("*.jsonl")):
+        new += scored(path.read_text().splitlines(), strips)
+    before = json.loads(RESULTS.read_text()) if RESULTS.is_file() else []
+    results = renewed(before, new)
+    RESULTS.write_text("[\n" + ",\n".join(json.dumps(run) for run in results) + "\n]\n")
+    write_page(PAGE, page_part(results))
+
+
+if __name__ == "__main__":
+    main()

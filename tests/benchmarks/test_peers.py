@@ -1,0 +1,184 @@
+"""The comparison with other stitchers, as far as it needs none of them: strips, scores, table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.benchmarks.peers import film, place, table
+from tests.benchmarks.peers.adapter import Setting
+from tests.benchmarks.peers.adapters import ours
+from tests.benchmarks.peers.scoring import score
+from tests.benchmarks.peers.strip import Floats, Matrices, Strip, translations
+
+SMALL: dict[str, dict[str, Any]] = {
+    "array": {"cameras": 2, "width_px": 320, "height_px": 240, "px_per_mm": 12.0, "working_distance_mm": 300.0},
+    "board": {"width_mm": 64.0, "length_mm": 76.0, "density": 6.0},
+    "line": {"barrier_mm": -50.0, "tail_s": 1.0},
+}
+FRAME_PX = (320, 240)
+
+
+@pytest.fixture(scope="module", params=["plain", "yaw", "line"])
+def filmed(request: pytest.FixtureRequest) -> film.Filmed:
+    variant = str(request.param)
+    return film.film(variant, film.twin_of(variant, **SMALL))
+
+
+def shifted(true: Floats, by_px: Floats) -> Matrices:
+    return [np.array([[1, 0, x], [0, 1, y], [0, 0, 1]]) @ m for m, (x, y) in zip(true, by_px, strict=True)]
+
+
+@given(
+    scale=st.floats(0.02, 50),
+    angle=st.floats(-3.1, 3.1),
+    shift=st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)),
+)
+def test_a_mosaic_has_a_scale_a_rotation_and_an_origin_of_its_own(
+    scale: float, angle: float, shift: tuple[float, float]
+) -> None:
+    true = np.stack([m for m in translations(np.array([[0.0, 0], [280, 3], [1, 180]])) if m is not None])
+    c, s = scale * np.cos(angle), scale * np.sin(angle)
+    own = np.array([[c, -s, shift[0]], [s, c, shift[1]], [0, 0, 1]])
+    result = score([own @ m for m in true], true, FRAME_PX)
+    assert result.rms_px == pytest.approx(0, abs=1e-6)
+
+
+def test_errors_come_out_in_pixels_of_the_frames() -> None:
+    """Eight frames far apart, each off by a pixel to one side or the other: a similarity takes nothing of that away."""
+    places = np.array([[x, y] for y in (0.0, 4000, 8000, 12000) for x in (0.0, 4000)])
+    true = np.stack([m for m in translations(places) if m is not None])
+    off = np.array([[1.0, 0], [-1, 0], [-1, 0], [1, 0]] * 2)
+    result = score(shifted(true, off), true, FRAME_PX)
+    assert result.rms_px == pytest.approx(1, rel=1e-3)
+    assert result.max_px == pytest.approx(1, rel=1e-2)
+
+
+def test_a_shear_or_a_mirror_image_is_no_similarity() -> None:
+    true = np.stack([m for m in translations(np.array([[0.0, 0], [280, 0]])) if m is not None])
+    for wrong in (np.diag([1.0, -1, 1]), np.array([[1, 0.01, 0], [0, 1, 0], [0, 0, 1]])):
+        result = score([wrong @ m for m in true], true, FRAME_PX)
+        assert result.rms_px is not None
+        assert result.rms_px > 0.5
+
+
+def test_a_strip_with_holes_gets_no_number() -> None:
+    true = np.stack([np.eye(3)] * 3)
+    result = score([np.eye(3), None, np.eye(3)], true, FRAME_PX)
+    assert (result.dropped, result.rms_px, result.max_px) == (1, None, None)
+    with pytest.raises(ValueError, match="2 matrices for 3 frames"):
+        score([np.eye(3)] * 2, true, FRAME_PX)
+
+
+def test_frames_show_board_where_the_truth_says(filmed: film.Filmed) -> None:
+    """Neighbours in a column, brought together by the truth, show the same; three pixels away they do so less."""
+    frames, true = filmed.strip.frames.astype(np.float64), filmed.board_from_flat
+    assert len(frames) == 2 * film.ROWS
+    x, y = np.meshgrid(np.arange(60, 260), np.arange(30, 70))
+    later_from_earlier = np.linalg.inv(true[2]) @ true[0]
+    dx, dy = np.rint(later_from_earlier[:2, 2]).astype(int)
+    assert 100 < dy < 150, "the belt carries what is seen down the image, by about 10.5 mm a row"
+
+    def likeness(off: int) -> float:
+        return float(np.corrcoef(frames[0][y, x].ravel(), frames[2][y + dy, x + dx + off].ravel())[0, 1])
+
+    assert likeness(0) > 0.9
+    assert likeness(0) > max(likeness(-3), likeness(3))
+
+
+def test_the_prior_is_good_to_a_few_pixels(filmed: film.Filmed) -> None:
+    result = score(translations(filmed.strip.nominal_px), filmed.board_from_flat, FRAME_PX)
+    assert result.rms_px is not None
+    assert 0.05 < result.rms_px < 5
+
+
+def test_with_yaw_the_board_turns_by_what_the_page_says() -> None:
+    for variant, turn_deg in (("plain", 0.0), ("yaw", film.TURN_DEG)):
+        true = film.film(variant, film.twin_of(variant, **SMALL)).board_from_flat
+        first, last = (np.arctan2(m[1, 0], m[0, 0]) for m in true[[0, -1]])
+        assert abs(np.degrees(last - first)) == pytest.approx(turn_deg, abs=1e-6)
+
+
+def test_ours_is_placed_and_scored_like_any_peer(filmed: film.Filmed, tmp_path: Path) -> None:
+    strips = tmp_path / "strips"
+    filmed.write(strips / filmed.strip.name)
+    runs = list(place.run(ours, [strips / filmed.strip.name]))
+    assert [run["setting"] for run in runs] == list(ours.SETTINGS)
+    lines = [json.dumps({"name": "ours"} | run) for run in runs]
+    for run in table.scored(lines, strips):
+        assert run["rms_px"] < 0.1
+        assert run["cpu_s"] > 0
+        assert "matrices" not in run
+
+
+def test_what_a_peer_raises_is_its_result(filmed: film.Filmed, tmp_path: Path) -> None:
+    class Stubborn:
+        PACKAGES: ClassVar[tuple[str, ...]] = ()
+        SETTINGS: ClassVar[dict[str, Setting]] = {"a": Setting(), "b": Setting(strips=("another",))}
+
+        @staticmethod
+        def prepare(strip: Strip, directory: Path) -> Strip:
+            return strip
+
+        @staticmethod
+        def place(strip: Strip) -> Matrices:
+            raise LookupError("there is no good top pair")
+
+    filmed.write(tmp_path)
+    (run,) = place.run(Stubborn(), [tmp_path])
+    assert run["failure"] == "LookupError: there is no good top pair"
+    part = table.page_part([{"name": "ashlar", "versions": {"ashlar": "1"}, "machine": "m"} | run | {"strip": "plain"}])
+    assert "gave up: LookupError: there is no good top pair" in part
+
+
+def figures(name: str, setting: str, rms: float, *, dropped: int = 0, as_it_is: bool = True) -> table.Run:
+    return {
+        "name": name, "strip": "plain", "setting": setting, "as_it_is": as_it_is,
+        "versions": {"numpy": "2"}, "machine": "m", "cpu_s": 1.0, "wall_s": 1.0, "repeats": 3,
+        "dropped": dropped, "rms_px": None if dropped else rms, "max_px": None if dropped else 2 * rms,
+    }  # fmt: skip
+
+
+def test_a_stitcher_is_shown_at_its_best_and_only_with_what_it_did_itself() -> None:
+    runs = [
+        figures("nominal", "", 4.0),
+        figures("stitching", "default", 0.0, dropped=10),
+        figures("stitching", "SIFT", 0.25),
+        figures("stitching", "with our help", 0.125, as_it_is=False),
+        figures("ashlar", "default", 620.0),
+    ]
+    part = table.page_part(runs)
+    assert "| `stitching` | 0.250 | 1.00 | not run" in part
+    assert "| ASHLAR | failed | – | not run" in part
+    assert "10 frames not placed" in part
+    assert "wrong: worse than the nominal places" in part
+    assert "620" not in part, "what failed gets no number"
+    assert "0.125" in part
+
+
+def test_a_new_run_takes_the_place_of_the_old_one_and_the_page_is_renewed(tmp_path: Path) -> None:
+    runs = table.renewed([figures("ours", "a", 0.5), figures("ashlar", "b", 0.02)], [figures("ours", "c", 0.25)])
+    assert [(r["name"], r["rms_px"]) for r in runs] == [("ashlar", 0.02), ("ours", 0.25)]
+    page = tmp_path / "peers.md"
+    page.write_text(f"above\n{table.MARKS[0]}\nold\n{table.MARKS[1]}\nbelow\n")
+    table.write_page(page, table.page_part(runs))
+    text = page.read_text()
+    assert text.startswith("above\n")
+    assert text.endswith("below\n")
+    assert "| this station | 0.250 | 1.00 |" in text
+    assert "old" not in text
+    page.write_text("no marks")
+    with pytest.raises(ValueError, match="has no <!-- table -->"):
+        table.write_page(page, "")
+
+
+def test_the_page_shows_the_results_that_are_kept() -> None:
+    """Whoever renews one renews the other."""
+    part = table.page_part(json.loads(table.RESULTS.read_text()))
+    assert part in table.PAGE.read_text()
