@@ -22,8 +22,9 @@ MOVED_PX = 2 * STILL_PX
 """A larger displacement (root of the sum of the three squares) is more likely a move than an error of calibration."""
 _WIDE_PX = 100.0
 _ITERATIONS = 60
-_CLOSE = 3.0
-"""Explanations whose logarithms of probability differ by less are equally good."""
+_CLOSE = 10.0
+"""Explanations by equally many cameras whose logarithms of probability differ by less are equally good: what tells them
+apart is the keystone of a turn, which a shifted camera does not have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ def attributed(information: Floats, vector: Floats) -> Attributed:
     """
     found = [_maximum(information, vector, still) for still in range(len(vector) // PARAMETERS)]
     least, best = min(found, key=lambda f: f[0])
-    good = [a for cost, a in found if cost < least + _CLOSE and a.moved]
+    good = [a for cost, a in found if cost < least + _CLOSE and len(a.moved) == len(best.moved)]
     first = min(good, key=lambda a: a.moved) if best.moved else best
     others = {camera for a in good for camera in a.moved} - {*first.moved}
     return Attributed(first.displacement_px, first.covariance, tuple(sorted(others)))

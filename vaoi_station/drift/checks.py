@@ -14,7 +14,7 @@ from vaoi_station.drift.equations import Told
 from vaoi_station.geometry.transforms import Floats
 
 _DIGITS = 7
-_SEEN = 8
+_SEEN = 4
 """Links to neighbours from which a camera is worth a judgement."""
 
 
