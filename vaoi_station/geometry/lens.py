@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike
 
 from vaoi_station.geometry.transforms import Floats
 
-_NEWTON_STEPS = 30
-_CONVERGED = 1e-14
 _NEVER = 1e-12
 """1 / ρ² of a turning point so far out that nothing is ever projected there."""
 
@@ -38,9 +36,11 @@ class Lens:
         p = np.asarray(raw_px, dtype=np.float64)
         if self.ideal:
             return p
-        q = p - self.center_px
-        rho2 = (q**2).sum(-1, keepdims=True) / self.radius_px**2
-        return np.asarray(self.center_px + q * self._polynomial(rho2)[0], dtype=np.float64)
+        from vaoi_station.geometry.radial import undistort
+
+        out = np.empty(p.shape)
+        undistort(p.reshape(-1, 2), self._coefficients, *self.center_px, self.radius_px, out.reshape(-1, 2))
+        return out
 
     def distort(self, undistorted_px: ArrayLike) -> Floats:
         """Raw pixels (..., 2) of undistorted ones (..., 2), by Newton's method (to 1e-9 px).
@@ -51,9 +51,25 @@ class Lens:
         u = np.asarray(undistorted_px, dtype=np.float64)
         if self.ideal:
             return u
-        offset = u - self.center_px
-        reach = np.sqrt((offset**2).sum(-1, keepdims=True)) / self.radius_px
-        return np.asarray(self.center_px + offset * self._shrink(reach), dtype=np.float64)
+        from vaoi_station.geometry.radial import distort
+
+        out = np.empty(u.shape)
+        edge, furthest = self._end
+        flat = (u.reshape(-1, 2), self._coefficients, *self.center_px, self.radius_px, edge, furthest)
+        distort(*flat, out.reshape(-1, 2))
+        return out
+
+    @cached_property
+    def _coefficients(self) -> Floats:
+        return np.array(self.radial, dtype=np.float64)
+
+    @cached_property
+    def _end(self) -> tuple[float, float]:
+        """The raw ρ at which the polynomial stops growing, and the undistorted ρ there."""
+        edge = self.turning_point
+        if math.isinf(edge):
+            return edge, edge
+        return edge, edge * (1 + sum(a * edge ** (2 * k) for k, a in enumerate(self.radial, start=1)))
 
     @cached_property
     def turning_point(self) -> float:
@@ -61,27 +77,3 @@ class Lens:
         inverse = np.roots([(2 * k + 1) * a for k, a in enumerate((1.0, *self.radial))])  # roots in 1 / ρ²
         real = [float(r.real) for r in inverse if abs(r.imag) < 1e-9 * abs(r) and r.real > _NEVER]
         return 1 / math.sqrt(max(real)) if real else math.inf
-
-    def _shrink(self, reach: Floats) -> Floats:
-        """ρ_raw / ρ_undistorted for undistorted radii in units of R."""
-        edge = self.turning_point
-        furthest = edge * float(self._polynomial(np.array(edge**2))[0]) if math.isfinite(edge) else math.inf
-        inside, beyond = np.minimum(reach, furthest), reach >= furthest
-        rho = np.where(beyond, edge, inside)
-        for _ in range(_NEWTON_STEPS):
-            factor, slope = self._polynomial(rho**2)
-            step = np.where(beyond, 0.0, (rho * factor - inside) / np.maximum(slope, 1e-12))
-            rho = np.clip(rho - step, 0.0, edge)
-            if (np.abs(step) <= _CONVERGED * (1 + rho)).all():
-                break
-        rho = rho + (reach - inside)
-        return np.divide(rho, reach, out=np.ones_like(rho), where=reach > 0)
-
-    def _polynomial(self, rho2: Floats) -> tuple[Floats, Floats]:
-        """1 + a1·ρ² + … and the slope of ρ times that, at squared radii in units of R²."""
-        factor, slope, power = np.ones_like(rho2), np.ones_like(rho2), np.ones_like(rho2)
-        for k, a in enumerate(self.radial, start=1):
-            power = power * rho2
-            factor = factor + a * power
-            slope = slope + (2 * k + 1) * a * power
-        return factor, slope

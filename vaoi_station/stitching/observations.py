@@ -47,7 +47,7 @@ def observe(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
     if not used:
         none, pairs = np.zeros(0, dtype=np.int_), np.zeros((0, 2))
         return Observations(none, none, pairs, pairs, pairs, pairs, np.zeros((0, 2, 2)), np.zeros(0), none, ())
-    parts = [_ground(e, cameras) for e in used]
+    parts = _grounded(used, cameras)
     sizes = [len(e.a_px) for e in used]
     rows = [(e.task.a[1], (e.task.b or e.task.a)[1]) for e in used]
     a, b, la, lb, cov, res = (np.concatenate([part[n] for part in parts]) for n in range(6))
@@ -65,14 +65,31 @@ def observe(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
     )
 
 
-def _ground(e: Links, cameras: Sequence[Camera]) -> tuple[Floats, ...]:
-    assert e.task.b is not None
-    camera_a, camera_b = cameras[e.task.a[0]], cameras[e.task.b[0]]
-    a, b = camera_a.ground(e.a_px), camera_b.ground(e.b_px)
+def _grounded(used: Sequence[Links], cameras: Sequence[Camera]) -> list[tuple[Floats, ...]]:
+    """What `_ground` says of every pair of frames; asked once per pair of cameras."""
+    of_cameras: dict[tuple[int, int], list[int]] = {}
+    for n, e in enumerate(used):
+        of_cameras.setdefault((e.task.a[0], (e.task.b or e.task.a)[0]), []).append(n)
+    parts: list[tuple[Floats, ...]] = [()] * len(used)
+    for (i, j), members in of_cameras.items():
+        together = [used[n] for n in members]
+        a_px, b_px, information = (
+            np.concatenate([getattr(e, name) for e in together]) for name in ("a_px", "b_px", "information")
+        )
+        ends = np.cumsum([len(e.a_px) for e in together])[:-1]
+        split = [np.split(v, ends) for v in _ground(cameras[i], cameras[j], a_px, b_px, information)]
+        for k, n in enumerate(members):
+            parts[n] = tuple(v[k] for v in split)
+    return parts
+
+
+def _ground(camera_a: Camera, camera_b: Camera, a_px: Floats, b_px: Floats, information: Floats) -> tuple[Floats, ...]:
+    """Places, leans, covariances and resolutions of links between two cameras."""
+    a, b = camera_a.ground(a_px), camera_b.ground(b_px)
     m = camera_b.image_from_row.matrix
     w = (b @ m[2, :2] + m[2, 2])[:, None, None]
-    px_from_mm = (m[None, :2, :2] - camera_b.lens.undistort(e.b_px)[:, :, None] * m[None, None, 2, :2]) / w
+    px_from_mm = (m[None, :2, :2] - camera_b.lens.undistort(b_px)[:, :, None] * m[None, None, 2, :2]) / w
     mm_from_px = np.linalg.inv(px_from_mm)
-    covariance = mm_from_px @ np.linalg.inv(e.information) @ mm_from_px.swapaxes(1, 2)
+    covariance = mm_from_px @ np.linalg.inv(information) @ mm_from_px.swapaxes(1, 2)
     resolution = np.sqrt(np.abs(np.linalg.det(px_from_mm)))
     return a, b, camera_a.parallax(a), camera_b.parallax(b), covariance, resolution
