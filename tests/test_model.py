@@ -123,3 +123,16 @@ def test_records_of_frames_say_what_became_of_them() -> None:
     record = FrameRecord(camera=1, row=2, verdict=Verdict.MISSING, cause="no packet came")
     assert record.slot is None
     assert FrameRecord.model_validate_json(record.model_dump_json()) == record
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"name": "a\nb"}, "name"),
+        ({"outline": [[0, 0], [10, 10], [10, 0], [0, 10]]}, "crosses itself: its edges from corners 0 and 2"),
+        ({"components": [{"ref": "U\x001", "center": [1, 1], "width": 1, "height": 1}]}, "ref"),
+    ],
+)
+def test_names_nobody_can_address_and_outlines_nobody_can_cut(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        BoardType.model_validate({"name": "board", "outline": [[0, 0], [10, 10]], **change})

@@ -7,6 +7,7 @@ with `x_` belong to the user: they are kept and ignored. Cameras and rows count 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.geometry.outline import encloses
+from vaoi_station.geometry.outline import crossing, encloses
 
 MOST = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
 """How much of a kind a board type may have."""
@@ -184,7 +185,7 @@ class Fiducial(Noun):
 class Component(Noun):
     """One part: its footprint's centre, size before rotation, and rotation, in CAD units and degrees."""
 
-    ref: Annotated[str, Field(min_length=1)]
+    ref: Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
     center: Point
     width: Positive
     height: Positive
@@ -217,7 +218,7 @@ class Place(Noun):
 class BoardType(Noun):
     """board.json: a product of the line, in its own unit and axes."""
 
-    name: Annotated[str, Field(min_length=1, max_length=200)]
+    name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
     unit: Literal["mm", "inch", "mil"] = "mm"
     y_axis: Literal["up", "down"] = "up"
     side: Literal["top", "bottom"] = "top"
@@ -238,6 +239,8 @@ class BoardType(Noun):
             low, high = self.extent()
             if (high <= low).any():
                 raise ValueError(f"outline has no area: from {low.tolist()} to {high.tolist()}")
+            if edges := crossing(self.outline):
+                raise ValueError(f"outline crosses itself: its edges from corners {edges[0]} and {edges[1]} meet")
             for f in self.fiducials:
                 if not encloses(self.outline, (f.x, f.y)):
                     raise ValueError(
@@ -393,8 +396,5 @@ def _refuse_crowds(board: BoardType) -> None:
 
 
 def _refuse_twins(names: list[str], what: str) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise ValueError(f"{what} holds {name!r} twice; names must differ")
-        seen.add(name)
+    if twins := [name for name, count in Counter(names).items() if count > 1]:
+        raise ValueError(f"{what} holds {twins[0]!r} twice; names must differ")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station import __version__
 from vaoi_station.files import open_recording, read_board_type, read_stitch
 from vaoi_station.files.images import read_image
 from vaoi_station.geometry import apply
@@ -89,3 +90,28 @@ def test_too_large_a_picture_is_refused(vaoi: Any, small_recording: Path, result
     assert said.code == 2
     assert "U1: px_per_mm is 1000" in said.err
     assert "megapixels" in said.err
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: [m.pop() for m in (*d["image_matrices"], d["row_motion"])], "rows, this recording"),
+        (lambda d: d["image_matrices"][1][0][0].__setitem__(2, 7.0), "its camera 1 was calibrated otherwise"),
+    ],
+)
+def test_a_result_of_another_recording_is_refused(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, change: Any, words: str
+) -> None:
+    data = json.loads(result.read_text())
+    change(data)
+    (tmp_path / "other.json").write_text(json.dumps(data))
+    said = vaoi("cut", small_recording, "--result", tmp_path / "other.json", "--component", "U1", "--out", tmp_path)
+    assert said.code == 2
+    assert "belongs to another recording" in said.err
+    assert words in said.err
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_the_version_is_told(vaoi: Any) -> None:
+    said = vaoi("--version")
+    assert (said.code, said.out, said.err) == (0, f"vaoi_station {__version__}\n", "")

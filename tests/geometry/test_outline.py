@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from vaoi_station.geometry.outline import encloses
+from vaoi_station.geometry.outline import crossing, encloses
 
 BOX = [(0.0, 10.0), (20.0, 0.0)]
 ELL = [(0.0, 0.0), (20.0, 0.0), (20.0, 5.0), (5.0, 5.0), (5.0, 20.0), (0.0, 20.0)]
@@ -30,3 +30,22 @@ ELL = [(0.0, 0.0), (20.0, 0.0), (20.0, 5.0), (5.0, 5.0), (5.0, 20.0), (0.0, 20.0
 )
 def test_encloses(outline: list[tuple[float, float]], point: tuple[float, float], inside: bool) -> None:
     assert encloses(outline, point) is inside
+
+
+BOW_TIE = [(0.0, 0.0), (10.0, 10.0), (10.0, 0.0), (0.0, 10.0)]
+
+
+@pytest.mark.parametrize(
+    ("outline", "edges"),
+    [
+        (BOX, None),
+        (ELL, None),
+        (ELL[::-1], None),
+        (BOX + [(5.0, 5.0)], None),
+        (BOW_TIE, (0, 2)),
+        ([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0), (4.0, 0.0), (0.0, 5.0)], (0, 2)),
+        ([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0), (20.0, 5.0), (20.0, 0.0), (30.0, 0.0), (30.0, 9.0), (0.0, 9.0)], None),
+    ],
+)
+def test_edges_that_cross_or_touch(outline: list[tuple[float, float]], edges: tuple[int, int] | None) -> None:
+    assert crossing(outline) == edges

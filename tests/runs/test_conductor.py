@@ -282,3 +282,13 @@ def test_a_wind_down_does_not_wait_for_ever(rig: Any) -> None:
     rig.until("filming")
     rig.conductor.wind_down(0.05)
     assert rig.conductor.snapshot().state == "stopping"
+
+
+def test_an_armed_line_keeps_its_board_type_when_another_is_taught_and_says_so(rig: Any) -> None:
+    grant = rig.arm()
+    old = rig.conductor.board_type("small")
+    rig.conductor.put_board_type(old.model_copy(update={"components": ()}))
+    assert rig.conductor.events(0)[-1].message.endswith("was replaced. It holds from the next arming on.")
+    rig.board(grant)
+    rig.result_of(grant.run)
+    assert [c.address for c in rig.conductor.components(grant.run)] == ["U1"]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from vaoi_station.runs.leases import Leases
+import pytest
+
+from vaoi_station.errors import BusyError
+from vaoi_station.runs.leases import MOST_HOLDERS, OWN, Leases
 
 
 class Clock:
@@ -48,3 +51,17 @@ def test_each_holder_has_its_own_and_a_release_ends_all() -> None:
     assert [lease.holder for lease in leases.of("r1")] == ["b"]
     leases.end_all("r1")
     assert [lease.run for lease in leases.all()] == ["r2"]
+
+
+def test_a_run_has_so_many_holders_and_no_more() -> None:
+    leases = Leases(10.0, Clock())
+    for k in range(MOST_HOLDERS):
+        leases.take("r1", f"tester {k}", "")
+    leases.take("r1", "tester 3", "again")
+    with pytest.raises(BusyError, match="has 32 holders, which is the limit: tester 0") as refused:
+        leases.take("r1", "one more", "")
+    assert refused.value.code == "too-many-holders"
+    leases.take("r1", f"{OWN}1", "the station's own are not counted")
+    leases.take("r2", "one more", "")
+    leases.end("r1", "tester 0")
+    leases.take("r1", "one more", "")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import Annotated
 
 import typer
 
+from vaoi_station import __version__
 from vaoi_station.cli.bench import bench
 from vaoi_station.cli.calibrate import calibrate
 from vaoi_station.cli.calibration_board import calibration_board
@@ -36,9 +38,19 @@ app = typer.Typer(
 )
 
 
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"vaoi_station {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def vaoi() -> None:
-    """Keep `vaoi COMMAND` the form of every call, however few commands there are."""
+def vaoi(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Say which version this is.")
+    ] = False,
+) -> None:
+    """Options of `vaoi` itself; `vaoi COMMAND` stays the form of every call."""
 
 
 app.command()(plan)

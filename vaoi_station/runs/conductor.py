@@ -26,7 +26,7 @@ from vaoi_station.runs.accounts import detail_of
 from vaoi_station.runs.core import Core, Parts
 from vaoi_station.runs.inbox import Inbox
 from vaoi_station.runs.jobs import Answer, RenderJob
-from vaoi_station.runs.leases import Lease
+from vaoi_station.runs.leases import OWN, Lease
 from vaoi_station.runs.memory import Bay
 from vaoi_station.runs.order import Order
 from vaoi_station.runs.shapes import (
@@ -168,7 +168,10 @@ class StationConductor:
         """Teach a board type."""
         with self._teaching:
             new = self._board_types.put(board_type)
-        self._parts.events.add("board-type", f"Board type {board_type.name!r} was {'taught' if new else 'replaced'}.")
+        armed = self._inbox.ask(self._core.orders.shown)
+        later = " It holds from the next arming on." if armed and armed.board_type == board_type.name else ""
+        told = f"Board type {board_type.name!r} was {'taught' if new else 'replaced'}.{later}"
+        self._parts.events.add("board-type", told)
         return new
 
     def delete_board_type(self, name: str) -> None:
@@ -248,7 +251,7 @@ class StationConductor:
 
     def hold(self, run: str, holder: str, purpose: str) -> LeaseStatus:
         """Keep a run's frames in memory."""
-        if not holder:
+        if not holder or holder.startswith(OWN):
             raise InputError.field("hold", "holder", holder, "a name by which others can find you")
         lease = self._take(run, holder, purpose)[1]
         return LeaseStatus(
@@ -364,7 +367,7 @@ class StationConductor:
     @contextmanager
     def _lease(self, run: str, purpose: str) -> Iterator[Bay]:
         """Memory that stays this run's while it is looked at."""
-        holder = f"rest {next(self._uses)}"
+        holder = f"{OWN}{next(self._uses)}"
         bay, _ = self._take(run, holder, purpose)
         try:
             yield bay

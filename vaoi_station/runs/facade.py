@@ -102,7 +102,7 @@ class Conductor(Protocol):
         """One board type; `NotFoundError` if nobody taught it."""
 
     def put_board_type(self, board_type: BoardType) -> bool:
-        """Teach a board type; True if it is new. Runs keep the one they were filmed with."""
+        """Teach a board type; True if it is new. Runs keep theirs, an armed line the one it was armed with."""
 
     def delete_board_type(self, name: str) -> None:
         """Forget a board type; `StateError` while armed with it."""

@@ -6,6 +6,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from vaoi_station.errors import BusyError
+
+MOST_HOLDERS = 32
+"""Holders of one run; more are callers that give themselves a new name each time."""
+OWN = "rest "
+"""How the names begin that the station gives its own short leases; these are not counted."""
+
 
 @dataclass(frozen=True)
 class Lease:
@@ -26,7 +33,14 @@ class Leases:
         self._leases: dict[tuple[str, str], Lease] = {}
 
     def take(self, run: str, holder: str, purpose: str) -> Lease:
-        """Begin or renew a lease."""
+        """Begin or renew a lease; `BusyError` when a run has too many holders."""
+        others = [lease.holder for lease in self.of(run) if lease.holder != holder and not lease.holder.startswith(OWN)]
+        if len(others) >= MOST_HOLDERS and not holder.startswith(OWN):
+            raise BusyError(
+                f"Run {run} has {len(others)} holders, which is the limit: {', '.join(others[:3])} …",
+                action="Renew a hold under the name it was taken by, and end those that are not needed.",
+                code="too-many-holders",
+            )
         lease = Lease(run, holder, purpose, self._clock() + self.lease_s)
         self._leases[run, holder] = lease
         return lease

@@ -34,7 +34,10 @@ def router(services: Services) -> APIRouter:
 
     @routes.put("/{name}", response_model=BoardType, responses={201: {"model": BoardType, "description": "New."}})
     async def put_board_type(request: Request, name: BoardTypeName, board_type: BoardType) -> Response:
-        """Teach a board type; the same again replaces it. Runs keep the one they were filmed with."""
+        """Teach a board type; the same again replaces it. Runs keep the one they were filmed with.
+
+        A line that is armed for it keeps the one it was armed with; the new one holds from the next arming on.
+        """
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
         content = _document(board_type)
