@@ -15,7 +15,6 @@ slopes are therefore freed of what offset, gain and a slope of the gain across t
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,27 +201,21 @@ def _cut(image: _Pixels, x0: int, y0: int, raw: _Pixels, size: int) -> None:
 @compiled
 def _blur(raw: _Pixels, half_way: _Plane, out: _Plane, size: int, less: float) -> None:
     """Gaussian across and down, less a constant; `raw` has room for its reach on every side."""
+    w0, w1, w2, w3, w4 = GAUSS[0], GAUSS[1], GAUSS[2], GAUSS[3], GAUSS[4]
     for y in range(size + 2 * BLUR_REACH):
-        _across(raw[y], half_way[y], size, GAUSS)
-    _down(half_way, out, size, GAUSS, _Float(less))
+        line, to = raw[y], half_way[y]
+        for x in range(size):
+            near = w1 * (_Float(line[x + 3]) + _Float(line[x + 5])) + w2 * (_Float(line[x + 2]) + _Float(line[x + 6]))
+            far = w3 * (_Float(line[x + 1]) + _Float(line[x + 7])) + w4 * (_Float(line[x]) + _Float(line[x + 8]))
+            to[x] = w0 * _Float(line[x + 4]) + near + far
+    _down(half_way, out, size, (w0, w1, w2, w3, w4), _Float(less))
 
 
 @compiled
-def _across(line: NDArray[Any], to: _Plane, size: int, w: _Plane) -> None:
-    """Nine points of a line of pixels, symmetrically weighted from the middle outwards."""
-    w0, w1, w2, w3, w4 = w[0], w[1], w[2], w[3], w[4]
-    for x in range(size):
-        a, b, c = _Float(line[x]), _Float(line[x + 1]), _Float(line[x + 2])
-        d, e, f = _Float(line[x + 3]), _Float(line[x + 4]), _Float(line[x + 5])
-        g, h, i = _Float(line[x + 6]), _Float(line[x + 7]), _Float(line[x + 8])
-        to[x] = w0 * e + w1 * (d + f) + w2 * (c + g) + w3 * (b + h) + w4 * (a + i)
-
-
-@compiled
-def _down(lines: _Plane, out: _Plane, size: int, w: _Plane, less: np.float32) -> None:
-    """The same down the columns, less a constant."""
-    w0, w1, w2, w3, w4 = w[0], w[1], w[2], w[3], w[4]
-    for y in range(len(out)):
+def _down(lines: _Plane, out: _Plane, size: int, w: tuple[np.float32, ...], less: np.float32) -> None:
+    """Nine points of every column, symmetrically weighted from the middle outwards, less a constant."""
+    w0, w1, w2, w3, w4 = w
+    for y in range(size):
         a, b, c, d, e = lines[y], lines[y + 1], lines[y + 2], lines[y + 3], lines[y + 4]
         f, g, h, i = lines[y + 5], lines[y + 6], lines[y + 7], lines[y + 8]
         to = out[y]
@@ -338,11 +331,15 @@ def _dot(a: _Plane, b: _Plane) -> float:
 @compiled
 def _soften(g: _Plane, padded: _Plane, lines: _Plane, out: _Plane) -> None:
     """A slope blurred twice, as far as the window goes; nothing lies beyond it."""
+    w0, w1, w2, w3, w4 = TWICE[0], TWICE[1], TWICE[2], TWICE[3], TWICE[4]
+    v = padded
     for y in range(WINDOW_PX):
+        to = lines[y + BLUR_REACH]
+        v[BLUR_REACH : BLUR_REACH + WINDOW_PX] = g[y * WINDOW_PX : (y + 1) * WINDOW_PX]
         for x in range(WINDOW_PX):
-            padded[x + BLUR_REACH] = g[y * WINDOW_PX + x]
-        _across(padded, lines[y + BLUR_REACH], WINDOW_PX, TWICE)
-    _down(lines, out.reshape(WINDOW_PX, WINDOW_PX), WINDOW_PX, TWICE, _Float(0))
+            near = w1 * (v[x + 3] + v[x + 5]) + w2 * (v[x + 2] + v[x + 6])
+            to[x] = w0 * v[x + 4] + near + w3 * (v[x + 1] + v[x + 7]) + w4 * (v[x] + v[x + 8])
+    _down(lines, out.reshape(WINDOW_PX, WINDOW_PX), WINDOW_PX, (w0, w1, w2, w3, w4), _Float(0))
 
 
 @compiled
