@@ -80,6 +80,11 @@ class Cases:
         figures: dict[str, Any] = json.loads(said)
         return figures
 
+    def truth(self, name: str) -> dict[str, Any]:
+        """Where everything was; copies of a case do not carry it."""
+        truth: dict[str, Any] = json.loads((self._source(name) / "truth.json").read_text(encoding="utf-8"))
+        return truth
+
     def _source(self, name: str) -> Path:
         case = self.filmed / name
         if not (case / "recording.json").is_file():

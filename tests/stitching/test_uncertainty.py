@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment import Adjusted
 from vaoi_station.stitching.cad import board_frame
 from vaoi_station.stitching.motion import nominal_motion
+from vaoi_station.stitching.problem import Adjusted
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.uncertainty import MODEL_PX, predicted_sigma
 

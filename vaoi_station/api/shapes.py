@@ -89,6 +89,11 @@ class ViewEntry(Shape):
     width_px: int
     height_px: int
     px_per_mm: float
+    covariance_px2: tuple[tuple[float, float], tuple[float, float]] | None = Field(
+        default=None,
+        description="How surely the component's centre is where C and M_ij put it: covariance of x and y in the frame; "
+        "absent if the centre is not in the frame.",
+    )
     exposure_us: float | None = Field(default=None, description="Exposure time of the frame, where it is known.")
     light: str | None = Field(default=None, description="Light pattern of the row, where one was named.")
     crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of this image.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 from vaoi_station.api.shapes import ViewEntry
@@ -14,8 +14,17 @@ if TYPE_CHECKING:
 DEFAULT_COVERAGE = 0.5
 
 
-def view_entry(k: int, view: View, frame: FrameRecord, url: str) -> ViewEntry:
-    """View k, the frame it is taken from, and the address of its image."""
+Covariance = tuple[tuple[float, float], tuple[float, float]]
+
+
+def covariances(quality: dict[str, Any], address: str) -> dict[tuple[int, int], Covariance]:
+    """Of a component's centre in every frame that shows it (camera, row), px², as the result says."""
+    views = quality.get("component_covariance_px2", {}).get(address, [])
+    return {(camera, row): ((xx, xy), (xy, yy)) for camera, row, xx, xy, yy in views}
+
+
+def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Covariance | None) -> ViewEntry:
+    """View k, the frame it is taken from, how surely it is placed, and the address of its image."""
     return ViewEntry(
         k=k,
         camera=view.camera,
@@ -25,6 +34,7 @@ def view_entry(k: int, view: View, frame: FrameRecord, url: str) -> ViewEntry:
         width_px=view.width,
         height_px=view.height,
         px_per_mm=view.px_per_mm,
+        covariance_px2=covariance,
         exposure_us=frame.exposure_us,
         light=frame.light or None,
         crop_from_cad=view.crop_from_cad.matrix.tolist(),

@@ -16,7 +16,15 @@ def bench(
     case: Annotated[Path | None, typer.Option(help="Recording to measure on; by default a board of the twin.")] = None,
     repetitions: Annotated[int, typer.Option(min=1, max=100, help="Of each measurement; the median counts.")] = 5,
     marks: Annotated[bool, typer.Option("--marks", help="Measure how well and how fast marks are found.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="With --marks: draw the S-curve to this SVG file.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="With --marks or --consistency: draw what was measured to this SVG file.")
+    ] = None,
+    consistency: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Compare predicted and real errors of so many boards.")
+    ] = None,
+    recordings: Annotated[
+        Path | None, typer.Option(help="For --consistency: also every recording with a truth in this directory.")
+    ] = None,
     station: Annotated[bool, typer.Option("--station", help="Let boards pass a whole station in real time.")] = False,
     growth: Annotated[bool, typer.Option("--growth", help="Stitch longer and longer boards.")] = False,
     scenario: Annotated[
@@ -33,16 +41,21 @@ def bench(
 ) -> None:
     """Measure stitching and rendering on frames in memory, one thread, beside the paper's method.
 
-    With --marks, --station or --growth the marks, a whole station, or the growth of cost and memory instead.
+    With --marks, --consistency, --station or --growth the marks, the predicted uncertainty, a whole station, or the
+    growth of cost and memory instead.
     """
     from vaoi_station.files.documents import write_json
 
-    if marks + station + growth > 1:
-        raise InputError("--marks, --station and --growth are measured one at a time.", action="Give one of them.")
-    if plot is not None and not marks:
-        raise InputError("--plot belongs to --marks.", action="Add --marks, or leave it out.")
+    if marks + station + growth + (consistency is not None) > 1:
+        raise InputError(
+            "--marks, --consistency, --station and --growth are measured one at a time.", action="Give one of them."
+        )
+    if plot is not None and not marks and consistency is None:
+        raise InputError("--plot belongs to --marks or --consistency.", action="Add one of them, or leave it out.")
     if marks:
         document = _marks(plot)
+    elif consistency is not None:
+        document = _consistency(consistency, recordings, plot)
     elif station:
         document = _station(scenario or "paper", _numbers("--rates", rates), boards, workers, films, ring)
     elif growth:
@@ -75,6 +88,22 @@ def _marks(plot: Path | None) -> dict[str, Any]:
     if plot is not None:
         write_bytes(plot, draw(figures.curves).encode())
     return figures.document()
+
+
+def _consistency(count: int, recordings: Path | None, plot: Path | None) -> dict[str, Any]:
+    from vaoi_station.benchmarks.consistency import recorded_runs, recordings_with_truth, together, twin_runs
+    from vaoi_station.benchmarks.consistency_plot import draw
+    from vaoi_station.files.documents import write_bytes
+
+    found = recordings_with_truth(recordings) if recordings else []
+    groups = {"twin": list(twin_runs(count, tell=typer.echo)), "recordings": list(recorded_runs(found, typer.echo))}
+    document = {name: together(runs).document() for name, runs in groups.items() if runs}
+    for name, figures in document.items():
+        for key, value in figures.items():
+            typer.echo(f"{name:12s} {key:24s} {value}")
+    if plot is not None:
+        write_bytes(plot, draw(groups["twin"], groups["recordings"]).encode())
+    return document
 
 
 def _station(

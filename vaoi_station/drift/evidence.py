@@ -10,12 +10,12 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.adjustment import FiducialPoints, SurfaceBasis
 from vaoi_station.stitching.cad import Frame, assign, board_frame
 from vaoi_station.stitching.evidence import Evidence, Links, Sightings
 from vaoi_station.stitching.footprints import component_of
 from vaoi_station.stitching.motion import Motion, nominal_motion
 from vaoi_station.stitching.observations import Ints, Observations, observe
+from vaoi_station.stitching.problem import FiducialPoints, SurfaceBasis
 from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import SIGMA_MM, basis_on_board
 

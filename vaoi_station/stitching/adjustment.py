@@ -11,8 +11,7 @@ from the normal equations (each is tied only to its own links).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +19,9 @@ from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whitened
 from vaoi_station.stitching.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion
-from vaoi_station.stitching.observations import Ints, Observations
+from vaoi_station.stitching.observations import Ints
+from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem
+from vaoi_station.stitching.scatter import excess
 
 _ITERATIONS = 15
 _CONVERGED_MM = 2e-6
@@ -28,99 +29,23 @@ _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
 """… and beyond so many count no more."""
-_PAIR_SIGMA_PX, _PAIR_SHARE = {False: 0.002, True: 0.010}, 0.25
+_PAIR_SIGMA_PX, _PAIR_SHARE = {False: 0.002, True: 0.014}, 0.25
 """What the links of one pair of frames share and does not average out: so many px between rows of one camera
 (interpolation), and between two cameras (each has its own light and its own view of what stands a little above the
 board), and that share of what they scatter beyond noise."""
 _FLOOR_PX = (0.003, 5.0)
 """Range of what single links scatter beyond image noise."""
-_MEDIAN, _HALVINGS = 2 * float(np.log(2)), 14
-"""Median of χ² of two degrees of freedom, and halvings of the range in which the scatter is looked for."""
+_SETTLED = 6
+"""After so many steps the scatter is left as it is, so that the rest converges."""
+_SEAM_PX, _NARROWING = 0.04, 3.0
+"""Once a surface can explain what two cameras see, their links are taken to scatter by no more, or by a third of what
+they do: the surface follows those that agree, and parts that lean over the board beside them are left behind."""
 _HEIGHT_SIGMA_MM = 3.0
-FIXTURE, REFERENCE = -1, -2
-_MARK_OWN_PX, _MARK_SHARED_PX = 0.004, 0.004
+_MARK_OWN_PX, _MARK_SHARED_PX = 0.002, 0.004
 """What a sighting of a fiducial is off beyond its own standard deviation: by itself, and in common with all sightings
-of the same fiducial (its artwork, its phase on the pixels, the light on it) …"""
-_MARK_SHARE = 0.5
-"""… which also share that part of their variance: it does not average out."""
+of the same fiducial (its artwork, the light on it), which does not average out."""
 _SCALE_SIGMA = 3e-4
 """How far a board may be shrunk or stretched against its CAD data (1 σ, relative)."""
-
-
-@dataclass(frozen=True, eq=False)
-class FiducialPoints:
-    """Points known in CAD and seen in rows: fiducials, marks of the fixture, points of a reference run."""
-
-    row: Ints
-    ground_mm: Floats
-    lean: Floats
-    cad: Floats
-    """(k, 2) CAD coordinates, y already flipped where the mapping mirrors."""
-    sigma_mm: Floats
-    px_per_mm: Floats
-    which: Ints
-    """(k,) number of the board's fiducial; negative for points of which there are many: `FIXTURE`, `REFERENCE`."""
-
-    @staticmethod
-    def joined(parts: Sequence[FiducialPoints]) -> FiducialPoints:
-        """All points of several sets."""
-        names = ("row", "ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "which")
-        return FiducialPoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
-
-    @staticmethod
-    def none() -> FiducialPoints:
-        """No points."""
-        pairs, no = np.zeros((0, 2)), np.zeros(0, dtype=np.int_)
-        return FiducialPoints(no, pairs, pairs, pairs, np.zeros(0), np.zeros(0), no)
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceBasis:
-    """Basis functions of the board's height: values per link and sighting, prior sigmas in mm."""
-
-    at_links: Floats
-    """(k, f)."""
-    at_fiducials: Floats
-    sigma_mm: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Everything that is observed or known beforehand."""
-
-    times_s: Floats
-    velocity_mm_s: Floats
-    links: Observations
-    component: Ints
-    """(k,) number of the component a link lies on, −1 for the bare board."""
-    fiducials: FiducialPoints | None = None
-    nominal_scale: float = 1.0
-    surface: SurfaceBasis | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Adjusted:
-    """The solution and how far it can be trusted."""
-
-    motion: Motion
-    similarity: Floats | None
-    """(4,) a, b, x, y: board = [a −b; b a]·cad + (x, y)."""
-    surface_mm: Floats
-    heights_mm: Floats
-    """(number of components,); NaN where no link tells, or where the part is so tall that its links were left out."""
-    covariance: Floats
-    """Of the unknowns: rows 1 … m−1 (φ, sx, sy), then C, then the surface."""
-    link_sigma: Floats
-    """(k,) residual of each link in standard deviations."""
-    link_px: Floats
-    """(k, 2) residual of each link in px, along the tester's axes."""
-    weight: Floats
-    """(k,) final robust weight; 0: not used."""
-    fiducial_px: Floats
-    """(s, 2) residuals of the sightings in px."""
-    floor_px: float
-    sigma0: float
-    """Square root of the reduced χ² of the links."""
 
 
 def adjust(problem: Problem, start: Motion, similarity: Floats | None = None) -> Adjusted:
@@ -140,8 +65,8 @@ def adjust(problem: Problem, start: Motion, similarity: Floats | None = None) ->
 
 def _mark_sigma_mm(s: FiducialPoints) -> Floats:
     """Standard deviation (s,) of each sighting, such that those of one fiducial are no surer together than that."""
-    own = (1 - _MARK_SHARE) * s.sigma_mm**2 + (_MARK_OWN_PX / s.px_per_mm) ** 2
-    shared = _MARK_SHARE * s.sigma_mm**2 + (_MARK_SHARED_PX / s.px_per_mm) ** 2
+    own = s.sigma_mm**2 + (_MARK_OWN_PX / s.px_per_mm) ** 2
+    shared = (_MARK_SHARED_PX / s.px_per_mm) ** 2
     fiducial = s.which >= 0
     count = np.bincount(s.which[fiducial], minlength=1)
     times = np.where(fiducial, count[np.maximum(s.which, 0)], 1)
@@ -169,9 +94,11 @@ class _Solver:
         self.tail = np.arange(self.size - self.f, self.size)
         self.pairs = _runs_of_equal(problem.links.p * self.m + problem.links.q)
         self.normal = np.eye(self.size)
+        self.steps = 0
 
     def step(self) -> float:
         """One reweighted Gauss-Newton step; returns the largest change of a shift in mm."""
+        self.steps += 1
         self.coupling = np.zeros((self.n_components, self.size))
         self.height_normal = np.full(self.n_components, 1 / _HEIGHT_SIGMA_MM**2)
         self.height_right = -self.heights / _HEIGHT_SIGMA_MM**2
@@ -230,13 +157,18 @@ class _Solver:
         Links between rows and between cameras have each their own: a lifted board first shows as a large
         scatter of the latter, which keeps their weight until the surface explains it.
         """
+        if self.steps > _SETTLED:
+            return
         o, bare = self.p.links, self.p.component < 0
         noise = o.noise_mm2 * (o.px_per_mm**2)[:, None, None]
         residual = residual * o.px_per_mm[:, None]
         for kind in (False, True):
             at = bare & (self.same_row == kind)
             if at.sum() >= 20:
-                self.floor_px[kind] = float(np.clip(_excess(residual[at], noise[at]), *_FLOOR_PX))
+                self.floor_px[kind] = excess(residual[at], noise[at], *_FLOOR_PX)
+        if self.p.surface is not None:
+            scatter = self.floor_px[True]
+            self.floor_px[True] = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
 
     def _link_blocks(self) -> list[Block]:
         """One block per pair of rows; what links say of component heights is set aside for elimination."""
@@ -350,10 +282,9 @@ class _Solver:
             used, sigma = self.robust, self.sigma
             px = residual * o.px_per_mm[:, None]
             sigma0 = float(np.sqrt(np.average(sigma**2, weights=np.maximum(used, 1e-9))))
-        heights = np.full(self.n_parts, np.nan)
-        on = (self.p.component >= 0) & ~self.same_row
-        told = np.bincount(self.p.component[on], used[on] > 0.1, minlength=self.n_parts) >= 3
-        heights[told] = self.heights[: self.n_parts][told]
+        on = self.component >= 0
+        told = np.bincount(self.component[on], used[on] > 0.1, minlength=self.n_components) >= 3
+        heights = np.where(told, self.heights, np.nan).reshape(2, self.n_parts)
         fiducial_px = np.zeros((0, 2))
         if s is not None and self.c is not None:
             fiducial_px = self._fiducial_terms(s)[0] * s.px_per_mm[:, None]
@@ -397,16 +328,6 @@ def _runs_of_equal(values: Ints) -> list[Ints]:
         return []
     order = np.argsort(values, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
-
-
-def _excess(residual: Floats, noise: Floats) -> float:
-    """Standard deviation that, added to noise (k, 2, 2), explains the median of the residuals (k, 2)."""
-    low, high = 0.0, _FLOOR_PX[1]
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        chi2 = (whitened(roots(_inverses(noise, np.full(len(noise), middle**2))), residual) ** 2).sum(0)
-        low, high = (middle, high) if np.median(chi2) > _MEDIAN else (low, middle)
-    return (low + high) / 2
 
 
 def _inverses(noise: Floats, floor: Floats) -> Floats:

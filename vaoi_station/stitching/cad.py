@@ -18,10 +18,11 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment import FIXTURE, FiducialPoints, similar
+from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.evidence import Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.problem import FIXTURE, FiducialPoints
 from vaoi_station.stitching.sight import fixture_kind, kind_of, mark_kinds
 
 _SAME_PLACE_MM = 0.4

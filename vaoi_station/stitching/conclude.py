@@ -18,7 +18,7 @@ from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.stitching.adjustment import Adjusted, Problem, adjust
+from vaoi_station.stitching.adjustment import adjust
 from vaoi_station.stitching.cad import board_frame
 from vaoi_station.stitching.evidence import Evidence, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
@@ -28,6 +28,7 @@ from vaoi_station.stitching.marklinks import mark_links
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.motion import nominal_motion
 from vaoi_station.stitching.observations import Observations, observe
+from vaoi_station.stitching.problem import Adjusted, Problem
 from vaoi_station.stitching.reference import Reference
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.start import chained

@@ -18,10 +18,10 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment import Adjusted, Problem
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.observations import Ints
 from vaoi_station.stitching.patches import PATCH_PX
+from vaoi_station.stitching.problem import Adjusted, Problem
 
 _CORE = 0.8
 """Share of a footprint's width and height that is taken for body; leads are at its edge."""

@@ -60,8 +60,8 @@ def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, came
     still = np.zeros(2)
     links = _fine(task, a, b, camera_a, camera_b, still, still)
     box = overlap_box(camera_a, camera_b, still)
-    if len(links.a_px) >= _BEYOND_DOUBT or box is None:
-        return links
+    if len(links.a_px) >= _BEYOND_DOUBT or box is None or min(box[2] - box[0], box[3] - box[1]) <= 2 * MARGIN_PX:
+        return links  # no doubt, or no room for a patch: that two cameras hardly overlap tells nothing of them
     coarse = find_shift(a, b, box, _offset(box, camera_a, camera_b, still), np.full(2, _MOVED_MM * camera_a.px_per_mm))
     if isinstance(coarse, Failure):
         return replace(links, unmatched=len(links.a_px) < _ENOUGH and isinstance(coarse, NoFit))

@@ -13,7 +13,7 @@ import numpy as np
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment import Adjusted, FiducialPoints, Problem, SurfaceBasis, adjust
+from vaoi_station.stitching.adjustment import adjust
 from vaoi_station.stitching.cad import Frame, Hypothesis, assign, expected_angle, find_board, gather
 from vaoi_station.stitching.evidence import Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
@@ -21,6 +21,7 @@ from vaoi_station.stitching.footprints import component_of
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.motion import Motion
 from vaoi_station.stitching.orientation import Orientation, Outline, check, outline_of
+from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.reference import Reference, first_similarity, points_on_cad
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.sight import look_again, look_deeper

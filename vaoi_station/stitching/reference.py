@@ -14,10 +14,10 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Stitch
-from vaoi_station.stitching.adjustment import REFERENCE, FiducialPoints
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.evidence import FrameKey, Links, Task
 from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.problem import REFERENCE, FiducialPoints
 
 _SCATTER_PX = 0.03
 """Of single links beyond image noise."""

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment import Adjusted, similar, similar_jacobian
+from vaoi_station.stitching.adjustment import similar, similar_jacobian
 from vaoi_station.stitching.cad import Frame
+from vaoi_station.stitching.certainty import longest
 from vaoi_station.stitching.evidence import FrameKey
+from vaoi_station.stitching.problem import Adjusted
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.surface import basis
 
-MODEL_PX = 0.003
+MODEL_PX = 0.002
 """Standard deviation of what no residual shows: calibration, artwork, flatness."""
 
 
@@ -38,7 +40,7 @@ class Sigma:
     def of_component(self, address: str) -> float | None:
         """The largest over a component's views."""
         views = list(self.views.get(address, {}).values())
-        return float(_longest(np.array(views)).max()) if views else None
+        return float(longest(np.array(views)).max()) if views else None
 
 
 def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:
@@ -57,9 +59,18 @@ def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Si
         seen, covariance = _covariances(scene.cameras[key[0]], frame, adjusted, key[1], cad, board)
         for n, c in zip(seen.tolist(), covariance, strict=True):
             views.setdefault(names[n], {})[key] = c
-        rows[key[1]] = max(rows[key[1]], float(_longest(covariance).max(initial=0)))
+        rows[key[1]] = max(rows[key[1]], float(longest(covariance).max(initial=0)))
     shown = [v for v in rows if v]
     return Sigma(tuple(v or w for v, w in zip(rows, motion, strict=True)), max(shown, default=None), views)
+
+
+def surface_sigma_mm(frame: Frame, adjusted: Adjusted, cad: Floats) -> Floats:
+    """Standard deviation (k,) of the board's height at CAD points (k, 2); 0 where no surface was sought."""
+    f = len(adjusted.surface_mm)
+    if not f:
+        return np.zeros(len(cad))
+    b = basis(frame.board_type, cad)
+    return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", b, adjusted.covariance[-f:, -f:], b)))
 
 
 def _covariances(
@@ -88,13 +99,7 @@ def _covariances(
     return seen, covariance * camera.px_per_mm**2 + MODEL_PX**2 * np.eye(2)
 
 
-def _longest(covariance: Floats) -> Floats:
-    """Standard deviation (k,) in the worst direction, for covariances (k, 2, 2)."""
-    a, b, d = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    return np.asarray(np.sqrt((a + d) / 2 + np.hypot((a - d) / 2, b)))
-
-
 def _motion_sigma(cameras: Sequence[Camera], adjusted: Adjusted, row: int) -> float:
     at = slice(3 * row + 1, 3 * row + 3)
     resolution = float(np.mean([camera.px_per_mm for camera in cameras]))
-    return float(np.hypot(_longest(adjusted.covariance[None, at, at])[0] * resolution, MODEL_PX))
+    return float(np.hypot(longest(adjusted.covariance[None, at, at])[0] * resolution, MODEL_PX))

@@ -15,16 +15,17 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
-from vaoi_station.stitching.adjustment import FIXTURE, REFERENCE, Adjusted, Problem
 from vaoi_station.stitching.cad import Frame, outside_share
+from vaoi_station.stitching.certainty import matrix_sigmas, row_covariances
 from vaoi_station.stitching.evidence import Links
 from vaoi_station.stitching.heights import Height, component_heights
 from vaoi_station.stitching.mapping import Mapping
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.motion import measured_velocity
+from vaoi_station.stitching.problem import FIXTURE, REFERENCE, Adjusted, Problem
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.start import tied_rows
-from vaoi_station.stitching.uncertainty import Sigma, predicted_sigma
+from vaoi_station.stitching.uncertainty import Sigma, predicted_sigma, surface_sigma_mm
 
 _OK_SIGMA_PX = 0.20
 _FIDUCIAL_LIMIT_PX = 0.30
@@ -34,6 +35,8 @@ _SCALE_LIMIT = 1e-3
 _OUTSIDE_LIMIT = 0.03
 _OUTLIER = 8.5
 """Points further off, in their standard deviations, have no weight (6 per axis)."""
+_SAME_HEIGHT_PX = 0.5
+"""Leads and body of a part differ by less, most of them."""
 _SEAM_LINKS = 12
 """So many links between two cameras say whether they fit together."""
 
@@ -124,17 +127,28 @@ class Findings:
         return out
 
     @cached_property
-    def strangers(self) -> dict[tuple[int, int], int]:
-        """Neighbouring cameras whose overlap shows texture, but not the same, and in how many rows.
+    def _vouching(self) -> np.ndarray:
+        """Links that may say that two cameras fit together: (k,) truth values.
 
-        Links on parts do not contradict it: a height of the part explains whatever they say across the seam.
+        On the bare board all may. On a part a height of its own explains whatever they say across the seam, so it
+        must be the height that is seen from row to row.
         """
+        o, part = self.problem.links, self.problem.component
+        rows, seam = self.adjusted.heights_mm
+        if not len(rows):
+            return part < 0
+        off_px = np.abs(seam - rows)[part] * np.hypot(*(o.b_lean - o.a_lean).T) * o.px_per_mm
+        return np.asarray((part < 0) | (off_px < _SAME_HEIGHT_PX))
+
+    @cached_property
+    def strangers(self) -> dict[tuple[int, int], int]:
+        """Neighbouring cameras whose overlap shows texture, but not the same, and in how many rows."""
         o = self.problem.links
         out = {}
         for i in range(len(self.scene.cameras) - 1):
             rows = sum(e.unmatched for e in self.links if e.task.kind == "neighbours" and e.task.a[0] == i)
             mine = [n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i]
-            agreeing = np.isin(o.group, mine) & (self.adjusted.weight > 0.1) & (self.problem.component < 0)
+            agreeing = np.isin(o.group, mine) & (self.adjusted.weight > 0.1) & self._vouching
             if rows >= 2 and agreeing.sum() < _SEAM_LINKS and (i, i + 1) not in self.seams_px:
                 out[i, i + 1] = rows
         return out
@@ -231,7 +245,7 @@ def quality_of(f: Findings) -> dict[str, Any]:
         group = max(f.tied, key=len)
         velocity = measured_velocity(a.motion, f.problem.times_s, group)
     nominal = float(np.hypot(*f.problem.velocity_mm_s))
-    used = a.weight > 0.1
+    used, rows = a.weight > 0.1, row_covariances(a)
     return {
         "links": {
             kind: {"found": sum(len(e.a_px) for e in f.links if e.task.kind == kind), "used": _used(f, kind, used)}
@@ -253,6 +267,20 @@ def quality_of(f: Findings) -> dict[str, Any]:
         "row_sigma_px": [_rounded(v) for v in sigma.rows_px],
         "cad_sigma_px": _rounded(sigma.worst_px) if sigma.worst_px is not None else None,
         "component_sigma_px": _component_sigma(f),
+        "pivot_mm": [_rounded(float(v)) for v in a.motion.pivot],
+        "row_covariance": [[[_significant(v) for v in r] for r in c] for c in rows.tolist()],
+        "matrix_sigma_px": [
+            [[_rounded(v) for v in pair] if f.placed[j] else None for j, pair in enumerate(camera)]
+            for camera in matrix_sigmas(f.scene.cameras, a.motion.pivot, rows).tolist()
+        ],
+        "component_covariance_px2": {
+            address: [
+                [*key, *(_significant(float(v)) for v in (c[0, 0], c[0, 1], c[1, 1]))] for key, c in views.items()
+            ]
+            for address, views in sigma.views.items()
+            if f.frame is not None and f.frame.board_type.component(address) is not None
+        },
+        "surface_sigma_mm": _surface_sigma(f),
         "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
         "height_sigma_mm": {address: _rounded(h.sigma_mm) for address, h in f.heights.items()},
         "belt": {
@@ -309,11 +337,25 @@ def _component_sigma(f: Findings) -> dict[str, float]:
     return {address: _rounded(px) for address, px in sigma.items() if px is not None}
 
 
+def _surface_sigma(f: Findings) -> float | None:
+    """Of the board's height, at its middle and corners the worst; None where it was not sought."""
+    if f.frame is None or not len(f.adjusted.surface_mm):
+        return None
+    low, high = f.frame.board_type.extent()
+    places = np.array([(low + high) / 2, low, high, (low[0], high[1]), (high[0], low[1])])
+    return _rounded(float(surface_sigma_mm(f.frame, f.adjusted, places).max()))
+
+
 def _scale_error(f: Findings) -> float | None:
     if f.frame is None or f.adjusted.similarity is None:
         return None
     a, b = f.adjusted.similarity[:2]
     return _rounded(float(np.hypot(a, b)) / f.frame.board_type.mm_per_unit - 1, 7)
+
+
+def _significant(value: float) -> float:
+    """Variances are small: four digits, wherever the point."""
+    return float(f"{value:.4g}")
 
 
 def _rounded(value: float, digits: int = 4) -> float:

@@ -13,7 +13,7 @@ from vaoi_station.api.parameters import Address, FormatName, MinCoverage, PxPerM
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import ComponentEntry, ComponentList, ComponentViews
-from vaoi_station.api.views import picture_query, view_entry
+from vaoi_station.api.views import covariances, picture_query, view_entry
 from vaoi_station.runs.facade import ComponentSummary
 from vaoi_station.runs.facade import ImageFormat as Rendered
 from vaoi_station.runs.state import FINISHED
@@ -83,8 +83,15 @@ def router(services: Services) -> APIRouter:
         frames = {(f.camera, f.row): f for f in (await ask(conductor.run, run)).frames}
         address = quote(request.url.path)
         query = picture_query(px_per_mm, min_coverage)
+        certain = covariances((await ask(conductor.stitch, run)).quality, ref) if views else {}
         entries = [
-            view_entry(k, view, frames[view.camera, view.row], f"{address}/images/{k}{query}")
+            view_entry(
+                k,
+                view,
+                frames[view.camera, view.row],
+                f"{address}/images/{k}{query}",
+                certain.get((view.camera, view.row)),
+            )
             for k, view in enumerate(views)
         ]
         resolution = entries[0].px_per_mm if entries else None
