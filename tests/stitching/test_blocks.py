@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whitened
+from vaoi_station.stitching.blocks import Block, belt_blocks, roots, summed, whitened
 from vaoi_station.stitching.motion import nominal_motion
 
 
@@ -34,7 +34,8 @@ def test_whitened_squares_are_weighted_squares(seed: int) -> None:
 
 def test_a_belt_that_runs_as_it_should_has_no_misfit() -> None:
     times, velocity = np.array([0.0, 0.1, 0.25]), np.array([30.0, 40.0])
-    block = belt_block(nominal_motion(times, velocity, np.zeros(2)), times, velocity)
-    np.testing.assert_allclose(block.b, 0, atol=1e-12)
-    normal, _ = summed([block], 9)
+    blocks = belt_blocks(nominal_motion(times, velocity, np.zeros(2)), times, velocity)
+    for block in blocks:
+        np.testing.assert_allclose(block.b, 0, atol=1e-12)
+    normal, _ = summed(blocks, 9)
     assert np.linalg.matrix_rank(normal) == 6, "it says nothing of the first row"

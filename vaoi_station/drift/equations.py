@@ -19,7 +19,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import huber_weights, median_sigma
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment import similar, similar_jacobian
-from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whitened
+from vaoi_station.stitching.blocks import Block, belt_blocks, roots, summed, whitened
 from vaoi_station.stitching.motion import Motion
 from vaoi_station.stitching.observations import Ints
 
@@ -210,8 +210,8 @@ class _Solver:
             return []
         dt = np.diff(self.run.times_s)
         velocity = -np.median(np.diff(self.motion.shift, axis=0) / dt[:, None], axis=0)
-        block = belt_block(self.motion, self.run.times_s, velocity)
-        return [Block(block.columns + self.rows_at, block.a, block.b)]
+        blocks = belt_blocks(self.motion, self.run.times_s, velocity)
+        return [Block(block.columns + self.rows_at, block.a, block.b) for block in blocks]
 
     def _fiducials(self) -> Iterator[Block]:
         s = self.run.fiducials

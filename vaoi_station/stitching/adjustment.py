@@ -14,12 +14,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.blocks import Block, belt_block, roots, summed, whitened
+from vaoi_station.stitching.blocks import Block, belt_blocks, summed
+from vaoi_station.stitching.equations import accumulate, eliminate, misfits, weigh
 from vaoi_station.stitching.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion
-from vaoi_station.stitching.observations import Ints
+from vaoi_station.stitching.observations import Ints, Observations
 from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem
 from vaoi_station.stitching.scatter import excess
 
@@ -29,7 +31,7 @@ _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
 """… and beyond so many count no more."""
-_PAIR_SIGMA_PX, _PAIR_SHARE = {False: 0.002, True: 0.014}, 0.25
+_PAIR_SIGMA_PX, _PAIR_SHARE = (0.002, 0.014), 0.25
 """What the links of one pair of frames share and does not average out: so many px between rows of one camera
 (interpolation), and between two cameras (each has its own light and its own view of what stands a little above the
 board), and that share of what they scatter beyond noise."""
@@ -79,39 +81,51 @@ class _Solver:
         self.motion = start
         self.c = similarity
         self.m = len(start.angle)
-        self.f = problem.surface.at_links.shape[1] if problem.surface else 0
+        self.basis = problem.surface.at_links if problem.surface else np.zeros((len(problem.links), 0))
+        self.f = self.basis.shape[1]
         self.beta = np.zeros(self.f)
-        self.same_row = problem.links.p == problem.links.q
+        self.kind = (problem.links.p == problem.links.q).astype(np.int_)
+        """0: from row to row; 1: between two cameras in one row."""
         # what a part shows to two cameras at once (its top) and from row to row (its leads, the board between them) may
         # stand at different heights: were they one unknown, the difference would lift the whole board
         self.n_parts = int(problem.component.max(initial=-1)) + 1
         self.n_components = 2 * self.n_parts
-        self.component = np.where(self.same_row, problem.component + self.n_parts, problem.component)
-        self.component[problem.component < 0] = -1
+        self.component = np.where(problem.component < 0, -1, problem.component + self.n_parts * self.kind)
         self.heights = np.zeros(self.n_components)
-        self.floor_px = {False: 0.05, True: 0.05}
+        self.floor_px = np.array([0.05, 0.05])
         self.size = 3 * self.m + (4 if problem.fiducials else 0) + self.f
         self.tail = np.arange(self.size - self.f, self.size)
-        self.pairs = _runs_of_equal(problem.links.p * self.m + problem.links.q)
+        k = len(problem.links)
+        self.residual, self.lean = np.zeros((k, 2)), np.zeros((k, 2))
+        self.sigma, self.robust, self.weight = np.zeros(k), np.zeros(k), np.zeros((k, 3))
+        self.tied = _tied_steps(problem.links, self.m)
         self.normal = np.eye(self.size)
         self.steps = 0
 
     def step(self) -> float:
         """One reweighted Gauss-Newton step; returns the largest change of a shift in mm."""
         self.steps += 1
-        self.coupling = np.zeros((self.n_components, self.size))
-        self.height_normal = np.full(self.n_components, 1 / _HEIGHT_SIGMA_MM**2)
-        self.height_right = -self.heights / _HEIGHT_SIGMA_MM**2
-        normal, right = summed([*self._link_blocks(), *self._belt(), *self._fiducials(), *self._surface()], self.size)
-        own = self.coupling / self.height_normal[:, None]
-        normal -= self.coupling.T @ own
-        right -= own.T @ self.height_right
+        normal, right = summed([*self._belt(), *self._fiducials(), *self._surface()], self.size)
+        coupling = np.zeros((self.n_components, self.size))
+        height_normal = np.full(self.n_components, 1 / _HEIGHT_SIGMA_MM**2)
+        height_right = -self.heights / _HEIGHT_SIGMA_MM**2
+        self._look_at_links()
+        self._update_floor()
+        self._weigh_links()
+        o = self.p.links
+        accumulate(
+            *(o.p, o.q, o.a_mm, o.b_mm, o.group, self.motion.angle, self.motion.pivot),
+            *(self.residual, self.lean, self.weight, self.basis, self.component),
+            *(normal, right, coupling, height_normal, height_right),
+        )
+        coupling[:, :3] = 0  # row 0 is held
+        eliminate(coupling, height_normal, height_right, normal, right)
         normal[:3, :] = normal[:, :3] = 0
         normal[:3, :3], right[:3] = np.eye(3), 0
         self.normal = normal
         delta = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         self._move(delta)
-        self.heights = self.heights + self.height_right / self.height_normal - own @ delta
+        self.heights = self.heights + (height_right - coupling @ delta) / height_normal
         return float(np.abs(delta[: 3 * self.m].reshape(-1, 3)[:, 1:]).max())
 
     def _move(self, delta: Floats) -> None:
@@ -121,37 +135,25 @@ class _Solver:
             self.c = self.c + delta[3 * self.m : 3 * self.m + 4]
         self.beta = self.beta + delta[self.tail]
 
-    def _residuals(self) -> tuple[Floats, Floats]:
+    def _look_at_links(self) -> None:
         """Misfit (k, 2) mm of every link, and its change per mm of height (k, 2)."""
         o, motion = self.p.links, self.motion
-        lean = motion.turned(o.q, o.b_lean) - motion.turned(o.p, o.a_lean)
-        return motion.board(o.q, o.b_mm) - motion.board(o.p, o.a_mm) + lean * self._link_height()[:, None], lean
+        height = self.basis @ self.beta + np.append(self.heights, 0.0)[self.component]
+        misfits(
+            *(o.p, o.q, o.a_mm, o.b_mm, o.a_lean, o.b_lean, height),
+            *(motion.angle, motion.shift, motion.pivot, self.residual, self.lean),
+        )
 
-    def _link_height(self) -> Floats:
-        h = np.zeros(len(self.p.links))
-        if self.p.surface is not None:
-            h += self.p.surface.at_links @ self.beta
-        if self.n_components:
-            on = self.component >= 0
-            h[on] += self.heights[self.component[on]]
-        return h
-
-    def _weights(self, residual: Floats) -> Floats:
-        """Weight matrices (k, 2, 2) mm⁻², robust and with what a pair of frames shares taken into account."""
+    def _weigh_links(self) -> None:
+        """Robust weights, with what a pair of frames shares taken into account."""
         o = self.p.links
-        floor_px = np.where(self.same_row, self.floor_px[True], self.floor_px[False])
-        information = _inverses(o.noise_mm2, (floor_px / o.px_per_mm) ** 2)
-        chi = np.sqrt((whitened(roots(information), residual) ** 2).sum(0) / 2)
-        self.sigma = chi
-        self.robust = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
-        told = self.robust * np.trace(information, axis1=1, axis2=2) / 2
-        per_pair = np.bincount(o.group, told, minlength=len(o.groups))
-        shared = np.where(self.same_row, _PAIR_SIGMA_PX[True], _PAIR_SIGMA_PX[False])
-        shared = np.maximum(shared, _PAIR_SHARE * floor_px) / o.px_per_mm
-        share = 1 / (1 + per_pair[o.group] * shared**2)
-        return np.asarray(information * (self.robust * share)[:, None, None])
+        shared_px = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * self.floor_px)
+        weigh(
+            *(self.residual, o.noise_mm2, o.px_per_mm, o.group, len(o.groups), self.kind, self.floor_px, shared_px),
+            *(_KNEE, _CUT, self.sigma, self.robust, self.weight),
+        )
 
-    def _update_floor(self, residual: Floats) -> None:
+    def _update_floor(self) -> None:
         """What single links scatter beyond image noise, from those on the bare board, which the model should explain.
 
         Links between rows and between cameras have each their own: a lifted board first shows as a large
@@ -160,68 +162,25 @@ class _Solver:
         if self.steps > _SETTLED:
             return
         o, bare = self.p.links, self.p.component < 0
-        noise = o.noise_mm2 * (o.px_per_mm**2)[:, None, None]
-        residual = residual * o.px_per_mm[:, None]
-        for kind in (False, True):
-            at = bare & (self.same_row == kind)
-            if at.sum() >= 20:
-                self.floor_px[kind] = excess(residual[at], noise[at], *_FLOOR_PX)
+        for kind in (0, 1):
+            at = np.flatnonzero(bare & (self.kind == kind))
+            if len(at) >= 20:
+                noise = o.noise_mm2[at] * (o.px_per_mm[at] ** 2)[:, None, None]
+                residual = self.residual[at] * o.px_per_mm[at, None]
+                self.floor_px[kind] = excess(residual, noise, *_FLOOR_PX)
         if self.p.surface is not None:
-            scatter = self.floor_px[True]
-            self.floor_px[True] = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
-
-    def _link_blocks(self) -> list[Block]:
-        """One block per pair of rows; what links say of component heights is set aside for elimination."""
-        o = self.p.links
-        if not len(o):
-            return []
-        residual, lean = self._residuals()
-        self._update_floor(residual)
-        root = roots(self._weights(residual))
-        parts = [-_row_jacobian(self.motion, o.p, o.a_mm), _row_jacobian(self.motion, o.q, o.b_mm)]
-        if self.p.surface is not None:
-            parts.append(lean[:, :, None] * self.p.surface.at_links[:, None, :])
-        a, b = whitened(root, np.concatenate(parts, 2)), whitened(root, residual)
-        self._set_heights_aside(a, b, whitened(root, lean))
-        blocks = []
-        for at in self.pairs:
-            columns = self._columns(int(o.p[at[0]]), int(o.q[at[0]]))
-            blocks.append(Block(columns, a[:, at].reshape(-1, a.shape[2]), b[:, at].ravel()))
-        return blocks
-
-    def _columns(self, p: int, q: int) -> Ints:
-        return np.concatenate([np.arange(3 * p, 3 * p + 3), np.arange(3 * q, 3 * q + 3), self.tail])
-
-    def _set_heights_aside(self, a: Floats, b: Floats, lean: Floats) -> None:
-        """Each component's height is tied only to its own links: its row of the normal equations."""
-        if not self.n_components:
-            return
-        o, on = self.p.links, np.flatnonzero(self.component >= 0)
-        c = self.component[on]
-        lean = lean[:, on]
-        self.height_normal += np.bincount(c, (lean**2).sum(0), minlength=self.n_components)
-        self.height_right -= np.bincount(c, (lean * b[:, on]).sum(0), minlength=self.n_components)
-        cross = (lean[:, :, None] * a[:, on]).sum(0)
-        first = np.stack([3 * o.p[on], 3 * o.q[on]], 1)[:, :, None] + np.arange(3)
-        columns = np.concatenate([first.reshape(-1, 6), np.repeat(self.tail[None], len(on), 0)], 1)
-        flat = (c[:, None] * self.size + columns).ravel()
-        sums = np.bincount(flat, cross.ravel(), minlength=self.n_components * self.size)
-        self.coupling += sums.reshape(self.n_components, self.size)
-        self.coupling[:, :3] = 0
+            scatter = self.floor_px[1]
+            self.floor_px[1] = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
 
     def _belt(self) -> list[Block]:
         """The conveyor at its mean speed, as measured: rows nobody sees stay where it puts them."""
         if self.m < 2:
             return []
         dt = np.diff(self.p.times_s)
-        o = self.p.links
-        measured = np.zeros(self.m - 1, dtype=bool)
-        for at in self.pairs:
-            measured[o.p[at[0]] : o.q[at[0]]] = True
-        steps = -np.diff(self.motion.shift, axis=0)[measured] / dt[measured, None]
+        steps = -np.diff(self.motion.shift, axis=0)[self.tied] / dt[self.tied, None]
         prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
         velocity = (steps.sum(0) + prior * self.p.velocity_mm_s) / (len(steps) + prior)
-        return [belt_block(self.motion, self.p.times_s, velocity)]
+        return belt_blocks(self.motion, self.p.times_s, velocity)
 
     def _surface(self) -> list[Block]:
         if self.p.surface is None:
@@ -274,16 +233,14 @@ class _Solver:
         o, s = self.p.links, self.p.fiducials
         covariance = np.asarray(np.linalg.inv(self.normal), dtype=np.float64)
         covariance[:3] = covariance[:, :3] = 0
-        used, sigma, px = np.zeros(0), np.zeros(0), np.zeros((0, 2))
+        self._look_at_links()
+        self._weigh_links()
+        px = self.residual * o.px_per_mm[:, None]
         sigma0 = 1.0
         if len(o):
-            residual, _ = self._residuals()
-            self._weights(residual)
-            used, sigma = self.robust, self.sigma
-            px = residual * o.px_per_mm[:, None]
-            sigma0 = float(np.sqrt(np.average(sigma**2, weights=np.maximum(used, 1e-9))))
+            sigma0 = float(np.sqrt(np.average(self.sigma**2, weights=np.maximum(self.robust, 1e-9))))
         on = self.component >= 0
-        told = np.bincount(self.component[on], used[on] > 0.1, minlength=self.n_components) >= 3
+        told = np.bincount(self.component[on], self.robust[on] > 0.1, minlength=self.n_components) >= 3
         heights = np.where(told, self.heights, np.nan).reshape(2, self.n_parts)
         fiducial_px = np.zeros((0, 2))
         if s is not None and self.c is not None:
@@ -294,11 +251,11 @@ class _Solver:
             self.beta,
             heights,
             covariance,
-            sigma,
+            self.sigma,
             px,
-            used,
+            self.robust,
             fiducial_px,
-            self.floor_px[False],
+            float(self.floor_px[0]),
             sigma0,
         )
 
@@ -330,8 +287,9 @@ def _runs_of_equal(values: Ints) -> list[Ints]:
     return np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
 
 
-def _inverses(noise: Floats, floor: Floats) -> Floats:
-    """Inverse (k, 2, 2) of noise (k, 2, 2) + floor (k,) · 1."""
-    a, b, d = noise[:, 0, 0] + floor, noise[:, 0, 1], noise[:, 1, 1] + floor
-    out = np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], 1)
-    return np.asarray(out / (a * d - b * b)[:, None, None])
+def _tied_steps(links: Observations, rows: int) -> NDArray[np.bool_]:
+    """Which steps (rows − 1,) from row to row some link spans."""
+    change = np.zeros(rows, dtype=np.int_)
+    np.add.at(change, links.p, 1)
+    np.add.at(change, links.q, -1)
+    return np.asarray(np.cumsum(change)[:-1] > 0)

@@ -59,7 +59,7 @@ def whitened(root: Floats, values: Floats) -> Floats:
     return np.stack([first, root[:, 1, 1][more] * values[:, 1]])
 
 
-def belt_block(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> Block:
+def belt_blocks(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> list[Block]:
     """The belt's motion as a measurement of every step between rows: along, across and turn."""
     m = len(motion.angle)
     dt = np.diff(times_s)
@@ -71,8 +71,5 @@ def belt_block(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> Block:
     misfit = np.concatenate([misfit, np.diff(motion.angle)[:, None]], 1) / sigma
     step = np.zeros((3, 3))
     step[:2, 1:], step[2, 0] = frame, 1
-    a = np.zeros((m - 1, 3, 3 * m))
-    for j in range(m - 1):
-        a[j, :, 3 * j + 3 : 3 * j + 6] = step / sigma[j, :, None]
-        a[j, :, 3 * j : 3 * j + 3] = -a[j, :, 3 * j + 3 : 3 * j + 6]
-    return Block(np.arange(3 * m), a.reshape(-1, 3 * m), misfit.ravel())
+    both = np.concatenate([-step, step], 1)
+    return [Block(np.arange(3 * j, 3 * j + 6), both / sigma[j, :, None], misfit[j]) for j in range(m - 1)]
