@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.filming import film
+from vaoi_station.acquisition.filming import film, film_pulses
 from vaoi_station.acquisition.keeping import keep_run
 from vaoi_station.acquisition.messages import RunFinished
 from vaoi_station.acquisition.ring import Ring
@@ -81,4 +82,20 @@ def test_a_device_that_does_not_open_is_told_with_its_remedy(make_config: Make, 
     (tmp_path / "scenario.toml").write_text(tiny.replace("cameras = 2", "cameras = 3"))
     with pytest.raises(DeviceError, match=r"array\.cameras is 3, but must be 2"):
         film(config, 1, lambda *_: None, lambda _: None)
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+def test_steady_pulses_come_no_faster_than_asked(make_config: Make, tmp_path: Path) -> None:
+    runs: list[str] = []
+    whole: list[str] = []
+
+    def finished(run: RunFinished, ring: Ring, generation: int) -> None:
+        runs.append(run.run)
+        assert all(ring.snapshot(f.slot, generation).any() for f in run.frames if f.slot is not None)
+
+    started_s = time.monotonic()
+    film_pulses(make_config(), 5, 10.0, finished, lambda _: None, lambda report, *_: whole.append(report.run))
+    assert runs == ["001", "002", "003", "004", "005"]
+    assert whole == [run for run in runs for _ in range(2)]
+    assert time.monotonic() - started_s >= 4 / 10.0
     assert list((tmp_path / "shm").iterdir()) == []

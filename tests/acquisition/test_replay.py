@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.messages import BoardMissed, PulseSeen, RunFinished, Trouble
+from vaoi_station.acquisition.messages import BoardMissed, FireOne, PulseSeen, RunFinished, Trouble
 from vaoi_station.acquisition.replay import open_replay
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
@@ -158,3 +158,16 @@ def test_a_recording_of_another_station_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=says):
         open_replay(make_replay(**changes))
+
+
+def test_a_replay_says_that_it_cannot_fire_by_itself_and_goes_on(
+    start: Start, make_replay: Callable[..., StationConfig]
+) -> None:
+    bench = start(make_replay())
+    bench.grant("one", 0)
+    bench.send(FireOne())
+    trouble = bench.until(Trouble)
+    assert trouble.message == "a replay plays recorded boards; it cannot fire a pulse of its own."
+    assert "Film the boards it plays" in trouble.action
+    bench.arm()
+    assert bench.until(RunFinished).run == "one"

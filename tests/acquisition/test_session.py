@@ -35,6 +35,7 @@ class Wood:
     slots: list[Slot] = field(default_factory=list)
     plans: list[TriggerPlan | None] = field(default_factory=list)
     refuses: bool = False
+    fired: int = 0
 
     def queue(self, slot: Slot) -> None:
         self.slots.append(slot)
@@ -51,6 +52,11 @@ class Wood:
 
     def disarm(self) -> None:
         self.plans.append(None)
+
+    def fire_one(self) -> None:
+        if self.refuses:
+            raise DeviceError("the port is gone.", action="Plug it in.")
+        self.fired += 1
 
 
 @dataclass
@@ -200,3 +206,51 @@ def test_another_plan_while_a_board_passes_is_refused(stage: Stage) -> None:
     stage.pulse(10.0, 0)
     with pytest.raises(StateError, match="passing"):
         stage.session.arm(stage.plan)
+
+
+def test_a_pulse_without_the_barrier_is_a_run_of_one_row_with_memory_beforehand(stage: Stage) -> None:
+    with pytest.raises(StateError, match="no memory for a pulse"):
+        stage.session.fire_one(0.9)
+    for n in range(2):
+        stage.session.grant(Grant(f"pulse {n}", n))
+    assert stage.cameras[0].slots == [], "nothing is loaded before it is asked for"
+    for n, at_s in enumerate((1.0, 1.3)):  # the second comes while the first waits for a frame of camera 1
+        stage.session.fire_one(at_s)
+        assert (stage.controller.fired, len(stage.cameras[0].slots) > 0) == (n + 1, True)
+        stage.pulse(at_s, 0)
+        stage.session.heard(RunEnded(0, at_s, 1, "single"), at_s)
+        slot = stage.cameras[0].slots.pop(0)
+        stage.session.arrived(Arrival(0, slot.number, True, n + 1, at_s, at_s + 0.01), at_s + 0.01)
+    assert [(r.run, r.host_time_s) for r in stage.of(RunStarted)] == [("pulse 0", 1.0), ("pulse 1", 1.3)]
+    assert stage.of(RunFinished) == []
+    stage.session.tick(stage.session.deadline_s(1.4))
+    stage.session.tick(3.0)
+    for finished in stage.of(RunFinished):
+        assert (finished.head.rows, finished.reason) == (1, "single")
+        assert [f.verdict for f in finished.frames] == [Verdict.OK, Verdict.MISSING]
+    assert len(stage.of(RunFinished)) == 2
+    assert stage.of(BoardMissed) == []
+
+
+def test_a_pulse_that_is_refused_leaves_its_memory_to_the_next(stage: Stage) -> None:
+    stage.session.grant(Grant("a", 0))
+    stage.controller.refuses = True
+    with pytest.raises(DeviceError, match="the port is gone"):
+        stage.session.fire_one(1.0)
+    stage.controller.refuses = False
+    stage.session.fire_one(1.1)
+    stage.pulse(1.1, 0)
+    assert [r.run for r in stage.of(RunStarted)] == ["a"]
+
+
+def test_single_pulses_and_boards_do_not_mix(stage: Stage) -> None:
+    stage.session.grant(Grant("a", 0))
+    stage.session.arm(stage.plan)
+    with pytest.raises(StateError, match="boards are being filmed"):
+        stage.session.fire_one(1.0)
+    assert stage.controller.fired == 0
+    stage.session.disarmed(1.1)
+    assert stage.of(Disarmed)[0].unused == (Grant("a", 0),)
+    stage.session.grant(Grant("b", 0))
+    stage.session.fire_one(1.2)
+    assert stage.controller.fired == 1

@@ -14,6 +14,7 @@ from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.messages import (
     Arm,
     BoardMissed,
+    FireOne,
     FrameSettled,
     Health,
     PulseSeen,
@@ -25,7 +26,7 @@ from vaoi_station.acquisition.ring_layout import OK
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.model import Verdict
-from vaoi_station.simulation import Passage, Twin, read_scenario
+from vaoi_station.simulation import Passage, Twin, calibration_board, read_scenario
 
 Start = Callable[[StationConfig], Any]
 Make = Callable[..., StationConfig]
@@ -137,6 +138,29 @@ def test_a_board_without_memory_is_missed_and_the_next_is_filmed(start: Start, m
     truth = passage(bench.config, boards)
     for frame in finished.frames:
         assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
+
+
+def test_pulses_without_the_barrier_show_the_calibration_board_that_lies_still(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    assert bench.config.simulation is not None
+    twin = Twin(read_scenario(bench.config.simulation.scenario))
+    still = {camera: pixels for camera, _, pixels in calibration_board.frames(twin)}
+    for n in range(3):
+        bench.grant(f"pulse {n}", n % 2)
+        bench.send(FireOne())
+        finished = bench.until(RunFinished)
+        assert (finished.run, finished.head.rows, finished.reason) == (f"pulse {n}", 1, "single")
+        for frame in finished.frames:
+            assert (frame.verdict, frame.cause) == (Verdict.OK, "")
+            assert np.array_equal(bench.ring.frame(frame.slot), still[frame.camera])
+    bench.grant("board", 2)
+    bench.arm()
+    bench.send(FireOne())
+    assert "boards are being filmed" in bench.until(Trouble).message
+    finished = bench.until(RunFinished)
+    assert (finished.run, finished.reason) == ("board", "clear")
+    for frame in finished.frames:
+        assert np.array_equal(bench.ring.frame(frame.slot), passage(bench.config).frame(frame.camera, frame.row))
 
 
 BOUNCES = """

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from vaoi_station.cli import app
 from vaoi_station.demo.site import build_site
 from vaoi_station.errors import InputError
-from vaoi_station.simulation import scenario_path
+from vaoi_station.simulation import Twin, calibration_board, read_scenario, scenario_path
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_a_program_gets_one_document(config: Path) -> None:
-    command = ["view", "--config", str(config), "--once", "--json", "--row", "2", "--mark", "circle"]
+    command = ["view", "--config", str(config), "--once", "--json", "--boards", "--row", "2", "--mark", "circle"]
     done = CliRunner().invoke(app, [*command, "--mark-size-mm", "1.0"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
@@ -32,14 +33,31 @@ def test_a_program_gets_one_document(config: Path) -> None:
         assert camera["mark_size_px"] == pytest.approx(18, abs=0.5)
 
 
+def test_the_calibration_board_is_seen_without_any_board_that_passes(config: Path, tmp_path: Path) -> None:
+    twin = Twin(read_scenario(scenario_path("small")))
+    (tmp_path / "layout.json").write_text(json.dumps(calibration_board.layout(twin)))
+    command = ["view", "--config", str(config), "--once", "--json", "--layout", str(tmp_path / "layout.json")]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert (told["run"], told["row"], told["rows"]) == ("001", 0, 1)
+    for camera in told["cameras"]:
+        assert len(camera["marks"]) == 4
+        assert 0.3 < camera["figures"]["blur_px"] < 1.3
+        places = calibration_board.mark_places_mm(twin)[4 * camera["camera"] :][:4]
+        seen = twin.pinholes[camera["camera"]].project(places, 0.0)
+        for mark in camera["marks"]:
+            assert min(np.hypot(*(seen - (mark["x"], mark["y"])).T)) < 0.1
+
+
 def test_people_get_lines(config: Path) -> None:
-    done = CliRunner().invoke(app, ["view", "--config", str(config), "--once"])
+    done = CliRunner().invoke(app, ["view", "--config", str(config), "--once", "--boards"])
     assert done.exit_code == 0, done.output
     assert "run 001, row 3 of 6" in done.stdout
     assert "camera 1 (camera 1): focus " in done.stdout
 
 
 def test_options_that_do_not_go_together_are_refused(config: Path) -> None:
-    for options in (["--json"], ["--row", "1"], ["--once", "--mark", "cross"]):
+    for options in (["--json"], ["--row", "1"], ["--once", "--row", "0"], ["--once", "--mark", "cross"]):
         refused = CliRunner().invoke(app, ["view", "--config", str(config), *options])
         assert isinstance(refused.exception, InputError), options

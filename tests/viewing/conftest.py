@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.config import StationConfig
+from vaoi_station.demo.site import as_toml
 from vaoi_station.files import write_recording
 from vaoi_station.files.layouts import Layout, write_layout
 from vaoi_station.marks.artwork import Shape, coverage
@@ -99,3 +105,29 @@ def make_config(tmp_path: Path, painter: Painter) -> Callable[..., StationConfig
         )  # fmt: skip
 
     return make
+
+
+@contextmanager
+def _viewing(config: StationConfig, folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """`vaoi view` as a process, and its address; ended by SIGTERM."""
+    (folder / "station.toml").write_text(as_toml(config))
+    command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(folder / "station.toml"), "--port", "0"]
+    process = subprocess.Popen(
+        [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ}
+    )
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("Live frames: http://127.0.0.1:"), line + process.stdout.read()
+        yield line.split()[-1], process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=60)[0]
+    assert process.returncode == 0, said
+    assert "Traceback" not in said
+
+
+@pytest.fixture
+def viewing() -> Callable[..., AbstractContextManager[tuple[str, subprocess.Popen[str]]]]:
+    """`viewing(config, folder, *options)`: the program while a `with` lasts."""
+    return _viewing

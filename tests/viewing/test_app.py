@@ -23,7 +23,8 @@ def newest() -> Newest:
 
 @pytest.fixture
 def client(newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[TestClient]:
-    with TestClient(create_app(make_config(), newest, ["Armed: waiting for a board."])) as client:
+    app = create_app(make_config(), newest, ["Armed: waiting for a board."])
+    with TestClient(app, base_url="http://127.0.0.1") as client:
         yield client
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from vaoi_station.viewing.live import one_row
 from vaoi_station.viewing.spec import MarkSpec
 
 Make = Callable[..., StationConfig]
+View = Callable[..., AbstractContextManager[tuple[str, subprocess.Popen[str]]]]
 SPEC = MarkSpec("cross", 24.0, light=False)
 
 
@@ -40,34 +39,17 @@ def test_a_row_beyond_the_run_is_refused_and_nothing_stays(make_config: Make, tm
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-@contextmanager
-def viewing(config: StationConfig, folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """`vaoi view` as a process, and its address; ended by SIGTERM."""
-    (folder / "station.toml").write_text(as_toml(config))
-    command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(folder / "station.toml"), "--port", "0"]
-    process = subprocess.Popen(
-        [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ}
-    )
-    assert process.stdout is not None
-    try:
-        line = process.stdout.readline()
-        assert line.startswith("Live frames: http://127.0.0.1:"), line + process.stdout.read()
-        yield line.split()[-1], process
-    finally:
-        process.send_signal(signal.SIGTERM)
-        said = process.communicate(timeout=60)[0]
-    assert process.returncode == 0, said
-    assert "Traceback" not in said
-
-
 def look(client: httpx2.Client, after: int) -> dict[str, Any]:
     told: dict[str, Any] = client.get("/api/look", params={"after": after, "timeout_s": 5}).json()
     return told
 
 
-def test_frames_keep_coming_until_it_is_stopped(make_config: Make, layout: Path, tmp_path: Path) -> None:
+def test_frames_keep_coming_until_it_is_stopped(make_config: Make, layout: Path, tmp_path: Path, viewing: View) -> None:
     config = make_config(nominal_px_per_mm=10.0, nominal_center_mm=(0.0, 0.0))
-    with viewing(config, tmp_path, "--layout", str(layout)) as (address, _), httpx2.Client(base_url=address) as client:
+    with (
+        viewing(config, tmp_path, "--boards", "--layout", str(layout)) as (address, _),
+        httpx2.Client(base_url=address) as client,
+    ):
         number, runs = 0, set[str]()
         while len(runs) < 3:
             told = look(client, number)
@@ -81,11 +63,22 @@ def test_frames_keep_coming_until_it_is_stopped(make_config: Make, layout: Path,
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_when_no_more_boards_come_the_last_frames_stay(make_config: Make, tmp_path: Path) -> None:
+def test_a_replay_cannot_be_looked_at_without_its_boards(make_config: Make, tmp_path: Path) -> None:
+    (tmp_path / "station.toml").write_text(as_toml(make_config()))
+    command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(tmp_path / "station.toml"), "--port", "0"]
+    refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert refused.returncode != 0
+    assert "a replay plays recorded boards; it cannot fire a pulse of its own." in refused.stderr
+    assert "--boards" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert list((tmp_path / "shm").iterdir()) == []
+
+
+def test_when_no_more_boards_come_the_last_frames_stay(make_config: Make, tmp_path: Path, viewing: View) -> None:
     config = make_config()
     assert config.replay is not None
     few = config.model_copy(update={"replay": config.replay.model_copy(update={"runs": 1})})
-    with viewing(few, tmp_path) as (address, process), httpx2.Client(base_url=address) as client:
+    with viewing(few, tmp_path, "--boards") as (address, process), httpx2.Client(base_url=address) as client:
         assert process.stdout is not None
         said = [process.stdout.readline() for _ in range(2)]
         assert "No more boards will come" in said[-1], said
@@ -95,8 +88,8 @@ def test_when_no_more_boards_come_the_last_frames_stay(make_config: Make, tmp_pa
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_a_port_that_is_taken_is_told(make_config: Make, tmp_path: Path) -> None:
-    with viewing(make_config(), tmp_path) as (address, _):
+def test_a_port_that_is_taken_is_told(make_config: Make, tmp_path: Path, viewing: View) -> None:
+    with viewing(make_config(), tmp_path, "--boards") as (address, _):
         port = address.rsplit(":", 1)[1]
         command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(tmp_path / "station.toml")]
         second = subprocess.run([*command, "--port", port], capture_output=True, text=True, timeout=60, check=False)

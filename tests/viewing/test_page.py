@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -13,7 +16,9 @@ import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
 from vaoi_station.api.serving import WebServer, listener
-from vaoi_station.config import StationConfig
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.demo.site import build_site
+from vaoi_station.simulation import calibration_board, scenario_path
 from vaoi_station.viewing.app import create_app
 from vaoi_station.viewing.newest import Newest
 from vaoi_station.viewing.spec import MarkSpec
@@ -28,27 +33,36 @@ def newest() -> Newest:
 
 
 @pytest.fixture
-def page(newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
+def browser() -> Iterator[Page]:
+    """A page in chromium; nothing may be complained of on its console."""
     chromium = shutil.which("chromium")
     if chromium is None:
         if os.environ.get("CI"):
             pytest.fail("chromium is missing; install the distribution's package 'chromium'")
         pytest.skip("needs the distribution's chromium")
     complaints: list[str] = []
-    with listener("127.0.0.1", 0, "test") as socket_, sync_playwright() as playwright:
-        server = WebServer(create_app(make_config(), newest, ["Armed."]), socket_, threading.Event())
-        server.start()
+    with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
         page = browser.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
         page.on("pageerror", lambda e: complaints.append(str(e)))
-        page.goto(server.address)
         yield page
         browser.close()
+    assert complaints == []
+
+
+@pytest.fixture
+def page(browser: Page, newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
+    """The page with frames as a test puts them."""
+    with listener("127.0.0.1", 0, "test") as socket_:
+        server = WebServer(create_app(make_config(), newest, ["Armed."]), socket_, threading.Event())
+        server.start()
+        browser.goto(server.address)
+        yield browser
+        browser.goto("about:blank")
         server.stop()
         server.check()
-    assert complaints == []
 
 
 def test_frames_are_shown_as_they_come(page: Page, newest: Newest, painter: Any) -> None:
@@ -80,3 +94,20 @@ def test_the_best_focus_is_remembered_and_hold_holds(page: Page, newest: Newest,
     page.get_by_role("button", name="Go on").click()
     expect(page.locator("h2")).to_contain_text("row 2", timeout=PATIENCE_MS)
     expect(words).to_contain_text("100 % of the best")
+
+
+def test_the_calibration_board_is_seen_steadily_though_nothing_passes(
+    browser: Page, viewing: Callable[..., Any], tmp_path: Path
+) -> None:
+    toml, twin = build_site(scenario_path("small"), tmp_path)
+    (tmp_path / "layout.json").write_text(json.dumps(calibration_board.layout(twin)))
+    with viewing(read_config(toml), tmp_path, "--rate", "5", "--layout", str(tmp_path / "layout.json")) as (address, _):
+        browser.goto(address)
+        for camera in (0, 1):
+            card = browser.locator(".camera").nth(camera)
+            expect(card.locator(".mark")).to_have_count(4, timeout=PATIENCE_MS)
+            expect(card.locator("h2")).to_contain_text(re.compile(r"run \d+, row 0"))
+        first = browser.locator("h2").nth(0).inner_text()
+        expect(browser.locator("h2").nth(0)).not_to_have_text(first, timeout=PATIENCE_MS)
+        expect(browser.locator("#notices")).to_contain_text("5 pulses a second, whether a board passes or not.")
+        browser.goto("about:blank")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
@@ -11,6 +14,7 @@ from vaoi_station.acquisition.messages import (
     Arm,
     Armed,
     BoardMissed,
+    FireOne,
     FrameSettled,
     Grant,
     Ready,
@@ -28,23 +32,129 @@ STOP_S = 5.0
 """How long the acquisition process may take to close its devices."""
 
 
-def film(
-    config: StationConfig,
-    runs: int,
-    finished: Callable[[RunFinished, Ring, int], None],
-    notice: Callable[[str], None],
-    settled: Callable[[FrameSettled, Ring, int], None] | None = None,
-) -> None:
+Finish = Callable[[RunFinished, Ring, int], None]
+"""Called with a run, the ring and the run's generation; its memory is free afterwards."""
+Settle = Callable[[FrameSettled, Ring, int], None]
+"""Called with a whole frame as soon as it is there, the ring and the generation of its bay."""
+Notice = Callable[[str], None]
+"""Called with a sentence for whatever the operator should see."""
+
+
+def film(config: StationConfig, runs: int, finished: Finish, notice: Notice, settled: Settle | None = None) -> None:
     """Film so many boards in a process of its own; blocks until done.
+
+    Raises:
+        InputError: so many boards will never come.
+        DeviceError: a device does not do what it should.
+    """
+    _check_supply(config, runs)
+    with _studio(config, finished, notice, settled) as studio:
+        _film_boards(config, studio, runs)
+
+
+def film_pulses(
+    config: StationConfig, pulses: int, rate_hz: float, finished: Finish, notice: Notice, settled: Settle | None = None
+) -> None:
+    """Fire so many pulses without the light barrier, each of them a run of one row; blocks until done.
 
     Args:
         config: the station.
-        runs: boards to film.
-        finished: called with each run, the ring and the run's generation; its memory is free afterwards.
-        notice: called with a sentence for whatever the operator should see.
-        settled: called with each whole frame as soon as it is there, the ring and the generation of its bay.
+        pulses: how many.
+        rate_hz: so many a second; a pulse waits until the one before has all its frames, or they are given up.
+        finished: as for `film`.
+        notice: as for `film`.
+        settled: as for `film`.
+
+    Raises:
+        DeviceError: a device does not do what it should, or cannot fire without a board.
     """
-    _check_supply(config, runs)
+    with _studio(config, finished, notice, settled) as studio:
+        _fire_steadily(studio, pulses, 1 / rate_hz)
+
+
+@dataclass
+class _Studio:
+    """An acquisition process at the other end of a pipe, its ring, and who is told of its reports."""
+
+    ring: Ring
+    connection: Connection
+    finished: Finish
+    notice: Notice
+    settled: Settle | None
+    granted: int = 0
+    generations: dict[int, int] = field(default_factory=dict)
+
+    def grant(self, bay: int) -> None:
+        """Memory for one more run."""
+        self.generations[bay] = self.ring.claim(bay)
+        self.granted += 1
+        self.connection.send(Grant(f"{self.granted:03d}", bay))
+
+    def receive(self, wait_s: float | None = None) -> object:
+        """The next report; None if none comes in time."""
+        try:
+            return self.connection.recv() if self.connection.poll(wait_s) else None
+        except (EOFError, ConnectionResetError, BrokenPipeError) as error:
+            what = "the acquisition process has ended before all boards were filmed."
+            raise DeviceError(what, action="Look at what it printed.") from error
+
+    def take(self, report: object, *, fatal: bool) -> None:
+        """What is handed on however it was filmed; `fatal`: trouble now means that it will not work at all."""
+        if isinstance(report, FrameSettled):
+            slot = report.frame.slot
+            if self.settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
+                self.settled(report, self.ring, self.generations[self.ring.layout.place(slot)[0]])
+        elif isinstance(report, RunFinished):
+            self.finished(report, self.ring, self.generations[report.bay])
+        elif isinstance(report, BoardMissed):
+            self.notice(f"A board was missed: {report.reason}.")
+        elif isinstance(report, Trouble):
+            if fatal:
+                raise DeviceError(report.message, action=report.action, code=report.code)
+            self.notice(f"{report.message} {report.action}")
+
+
+def _film_boards(config: StationConfig, studio: _Studio, runs: int) -> None:
+    """Grant memory, arm, take what comes."""
+    armed, done = False, 0
+    while done < runs:
+        report = studio.receive()
+        if isinstance(report, Ready):
+            for bay in range(min(runs, studio.ring.layout.bays)):
+                studio.grant(bay)
+            studio.connection.send(Arm(TriggerPlan.of(config.line)))
+        elif isinstance(report, Armed):
+            armed = True
+            studio.notice("Armed: waiting for a board.")
+        studio.take(report, fatal=not armed)
+        if isinstance(report, RunFinished):
+            done += 1
+            if studio.granted < runs:
+                studio.grant(report.bay)
+
+
+def _fire_steadily(studio: _Studio, pulses: int, period_s: float) -> None:
+    """One pulse after another, each with memory of its own; one that was refused is asked for again."""
+    done, due_s = 0, float("inf")
+    waiting = False
+    while done < pulses:
+        now_s = time.monotonic()
+        if now_s >= due_s and not waiting:
+            if studio.granted == done:
+                studio.grant(0)
+            studio.connection.send(FireOne())
+            waiting, due_s = True, now_s + period_s
+        report = studio.receive(None if waiting or due_s == float("inf") else due_s - now_s)
+        if isinstance(report, Ready):
+            due_s = time.monotonic()
+        studio.take(report, fatal=not done)
+        waiting = waiting and not isinstance(report, RunFinished | Trouble)
+        done += isinstance(report, RunFinished)
+
+
+@contextmanager
+def _studio(config: StationConfig, finished: Finish, notice: Notice, settled: Settle | None) -> Iterator[_Studio]:
+    """A process that films, and its ring; both are gone afterwards."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
@@ -54,68 +164,9 @@ def film(
         process.start()
         theirs.close()
         try:
-            _Director(config, ring, ours, finished, notice, settled).film(runs)
+            yield _Studio(ring, ours, finished, notice, settled)
         finally:
             _stop(process, ours)
-
-
-class _Director:
-    def __init__(
-        self,
-        config: StationConfig,
-        ring: Ring,
-        connection: Connection,
-        finished: Callable[[RunFinished, Ring, int], None],
-        notice: Callable[[str], None],
-        settled: Callable[[FrameSettled, Ring, int], None] | None,
-    ) -> None:
-        self._config, self._ring, self._connection = config, ring, connection
-        self._finished, self._notice, self._settled = finished, notice, settled
-        self._generations: dict[int, int] = {}
-        self._granted = 0
-
-    def film(self, runs: int) -> None:
-        """Grant memory, arm, take what comes."""
-        armed, done = False, 0
-        while done < runs:
-            report = self._receive()
-            if isinstance(report, Ready):
-                for bay in range(min(runs, self._ring.layout.bays)):
-                    self._grant(bay)
-                self._connection.send(Arm(TriggerPlan.of(self._config.line)))
-            elif isinstance(report, Armed):
-                armed = True
-                self._notice("Armed: waiting for a board.")
-            elif isinstance(report, FrameSettled):
-                self._hand_on(report)
-            elif isinstance(report, RunFinished):
-                self._finished(report, self._ring, self._generations[report.bay])
-                done += 1
-                if self._granted < runs:
-                    self._grant(report.bay)
-            elif isinstance(report, BoardMissed):
-                self._notice(f"A board was missed: {report.reason}.")
-            elif isinstance(report, Trouble):
-                if not armed:
-                    raise DeviceError(report.message, action=report.action, code=report.code)
-                self._notice(f"{report.message} {report.action}")
-
-    def _hand_on(self, report: FrameSettled) -> None:
-        slot = report.frame.slot
-        if self._settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
-            self._settled(report, self._ring, self._generations[self._ring.layout.place(slot)[0]])
-
-    def _grant(self, bay: int) -> None:
-        self._generations[bay] = self._ring.claim(bay)
-        self._granted += 1
-        self._connection.send(Grant(f"{self._granted:03d}", bay))
-
-    def _receive(self) -> object:
-        try:
-            return self._connection.recv()
-        except (EOFError, ConnectionResetError) as error:
-            what = "the acquisition process has ended before all boards were filmed."
-            raise DeviceError(what, action="Look at what it printed.") from error
 
 
 def _stop(process: multiprocessing.process.BaseProcess, connection: Connection) -> None:

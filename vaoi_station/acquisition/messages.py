@@ -37,11 +37,16 @@ class Disarm:
 
 
 @dataclass(frozen=True)
+class FireOne:
+    """Fire one pulse now, whatever the barrier shows: a run of one row, into the next grant; only while disarmed."""
+
+
+@dataclass(frozen=True)
 class Shutdown:
     """Close cameras and controller, and end the process."""
 
 
-Command = Grant | Arm | Disarm | Shutdown
+Command = Grant | Arm | Disarm | FireOne | Shutdown
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,8 @@ class Disarmed:
 
 @dataclass(frozen=True)
 class RunStarted:
-    """A board is being filmed: its first pulse was fired. `host_time_s` is when it interrupted the barrier.
+    """A board is being filmed: its first pulse was fired. `host_time_s` is when it interrupted the barrier
+    (of a pulse without the barrier: when it was asked for).
 
     That may be before the run ahead of it is finished, if that one still waits for late frames.
     """

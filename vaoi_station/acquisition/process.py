@@ -23,7 +23,7 @@ from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, De
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.messages import Arm, Disarm, Grant, Health, Ready, Report, Shutdown
+from vaoi_station.acquisition.messages import Arm, Disarm, FireOne, Grant, Health, Ready, Report, Shutdown
 from vaoi_station.acquisition.reports import trouble
 from vaoi_station.acquisition.ring import Ring, RingLayout
 from vaoi_station.acquisition.session import Session
@@ -128,6 +128,8 @@ class _Loop:
             self._session.grant(item)
         elif isinstance(item, Arm):
             self._session.arm(item.plan)
+        elif isinstance(item, FireOne):
+            self._session.fire_one(now_s)
         elif isinstance(item, Disarm):
             self._devices.controller.disarm()
             self._inbox.put(_Disarmed())

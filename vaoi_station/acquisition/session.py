@@ -116,6 +116,18 @@ class Session:
                 raise
         self._send(Armed())
 
+    def fire_one(self, now_s: float) -> None:
+        """Slots into the cameras, then one pulse without the barrier. Raises what forbids it."""
+        if self._plan is not None:
+            raise StateError("boards are being filmed; single pulses would be among theirs.", action="Disarm first.")
+        for clock in self._clocks:
+            clock.require(CLOCK_LIMIT_S)
+        self._swap()
+        if self._next is None:
+            raise StateError("there is no memory for a pulse: all of it is in use.", action="Fire again in a moment.")
+        self._edge_s = now_s
+        self._devices.controller.fire_one()
+
     def disarmed(self, now_s: float) -> None:
         """The controller is disarmed and all its events have been read: finish, then give memory back."""
         if self._run is not None:
@@ -201,15 +213,17 @@ class Session:
         self._send(run_finished(self._config, finished, now_s))
 
     def _swap(self) -> None:
-        """A board comes while the last run waits for late frames: the next one's slots must be in the cameras."""
+        """Pulses come while the last run waits for late frames: the next one's slots must be in the cameras."""
         if self._run is None and self._next is None and self._grants:
             self._magazine.unload()
-            self._load_next()
+            self._load()
 
     def _load_next(self) -> None:
-        """Queue the next grant's slots, unless cameras still need those of another run."""
-        if self._plan is None or self._run is not None or self._magazine.loaded is not None or not self._grants:
-            return
+        """Queue the next grant's slots while armed, unless cameras still need those of another run."""
+        if self._plan is not None and self._run is None and self._magazine.loaded is None and self._grants:
+            self._load()
+
+    def _load(self) -> None:
         self._next = self._grants.popleft()
         self._magazine.load(self._next.bay)
         self._devices.feedback.memory(True)

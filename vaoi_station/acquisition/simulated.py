@@ -45,6 +45,7 @@ def open_simulated(config: StationConfig) -> Devices:
         clock,
         accept=lambda asked: accept_plan(asked, plan),
         fire=line.fire,
+        fire_still=line.fire_still,
         armed=line.set_armed,
         over=line.set_over,
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +40,16 @@ class SimulatedBoard:
         camera, row = self._left.pop(0)
         pulse = self.pulses[row]
         image = self.passage.frame_at(camera, pulse.time_s, pulse.light, row)
-        self._frames[camera, row] = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
+        self._frames[camera, row] = to_bytes(image)
 
     def pixels(self, camera: int, row: int) -> NDArray[np.uint8]:
         """The flat bytes of a frame; a board that sticks looks the same in every further row."""
         return self._frames[camera, min(row, len(self.pulses) - 1)]
+
+
+def to_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """A frame (h, w) as the flat bytes a camera sends."""
+    return np.ascontiguousarray(image).reshape(-1).view(np.uint8)
 
 
 def barrier_edges(passage: Passage) -> list[tuple[float, bool]]:

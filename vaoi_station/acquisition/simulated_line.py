@@ -2,7 +2,8 @@
 
 Boards come only while the controller is armed: whoever feeds the line waits for the station. A board is
 let onto the belt when all its frames are rendered, and nothing is rendered while a board passes, so that
-the twin's arithmetic does not disturb the station it tests.
+the twin's arithmetic does not disturb the station it tests. Pulses without the barrier see the calibration
+board, which somebody has laid under the cameras.
 """
 
 from __future__ import annotations
@@ -12,14 +13,17 @@ import time
 from collections import deque
 from queue import SimpleQueue
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
 from vaoi_station.acquisition.controller.interface import ControllerEvent, PulseFired, TriggerPlan
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import DeviceClock
-from vaoi_station.acquisition.simulated_board import SimulatedBoard
+from vaoi_station.acquisition.simulated_board import SimulatedBoard, to_bytes
 from vaoi_station.errors import InternalError, VaoiError
-from vaoi_station.simulation import Twin
+from vaoi_station.simulation import Twin, calibration_board
 
 AHEAD = 2
 """Boards kept ready."""
@@ -45,6 +49,8 @@ class SimulatedLine:
         self._ready: deque[SimulatedBoard] = deque()
         self._prepared = 0
         self._board: SimulatedBoard | None = None
+        self._still: list[NDArray[np.uint8]] = []
+        """Flat bytes of every camera's frame of what lies still; rendered with the first pulse that shows it."""
         self._start_s = 0.0
         self._next_host_s = float("-inf")
         self._armed = self._passing = self._closing = False
@@ -85,6 +91,14 @@ class SimulatedLine:
                 share=faults.received_share(n, row),
             )
 
+    def fire_still(self, event: PulseFired) -> None:
+        """No board passes: the cameras see the calibration board, which lies still under them."""
+        if not self._still:
+            self._still = [to_bytes(image) for _, _, image in calibration_board.frames(self._twin)]
+        host_s = self._clock.host_s(event.time_s)
+        for camera, pixels in zip(self._cameras, self._still, strict=True):
+            camera.trigger(host_s, pixels)
+
     def close(self) -> None:
         """End the thread."""
         with self._change:
@@ -115,6 +129,8 @@ class SimulatedLine:
         return ready and self._armed and not self._passing and time.monotonic() >= self._next_host_s
 
     def _to_prepare(self) -> bool:
+        if self._still and not self._armed:
+            return False  # somebody looks at what lies still; boards can wait
         if self._ready and not self._ready[-1].ready:
             return True
         return len(self._ready) < AHEAD and (self._boards == 0 or self._prepared < self._boards)

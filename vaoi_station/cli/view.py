@@ -30,8 +30,12 @@ def view(
     px_per_mm: Annotated[
         float | None, typer.Option(min=0.1, max=10000, help="By default that of the calibration, else the nominal one.")
     ] = None,
-    once: Annotated[bool, typer.Option("--once", help="Film one board, tell the figures of one row, and end.")] = False,
-    row: Annotated[int | None, typer.Option(min=0, help="With --once: which row [the middle one].")] = None,
+    rate: Annotated[
+        float, typer.Option(min=0.1, max=10, help="Pulses per second, fired whether a board passes or not.")
+    ] = 2.0,
+    boards: Annotated[bool, typer.Option("--boards", help="Film boards that pass the light barrier instead.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Film once, tell the figures of one row, and end.")] = False,
+    row: Annotated[int | None, typer.Option(min=0, help="With --once --boards: which row [the middle one].")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="With --once: print one JSON document.")] = False,
 ) -> None:
     """Show live frames of every camera, for mounting and focusing, until Ctrl-C."""
@@ -42,18 +46,21 @@ def view(
     from vaoi_station.viewing.shapes import as_text
     from vaoi_station.viewing.spec import mark_specs
 
-    if not once and (as_json or row is not None):
-        raise InputError("--json and --row belong to --once.", action="Add --once, or leave them out.")
+    if not once and as_json:
+        raise InputError("--json belongs to --once.", action="Add --once, or leave it out.")
+    if row is not None and not (once and boards):
+        raise InputError("--row belongs to --once --boards.", action="Add both, or leave it out.")
     station = read_config(config)
     specs = mark_specs(station, mark.value if mark else None, mark_size_mm, layout, px_per_mm)
+    rate_hz = None if boards else rate
     code = 0
     try:
         with interruptible():
             if once:
-                told = one_row(station, specs, row, lambda sentence: print(sentence, file=sys.stderr))
+                told = one_row(station, specs, row, lambda sentence: print(sentence, file=sys.stderr), rate_hz)
                 print(json.dumps(told, indent=1) if as_json else as_text(told))
             else:
-                show(station, specs, port, lambda sentence: print(sentence, flush=True))
+                show(station, specs, port, lambda sentence: print(sentence, flush=True), rate_hz)
     except KeyboardInterrupt:
         code = INTERRUPTED if once else 0
     raise typer.Exit(code)

@@ -1,14 +1,17 @@
-"""Films boards again and again and shows the newest frames; or films once and tells the figures of one row."""
+"""Films what lies under the cameras and shows the newest frames; or films once and tells the figures of one row.
+
+Without the light barrier by default: whoever mounts and focuses cameras has no board that passes.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from vaoi_station.acquisition.filming import film
+from vaoi_station.acquisition.filming import Finish, Notice, Settle, film, film_pulses
 from vaoi_station.acquisition.messages import FrameSettled, RunFinished
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.api.serving import WebServer, listener
@@ -28,10 +31,13 @@ NOTICES = 20
 """So many of the last notices are told."""
 
 
-def show(config: StationConfig, specs: Sequence[MarkSpec | None], port: int, say: Callable[[str], None]) -> None:
+def show(
+    config: StationConfig, specs: Sequence[MarkSpec | None], port: int, say: Notice, rate_hz: float | None = None
+) -> None:
     """Film and serve the page on loopback, until interrupted (KeyboardInterrupt) or a device fails.
 
-    When a line that has only so many boards is out of them, the last frames stay.
+    With a rate, so many pulses a second are fired without the light barrier; else boards are filmed. When a
+    line that has only so many boards is out of them, the last frames stay.
     """
     newest, ended = Newest(specs), threading.Event()
     notices: deque[str] = deque(maxlen=NOTICES)
@@ -52,7 +58,10 @@ def show(config: StationConfig, specs: Sequence[MarkSpec | None], port: int, say
         web.start()
         say(f"Live frames: {web.address}")
         try:
-            film(config, _supply(config) or FOR_EVER, lambda *_: None, notice, settled)
+            if rate_hz is not None:
+                notice(f"{rate_hz:g} pulses a second, whether a board passes or not.")
+            runs = (_supply(config) if rate_hz is None else 0) or FOR_EVER
+            _film(config, runs, rate_hz, lambda *_: None, notice, settled)
             notice("No more boards will come; these are the last frames.")
             ended.wait()
             web.check()
@@ -61,9 +70,13 @@ def show(config: StationConfig, specs: Sequence[MarkSpec | None], port: int, say
 
 
 def one_row(
-    config: StationConfig, specs: Sequence[MarkSpec | None], row: int | None, notice: Callable[[str], None]
+    config: StationConfig,
+    specs: Sequence[MarkSpec | None],
+    row: int | None,
+    notice: Notice,
+    rate_hz: float | None = None,
 ) -> dict[str, Any]:
-    """Film one board; the figures of one row of it, by default the middle one.
+    """Film one board, or with a rate one pulse; the figures of one row of it, by default the middle one.
 
     Raises:
         InputError: the run has no such row.
@@ -87,8 +100,22 @@ def one_row(
                 cameras.append({"camera": f.camera, "name": config.cameras[f.camera].name, "missing": f.cause})
         documents.append({"run": finished.run, "row": chosen, "rows": rows, "cameras": cameras})
 
-    film(config, 1, look, notice)
+    _film(config, 1, rate_hz, look, notice)
     return documents[0]
+
+
+def _film(
+    config: StationConfig,
+    runs: int,
+    rate_hz: float | None,
+    finished: Finish,
+    notice: Notice,
+    settled: Settle | None = None,
+) -> None:
+    if rate_hz is None:
+        film(config, runs, finished, notice, settled)
+    else:
+        film_pulses(config, runs, rate_hz, finished, notice, settled)
 
 
 def _supply(config: StationConfig) -> int:

@@ -82,7 +82,8 @@ class RunEnded(ControllerEvent):
 
     pulses: int
     reason: str
-    """"clear" (board left, tail over), "max-rows" (the board did not leave in time) or "disarmed"."""
+    """"clear" (board left, tail over), "max-rows" (the board did not leave in time), "disarmed", or "single"
+    (asked for by `fire_one`)."""
 
 
 class Controller(Protocol):
@@ -98,6 +99,15 @@ class Controller(Protocol):
         """Ignore the barrier; a run under way is ended with the next pulse left out.
 
         All events up to then, its RunEnded included, have been reported when this returns.
+        """
+
+    def fire_one(self) -> None:
+        """Trigger all cameras and LEDs once, now, whatever the barrier shows: a run of one pulse.
+
+        Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board.
+
+        Raises:
+            StateError: it is armed, or cannot fire but when a board passes.
         """
 
     def read_clock(self) -> ClockReading:

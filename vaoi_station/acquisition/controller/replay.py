@@ -25,7 +25,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.device_clock import DeviceClock
-from vaoi_station.errors import InputError, VaoiError
+from vaoi_station.errors import InputError, StateError, VaoiError
 
 LEAD_S = 0.05
 """From the barrier to the first pulse, and from arming to the barrier."""
@@ -98,6 +98,13 @@ class ReplayController:
             if self._in_run:
                 self._end_run(self._clock.now_s(), "disarmed")
             self._wake()
+
+    def fire_one(self) -> None:
+        """A recording has no frames but those of its pulses: always StateError."""
+        raise StateError(
+            "a replay plays recorded boards; it cannot fire a pulse of its own.",
+            action="Film the boards it plays: vaoi view --boards.",
+        )
 
     def read_clock(self) -> ClockReading:
         """The clock of the replay."""

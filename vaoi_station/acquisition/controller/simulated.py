@@ -19,6 +19,7 @@ from vaoi_station.acquisition.controller.interface import (
 )
 from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
 from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.errors import StateError
 
 Edge = tuple[float, bool]
 """Time by the controller's clock, and whether the barrier is interrupted from then on."""
@@ -33,12 +34,17 @@ class SimulatedController:
         *,
         accept: Callable[[TriggerPlan], TriggerPlan],
         fire: Callable[[PulseFired], None],
+        fire_still: Callable[[PulseFired], None],
         armed: Callable[[bool], None],
         over: Callable[[], None],
     ) -> None:
-        """`accept` may complete a plan or refuse it; `armed` and `over` tell the line how things stand."""
+        """`accept` may complete a plan or refuse it; `armed` and `over` tell the line how things stand.
+
+        Pulses of boards go to `fire`, those without the barrier to `fire_still`.
+        """
         self.clock = clock
         self._accept, self._fire, self._armed, self._over = accept, fire, armed, over
+        self._fire_still = fire_still
         self._numbers = count()
         self._change = threading.Condition()
         self._edges: deque[Edge] = deque()
@@ -71,6 +77,16 @@ class SimulatedController:
             self._edges.clear()
         self._armed(False)
         self._over()
+
+    def fire_one(self) -> None:
+        """One pulse at once."""
+        with self._change:
+            if self._rule is not None:
+                raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
+            pulse = PulseFired(next(self._numbers), self.clock.now_s(), 0)
+            self._fire_still(pulse)
+            self._events.put(pulse)
+            self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))
 
     def let_pass(self, edges: Sequence[Edge]) -> None:
         """The barrier will change so; in order of time."""
