@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import signal
 import threading
@@ -130,6 +131,24 @@ def test_frames_of_one_camera_go_to_one_worker_unless_it_is_busy(plant: Plant) -
         pending = [plant.submit(plant.link(camera, row)) for row in range(2) for camera in (0, 1)]
         doing = [w.doing for w in plant.pool.status()]
         assert [word.split(" of ")[1].split(" and")[0] for word in doing] == ["(0, 0)", "(1, 0)"]
+    finally:
+        for worker in (0, 1):
+            os.kill(plant.pid(worker), signal.SIGCONT)
+    assert all(p.get().error is None for p in pending)
+
+
+def test_a_busy_worker_has_its_next_links_at_hand_but_no_run_it_has_not_opened(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    try:
+        pending = [plant.submit(plant.link(camera)) for camera in (0, 1)]
+        other = RunContext("r2", 0, plant.generation)
+        plant.pool.open_run(OpenRun(other, plant.setup))
+        pending.append(plant.submit(dataclasses.replace(plant.link(), context=other)))
+        assert [len(w.jobs) for w in plant.pool._workers] == [1, 1]
+        pending.append(plant.submit(plant.link(0, 1)))
+        assert [len(w.jobs) for w in plant.pool._workers] == [2, 1]
     finally:
         for worker in (0, 1):
             os.kill(plant.pid(worker), signal.SIGCONT)

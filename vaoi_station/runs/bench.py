@@ -142,7 +142,9 @@ class Bench:
         stitch = self._guarded(
             job.context.bay,
             job.context.generation,
-            lambda: opened.desk.conclude(job.head.row_times_s(), tuple(job.slots), job.evidence),
+            lambda: opened.desk.conclude(
+                job.head.row_times_s(), tuple(job.slots), [linked.evidence for linked in job.linked]
+            ),
         )
         return Concluded(stitch, json.dumps(stitch_document(stitch), allow_nan=False))
 
@@ -162,7 +164,7 @@ class Bench:
 def _timed(desk: Desk, task: Task) -> Linked:
     began_s = time.monotonic()
     evidence = desk.perform(task)
-    return Linked(evidence, time.monotonic() - began_s)
+    return Linked.of(evidence, time.monotonic() - began_s)
 
 
 def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:

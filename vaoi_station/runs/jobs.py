@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -72,7 +73,7 @@ class ConcludeJob:
     head: RecordingHead
     slots: Mapping[FrameKey, int]
     """The good frames."""
-    evidence: tuple[Evidence, ...]
+    linked: tuple[Linked, ...]
 
     priority = Priority.CONCLUDE
     affinity: int | None = None
@@ -158,11 +159,22 @@ class Hello:
 
 @dataclass(frozen=True)
 class Linked:
-    """What one task gave."""
+    """What one task gave, packed by the worker that made it: the station hands it on and need not look at it."""
 
-    evidence: Evidence
+    packed: bytes
     worker_s: float
     """Time it took in the worker."""
+
+    @classmethod
+    def of(cls, evidence: Evidence, worker_s: float) -> Linked:
+        """Pack it."""
+        return cls(pickle.dumps(evidence, pickle.HIGHEST_PROTOCOL), worker_s)
+
+    @property
+    def evidence(self) -> Evidence:
+        """Unpacked anew whenever it is asked for."""
+        found: Evidence = pickle.loads(self.packed)
+        return found
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from vaoi_station.runs.memory import Bay
 from vaoi_station.runs.order import Order
 from vaoi_station.runs.shapes import Reason, TaskTiming
 from vaoi_station.runs.state import RUN, RunState, RunStep
-from vaoi_station.stitching.evidence import Evidence, FrameKey, Task
+from vaoi_station.stitching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
 
 
@@ -35,7 +35,8 @@ class Progress:
     """Frames that arrived whole, of pulses that were reported."""
     asked_s: dict[Task, float] = field(default_factory=dict)
     """Tasks given to the workers, and when their last frame had settled."""
-    evidence: dict[Task, Evidence] = field(default_factory=dict)
+    linked: dict[Task, Linked] = field(default_factory=dict)
+    """What the tasks gave."""
     unanswered: set[Task] = field(default_factory=set)
     needed: tuple[Task, ...] = ()
     """The canonical tasks, once everything has been filmed."""
@@ -120,7 +121,7 @@ class Progress:
             self._blame(answer.error)
             return
         for task, linked in zip(job.tasks, answer.value, strict=True):
-            self.evidence[task] = linked.evidence
+            self.linked[task] = linked
             self.timings.append(self._timing(task, linked, now_s))
 
     def _timing(self, task: Task, linked: Linked, now_s: float) -> TaskTiming:
@@ -140,8 +141,12 @@ class Progress:
         if self.film is None or self.concluding or self.hopeless or self.awaited:
             return None
         self.concluding = True
-        evidence = tuple(self.evidence[t] for t in self.needed if t in self.evidence)
-        return ConcludeJob(self.context, self.film.head, self._slots(self.present), evidence)
+        return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical)
+
+    @property
+    def canonical(self) -> tuple[Linked, ...]:
+        """What the canonical tasks gave, in their order."""
+        return tuple(self.linked[task] for task in self.needed if task in self.linked)
 
     def concluded(self, answer: Answer, now_s: float) -> None:
         """The result is there, or cannot be had."""

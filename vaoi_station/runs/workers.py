@@ -1,8 +1,9 @@
 """k worker processes: who does what next, and what happens when one dies.
 
-Jobs wait here, not in the workers' pipes: each worker has one job in its hands. A worker that dies
-is noticed at once by its sentinel; its job goes to another one and a new worker takes its place. A
-job that has taken two workers with it is given back with the reason.
+Jobs wait here, not in the workers' pipes: each worker has one job in its hands, and while frames come one more
+of its own, so that it need not wait for us between two. A worker that dies is noticed at once by its
+sentinel; its jobs go to another one and a new worker takes its place. A job that has taken two
+workers with it is given back with the reason.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ class _Worker:
     process: BaseProcess | None = None
     connection: Connection[Any, Any] | None = None
     ready: bool = False
-    job: _Queued | None = None
+    jobs: deque[_Queued] = field(default_factory=deque)
+    """In its hands: what it does, and perhaps what it does next."""
     since_s: float = 0.0
     opened: set[str] = field(default_factory=set)
     restarts: int = 0
@@ -66,7 +68,12 @@ class _Worker:
 
     @property
     def idle(self) -> bool:
-        return self.ready and self.job is None
+        return self.ready and not self.jobs
+
+    @property
+    def job(self) -> _Queued | None:
+        """What it does."""
+        return self.jobs[0] if self.jobs else None
 
 
 class WorkerPool:
@@ -200,8 +207,8 @@ class WorkerPool:
         worker.seen_s, worker.asked_s = time.monotonic(), None
         queued = None
         with self._lock:
-            if isinstance(message, Answer):
-                queued, worker.job = worker.job, None
+            if isinstance(message, Answer) and worker.jobs:
+                queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
             if isinstance(message, Hello):
                 worker.ready, worker.failed_starts = True, 0
                 self._all_ready.notify_all()
@@ -242,8 +249,11 @@ class WorkerPool:
         process, code = worker.process, worker.process.exitcode
         with self._lock:
             queued, was_ready = worker.job, worker.ready
+            for waiting in reversed([*worker.jobs][1:]):
+                self._queues[waiting.job.priority].appendleft(waiting)
+            worker.jobs.clear()
             _end(process, worker.connection)
-            worker.process = worker.connection = worker.job = None
+            worker.process = worker.connection = None
             worker.ready, worker.asked_s = False, None
             worker.opened.clear()
             worker.restarts += 1
@@ -273,6 +283,22 @@ class WorkerPool:
         for worker in self._workers:
             if worker.idle and (queued := self._choose(worker)) is not None:
                 self._hand(worker, queued)
+            if worker.ready and len(worker.jobs) == 1 and (queued := self._next_link(worker)) is not None:
+                self._hand(worker, queued)
+
+    def _next_link(self, worker: _Worker) -> _Queued | None:
+        """Links of its own for a worker that does some; none where something more urgent waits for whoever is free.
+
+        Only what fits into the pipe: while a worker works it reads nothing, and were we to wait for it while it sends
+        an answer, neither would go on. So the run must have been opened there.
+        """
+        if worker.jobs[0].job.priority is not Priority.LINK or self._queues[Priority.CONCLUDE]:
+            return None
+        links = self._queues[Priority.LINK]
+        mine = next((q for q in links if self._home(q) == worker.index and q.job.run in worker.opened), None)
+        if mine is not None:
+            links.remove(mine)
+        return mine
 
     def _choose(self, worker: _Worker) -> _Queued | None:
         for queue in self._queues.values():
@@ -301,7 +327,9 @@ class WorkerPool:
 
     def _hand(self, worker: _Worker, queued: _Queued) -> None:
         assert worker.connection is not None
-        worker.job, worker.since_s = queued, time.monotonic()
+        if not worker.jobs:
+            worker.since_s = time.monotonic()
+        worker.jobs.append(queued)
         if isinstance(queued.job, LinkJob | ConcludeJob) and queued.job.run not in worker.opened:
             worker.opened.add(queued.job.run)
             _send(worker.connection, self._runs[queued.job.run])
@@ -309,9 +337,9 @@ class WorkerPool:
 
     def _abandoned(self) -> list[_Queued]:
         with self._lock:
-            left = [w.job for w in self._workers if w.job is not None] + [q for s in self._queues.values() for q in s]
+            left = [q for w in self._workers for q in w.jobs] + [q for s in self._queues.values() for q in s]
             for worker in self._workers:
-                worker.job = None
+                worker.jobs.clear()
             for queue in self._queues.values():
                 queue.clear()
             return left

@@ -83,12 +83,12 @@ def footprint_views(
     centers = np.array([p.center for p in parts])
     height = surface.height_mm(centers) if surface else np.zeros(len(parts))
     matrices = np.array([d.matrix for d in motion]) @ cad_matrix
-    places = np.stack([apply(m, centers) for m in matrices])
+    xs, ys = (np.ascontiguousarray(v) for v in np.moveaxis(np.stack([apply(m, centers) for m in matrices]), -1, 0))
     views: list[list[tuple[int, int, float, float]]] = [[] for _ in parts]
     for i, camera in enumerate(cameras):
         low, high = camera.view_mm(-_BEYOND_PX, (float(height.min()), float(height.max())))
-        row, part = np.nonzero(((places >= low) & (places <= high)).all(-1))
-        px = camera.project(places[row, part], height[part])
+        row, part = np.nonzero((xs >= low[0]) & (xs <= high[0]) & (ys >= low[1]) & (ys <= high[1]))
+        px = camera.project(np.column_stack([xs[row, part], ys[row, part]]), height[part])
         seen = camera.sees(px, -_BEYOND_PX)
         rounded = np.round(px[seen], 4).tolist()
         for j, n, (x, y) in zip(row[seen].tolist(), part[seen].tolist(), rounded, strict=True):
