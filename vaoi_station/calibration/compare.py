@@ -10,9 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
@@ -96,31 +94,6 @@ def compare(
         camera.project(apply(this_from_other, place)) - g for camera, place, g in zip(mine, there, grids, strict=True)
     ]
     return Difference(tuple(grids), tuple(differences), a.mean(0) - b.mean(0), angle, one_board)
-
-
-def draw(difference: Difference, heads: Sequence[CameraHead], width_px: int = 420) -> NDArray[np.uint8]:
-    """The map as a picture (h, w, 3) BGR: length as colour, the vectors enlarged as the caption tells."""
-    most = max(*difference.max_px, 1e-9)
-    tiles = []
-    for i, head in enumerate(heads):
-        scale = width_px / head.width
-        size = (width_px, round(head.height * scale))
-        length = np.sqrt((difference.difference_px[i] ** 2).sum(-1)).astype(np.float32)
-        shades = cv2.resize(np.clip(length / most * 255, 0, 255), size, interpolation=cv2.INTER_LINEAR)
-        tile = cv2.applyColorMap(shades.astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-        reach = 0.8 * size[0] / difference.grid_px[i].shape[1] / most
-        for p, d in zip(difference.grid_px[i].reshape(-1, 2), difference.difference_px[i].reshape(-1, 2), strict=True):
-            x, y = p * scale
-            tip = round(float(x + d[0] * reach)), round(float(y + d[1] * reach))
-            cv2.arrowedLine(tile, (round(float(x)), round(float(y))), tip, (255, 255, 255), 1, cv2.LINE_AA)
-        band = np.full((24, width_px, 3), 250, np.uint8)
-        rms, longest = difference.rms_px[i], difference.max_px[i]
-        said = f"camera {i}: {rms:.3f} px rms, {longest:.3f} at most; vectors x{reach / scale:.0f}"
-        cv2.putText(band, said, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (30, 30, 30), 1, cv2.LINE_AA)
-        tiles.append(np.vstack([band, tile]))
-    height = max(t.shape[0] for t in tiles)
-    padded = [cv2.copyMakeBorder(t, 0, height - t.shape[0], 0, 6, cv2.BORDER_CONSTANT, value=(255,) * 3) for t in tiles]
-    return np.asarray(np.hstack(padded), dtype=np.uint8)
 
 
 def _grid(head: CameraHead, grid: tuple[int, int]) -> Floats:

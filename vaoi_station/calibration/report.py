@@ -7,14 +7,13 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vaoi_station.calibration.calibrate import Outcome
 from vaoi_station.calibration.camera import CameraResult
+from vaoi_station.calibration.sheet import Picture, arrange
 from vaoi_station.geometry.transforms import Floats
 
-Picture = NDArray[np.uint8]
-_WIDTH, _BAND, _GAP = 720, 74, 8
+_WIDTH, _BAND = 720, 74
 _FOUND, _EXPECTED, _MISSED, _STRANGE, _VECTOR = (
     (60, 200, 60),
     (230, 150, 40),
@@ -34,18 +33,7 @@ def draw(outcome: Outcome) -> Picture:
     """
     factor = _enlargement(outcome.cameras)
     tiles = [_tile(c, factor, outcome.limits.residual_px) for c in outcome.cameras]
-    columns = min(len(tiles), 4 if len(tiles) > 6 else 3)
-    rows = [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
-    height = [max(t.shape[0] for t in row) for row in rows]
-    width = columns * (_WIDTH + _GAP) - _GAP
-    sheet = np.full((sum(height) + _GAP * (len(rows) - 1), width, 3), 255, np.uint8)
-    y = 0
-    for row, h in zip(rows, height, strict=True):
-        for k, tile in enumerate(row):
-            x = k * (_WIDTH + _GAP)
-            sheet[y : y + tile.shape[0], x : x + _WIDTH] = tile
-        y += h + _GAP
-    return sheet
+    return arrange(tiles)
 
 
 def _enlargement(cameras: Sequence[CameraResult]) -> int:

@@ -100,7 +100,8 @@ def _say(outcome: Outcome, out: Path, picture: Path) -> None:
 
 
 def _compare(this: Calibration, other: Calibration, head: RecordingHead, report: Path | None, stem: str) -> None:
-    from vaoi_station.calibration.compare import compare, draw
+    from vaoi_station.calibration.compare import compare
+    from vaoi_station.calibration.difference_picture import draw
     from vaoi_station.files.images import write_image
 
     difference = compare(this, other, head.cameras)

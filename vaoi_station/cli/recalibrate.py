@@ -104,7 +104,8 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
 
 
 def _show(before: Calibration, after: Calibration, heads: Sequence[CameraHead], out: Path) -> None:
-    from vaoi_station.calibration.compare import compare, draw
+    from vaoi_station.calibration.compare import compare
+    from vaoi_station.calibration.difference_picture import draw
     from vaoi_station.files.images import write_image
 
     difference = compare(before, after, heads, one_board=True)

@@ -1,0 +1,62 @@
+"""The picture says how far and whereto, on one scale for all cameras, with nothing cut off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.calibration.compare import Difference, compare
+from vaoi_station.calibration.difference_picture import BAND, MARGIN, WIDTH, draw, round_down, round_up
+
+_WHITE, _INK = (255, 255, 255), (30, 30, 30)
+
+
+@pytest.fixture
+def knocked(rig: Any) -> Difference:
+    """Camera 1 looks 2 px further to the right than it did; nothing is taken out."""
+    one = rig.calibrate().calibration()
+    n0, n1 = one.camera_matrices
+    moved = np.array([[1, 0, -2.0], [0, 1, 0], [0, 0, 1]]) @ n1
+    return compare(one, one.model_copy(update={"camera_matrices": (n0, moved)}), rig.heads, one_board=True)
+
+
+def test_arrows_at_the_border_are_drawn_whole(knocked: Difference, rig: Any) -> None:
+    picture = draw(knocked, rig.heads)
+    tile = picture[:, WIDTH + 2 * MARGIN + 8 :]
+    height = round(rig.heads[1].height * WIDTH / rig.heads[1].width)
+    right = tile[BAND + MARGIN : BAND + MARGIN + height, MARGIN + WIDTH :]
+    dark = np.flatnonzero((np.abs(right.astype(int) - _INK).max(-1) < 40).any(axis=0))
+    assert 20 < dark.max() < MARGIN - 1, "longest arrows reach far into the margin, and end in it"
+    left = tile[BAND + MARGIN : BAND + MARGIN + height, : MARGIN - 6]
+    assert (left == 250).all(), "they point to the right"
+
+
+def test_colours_mean_the_same_in_every_camera_and_on_the_bar(knocked: Difference, rig: Any) -> None:
+    picture = draw(knocked, rig.heads)
+    at = BAND + MARGIN + round(rig.heads[0].height * WIDTH / rig.heads[0].width / 13)  # between two lines of arrows
+    calm, loud = (picture[at, k * (WIDTH + 2 * MARGIN + 8) + MARGIN + WIDTH // 2 + 13] for k in (0, 1))
+    foot = picture[-86 + 16]
+    assert np.array_equal(foot[MARGIN], calm), "0"
+    assert np.array_equal(foot[MARGIN + WIDTH // 2 - 1], loud), "2 px is a round number: the top of the bar"
+
+
+def test_calibrations_that_agree_are_drawn_too(rig: Any) -> None:
+    one = rig.calibrate().calibration()
+    assert draw(compare(one, one, rig.heads), rig.heads).shape[2] == 3
+
+
+def test_many_cameras_are_broken_into_rows(knocked: Difference, rig: Any) -> None:
+    many = replace(knocked, grid_px=knocked.grid_px * 14, difference_px=knocked.difference_px * 14)
+    picture = draw(many, rig.heads * 14)
+    assert picture.shape[1] == 4 * (WIDTH + 2 * MARGIN) + 3 * 8
+
+
+@given(st.floats(1e-9, 1e9))
+def test_round_numbers_are_near(value: float) -> None:
+    assert value * (1 - 1e-6) <= round_up(value) <= 1.51 * value
+    assert value / 1.51 <= round_down(value) <= value * (1 + 1e-6)

@@ -1,0 +1,105 @@
+"""The picture of a comparison: over every frame, where and how far two calibrations disagree.
+
+Colour tells how far, on one scale for all cameras with a bar that says what it means; arrows tell whereto,
+enlarged by a round factor. Frames have a margin, so that arrows at their borders are seen whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from vaoi_station.calibration.compare import Difference
+from vaoi_station.calibration.sheet import Picture, arrange
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import CameraHead
+
+WIDTH = 460
+"""Of a frame in the picture, px."""
+MARGIN = 50
+"""Around a frame; no arrow is longer."""
+BAND = 30
+_FOOT = 86
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_INK, _PAPER, _ARROW = (30, 30, 30), (250, 250, 250), (255, 255, 255)
+_STEPS = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+
+
+def draw(difference: Difference, heads: Sequence[CameraHead]) -> Picture:
+    """All cameras, (h, w, 3) BGR, above a bar of the colours; everything is told in px of the frames."""
+    top_px = round_up(max(*difference.max_px, 1e-3))
+    factor = round_down(min((MARGIN - 4) / (most_px(difference) * WIDTH / head.width) for head in heads))
+    sheet = arrange([_tile(difference, i, head, top_px, factor) for i, head in enumerate(heads)])
+    foot = _foot(sheet.shape[1], top_px, factor, difference.one_board)
+    return np.vstack([sheet, foot])
+
+
+def most_px(difference: Difference) -> float:
+    """The longest of all differences, but never 0."""
+    return max(*difference.max_px, 1e-9)
+
+
+def round_up(value: float) -> float:
+    """The next of 1, 1.2, 1.5, 2, 3 … 10 and their decimal multiples that is not below a positive value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(s * power for s in _STEPS if s * power >= value * (1 - 1e-9))
+
+
+def round_down(value: float) -> float:
+    """The last of them that is not above a positive value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(s * power for s in reversed(_STEPS) if s * power <= value * (1 + 1e-9))
+
+
+def _tile(difference: Difference, camera: int, head: CameraHead, top_px: float, factor: float) -> Picture:
+    """One camera: caption, and its frame within a margin."""
+    scale, d_px = WIDTH / head.width, difference.difference_px[camera]
+    size = (WIDTH, max(round(head.height * scale), 1))
+    lengths = np.sqrt((d_px**2).sum(-1)).astype(np.float32)
+    shades = np.clip(_spread(lengths, size) * (255 / top_px), 0, 255).astype(np.uint8)
+    tile = np.full((size[1] + 2 * MARGIN, WIDTH + 2 * MARGIN, 3), _PAPER, np.uint8)
+    tile[MARGIN:-MARGIN, MARGIN:-MARGIN] = cv2.applyColorMap(shades, cv2.COLORMAP_VIRIDIS)
+    for place, d in zip(difference.grid_px[camera].reshape(-1, 2), d_px.reshape(-1, 2), strict=True):
+        _arrow(tile, (place + 0.5) * scale - 0.5 + MARGIN, d * factor * scale)
+    band = np.full((BAND, tile.shape[1], 3), _PAPER, np.uint8)
+    rms, longest = difference.rms_px[camera], difference.max_px[camera]
+    _write(band, f"camera {camera}: {rms:.3f} px rms, {longest:.3f} px at most", (MARGIN, BAND - 10))
+    return np.vstack([band, tile])
+
+
+def _spread(lengths: Floats, size: tuple[int, int]) -> Floats:
+    """Values at the grid's points, the outermost of which lie on the border, → all pixels (h, w)."""
+    rows, columns = lengths.shape
+    x, y = np.linspace(0, columns - 1, size[0]), np.linspace(0, rows - 1, size[1])
+    at_x, at_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    return np.asarray(cv2.remap(lengths, at_x, at_y, cv2.INTER_LINEAR))
+
+
+def _arrow(picture: Picture, foot: Floats, way: Floats) -> None:
+    """White with a dark edge: seen on paper and on every colour."""
+    start, tip = (tuple(round(float(v)) for v in p) for p in (foot, foot + way))
+    for ink, width in ((_INK, 3), (_ARROW, 1)):
+        cv2.circle(picture, start, 1, ink, width, cv2.LINE_AA)
+        cv2.arrowedLine(picture, start, tip, ink, width, cv2.LINE_AA, tipLength=0.2)
+
+
+def _foot(width: int, top_px: float, factor: float, one_board: bool) -> Picture:
+    """The bar of colours with its ends, and a sentence on what is shown."""
+    foot = np.full((_FOOT, width, 3), _PAPER, np.uint8)
+    ramp = np.tile(np.linspace(0, 255, WIDTH // 2).astype(np.uint8), (12, 1))
+    foot[10:22, MARGIN : MARGIN + WIDTH // 2] = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)
+    for share in (0.0, 0.5, 1.0):
+        x = MARGIN + round(share * (WIDTH // 2 - 1))
+        cv2.line(foot, (x, 22), (x, 26), _INK, 1)
+        _write(foot, f"{share * top_px:g}" + (" px" if share == 1 else ""), (x - 4, 40))
+    _write(foot, f"arrows x{factor:g}: from a pixel to where the other calibration puts what it sees", (MARGIN, 60))
+    if not one_board:
+        _write(foot, "one motion, common to all cameras, is taken out", (MARGIN, 78))
+    return foot
+
+
+def _write(picture: Picture, words: str, at: tuple[int, int]) -> None:
+    cv2.putText(picture, words, at, _FONT, 0.45, _INK, 1, cv2.LINE_AA)
