@@ -63,7 +63,7 @@ class Station:
         """Build and start everything; on a failure everything is taken down again and the failure is told."""
         config = self.config
         with ExitStack() as parts:
-            calibration = read_calibration(config.calibration, len(config.cameras))
+            calibration = read_calibration(config.calibration, [c.head for c in config.cameras])
             store = Store(Database(config.data / DATABASE))
             parts.callback(store.close)
             ring = parts.enter_context(Ring.create(ring_path(config), RingLayout.of(config)))

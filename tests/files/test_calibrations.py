@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,41 @@ def test_a_view_that_no_camera_of_the_array_has_is_refused(
     calibration_document["camera_matrices"] = [MATRIX, matrix, MATRIX]
     with pytest.raises(InputError, match=rf"document\.json: camera_matrices\.1 .*{complaint}"):
         read_calibration(write(calibration_document))
+
+
+def _head(nominal: float | None) -> CameraHead:
+    return CameraHead(width=1392, height=1040, exposure_us=1.0, nominal_px_per_mm=nominal)
+
+
+@pytest.mark.parametrize("nominal", [26.0, 61.0, 4.0, 1e-3, 1e6])
+def test_a_resolution_far_from_the_design_is_refused(
+    write: Write, calibration_document: dict[str, Any], nominal: float
+) -> None:
+    document = {k: calibration_document[k] for k in ("format", "version", "unit")}
+    document["camera_matrices"] = [MATRIX, MATRIX]
+    complaint = (
+        rf"document\.json: camera_matrices\.1 gives camera 1 a resolution of 40 px/mm in the middle of its frame, "
+        rf"but it must be within a factor of 1\.5 of its nominal_px_per_mm, {re.escape(f'{nominal:.4g}')}"
+    )
+    with pytest.raises(InputError, match=complaint):
+        read_calibration(write(document), [_head(40.0), _head(nominal)])
+
+
+def test_one_camera_alone_has_the_resolution_of_its_design(write: Write, calibration_document: dict[str, Any]) -> None:
+    document = {k: calibration_document[k] for k in ("format", "version", "unit")}
+    document["camera_matrices"] = [(np.eye(3) * 1e-9).tolist()]  # a homography's scale is free: this is 1 px/mm
+    read_calibration(write(document), 1)
+    with pytest.raises(InputError, match=r"a resolution of 1 px/mm .* nominal_px_per_mm, 40\."):
+        read_calibration(write(document), [_head(40.0)])
+
+
+@pytest.mark.parametrize("nominal", [None, 27.0, 40.0, 59.0])
+def test_a_resolution_near_the_design_is_taken_and_so_is_an_unknown_design(
+    write: Write, calibration_document: dict[str, Any], nominal: float | None
+) -> None:
+    document = {k: calibration_document[k] for k in ("format", "version", "unit")}
+    document["camera_matrices"] = [MATRIX]
+    assert len(read_calibration(write(document), [_head(nominal)]).camera_matrices) == 1
 
 
 @pytest.mark.parametrize("scale", [1e-7, -1.0, 1e5])

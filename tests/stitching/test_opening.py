@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from vaoi_station.errors import InputError, NotFoundError
@@ -45,6 +46,14 @@ def test_without_a_board_type_there_is_none(kept: Path, tmp_path: Path) -> None:
     assert (opened.board_path, opened.setup.board_type) == (None, None)
     with pytest.raises(InputError, match="--reference needs a board type"):
         open_run(tmp_path / "bare", reference=kept)
+
+
+def test_a_calibration_of_another_scale_is_refused(kept: Path, tmp_path: Path) -> None:
+    known = read_calibration(kept / "calibration.json")
+    half = tuple(np.diag([0.5, 0.5, 1.0]) @ n for n in known.camera_matrices)
+    write_calibration(tmp_path / "half.json", known.model_copy(update={"camera_matrices": half}))
+    with pytest.raises(InputError, match=r"half\.json: camera_matrices\.0 gives camera 0 .* within a factor of 1\.5"):
+        open_run(kept, calibration=tmp_path / "half.json")
 
 
 def test_what_does_not_go_together_is_refused(kept: Path, tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def of_recording(directory: Path) -> Material:
     """A recording with its calibration and board type."""
     recording = open_recording(directory)
     head = recording.head
-    calibration = read_calibration(directory / "calibration.json", len(head.cameras))
+    calibration = read_calibration(directory / "calibration.json", head.cameras)
     frames = {}
     for i in range(len(head.cameras)):
         for j in range(head.rows):

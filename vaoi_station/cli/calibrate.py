@@ -37,11 +37,11 @@ def calibrate(
 
     recording = open_recording(case)
     head = recording.head
-    other = None if compare is None else read_calibration(compare, len(head.cameras))
+    other = None if compare is None else read_calibration(compare, head.cameras)
     if existing is not None:
         if other is None or out is not None:
             raise InputError("--existing makes no calibration.", action="Give --compare with it, and no --out.")
-        _compare(read_calibration(existing, len(head.cameras)), other, head, report, f"{existing.stem}")
+        _compare(read_calibration(existing, head.cameras), other, head, report, f"{existing.stem}")
         return
     if out is None:
         raise InputError("--out is missing.", action="Say where the calibration is to be written.")

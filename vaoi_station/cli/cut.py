@@ -31,7 +31,7 @@ def cut(
 
     recording = open_recording(case)
     head = recording.head
-    cameras = read_calibration(calibration or case / "calibration.json", len(head.cameras)).cameras(head.cameras)
+    cameras = read_calibration(calibration or case / "calibration.json", head.cameras).cameras(head.cameras)
     board_type = read_board_type(board or case / "board.json")
     stitch = read_stitch(result)
     _check_result(result, stitch, head, cameras)

@@ -85,7 +85,7 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
     from vaoi_station.store.documents import digest_of
 
     station = read_config(config)
-    calibration = read_calibration(station.calibration, len(station.cameras))
+    calibration = read_calibration(station.calibration, [c.head for c in station.cameras])
     path = station.data / DATABASE
     if not path.is_file():
         raise InputError(f"{path}: is not there; this station has filmed nothing.", action="Let boards pass first.")

@@ -24,7 +24,7 @@ def record(
     from vaoi_station.files import read_calibration
 
     station = read_config(config)
-    read_calibration(station.calibration, cameras=len(station.cameras))
+    read_calibration(station.calibration, [c.head for c in station.cameras])
     targets = [out] if runs == 1 else [out / f"run-{n:03d}" for n in range(1, runs + 1)]
     for target in targets:
         if target.exists():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,25 +10,39 @@ import numpy as np
 from vaoi_station.errors import InputError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.geometry import Projective, System
-from vaoi_station.model import Calibration
+from vaoi_station.model import Calibration, CameraHead
 
 _LEAST_PX_PER_MM, _MOST_PX_PER_MM = 0.05, 5000.0
 _MOST_APART = 4.0
 """Cameras of one array differ in resolution by no greater factor."""
+_FROM_DESIGN = 1.5
+"""A camera's resolution is off its nominal one by no greater factor: a lens or a distance of another design is more."""
 
 
-def read_calibration(path: Path, cameras: int | None = None) -> Calibration:
-    """Read a calibration; refuse it if it is for another number of cameras."""
+def read_calibration(path: Path, cameras: int | Sequence[CameraHead] | None = None) -> Calibration:
+    """Read a calibration; refuse one that no array has, or not this one.
+
+    Args:
+        path: of the file.
+        cameras: how many there are, or their heads: then each must also have about the resolution it was designed
+            for, where its head tells `nominal_px_per_mm`.
+
+    Raises:
+        InputError: with the file, and the camera and its value.
+    """
     data = read_json(path)
     check_format(data, path, "vaoi-calibration", 1)
     calibration = parse(Calibration, data, path)
     found = len(calibration.camera_matrices)
-    if cameras is not None and found != cameras:
+    filming = len(cameras) if isinstance(cameras, Sequence) else cameras
+    if filming is not None and found != filming:
         raise InputError(
-            f"{path}: camera_matrices has {found} entries, but {cameras} cameras were filming.",
+            f"{path}: camera_matrices has {found} entries, but {filming} cameras were filming.",
             action="Use the calibration of this array.",
         )
     _check_views(calibration, path)
+    if isinstance(cameras, Sequence):
+        _check_design(calibration, tuple(cameras), path)
     return calibration
 
 
@@ -53,6 +68,20 @@ def _check_views(calibration: Calibration, path: Path) -> None:
             f"{path}: camera_matrices.{odd} has a determinant of the other sign than most: camera {odd} "
             f"{'mirrors' if mirrored[odd] else 'does not mirror'} the board, but cameras of one array see it alike.",
             action="Calibrate again with one layout for all cameras.",
+        )
+
+
+def _check_design(calibration: Calibration, heads: tuple[CameraHead, ...], path: Path) -> None:
+    """Refuse a resolution in the middle of a frame that is far from the one its camera was designed for."""
+    for i, (camera, head) in enumerate(zip(calibration.cameras(heads), heads, strict=True)):
+        nominal = head.nominal_px_per_mm
+        if nominal is None or 1 / _FROM_DESIGN <= camera.px_per_mm / nominal <= _FROM_DESIGN:
+            continue
+        raise InputError(
+            f"{path}: camera_matrices.{i} gives camera {i} a resolution of {camera.px_per_mm:.4g} px/mm in the middle "
+            "of its frame, "
+            f"but it must be within a factor of {_FROM_DESIGN:g} of its nominal_px_per_mm, {nominal:.4g}.",
+            action="Use the calibration of this array, or correct nominal_px_per_mm.",
         )
 
 

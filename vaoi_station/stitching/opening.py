@@ -63,7 +63,7 @@ def open_run(
     recording = open_recording(case)
     head = recording.head
     calibration_path = calibration or case / "calibration.json"
-    known = read_calibration(calibration_path, len(head.cameras))
+    known = read_calibration(calibration_path, head.cameras)
     own = case / "board.json"
     board_path = board or (own if own.is_file() else None)
     setup = Setup(

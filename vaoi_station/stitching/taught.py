@@ -54,7 +54,7 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
     if out.exists():
         raise InputError(f"{out}: exists already.", action="Choose another directory, or remove it.")
     recording = open_recording(case)
-    cameras = read_calibration(calibration, len(recording.head.cameras)).cameras(recording.head.cameras)
+    cameras = read_calibration(calibration, recording.head.cameras).cameras(recording.head.cameras)
     stitch = stitch_frames(_setup(recording, cameras, read_board_type(board)), recording.head, recording.frame)
     if stitch.status is not Status.OK:
         reasons = "; ".join(stitch.reasons)
@@ -108,7 +108,7 @@ def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardT
         InputError: the reference was filmed with another calibration, or shows another board type.
     """
     recording = open_recording(directory)
-    theirs = read_calibration(directory / "calibration.json").cameras(recording.head.cameras)
+    theirs = read_calibration(directory / "calibration.json", recording.head.cameras).cameras(recording.head.cameras)
     _check_calibration(directory, theirs, cameras)
     own = read_board_type(directory / "board.json")
     _check_board_type(directory, own, board_type)

@@ -86,7 +86,7 @@ def _resolutions(config: StationConfig, px_per_mm: float | None) -> Sequence[flo
         return [px_per_mm] * len(config.cameras)
     heads = tuple(c.head for c in config.cameras)
     if config.calibration.is_file():
-        return [c.px_per_mm for c in read_calibration(config.calibration, len(heads)).cameras(heads)]
+        return [c.px_per_mm for c in read_calibration(config.calibration, heads).cameras(heads)]
     found = [h.nominal_px_per_mm for h in heads]
     if None in found:
         raise InputError(
