@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -17,6 +18,8 @@ def work(connection: Connection[Any, Any], ring_path: str) -> None:
     with connection, Bench(ring_path) as bench:
         try:
             warm_up()
+            gc.collect()
+            gc.freeze()  # what was imported and compiled stays: it need not be looked through while a board waits
             connection.send(bench.hello())
             while (message := connection.recv()) is not None:
                 if (answer := bench.take(message)) is not None:

@@ -115,14 +115,12 @@ def _highest(height: Floats, sigma: Floats, shared_mm: float) -> Height | None:
     """The highest group of links that agree; None if none does."""
     variance = sigma**2 + _SCATTER_MM**2
     least = max(_LEAST_LINKS, _LEAST_SHARE * len(height))
-    best: Height | None = None
-    for middle in height:
-        group = np.abs(height - middle) <= _AGREE * np.sqrt(variance)
-        if group.sum() < least:
-            continue
-        mm = float(np.average(height[group], weights=1 / variance[group]))
-        if best is None or mm > best.mm:
-            own = 1 / float((1 / variance[group]).sum())
-            spread = float(np.sqrt(own + shared_mm**2 + (_SCALE * mm) ** 2))
-            best = Height(mm, spread, int(group.sum()))
-    return best
+    agree = np.abs(height[None] - height[:, None]) <= _AGREE * np.sqrt(variance)
+    count = agree.sum(1)
+    if count.max(initial=0) < least:
+        return None
+    weight = agree @ (1 / variance)
+    mm = np.where(count >= least, agree @ (height / variance) / np.maximum(weight, 1e-300), -np.inf)
+    n = int(np.argmax(mm))
+    spread = float(np.sqrt(1 / weight[n] + shared_mm**2 + (_SCALE * mm[n]) ** 2))
+    return Height(float(mm[n]), spread, int(count[n]))

@@ -273,13 +273,7 @@ def quality_of(f: Findings) -> dict[str, Any]:
             [[_rounded(v) for v in pair] if f.placed[j] else None for j, pair in enumerate(camera)]
             for camera in matrix_sigmas(f.scene.cameras, a.motion.pivot, rows).tolist()
         ],
-        "component_covariance_px2": {
-            address: [
-                [*key, *(_significant(float(v)) for v in (c[0, 0], c[0, 1], c[1, 1]))] for key, c in views.items()
-            ]
-            for address, views in sigma.views.items()
-            if f.frame is not None and f.frame.board_type.component(address) is not None
-        },
+        "component_covariance_px2": sigma.told() if f.frame and f.frame.board_type.components else {},
         "surface_sigma_mm": _surface_sigma(f),
         "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
         "height_sigma_mm": {address: _rounded(h.sigma_mm) for address, h in f.heights.items()},
@@ -333,8 +327,8 @@ def _component_sigma(f: Findings) -> dict[str, float]:
     """Predicted standard deviation of every component that is in view, by address: the worst of its views."""
     if f.frame is None or f.mapping is None:
         return {}
-    sigma = {p.address: f.sigma.of_component(p.address) for p in f.frame.board_type.components}
-    return {address: _rounded(px) for address, px in sigma.items() if px is not None}
+    found = f.sigma.of_components
+    return {p.address: _rounded(found[p.address]) for p in f.frame.board_type.components if p.address in found}
 
 
 def _surface_sigma(f: Findings) -> float | None:
