@@ -63,8 +63,12 @@ class Camera:
 
     def ground(self, raw_px: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
         """Where points seen at raw pixels (..., 2) are, in mm (..., 2), if they stand `height_mm` above the plane."""
-        ground = self.row_from_image(self.lens.undistort(raw_px))
-        return ground + self.parallax(ground) * np.asarray(height_mm, dtype=np.float64)[..., None]
+        from vaoi_station.geometry.rays import ground
+
+        raw, height, out = _paired(raw_px, height_mm)
+        n = self.row_from_image.matrix
+        ground(raw, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        return out
 
     def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
         """Corners of a box that holds all places seen at least a margin inside the frame, at heights between two.
@@ -88,11 +92,18 @@ class Camera:
 
     def project(self, place_mm: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
         """Raw pixels (..., 2) of points at places (..., 2) in mm, `height_mm` above the plane."""
-        place = np.asarray(place_mm, dtype=np.float64)
-        if self.working_distance_mm is not None:
-            k = np.asarray(height_mm, dtype=np.float64)[..., None] / self.working_distance_mm
-            place = (place - k * self.foot_mm) / (1 - k)
-        return self.lens.distort(self.image_from_row(place))
+        from vaoi_station.geometry.rays import project
+
+        place, height, out = _paired(place_mm, height_mm)
+        n = self.image_from_row.matrix
+        project(place, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        return out
+
+    @cached_property
+    def _eye(self) -> tuple[float, float, float]:
+        """Foot, and the inverse of the working distance: 0 where that is not known, so that heights do nothing."""
+        x, y = self.foot_mm
+        return float(x), float(y), 0.0 if self.working_distance_mm is None else 1 / self.working_distance_mm
 
     def image_from_row_at(self, height_mm: float) -> Projective:
         """The homography of the plane at a height: undistorted pixels of places in that plane."""
@@ -108,6 +119,15 @@ class Camera:
         p = np.asarray(raw_px, dtype=np.float64)
         limit = np.array([self.width_px - 1, self.height_px - 1]) - margin_px
         return np.asarray(((p >= margin_px) & (p <= limit)).all(-1))
+
+
+def _paired(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:
+    """Points (k, 2) with their heights (k,), or (1,) for all, and room for the answer in the shape of the question."""
+    p, h = np.asarray(points, dtype=np.float64), np.asarray(height, dtype=np.float64)
+    if h.ndim and h.shape != p.shape[:-1]:
+        shape = np.broadcast_shapes(p.shape[:-1], h.shape)
+        p, h = np.broadcast_to(p, (*shape, 2)).copy(), np.broadcast_to(h, shape).copy()
+    return np.ascontiguousarray(p).reshape(-1, 2), np.ascontiguousarray(h).reshape(-1), np.empty(p.shape)
 
 
 def _foot_of(n: Floats, principal_point_px: tuple[float, float], distance_mm: float) -> Floats:

@@ -36,10 +36,10 @@ class Lens:
         p = np.asarray(raw_px, dtype=np.float64)
         if self.ideal:
             return p
-        from vaoi_station.geometry.radial import undistort
+        from vaoi_station.geometry.rays import undistort
 
         out = np.empty(p.shape)
-        undistort(p.reshape(-1, 2), self._coefficients, *self.center_px, self.radius_px, out.reshape(-1, 2))
+        undistort(p.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
         return out
 
     def distort(self, undistorted_px: ArrayLike) -> Floats:
@@ -51,25 +51,24 @@ class Lens:
         u = np.asarray(undistorted_px, dtype=np.float64)
         if self.ideal:
             return u
-        from vaoi_station.geometry.radial import distort
+        from vaoi_station.geometry.rays import distort
 
         out = np.empty(u.shape)
-        edge, furthest = self._end
-        flat = (u.reshape(-1, 2), self._coefficients, *self.center_px, self.radius_px, edge, furthest)
-        distort(*flat, out.reshape(-1, 2))
+        distort(u.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
         return out
 
     @cached_property
-    def _coefficients(self) -> Floats:
-        return np.array(self.radial, dtype=np.float64)
+    def coefficients(self) -> Floats:
+        """a1, a2, … as `geometry.rays` wants them: none for an ideal lens."""
+        return np.array(() if self.ideal else self.radial, dtype=np.float64)
 
     @cached_property
-    def _end(self) -> tuple[float, float]:
-        """The raw ρ at which the polynomial stops growing, and the undistorted ρ there."""
-        edge = self.turning_point
-        if math.isinf(edge):
-            return edge, edge
-        return edge, edge * (1 + sum(a * edge ** (2 * k) for k, a in enumerate(self.radial, start=1)))
+    def shape(self) -> tuple[float, float, float, float, float]:
+        """Centre, radius, the raw ρ at which the polynomial stops growing, the undistorted ρ there (or ∞)."""
+        edge = furthest = self.turning_point
+        if math.isfinite(edge):
+            furthest = edge * (1 + sum(a * edge ** (2 * k) for k, a in enumerate(self.radial, start=1)))
+        return float(self.center_px[0]), float(self.center_px[1]), float(self.radius_px), edge, furthest
 
     @cached_property
     def turning_point(self) -> float:

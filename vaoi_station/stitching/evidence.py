@@ -42,6 +42,8 @@ class Links:
     """Why there are none, or few."""
     coarse_px: tuple[float, float] | None = None
     """Where the coarse search found the motion to differ from the nominal one."""
+    tried: int = 0
+    """How many places were looked for."""
     unmatched: bool = False
     """The overlap of two cameras shows texture, but little or none of it is in both frames."""
 

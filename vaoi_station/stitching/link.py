@@ -34,7 +34,9 @@ _MOVED_MM = 4.0
 _ENOUGH = 8
 """Links between two cameras that show that both are where they were calibrated."""
 _BEYOND_DOUBT = 24
-"""So many are no look-alikes: those of a camera that has moved were up to eleven."""
+"""So many are no look-alikes: those of a camera that has moved were up to eleven …"""
+_MOST = 0.6
+"""… nor are that share of the places that were looked for."""
 
 
 def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera, shift_mm: Floats) -> Links:
@@ -60,8 +62,11 @@ def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, came
     still = np.zeros(2)
     links = _fine(task, a, b, camera_a, camera_b, still, still)
     box = overlap_box(camera_a, camera_b, still)
-    if len(links.a_px) >= _BEYOND_DOUBT or box is None or min(box[2] - box[0], box[3] - box[1]) <= 2 * MARGIN_PX:
-        return links  # no doubt, or no room for a patch: that two cameras hardly overlap tells nothing of them
+    found = len(links.a_px)
+    if found >= _BEYOND_DOUBT or found >= max(_ENOUGH, _MOST * links.tried):
+        return links
+    if box is None or min(box[2] - box[0], box[3] - box[1]) <= 2 * MARGIN_PX:
+        return links  # no room for a patch: that two cameras hardly overlap tells nothing of them
     coarse = find_shift(a, b, box, _offset(box, camera_a, camera_b, still), np.full(2, _MOVED_MM * camera_a.px_per_mm))
     if isinstance(coarse, Failure):
         return replace(links, unmatched=len(links.a_px) < _ENOUGH and isinstance(coarse, NoFit))
@@ -119,6 +124,7 @@ def _fine(
         m.information[good],
         m.score[good],
         coarse_px=(float(correction_px[0]), float(correction_px[1])),
+        tried=len(a_px),
     )
 
 
