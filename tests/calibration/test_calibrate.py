@@ -195,8 +195,10 @@ def test_strangers_do_no_harm(rig: Any) -> None:
             if min(np.hypot(*(np.array(free) - p).T)) > 34:
                 free.append(p)
                 x, y = p.astype(int)
-                frame[y - 2 : y + 4, x - 12 : x + 12] = 25
-                frame[y - 12 : y + 12, x - 2 : x + 4] = 25
+                frame[y - 3 : y + 3, x - 12 : x + 12] = 25
+                frame[y - 12 : y + 12, x - 3 : x + 3] = 25
+                around = np.s_[y - 15 : y + 15, x - 15 : x + 15]
+                frame[around] = cv2.GaussianBlur(frame[around], (0, 0), 0.6)
         return frame
 
     outcome = rig.calibrate(change=add)

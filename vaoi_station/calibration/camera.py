@@ -12,7 +12,7 @@ from vaoi_station.calibration.identify import Hypothesis
 from vaoi_station.calibration.nominal import inside, nominal_matrix
 from vaoi_station.calibration.outliers import without_outliers
 from vaoi_station.calibration.plausible import implausible
-from vaoi_station.calibration.sight import ALIKE, MarkKind, Sight, locate_mark
+from vaoi_station.calibration.sight import MarkKind, Sight, least_score, locate_mark
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
@@ -94,8 +94,9 @@ def solve_camera(
         kind: how marks look in this frame.
         to: the limits.
     """
-    if (unfit := _unfit_size(kind, head) or _unfit_picture(seen, option)) is not None:
-        return CameraResult(camera, head, seen, _expected(head, camera, option, marks_mm, kind), None, *unfit)
+    due = _expected(head, camera, option, marks_mm, kind)
+    if (unfit := _unfit_size(kind, head) or _unfit_picture(seen, option, due)) is not None:
+        return CameraResult(camera, head, seen, due, None, *unfit)
     assert option is not None
     pairs = option.pairs
     place = homography(seen.px[pairs[:, 1]], marks_mm[pairs[:, 0]])
@@ -124,7 +125,7 @@ def _unfit_size(kind: MarkKind, head: CameraHead) -> tuple[str, str] | None:
     )
 
 
-def _unfit_picture(seen: Sight, option: Hypothesis | None) -> tuple[str, str] | None:
+def _unfit_picture(seen: Sight, option: Hypothesis | None, due: tuple[MarkSeen, ...]) -> tuple[str, str] | None:
     """Why the picture yields no marks to work with, and what to do."""
     known = 0 if option is None else len(option.pairs)
     if seen.contrast < _LEAST_CONTRAST:
@@ -151,10 +152,21 @@ def _unfit_picture(seen: Sight, option: Hypothesis | None) -> tuple[str, str] | 
     if known >= LEAST_MARKS:
         return None
     return (
-        f"it shows {len(seen.px)} marks, of which {known} fit the layout; at least {LEAST_MARKS} are needed",
+        f"it shows {len(seen.px)} marks, of which {known} fit the layout; at least {LEAST_MARKS} are needed"
+        + _absent(due, option),
         "Move the board until every camera sees four marks, uncover them, and check that layout.json belongs to this "
         "board and nominal_center_mm to this camera.",
     )
+
+
+def _absent(due: tuple[MarkSeen, ...], option: Hypothesis | None) -> str:
+    """Where marks of the layout should be seen whole and are not; nothing where that is not known."""
+    if option is None:
+        return ""
+    places = [m.expected_px for m in due if m.index not in option.pairs[:, 0]]
+    told = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in places[:LEAST_MARKS])
+    more = f" and {len(places) - LEAST_MARKS} places more" if len(places) > LEAST_MARKS else ""
+    return f"; no whole mark is seen at {told} px{more}, where the layout has one" if places else ""
 
 
 def _unfit_result(result: CameraResult, option: Hypothesis, to: Limits) -> tuple[str, str]:
@@ -193,7 +205,7 @@ def _looked_up(
 ) -> tuple[MarkSeen, ...]:
     """Every mark that belongs into the frame: as seen, or looked for where it must be."""
     expected, known = apply(matrix, marks_mm), {int(k): int(n) for k, n in option.pairs}
-    usual = float(np.median(seen.score)) if len(seen.score) else 1.0
+    least = least_score(seen.score)
     marks = []
     due = np.flatnonzero(inside(head, expected, kind.margin_px))
     for k in sorted({*due.tolist(), *known}):
@@ -203,7 +215,7 @@ def _looked_up(
         mark = locate_mark(seen.grey, expected[k], kind)
         if isinstance(mark, Failure):
             marks.append(MarkSeen(k, expected[k], note=f"not seen ({mark.reason})"))
-        elif mark.light != kind.light or mark.score < usual - ALIKE:
+        elif mark.light != kind.light or mark.score < least:
             marks.append(MarkSeen(k, expected[k], note=f"unlike the others (correlation {mark.score:.2f})"))
         elif np.hypot(*(mark.px - expected[k])) > 0.25 * kind.size_px:
             marks.append(MarkSeen(k, expected[k], note="not where it must be"))

@@ -21,8 +21,10 @@ _COARSE_PX = 10.0
 _MOST = 400
 _STEEPEST = 200
 """Pixels on edges that tell the blur."""
-ALIKE = 0.08
-"""A mark that is less like the artwork than the others of its frame by so much is covered or damaged."""
+_ALIKE = (0.02, 0.08)
+_ALIKE_FACTOR = 3.0
+"""A mark that is less like the artwork than the others of its frame is covered or damaged: by three times what those
+lack to a correlation of 1, within these limits. In even light whole marks differ by half of that lack."""
 
 
 @dataclass(frozen=True)
@@ -133,14 +135,18 @@ def _blur_of_picture(patch: NDArray[np.uint8], contrast: float) -> float:
     return float(np.sqrt(max((contrast / (steepest * np.sqrt(2 * np.pi))) ** 2 - 1.3, 0.0)))
 
 
+def least_score(scores: Floats) -> float:
+    """How like the artwork a mark must be where the others of its frame are so."""
+    usual = float(np.median(scores)) if len(scores) else 1.0
+    return usual - float(np.clip(_ALIKE_FACTOR * (1 - usual), *_ALIKE))
+
+
 def _alike(marks: list[Mark]) -> tuple[list[Mark], tuple[tuple[tuple[float, float], str], ...]]:
     """Marks as alike the artwork as the rest of the frame, and the others with the reason."""
     if len(marks) < 3:
         return marks, ()
-    usual = float(np.median([m.score for m in marks]))
-    kept = [m for m in marks if m.score >= usual - ALIKE]
-    why = f"is less like the artwork than the others (correlation below {usual - ALIKE:.2f}): covered or damaged"
-    doubtful = tuple(
-        ((float(m.px[0]), float(m.px[1])), f"{why}, with {m.score:.2f}") for m in marks if m.score < usual - ALIKE
-    )
+    least = least_score(np.array([m.score for m in marks]))
+    kept = [m for m in marks if m.score >= least]
+    why = f"is less like the artwork than the others (correlation below {least:.2f}): covered or damaged"
+    doubtful = tuple(((float(m.px[0]), float(m.px[1])), f"{why}, with {m.score:.2f}") for m in marks if m.score < least)
     return kept, doubtful
