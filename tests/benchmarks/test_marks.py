@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 
 from vaoi_station.benchmarks.marks import Curve, MarkFigures, _curve, _rows
 from vaoi_station.benchmarks.painted import bound_px, film, paint
-from vaoi_station.benchmarks.s_curve import draw
 from vaoi_station.marks.artwork import Shape
 
 SHAPES: list[Shape] = ["circle", "cross", "square", "diamond"]
@@ -58,7 +58,7 @@ def test_the_table_and_the_drawing_show_every_kind() -> None:
     document: dict[str, Any] = figures.document()
     assert document["rows"][0]["condition"] == "clean"
     told = Curve("square", 16.0, (-0.5, 0.0, 0.5), (0.001, math.nan, -0.001), (None, 0.5, -0.5))
-    drawn = draw([*figures.curves, told])
+    drawn = replace(figures, curves=(*figures.curves, told)).plot()
     assert drawn.startswith("<svg xmlns=")
     assert drawn.count("<polyline") == 6
     assert "nan" not in drawn

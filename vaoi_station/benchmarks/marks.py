@@ -14,6 +14,7 @@ import numpy as np
 
 from vaoi_station.benchmarks.frames import Material, of_twin
 from vaoi_station.benchmarks.painted import CONDITIONS, Condition, bound_px, film, paint
+from vaoi_station.benchmarks.s_curve import Panel, draw
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, locate
@@ -51,6 +52,9 @@ class Row:
     """CPU time per mark in its predicted area, median."""
 
 
+_NAMES = {"circle": "disc"}
+
+
 @dataclass(frozen=True)
 class Curve:
     """Error along x over the fraction of a pixel, px; light marks of one size, clean."""
@@ -76,6 +80,13 @@ class MarkFigures:
         """For JSON."""
         return asdict(self)
 
+    def plot(self) -> str:
+        """The curves as SVG."""
+        panels = [Panel(_NAMES.get(c.shape, c.shape), c.fraction, c.error_px, c.paper_px) for c in self.curves]
+        size = self.curves[0].size_px if self.curves else 0.0
+        head = f"error along x, px, over the fraction of a pixel; light marks of {size:g} px, clean"
+        return draw(panels, head, ("fitted", "paper's way"))
+
     def lines(self) -> Iterator[str]:
         """A table of Markdown: sizes go down, conditions across."""
         yield "| mark | size, px | " + " | ".join(f"{c}: rms / largest (paper)" for c in CONDITIONS) + " | bound | ms |"
@@ -85,7 +96,7 @@ class MarkFigures:
             rows = {r.condition: r for r in self.rows if (r.shape, r.light, r.size_px) == (shape, light, size)}
             cells = " | ".join(_cell(rows[c]) for c in CONDITIONS)
             ms = statistics.median(r.ms for r in rows.values())
-            kind = f"{'light' if light else 'dark'} {'disc' if shape == 'circle' else shape}"
+            kind = f"{'light' if light else 'dark'} {_NAMES.get(shape, shape)}"
             yield f"| {kind} | {size:g} | {cells} | {rows['noise'].bound_px:.4f} | {ms:.2f} |"
 
 

@@ -16,8 +16,10 @@ def bench(
     case: Annotated[Path | None, typer.Option(help="Recording to measure on; by default a board of the twin.")] = None,
     repetitions: Annotated[int, typer.Option(min=1, max=100, help="Of each measurement; the median counts.")] = 5,
     marks: Annotated[bool, typer.Option("--marks", help="Measure how well and how fast marks are found.")] = False,
+    links: Annotated[bool, typer.Option("--links", help="Measure how whole pixels pull at links.")] = False,
     plot: Annotated[
-        Path | None, typer.Option(help="With --marks or --consistency: draw what was measured to this SVG file.")
+        Path | None,
+        typer.Option(help="With --marks, --links or --consistency: draw what was measured to this SVG file."),
     ] = None,
     consistency: Annotated[
         int | None, typer.Option(min=1, max=1000, help="Compare predicted and real errors of so many boards.")
@@ -41,19 +43,24 @@ def bench(
 ) -> None:
     """Measure stitching and rendering on frames in memory, one thread, beside the paper's method.
 
-    With --marks, --consistency, --station or --growth the marks, the predicted uncertainty, a whole station, or the
-    growth of cost and memory instead.
+    With --marks, --links, --consistency, --station or --growth the marks, the links, the predicted uncertainty, a
+    whole station, or the growth of cost and memory instead.
     """
     from vaoi_station.files.documents import write_json
 
-    if marks + station + growth + (consistency is not None) > 1:
+    if marks + links + station + growth + (consistency is not None) > 1:
         raise InputError(
-            "--marks, --consistency, --station and --growth are measured one at a time.", action="Give one of them."
+            "--marks, --links, --consistency, --station and --growth are measured one at a time.",
+            action="Give one of them.",
         )
-    if plot is not None and not marks and consistency is None:
-        raise InputError("--plot belongs to --marks or --consistency.", action="Add one of them, or leave it out.")
+    if plot is not None and not marks and not links and consistency is None:
+        raise InputError(
+            "--plot belongs to --marks, --links or --consistency.", action="Add one of them, or leave it out."
+        )
     if marks:
         document = _marks(plot)
+    elif links:
+        document = _links(plot)
     elif consistency is not None:
         document = _consistency(consistency, recordings, plot)
     elif station:
@@ -78,7 +85,6 @@ def _stitching(case: Path | None, repetitions: int) -> dict[str, Any]:
 
 def _marks(plot: Path | None) -> dict[str, Any]:
     from vaoi_station.benchmarks.marks import measure_marks
-    from vaoi_station.benchmarks.s_curve import draw
     from vaoi_station.files.documents import write_bytes
 
     figures = measure_marks()
@@ -86,7 +92,19 @@ def _marks(plot: Path | None) -> dict[str, Any]:
         typer.echo(line)
     typer.echo(f"whole frame ({figures.material}): {figures.whole_frame_ms} ms")
     if plot is not None:
-        write_bytes(plot, draw(figures.curves).encode())
+        write_bytes(plot, figures.plot().encode())
+    return figures.document()
+
+
+def _links(plot: Path | None) -> dict[str, Any]:
+    from vaoi_station.benchmarks.pull import measure_pull
+    from vaoi_station.files.documents import write_bytes
+
+    figures = measure_pull()
+    for line in figures.lines():
+        typer.echo(line)
+    if plot is not None:
+        write_bytes(plot, figures.plot().encode())
     return figures.document()
 
 
