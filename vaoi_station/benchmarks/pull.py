@@ -2,7 +2,7 @@
 
 On a conveyor the fraction is the same all over an image, so this bias does not average out over the links of a pair of
 frames, and a chain of rows adds it up (S-curve, as digital image correlation calls it). Pictures are sums of sinusoids,
-rendered exactly at any shift, rounded to whole grey levels, with noise; plain Lucas-Kanade of OpenCV is measured beside.
+rendered exactly at any shift, rounded to whole grey levels, with noise; OpenCV's plain Lucas-Kanade is measured too.
 """
 
 from __future__ import annotations
