@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -32,6 +33,7 @@ from vaoi_station.stitching.verdict import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
 """Prepared frames a desk remembers: the row being done, the two before it, and a few."""
+_KEPT_STRIPS = 1024
 _WIDE_PX = 110.0
 """Rows j and j + 2 are linked where they still share a strip so wide: three patches. A narrower one, in which a patch
 and its margin fit once, costs as much as any pair of frames and makes positions surer by 3 to 8 per cent only."""
@@ -162,7 +164,7 @@ def _tasks_of(key: FrameKey, times_s: Mapping[int, float], setup: Setup) -> list
             _link((camera, p), (camera, q), times_s)
             for p, q in ((row - 1, row), (row, row + 1), (row - 2, row), (row, row + 2))
             if p in times_s and q in times_s
-            if q - p == 1 or _strip_px(setup, camera, times_s[q] - times_s[p]) >= _WIDE_PX
+            if q - p == 1 or _strip_px(setup.cameras[camera], setup.conveyor_mm_s, _dt_s(p, q, times_s)) >= _WIDE_PX
         ]
         lefts = [left for left in (camera - 1, camera) if 0 <= left < len(setup.cameras) - 1]
         tasks += [Task("neighbours", (left, row), (left + 1, row)) for left in lefts]
@@ -173,11 +175,11 @@ def _tasks_of(key: FrameKey, times_s: Mapping[int, float], setup: Setup) -> list
     return tasks
 
 
-def _strip_px(setup: Setup, number: int, dt_s: float) -> float:
+@lru_cache(maxsize=_KEPT_STRIPS)
+def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -> float:
     """The shorter side of what two frames of a camera share, by the belt's nominal motion; ≤ 0: nothing."""
-    camera = setup.cameras[number]
     middle = np.asarray(camera.center_px)
-    moved = camera.image_from_row(camera.row_from_image(middle) + np.asarray(setup.conveyor_mm_s) * dt_s)
+    moved = camera.image_from_row(camera.row_from_image(middle) + np.asarray(velocity_mm_s) * dt_s)
     return float((np.array([camera.width_px, camera.height_px]) - np.abs(moved - middle)).min())
 
 
@@ -200,4 +202,9 @@ def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: Setup) 
 
 
 def _link(a: FrameKey, b: FrameKey, times_s: Mapping[int, float]) -> Task:
-    return Task("rows", a, b, round(times_s[b[1]] - times_s[a[1]], 6))
+    return Task("rows", a, b, _dt_s(a[1], b[1], times_s))
+
+
+def _dt_s(p: int, q: int, times_s: Mapping[int, float]) -> float:
+    """From one row to another, to a microsecond."""
+    return round(times_s[q] - times_s[p], 6)
