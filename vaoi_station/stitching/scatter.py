@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
 
@@ -20,14 +18,13 @@ def excess(residual: Floats, noise: Floats, low: float, high: float) -> float:
 
     It lies between `low` and `high`, all in one unit. Half of the measurements may be wild.
     """
-    chi2 = np.empty(len(residual))
     for _ in range(_HALVINGS):
-        middle = math.sqrt(low * high)
+        middle, above = math.sqrt(low * high), 0
         for n in range(len(residual)):
             x, y = residual[n, 0], residual[n, 1]
             a, b, d = noise[n, 0, 0] + middle * middle, noise[n, 0, 1], noise[n, 1, 1] + middle * middle
-            chi2[n] = (d * x * x - 2 * b * x * y + a * y * y) / (a * d - b * b)
-        if np.median(chi2) > _MEDIAN:
+            above += (d * x * x - 2 * b * x * y + a * y * y) / (a * d - b * b) > _MEDIAN
+        if 2 * above > len(residual):
             low = middle
         else:
             high = middle
