@@ -1,0 +1,35 @@
+/* Pins and clocks of the ATmega328P, with the names of an Arduino Nano beside them.
+ *
+ * PB0 D8   in   light barrier, high = interrupted (input capture; pulled by the receiver's output, not here)
+ * PB1 D9   out  camera trigger, OC1A
+ * PB2 D10  out  LED gate, OC1B; pull-down outside, for the time of a reset
+ * PD2 D2   in   encoder A (INT0)           PD3 D3  in   encoder B (INT1)
+ * PD4..PD7 D4..D7  out  LED channels 0 to 3; a LED is lit while its channel and the gate are both high
+ * PD0 RX, PD1 TX   serial line, 250 000 baud, which 16 MHz gives exactly
+ *
+ * Port B is written nowhere but in outputs.c, and only with zeros: its other pins are the timer's.
+ */
+#ifndef BOARD_H
+#define BOARD_H
+
+#include <avr/io.h>
+
+#if F_CPU != 16000000UL
+#error "ticks are 0.5 us at 16 MHz"
+#endif
+
+#define BARRIER_PIN (1 << PB0)
+#define TRIGGER_PIN (1 << PB1)
+#define GATE_PIN (1 << PB2)
+#define CHANNEL_SHIFT PD4
+#define CHANNEL_PINS (0xF << CHANNEL_SHIFT)
+#define ENCODER_A (1 << PD2)
+#define ENCODER_B (1 << PD3)
+#define SERIAL_RX (1 << PD0)
+
+#define BAUD_DIVIDER (F_CPU / 16 / 250000UL - 1)
+
+/* Timer 2 interrupts every 64 us: the guard's clock, and what wakes the main loop. */
+#define GUARD_TICK_US 64
+
+#endif

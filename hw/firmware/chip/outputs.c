@@ -1,0 +1,157 @@
+/* Edges are made by the compare units, so no interrupt latency moves them: "set on match" is chosen while the
+ * pin is low, "clear on match" while it is high, and after the falling edge the pin is given back to the port,
+ * which holds zero. In this order simavr 1.6 and 1.7, which know only the compare outputs of PWM modes, agree with
+ * the chip.
+ *
+ * The compare interrupts are always on and ask whether their moment has really come. So no flag has to be
+ * cleared by hand: simavr forgets all flags of a timer when one is cleared.
+ */
+#include "outputs.h"
+
+#include <avr/interrupt.h>
+#include <util/atomic.h>
+
+#include "board.h"
+#include "hardware.h"
+#include "timebase.h"
+
+#define A_SET ((1 << COM1A1) | (1 << COM1A0))
+#define A_CLEAR (1 << COM1A1)
+#define B_SET ((1 << COM1B1) | (1 << COM1B0))
+#define B_CLEAR (1 << COM1B1)
+
+/* A match is seen one count later. */
+#define MATCH_AT(count) ((uint16_t)((count) - 1))
+/* Nearer than this the match could be missed while it is being written. */
+#define NEAREST US(20)
+
+enum phase { LOW, RISING, HIGH };
+
+static volatile uint8_t trigger_phase, gate_phase;
+static volatile uint8_t waiting;     /* a pulse has been started and not been told as done */
+static volatile uint8_t cut;         /* by the guard */
+static volatile uint8_t guard_left;  /* periods of Timer 2 until the LEDs go out whatever happens */
+static volatile uint8_t guard_count;
+static uint16_t trigger_width, gate_width;
+
+static uint8_t has_come(uint16_t match) { return (int16_t)(TCNT1 - match) > 0; }
+
+static void all_low(void)
+{
+    TCCR1A = 0;
+    PORTB &= (uint8_t)~(TRIGGER_PIN | GATE_PIN);
+    PORTD &= (uint8_t)~CHANNEL_PINS;
+    trigger_phase = gate_phase = LOW;
+    guard_left = 0;
+}
+
+ISR(TIMER1_COMPA_vect)
+{
+    if (!has_come(OCR1A)) return;
+    if (trigger_phase == RISING) {
+        TCCR1A = (TCCR1A & (uint8_t)~A_SET) | A_CLEAR;
+        OCR1A += trigger_width;
+        trigger_phase = HIGH;
+    } else if (trigger_phase == HIGH) {
+        TCCR1A &= (uint8_t)~A_SET;
+        trigger_phase = LOW;
+    }
+}
+
+ISR(TIMER1_COMPB_vect)
+{
+    if (!has_come(OCR1B)) return;
+    if (gate_phase == RISING) {
+        TCCR1A = (TCCR1A & (uint8_t)~B_SET) | B_CLEAR;
+        OCR1B += gate_width;
+        gate_phase = HIGH;
+    } else if (gate_phase == HIGH) {
+        TCCR1A &= (uint8_t)~B_SET;
+        PORTD &= (uint8_t)~CHANNEL_PINS;
+        gate_phase = LOW;
+        guard_left = 0;
+    }
+}
+
+/* A clock of its own and a count that was fixed before the pulse: it needs nothing of what it guards. */
+ISR(TIMER2_COMPA_vect)
+{
+    guard_count++;
+    if (guard_left && --guard_left == 0) {
+        all_low();
+        cut = 1;
+    }
+}
+
+void outputs_start(void)
+{
+    all_low(); /* low before they are outputs */
+    DDRB |= TRIGGER_PIN | GATE_PIN;
+    DDRD |= CHANNEL_PINS;
+    TIMSK1 |= (1 << OCIE1A) | (1 << OCIE1B);
+    OCR2A = F_CPU / 1000000UL * GUARD_TICK_US / 64 - 1;
+    TCCR2A = 1 << WGM21; /* from 0 to OCR2A, again and again */
+    TIMSK2 = 1 << OCIE2A;
+    TCCR2B = 1 << CS22; /* clk/64 */
+}
+
+uint8_t guard_ticks(void) { return guard_count; }
+
+uint8_t pulse_start(ticks_t due, uint16_t trigger, const struct step *light)
+{
+    uint8_t taken = 0;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        uint16_t ahead = (uint16_t)((uint16_t)due - TCNT1);
+        if (!waiting && ahead >= NEAREST && ahead < 0x4000) {
+            trigger_width = trigger;
+            gate_width = light->width;
+            OCR1A = OCR1B = MATCH_AT((uint16_t)due);
+            TCCR1A = light->channels ? A_SET | B_SET : A_SET;
+            trigger_phase = RISING;
+            waiting = 1;
+            cut = 0;
+            if (light->channels) {
+                gate_phase = RISING;
+                PORTD = (PORTD & (uint8_t)~CHANNEL_PINS) | (uint8_t)(light->channels << CHANNEL_SHIFT);
+                /* Until the gate has fallen, rounded up, and one more for the phase of Timer 2. */
+                guard_left = (uint8_t)((ahead + light->width) / US(GUARD_TICK_US) + 2);
+            }
+            taken = 1;
+        }
+    }
+    return taken;
+}
+
+uint8_t pulse_look(void)
+{
+    uint8_t pulse = PULSE_NONE;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (cut) pulse = PULSE_CUT;
+        else if (trigger_phase == RISING) pulse = PULSE_WAITING;
+        else if (trigger_phase != LOW || gate_phase != LOW) pulse = PULSE_HIGH;
+        else if (waiting) pulse = PULSE_DONE;
+        if (pulse == PULSE_CUT || pulse == PULSE_DONE) cut = waiting = 0;
+    }
+    return pulse;
+}
+
+uint8_t pulse_cancel(void)
+{
+    uint8_t cancelled = 0;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (trigger_phase == RISING && !has_come(OCR1A)) {
+            all_low();
+            waiting = 0;
+            cancelled = 1;
+        }
+    }
+    return cancelled;
+}
+
+void outputs_off(void)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        all_low();
+        waiting = cut = 0;
+    }
+}

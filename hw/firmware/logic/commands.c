@@ -1,0 +1,142 @@
+#include "commands.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "hardware.h"
+#include "version.h"
+
+static void put(struct reply *reply, const void *payload, uint8_t size)
+{
+    memcpy(reply->payload, payload, size);
+    reply->size = size;
+}
+
+static void refuse(struct reply *reply, uint8_t request, struct refusal why)
+{
+    struct nak_reply nak = {request, why.reason, why.field, 0, why.limit};
+    reply->type = MSG_NAK;
+    put(reply, &nak, sizeof nak);
+}
+
+static void tell_ident(const struct controller *c, struct reply *reply)
+{
+    struct ident ident = {
+        .major = PROTOCOL_MAJOR, .minor = PROTOCOL_MINOR,
+        .firmware = {FIRMWARE_MAJOR, FIRMWARE_MINOR, FIRMWARE_PATCH},
+        .channels = LED_CHANNELS, .program_steps = PROGRAM_STEPS,
+        .reset_cause = c->reset_cause, .boots = c->boots, .unit = c->unit,
+        .build = FIRMWARE_BUILD, .board = "m328p16",
+        .tick_ns = 1000 / TICKS_PER_US, .led_shortest = LED_SHORTEST, .led_longest = LED_LONGEST,
+        .led_bucket = LED_BUCKET, .led_duty_shift = LED_DUTY_SHIFT, .heartbeat_s = HEARTBEAT / MS(1000),
+    };
+    put(reply, &ident, sizeof ident);
+}
+
+static void tell_status(const struct controller *c, uint16_t bad, ticks_t now, struct reply *reply)
+{
+    struct status status = {
+        .state = c->state, .fault = c->fault, .reset_cause = c->reset_cause, .blocked = c->barrier.raw,
+        .run = c->run, .row = c->passage.row, .tick = now, .boots = c->boots,
+        .config_crc = c->configuration.crc,
+        .events_next = c->events.next, .events_first = events_first(&c->events),
+        .position = (uint32_t)encoder_position(),
+        .events_lost = c->events.lost, .bad_frames = bad, .unknown = c->unknown, .replies_lost = c->replies_lost,
+        .bytes_lost = c->bytes_lost, .edges_lost = c->edges_lost,
+    };
+    put(reply, &status, sizeof status);
+}
+
+static struct refusal set_step(struct controller *c, const struct step_request *request)
+{
+    if (request->index >= PROGRAM_STEPS) return (struct refusal){NAK_RANGE, request->index, PROGRAM_STEPS - 1};
+    c->configuration.staged.steps[request->index] = request->step;
+    return (struct refusal){NAK_NONE, 0, 0};
+}
+
+static struct refusal commit(struct controller *c, uint32_t crc)
+{
+    if (c->state == STATE_ARMED || c->state == STATE_RUNNING) return (struct refusal){NAK_STATE, 0, c->state};
+    return config_commit(&c->configuration, crc);
+}
+
+static struct refusal arm(struct controller *c, const struct arm_request *request, ticks_t now)
+{
+    uint8_t armed = c->state == STATE_ARMED || c->state == STATE_RUNNING;
+    if (armed && c->run == request->run && c->configuration.crc == request->config_crc)
+        return (struct refusal){NAK_NONE, 0, 0};
+    if (c->state != STATE_IDLE || c->shot.under_way) return (struct refusal){NAK_STATE, 0, c->state};
+    if (!c->configuration.crc) return (struct refusal){NAK_UNCONFIGURED, 0, 0};
+    if (c->configuration.crc != request->config_crc)
+        return (struct refusal){NAK_CHECKSUM, 0, c->configuration.crc};
+    controller_arm(c, request->run, now);
+    return (struct refusal){NAK_NONE, 0, 0};
+}
+
+static struct refusal read_event(const struct controller *c, uint32_t number, struct reply *reply)
+{
+    const struct event *event = event_read(&c->events, number);
+    if (!event) return (struct refusal){NAK_GONE, 0, events_first(&c->events)};
+    put(reply, event, sizeof *event);
+    return (struct refusal){NAK_NONE, 0, 0};
+}
+
+static int8_t payload_size(uint8_t type)
+{
+    switch (type) {
+    case MSG_IDENT: case MSG_STATUS: case MSG_BEAT: case MSG_DISARM: case MSG_SAFE: return 0;
+    case MSG_CLOCK: case MSG_COMMIT: case MSG_READ_EVENT: case MSG_ACK_EVENTS: return 4;
+    case MSG_TIMING: return sizeof(struct timing);
+    case MSG_STEP: return sizeof(struct step_request);
+    case MSG_ARM: return sizeof(struct arm_request);
+    case MSG_FIRE_ONE: return sizeof(struct fire_request);
+    default: return -1;
+    }
+}
+
+void answer(struct controller *c, const struct receiver *message, ticks_t now, struct reply *reply)
+{
+    const uint8_t type = message_type(message);
+    const int8_t size = payload_size(type);
+    union { /* payloads need not be aligned where they lie */
+        uint32_t number;
+        struct timing timing;
+        struct step_request step;
+        struct arm_request arm;
+        struct fire_request fire;
+    } request;
+    struct refusal why = {NAK_NONE, 0, 0};
+
+    reply->type = type | MSG_REPLY;
+    reply->size = 0;
+    if (size < 0) {
+        c->unknown++;
+        why.reason = NAK_UNKNOWN;
+    } else if (message->payload_size != size) {
+        why = (struct refusal){NAK_LENGTH, 0, (uint32_t)size};
+    }
+    if (why.reason) {
+        refuse(reply, type, why);
+        return;
+    }
+    memcpy(&request, message_payload(message), (size_t)size);
+    switch (type) {
+    case MSG_IDENT: tell_ident(c, reply); break;
+    case MSG_BEAT: c->beat = now; /* fall through */
+    case MSG_STATUS: tell_status(c, message->bad, now, reply); break;
+    case MSG_CLOCK: put(reply, &(struct clock_reply){request.number, now}, sizeof(struct clock_reply)); break;
+    case MSG_TIMING: c->configuration.staged.timing = request.timing; break;
+    case MSG_STEP: why = set_step(c, &request.step); break;
+    case MSG_COMMIT:
+        why = commit(c, request.number);
+        put(reply, &c->configuration.crc, 4);
+        break;
+    case MSG_ARM: why = arm(c, &request.arm, now); break;
+    case MSG_DISARM: controller_disarm(c, now); break;
+    case MSG_FIRE_ONE: why = controller_fire(c, &request.fire, now); break;
+    case MSG_SAFE: controller_safe(c, FAULT_COMMANDED, now); break;
+    case MSG_READ_EVENT: why = read_event(c, request.number, reply); break;
+    case MSG_ACK_EVENTS: events_acknowledge(&c->events, request.number); break;
+    }
+    if (why.reason) refuse(reply, type, why);
+}

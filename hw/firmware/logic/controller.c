@@ -1,0 +1,223 @@
+#include "controller.h"
+
+#include <string.h>
+
+#include "hardware.h"
+
+static const struct timing *timing(const struct controller *c) { return &c->configuration.active.timing; }
+static uint8_t by_distance(const struct controller *c) { return timing(c)->pacing == PACING_DISTANCE; }
+
+static void report(struct controller *c, ticks_t tick, uint8_t kind, uint8_t detail, uint16_t index, uint32_t value)
+{
+    event_add(&c->events, tick, kind, detail, index, value);
+}
+
+/* The pulse has come, or its edge has: either way the cameras were triggered. */
+static void report_pulse(struct controller *c)
+{
+    c->shot.under_way = 0;
+    report(c, c->shot.due, EVENT_PULSE, c->shot.light.channels, c->shot.row, c->shot.light.width);
+    if (c->shot.row != ROW_NONE) c->passage.fired++;
+}
+
+static void end_run(struct controller *c, uint8_t why, ticks_t now)
+{
+    if (c->shot.under_way) {
+        if (pulse_cancel()) c->shot.under_way = 0;
+        else report_pulse(c);
+    }
+    report(c, now, EVENT_RUN_END, why, c->passage.fired, c->passage.suppressed);
+    c->state = STATE_ARMED;
+}
+
+/* The next row: by time from the row before, so that no error adds up beyond the crystal's. */
+static void next_row(struct controller *c)
+{
+    c->passage.row++;
+    if (by_distance(c)) {
+        c->passage.place += (int32_t)timing(c)->period;
+        encoder_watch(c->passage.place);
+    } else {
+        c->passage.due += timing(c)->period;
+    }
+}
+
+static void suppress(struct controller *c, ticks_t due, uint8_t why, uint32_t value)
+{
+    report(c, due, EVENT_SUPPRESSED, why, c->passage.row, value);
+    c->passage.suppressed++;
+    next_row(c);
+}
+
+static void start_run(struct controller *c, const struct edge *edge)
+{
+    memset(&c->passage, 0, sizeof c->passage);
+    c->state = STATE_RUNNING;
+    c->passage.due = edge->tick + timing(c)->start_delay;
+    c->passage.place = edge->position + (int32_t)timing(c)->start_delay;
+    if (by_distance(c)) encoder_watch(c->passage.place);
+}
+
+static void board_comes(struct controller *c, const struct edge *edge)
+{
+    if (c->state == STATE_RUNNING) { /* a cut-out of the board: the same run goes on */
+        c->passage.left = 0;
+        return;
+    }
+    if (c->state != STATE_ARMED) return;
+    uint32_t gap = edge->tick - c->last_clear;
+    if (c->clear_known && gap < timing(c)->min_gap) {
+        report(c, edge->tick, EVENT_SUPPRESSED, SUPPRESSED_GAP, ROW_NONE, gap);
+        return;
+    }
+    report(c, edge->tick, EVENT_BARRIER, 1, c->run, (uint32_t)edge->position);
+    start_run(c, edge);
+}
+
+static void board_leaves(struct controller *c, const struct edge *edge)
+{
+    c->last_clear = edge->tick;
+    c->clear_known = 1;
+    if (c->state != STATE_RUNNING) return;
+    c->passage.left = 1;
+    c->passage.clear = *edge;
+    report(c, edge->tick, EVENT_BARRIER, 0, c->run, (uint32_t)edge->position);
+}
+
+static void watch_barrier(struct controller *c, ticks_t now)
+{
+    if (!barrier_poll(&c->barrier, now, timing(c)->debounce)) return;
+    if (c->barrier.sure) board_comes(c, &c->barrier.edge);
+    else board_leaves(c, &c->barrier.edge);
+}
+
+void controller_edge(struct controller *c, const struct edge *edge)
+{
+    watch_barrier(c, edge->tick); /* the edge before may have lasted long enough, unnoticed so far */
+    ticks_t began = c->barrier.edge.tick;
+    uint32_t bounce = barrier_edge(&c->barrier, edge);
+    if (bounce && (c->state == STATE_ARMED || c->state == STATE_RUNNING))
+        report(c, began, EVENT_SUPPRESSED, SUPPRESSED_BOUNCE, ROW_NONE, bounce);
+}
+
+static uint8_t run_is_over(const struct controller *c)
+{
+    const struct passage *p = &c->passage;
+    if (p->row >= timing(c)->max_rows) return END_MAX_ROWS;
+    if (!p->left) return 0;
+    int32_t beyond = by_distance(c) ? p->place - p->clear.position - (int32_t)timing(c)->tail
+                                    : ticks_since(p->due, p->clear.tick + timing(c)->tail);
+    return beyond > 0 ? END_CLEAR : 0;
+}
+
+static uint8_t shoot(struct controller *c, ticks_t due, uint16_t trigger_width, const struct step *light, uint16_t row)
+{
+    if (!pulse_start(due, trigger_width, light)) return 0;
+    c->shot = (struct shot){1, row, due, *light};
+    return 1;
+}
+
+static void prepare_row(struct controller *c, ticks_t due, ticks_t now)
+{
+    struct passage *p = &c->passage;
+    const struct step *light = &c->configuration.active.steps[p->row % timing(c)->steps];
+    if (ticks_since(due, now) < (int32_t)TOO_LATE) {
+        suppress(c, due, SUPPRESSED_LATE, 0);
+        return;
+    }
+    uint8_t hot = budget_take(&c->budget, now, light);
+    if (hot != CHANNEL_NONE) suppress(c, due, SUPPRESSED_LED_BUDGET, hot);
+    else if (!shoot(c, due, timing(c)->trigger_width, light, p->row)) suppress(c, due, SUPPRESSED_LATE, 0);
+    else {
+        p->last_due = due;
+        next_row(c);
+    }
+}
+
+static void pace_by_distance(struct controller *c, ticks_t now)
+{
+    ticks_t reached;
+    if (!encoder_reached(&reached)) return;
+    ticks_t due = reached + ENCODER_LATENCY;
+    uint32_t interval = due - c->passage.last_due;
+    if (c->passage.fired && interval < timing(c)->min_period) suppress(c, due, SUPPRESSED_TOO_FAST, interval);
+    else prepare_row(c, due, now);
+}
+
+static void go_on(struct controller *c, ticks_t now)
+{
+    uint8_t over = run_is_over(c);
+    if (over) end_run(c, over, now);
+    else if (by_distance(c)) pace_by_distance(c, now);
+    else if (ticks_since(c->passage.due, now) <= (int32_t)PREPARE) prepare_row(c, c->passage.due, now);
+}
+
+static void watch_pulse(struct controller *c, ticks_t now)
+{
+    uint8_t pulse = pulse_look();
+    if (pulse == PULSE_CUT) controller_safe(c, FAULT_GUARD, now);
+    else if (pulse == PULSE_DONE && c->shot.under_way) report_pulse(c);
+}
+
+void controller_poll(struct controller *c, ticks_t now)
+{
+    budget_fill(&c->budget, now);
+    watch_pulse(c, now);
+    watch_barrier(c, now);
+    uint8_t needs_host = c->state == STATE_ARMED || c->state == STATE_RUNNING;
+    if (needs_host && ticks_since(now, c->beat) > (int32_t)HEARTBEAT) controller_safe(c, FAULT_HEARTBEAT, now);
+    if (c->state == STATE_RUNNING && !c->shot.under_way) go_on(c, now);
+}
+
+void controller_start(struct controller *c, ticks_t now, uint8_t blocked, uint32_t boots, uint8_t reset_cause)
+{
+    memset(c, 0, sizeof *c);
+    c->boots = boots;
+    c->reset_cause = reset_cause;
+    c->budget.filled = now;
+    c->barrier.raw = c->barrier.sure = blocked;
+    report(c, now, EVENT_BOOT, reset_cause, 0, boots);
+}
+
+void controller_arm(struct controller *c, uint16_t run, ticks_t now)
+{
+    c->run = run;
+    c->beat = now;
+    c->state = STATE_ARMED;
+}
+
+void controller_disarm(struct controller *c, ticks_t now)
+{
+    if (c->state == STATE_RUNNING) end_run(c, END_DISARMED, now);
+    c->state = STATE_IDLE;
+    c->fault = FAULT_NONE;
+}
+
+void controller_safe(struct controller *c, uint8_t fault, ticks_t now)
+{
+    if (c->state == STATE_RUNNING) end_run(c, END_SAFE, now);
+    outputs_off();
+    c->shot.under_way = 0;
+    if (c->state != STATE_SAFE) report(c, now, EVENT_FAULT, fault, 0, 0);
+    c->state = STATE_SAFE;
+    c->fault = fault;
+}
+
+struct refusal controller_fire(struct controller *c, const struct fire_request *request, ticks_t now)
+{
+    if (c->fired_once && c->fire_nonce == request->nonce) return (struct refusal){NAK_NONE, 0, 0};
+    if (c->state == STATE_RUNNING || c->state == STATE_SAFE || c->shot.under_way)
+        return (struct refusal){NAK_STATE, 0, c->state};
+    uint8_t channel = step_refused(&request->step);
+    if (channel != CHANNEL_NONE)
+        return (struct refusal){NAK_LED_LIMIT, channel, channel < LED_CHANNELS ? led_longest[channel] : LED_CHANNELS};
+    if (request->trigger_width < TRIGGER_SHORTEST) return (struct refusal){NAK_RANGE, 0, TRIGGER_SHORTEST};
+    if (request->trigger_width > TRIGGER_LONGEST) return (struct refusal){NAK_RANGE, 0, TRIGGER_LONGEST};
+    channel = budget_take(&c->budget, now, &request->step);
+    if (channel != CHANNEL_NONE) return (struct refusal){NAK_LED_BUDGET, channel, 0};
+    if (!shoot(c, now + PREPARE, request->trigger_width, &request->step, ROW_NONE))
+        return (struct refusal){NAK_STATE, 0, c->state};
+    c->fired_once = 1;
+    c->fire_nonce = request->nonce;
+    return (struct refusal){NAK_NONE, 0, 0};
+}

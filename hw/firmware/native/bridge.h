@@ -1,0 +1,15 @@
+#ifndef BRIDGE_H
+#define BRIDGE_H
+
+#include "commands.h"
+#include "pretend.h"
+
+void bridge_start(ticks_t now);
+void bridge_edge(ticks_t tick, uint8_t blocked);
+void bridge_encoder(int32_t position);
+void bridge_poll(ticks_t now);
+uint32_t bridge_talk(const uint8_t *bytes, uint32_t count, uint8_t *frames, ticks_t now);
+uint16_t bridge_bad_frames(void);
+uint8_t bridge_event(struct event *event);
+
+#endif

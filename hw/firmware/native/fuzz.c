@@ -1,0 +1,141 @@
+/* Frames at random, good, damaged and nonsense, to the whole logic: parser, commands, rules. Run with sanitizers.
+ *
+ *          fuzz FRAMES [SEED]
+ *
+ * Fails if an LED is lit beyond limits.h, or if the controller stops answering.
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "bridge.h"
+
+static uint64_t state;
+
+static uint32_t any(uint32_t below) /* xorshift64*: the same everywhere */
+{
+    state ^= state >> 12;
+    state ^= state << 25;
+    state ^= state >> 27;
+    return (uint32_t)((state * 2685821657736338717ULL) >> 33) % below;
+}
+
+static const struct timing GOOD = {PACING_TIME, 4, 500, MS(10), MS(17), MS(10), MS(16), MS(1), MS(5), US(100)};
+
+/* A payload that makes sense in size, and often in content: nonsense alone never gets past the first check. */
+static uint8_t make_payload(uint8_t type, uint8_t *payload)
+{
+    uint8_t size = any(PAYLOAD_LONGEST + 1);
+    for (uint8_t k = 0; k < size; k++) payload[k] = (uint8_t)any(256);
+    if (any(8) == 0) return size;
+    switch (type) {
+    case MSG_TIMING: {
+        struct timing timing = GOOD;
+        timing.pacing = any(4) == 0;
+        timing.period = any(4) ? MS(5) + any(MS(60)) : any(1000);
+        timing.min_period = MS(5) + any(MS(20));
+        memcpy(payload, &timing, sizeof timing);
+        if (any(4) == 0) payload[any(sizeof timing)] ^= (uint8_t)(1 << any(8));
+        return sizeof timing;
+    }
+    case MSG_STEP: {
+        struct step_request step = {(uint8_t)any(5), {(uint8_t)(1 + any(15)), 0, (uint16_t)(any(6) ? 40 + any(900) : any(2600))}};
+        memcpy(payload, &step, sizeof step);
+        return sizeof step;
+    }
+    case MSG_FIRE_ONE: {
+        struct fire_request fire = {(uint16_t)any(65536), {(uint8_t)(1 + any(16)), 0, (uint16_t)any(2200)}, (uint16_t)any(5000)};
+        memcpy(payload, &fire, sizeof fire);
+        return sizeof fire;
+    }
+    case MSG_CLOCK: case MSG_READ_EVENT: case MSG_ACK_EVENTS: return 4;
+    default: return 0;
+    }
+}
+
+static uint8_t answers[1 << 16];
+static ticks_t now;
+
+static uint32_t say(uint8_t type, const void *payload, uint8_t size, uint8_t damage)
+{
+    uint8_t frame[FRAME_LONGEST + 8];
+    uint8_t count = make_frame(frame, type, (uint8_t)any(256), payload, size);
+    if (damage) frame[any(count)] = (uint8_t)any(256);
+    return bridge_talk(frame, count, answers, now);
+}
+
+static void commit_and_arm(void)
+{
+    struct receiver reply = {0};
+    uint32_t crc = 0;
+    /* The refusal of a wrong checksum names the right one. */
+    for (uint8_t round = 0; round < 2; round++) {
+        uint32_t size = say(MSG_COMMIT, &crc, 4, 0);
+        for (uint32_t k = 0; k < size; k++)
+            if (receive(&reply, answers[k])) {
+                const uint8_t *payload = message_payload(&reply);
+                memcpy(&crc, message_type(&reply) == MSG_NAK ? payload + 4 : payload, 4);
+            }
+    }
+    struct arm_request arm = {(uint16_t)any(65536), crc};
+    say(MSG_ARM, &arm, sizeof arm, 0);
+}
+
+static void speak(void)
+{
+    uint8_t payload[PAYLOAD_LONGEST], noise[80];
+    uint8_t type = any(10) ? 1 + any(13) : (uint8_t)any(256);
+    if ((type == MSG_SAFE || type == MSG_DISARM) && any(5)) type = MSG_CLOCK; /* else nothing would ever run */
+    switch (any(12)) {
+    case 0:
+        for (uint8_t k = 0; k < sizeof noise; k++) noise[k] = (uint8_t)any(256);
+        bridge_talk(noise, 1 + any(sizeof noise), answers, now);
+        break;
+    case 1: commit_and_arm(); break;
+    case 2: say(MSG_BEAT, NULL, 0, 0); break;
+    default: say(type, payload, make_payload(type, payload), any(10) == 0);
+    }
+}
+
+static void pass_time(void)
+{
+    static uint8_t blocked;
+    static int32_t position;
+    for (uint32_t k = any(30); k > 0; k--) {
+        now += any(12) ? US(64) : any(any(50) ? MS(6) : MS(3500));
+        if (any(20) == 0) bridge_edge(now, blocked ^= 1);
+        if (any(3) == 0) bridge_encoder(position += (int32_t)any(40) - 4);
+        bridge_poll(now);
+    }
+}
+
+static void check(uint32_t frame)
+{
+    const char *offence = pretend_offence();
+    struct event event;
+    while (bridge_event(&event)) {}
+    if (!offence) {
+        bridge_talk((const uint8_t[]){0}, 1, answers, now); /* ends what damage left open */
+        if (!say(MSG_STATUS, NULL, 0, 0)) offence = "no answer to STATUS";
+    }
+    if (!offence) return;
+    fprintf(stderr, "frame %u: %s\n", frame, offence);
+    exit(1);
+}
+
+int main(int argc, char **argv)
+{
+    uint32_t frames = argc > 1 ? (uint32_t)strtoul(argv[1], NULL, 10) : 300000, pulses = 0;
+    uint32_t seed = argc > 2 ? (uint32_t)strtoul(argv[2], NULL, 10) : 1;
+    state = 0x9E3779B97F4A7C15ULL ^ seed;
+    bridge_start(now);
+    for (uint32_t k = 0; k < frames; k++) {
+        speak();
+        pass_time();
+        check(k);
+        pulses += pretend_pulses();
+    }
+    printf("%u frames, %u pulses, %u bad frames: no LED beyond its limits, every STATUS answered\n", frames, pulses,
+           bridge_bad_frames());
+    return pulses < frames / 100; /* a fuzzer that lights nothing proves nothing */
+}

@@ -1,0 +1,250 @@
+/* The firmware on an emulated ATmega328P, in simulated time alone: a command says how far to run, and the same
+ * commands always give the same answers, however busy the computer is.
+ *
+ *          emulator FIRMWARE.elf
+ *
+ * stdin, a command per line             stdout
+ *   run CYCLES                            edge CYCLE PIN LEVEL    an output has changed
+ *   send HEX     bytes to the UART        sent CYCLE HEX          bytes of the firmware, CYCLE of the first
+ *   pin PB0 1    now                      reset CYCLE             the chip starts anew, by whatever cause
+ *   at CYCLE PB0 1                        ok CYCLE                the command is done
+ *   encoder COUNTS CYCLES  a step each    crashed CYCLE           it has executed nonsense
+ *   reset power|external
+ *   poke ADDRESS VALUE     into the data memory, in hexadecimal
+ *   hang         the main loop goes round for ever, interrupts live on
+ *   deaf         the same, and no interrupt lives
+ *
+ * Serial bytes take the time simavr gives them, 11 bits each. What is scheduled by `at` and `encoder` is forgotten when
+ * the chip is reset.
+ */
+#include <avr_ioport.h>
+#include <avr_uart.h>
+#include <sim_avr.h>
+#include <sim_elf.h>
+#include <sim_regbit.h>
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define HZ 16000000UL
+#define BYTE_CYCLES 704 /* 11 bits at 250 000 baud, simavr's pace */
+#define TRAP 0x7F00     /* flash far behind the firmware: an instruction that jumps to itself */
+#define ADDRESS_TCCR1A 0x80
+
+struct output { const char *name; uint8_t com_shift; uint8_t level; };
+static struct output outputs[] = {{"PB1", 6, 0}, {"PB2", 4, 0}, {"PD4", 0, 0}, {"PD5", 0, 0}, {"PD6", 0, 0}, {"PD7", 0, 0}};
+static uint8_t inputs[26][8]; /* levels by port letter and bit, to be applied again after a reset */
+
+static avr_t *avr;
+static uint8_t *to_send;
+static size_t to_send_count, to_send_next;
+static char sent[4096];
+static size_t sent_count;
+static avr_cycle_count_t sent_at;
+static long encoder_left;
+static avr_cycle_count_t encoder_every;
+static uint8_t encoder_phase;
+
+static avr_irq_t *pin(const char *name) { return avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(name[1]), name[2] - '0'); }
+
+static void say_sent(void)
+{
+    if (sent_count) printf("sent %llu %.*s\n", (unsigned long long)sent_at, (int)sent_count, sent);
+    sent_count = 0;
+}
+
+/* simavr up to 1.7 gives compare outputs their PWM meaning in every mode: if an overflow falls between a match and the
+ * interrupt that disconnects the pin, it raises a pin that is in "clear" and lowers one that is in "set". No chip
+ * does that, so such an edge has not happened. */
+static int is_artefact(const struct output *output, uint32_t level)
+{
+    if (!output->com_shift) return 0;
+    uint8_t mode = avr->data[ADDRESS_TCCR1A] >> output->com_shift & 3;
+    return (level && mode == 2) || (!level && mode == 3);
+}
+
+static void on_output(avr_irq_t *irq, uint32_t value, void *param)
+{
+    struct output *output = param;
+    uint8_t level = value & 1;
+    (void)irq;
+    if (level == output->level || is_artefact(output, level)) return;
+    output->level = level;
+    printf("edge %llu %s %u\n", (unsigned long long)avr->cycle, output->name, level);
+}
+
+static void on_byte(avr_irq_t *irq, uint32_t value, void *param)
+{
+    (void)irq, (void)param;
+    if (sent_count + 3 > sizeof sent) say_sent();
+    if (!sent_count) sent_at = avr->cycle;
+    sent_count += (size_t)sprintf(sent + sent_count, "%02x", value & 0xFF);
+}
+
+static avr_cycle_count_t feed(avr_t *unused, avr_cycle_count_t when, void *param)
+{
+    (void)unused, (void)param;
+    if (to_send_next == to_send_count) return 0;
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), to_send[to_send_next++]);
+    return when + BYTE_CYCLES;
+}
+
+static void send(const char *hex)
+{
+    size_t more = strlen(hex) / 2;
+    uint8_t *all = malloc(to_send_count - to_send_next + more + 1);
+    if (!all) exit(2);
+    memcpy(all, to_send + to_send_next, to_send_count - to_send_next);
+    to_send_count -= to_send_next;
+    for (size_t k = 0; k < more; k++) {
+        unsigned byte;
+        sscanf(hex + 2 * k, "%2x", &byte);
+        all[to_send_count++] = (uint8_t)byte;
+    }
+    free(to_send);
+    to_send = all;
+    to_send_next = 0;
+    if (!avr_cycle_timer_status(avr, feed, NULL)) avr_cycle_timer_register(avr, BYTE_CYCLES, feed, NULL);
+}
+
+static void set_input(const char *name, uint8_t level)
+{
+    inputs[name[1] - 'A'][name[2] - '0'] = level;
+    avr_raise_irq(pin(name), level);
+}
+
+struct change { char name[4]; uint8_t level; };
+
+static avr_cycle_count_t make_change(avr_t *unused, avr_cycle_count_t when, void *param)
+{
+    struct change *change = param;
+    (void)unused, (void)when;
+    set_input(change->name, change->level);
+    return 0;
+}
+
+static void schedule(avr_cycle_count_t when, const char *name, unsigned level)
+{
+    struct change *change = malloc(sizeof *change);
+    if (!change) exit(2);
+    memcpy(change->name, name, sizeof change->name);
+    change->level = (uint8_t)level;
+    avr_cycle_timer_register(avr, when > avr->cycle ? when - avr->cycle : 1, make_change, change);
+}
+
+static avr_cycle_count_t turn_encoder(avr_t *unused, avr_cycle_count_t when, void *param)
+{
+    static const uint8_t A[4] = {0, 1, 1, 0}, B[4] = {0, 0, 1, 1};
+    (void)unused, (void)param;
+    if (!encoder_left) return 0;
+    encoder_phase = (encoder_phase + (encoder_left > 0 ? 1 : 3)) % 4;
+    encoder_left -= encoder_left > 0 ? 1 : -1;
+    if (inputs['D' - 'A'][2] != A[encoder_phase]) set_input("PD2", A[encoder_phase]);
+    if (inputs['D' - 'A'][3] != B[encoder_phase]) set_input("PD3", B[encoder_phase]);
+    return when + encoder_every;
+}
+
+/* The registers have been cleared, the world outside is as it was. */
+static void after_reset(void)
+{
+    say_sent();
+    printf("reset %llu\n", (unsigned long long)avr->cycle);
+    to_send_next = to_send_count;
+    for (int port = 0; port < 26; port++)
+        for (int bit = 0; bit < 8; bit++)
+            if (inputs[port][bit]) set_input((char[]){'P', (char)('A' + port), (char)('0' + bit), 0}, 1);
+}
+
+static void reset(int power)
+{
+    avr_reset(avr);
+    avr_regbit_set(avr, power ? avr->reset_flags.porf : avr->reset_flags.extrf);
+    after_reset();
+}
+
+static int run(avr_cycle_count_t cycles)
+{
+    avr_cycle_count_t end = avr->cycle + cycles;
+    while (avr->cycle < end) {
+        avr_run_t before = avr->run;
+        int state = avr_run(avr);
+        if (state == cpu_Done || state == cpu_Crashed) return 0;
+        if (avr->run != before && avr->pc == avr->reset_pc) after_reset(); /* simavr swaps it for a watchdog reset */
+    }
+    return 1;
+}
+
+static void hang(int deaf)
+{
+    avr->flash[TRAP] = 0xFF, avr->flash[TRAP + 1] = 0xCF; /* rjmp .-2 */
+    avr->pc = TRAP;
+    avr->state = cpu_Running;
+    if (deaf) avr->sreg[S_I] = 0;
+}
+
+static int obey(const char *line)
+{
+    unsigned long long a = 0, b = 0;
+    char name[4];
+    static char hex[1 << 20];
+    if (sscanf(line, "run %llu", &a) == 1) return run(a);
+    if (sscanf(line, "send %1048575s", hex) == 1) send(hex);
+    else if (sscanf(line, "pin %3s %llu", name, &a) == 2) set_input(name, a != 0);
+    else if (sscanf(line, "at %llu %3s %llu", &a, name, &b) == 3) schedule(a, name, b != 0);
+    else if (sscanf(line, "encoder %ld %llu", &encoder_left, &a) == 2) {
+        encoder_every = a;
+        avr_cycle_timer_register(avr, a, turn_encoder, NULL);
+    } else if (sscanf(line, "poke %llx %llx", &a, &b) == 2) avr->data[a] = (uint8_t)b;
+    else if (!strncmp(line, "reset power", 11)) reset(1);
+    else if (!strncmp(line, "reset external", 14)) reset(0);
+    else if (!strncmp(line, "hang", 4)) hang(0);
+    else if (!strncmp(line, "deaf", 4)) hang(1);
+    else {
+        fprintf(stderr, "unknown command: %s", line);
+        exit(2);
+    }
+    return 1;
+}
+
+static void no_real_sleep(avr_t *unused, avr_cycle_count_t how_long) { (void)unused, (void)how_long; }
+
+static void start(const char *path)
+{
+    elf_firmware_t firmware = {0};
+    uint32_t flags = 0;
+    if (elf_read_firmware(path, &firmware)) {
+        fprintf(stderr, "cannot read %s\n", path);
+        exit(2);
+    }
+    avr = avr_make_mcu_by_name("atmega328p");
+    if (!avr) exit(2);
+    avr_init(avr);
+    avr->log = LOG_NONE;
+    firmware.frequency = HZ;
+    avr_load_firmware(avr, &firmware);
+    avr->sleep = no_real_sleep;
+    avr_ioctl(avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
+    flags &= (uint32_t)~(AVR_UART_FLAG_STDIO | AVR_UART_FLAG_POLL_SLEEP);
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    for (size_t k = 0; k < sizeof outputs / sizeof *outputs; k++)
+        avr_irq_register_notify(pin(outputs[k].name), on_output, &outputs[k]);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
+}
+
+int main(int argc, char **argv)
+{
+    static char line[(1 << 20) + 16];
+    if (argc != 2) {
+        fprintf(stderr, "usage: emulator FIRMWARE.elf\n");
+        return 2;
+    }
+    start(argv[1]);
+    while (fgets(line, sizeof line, stdin)) {
+        int alive = obey(line);
+        say_sent();
+        printf("%s %llu\n", alive ? "ok" : "crashed", (unsigned long long)avr->cycle);
+        fflush(stdout);
+    }
+    return 0;
+}

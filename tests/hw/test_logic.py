@@ -1,0 +1,206 @@
+"""The firmware's rules, built for this computer: the same as the simulated controller's, and safe under a fuzzer."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import subprocess
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.hw.chip import make, need
+from tests.hw.line import TIMING, ms, us
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    ControllerEvent,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
+from vaoi_station.acquisition.controller.protocol.messages import (
+    TICK_S,
+    Event,
+    Kind,
+    Nak,
+    Reason,
+    Request,
+    RunEnd,
+    Step,
+    Timing,
+    Type,
+    arm,
+    config_crc,
+    configuration,
+)
+from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
+
+LIGHT = [Step(1, us(100))]
+RULE = replace(TIMING, steps=1, min_gap=0, min_period=ms(5))
+
+
+def talk(logic: ctypes.CDLL, requests: list[Request], now: int = 0) -> list[Message]:
+    data = b"".join(encode(Message(r.type, k, r.payload)) for k, r in enumerate(requests))
+    replies = ctypes.create_string_buffer(80 * len(requests))
+    size = logic.bridge_talk(data, len(data), replies, ctypes.c_uint32(now))
+    return FrameReader().feed(replies.raw[:size])
+
+
+def firmware_events(logic: ctypes.CDLL, timing: Timing, edges: list[tuple[int, bool]]) -> list[Event]:
+    """All events of a barrier that changes so; the main loop comes round every 64 µs and in the middle of nothing."""
+    logic.bridge_start(0)
+    replies = talk(logic, [*configuration(timing, LIGHT), arm(1, config_crc(timing, LIGHT))])
+    assert all(reply.type != Type.NAK for reply in replies)
+    events: list[Event] = []
+    waiting = list(edges)
+    end = edges[-1][0] + timing.tail + timing.start_delay + timing.max_rows * timing.period + ms(50)
+    struct = ctypes.create_string_buffer(16)
+    for now in range(0, end, us(256)):
+        if now % ms(250) == 0:
+            talk(logic, [Request(Type.BEAT)], now)
+        while waiting and waiting[0][0] <= now:
+            tick, blocked = waiting.pop(0)
+            logic.bridge_edge(ctypes.c_uint32(tick), int(blocked))
+        logic.bridge_poll(ctypes.c_uint32(now))
+        while logic.bridge_event(struct) & 0xFF:
+            events.append(Event.unpack(struct.raw))
+    return events
+
+
+def rule_events(timing: Timing, edges: list[tuple[int, bool]]) -> list[ControllerEvent]:
+    """What the simulated controller makes of the same edges."""
+    plan = TriggerPlan(
+        timing.start_delay * TICK_S,
+        timing.period * TICK_S,
+        timing.tail * TICK_S,
+        timing.max_rows,
+        timing.debounce * TICK_S,
+    )
+    rule = TriggerRule(plan, count())
+    events: list[ControllerEvent] = []
+    for tick, blocked in edges:
+        events += rule.advance(tick * TICK_S)
+        rule.edge(tick * TICK_S, blocked)
+    return events + rule.advance(1e6)
+
+
+@settings(max_examples=40)
+@given(
+    intervals=st.lists(st.integers(us(200), ms(60)), min_size=2, max_size=8),
+    period=st.integers(ms(5), ms(40)),
+    delay=st.integers(ms(6), ms(40)),
+    tail=st.integers(ms(6), ms(40)),
+    max_rows=st.integers(1, 8),
+)
+def test_the_same_rule_as_the_simulated_controller(
+    logic: ctypes.CDLL, intervals: list[int], period: int, delay: int, tail: int, max_rows: int
+) -> None:
+    """Odd times against even limits: nothing is decided by half a tick."""
+    timing = replace(RULE, period=period | 1, start_delay=delay & ~1, tail=tail & ~1, max_rows=max_rows)
+    edges, tick = [], ms(10)
+    for k, interval in enumerate(intervals):
+        edges.append((tick, k % 2 == 0))
+        tick += (interval & ~1) + 2
+    if len(edges) % 2:
+        edges.append((tick, False))
+    theirs = rule_events(timing, edges)
+    ours = firmware_events(logic, timing, edges)
+    pulses = [(e.index, round(e.time_s / TICK_S)) for e in theirs if isinstance(e, PulseFired)]
+    assert [(e.index, e.tick) for e in ours if e.kind == Kind.PULSE] == pulses
+    begun = [round(e.time_s / TICK_S) for e in theirs if isinstance(e, BarrierBlocked)]
+    assert [e.tick for e in ours if e.kind == Kind.BARRIER and e.detail] == begun
+    ends = [
+        (e.pulses, {"clear": RunEnd.CLEAR, "max-rows": RunEnd.MAX_ROWS}[e.reason])
+        for e in theirs
+        if isinstance(e, RunEnded)
+    ]
+    assert [(e.index, e.detail) for e in ours if e.kind == Kind.RUN_END] == ends
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "limit"),
+    [
+        ({"pacing": 2}, 0, 1),
+        ({"steps": 0}, 1, 1),
+        ({"steps": 17}, 1, 16),
+        ({"max_rows": 0}, 2, 1),
+        ({"start_delay": ms(5)}, 3, ms(6)),
+        ({"period": ms(5) - 1}, 4, ms(5)),
+        ({"tail": ms(5)}, 5, ms(6)),
+        ({"min_period": ms(5) - 1}, 6, ms(5)),
+        ({"debounce": ms(1000) + 1}, 7, ms(1000)),
+        ({"trigger_width": us(20) - 1}, 9, us(20)),
+        ({"trigger_width": us(2000) + 1}, 9, us(2000)),
+    ],
+)
+def test_a_timing_that_cannot_be_is_refused_by_field_and_limit(
+    logic: ctypes.CDLL, change: dict[str, int], field: int, limit: int
+) -> None:
+    timing = replace(RULE, **change)
+    logic.bridge_start(0)
+    commit = Request(Type.COMMIT, config_crc(timing, LIGHT).to_bytes(4, "little"))
+    *_, reply = talk(logic, [*configuration(RULE, LIGHT)[:-1], Request(Type.TIMING, timing.pack()), commit])
+    assert Nak.unpack(reply.payload) == Nak(Type.COMMIT, Reason.RANGE, field, limit)
+
+
+@pytest.mark.parametrize(
+    ("step", "limit"),
+    [
+        (Step(1, us(1000) + 1), us(1000)),
+        (Step(0b1001, us(500) + 1), us(500)),
+        (Step(2, us(20) - 1), us(1000)),
+        (Step(16, us(100)), 4),
+        (Step(1, ms(5) // 16 + 1), ms(5) // 16),
+    ],
+)
+def test_light_beyond_the_limits_is_refused(logic: ctypes.CDLL, step: Step, limit: int) -> None:
+    timing = replace(RULE, period=ms(5)) if limit == ms(5) // 16 else replace(RULE, period=ms(20))
+    logic.bridge_start(0)
+    *_, reply = talk(logic, configuration(timing, [step]))
+    assert Nak.unpack(reply.payload) == Nak(Type.COMMIT, Reason.LED_LIMIT, 16, limit)
+
+
+def test_a_configuration_with_another_checksum_is_not_taken_over(logic: ctypes.CDLL) -> None:
+    logic.bridge_start(0)
+    right = config_crc(RULE, LIGHT)
+    *requests, _ = configuration(RULE, LIGHT)
+    wrong = Request(Type.COMMIT, (right ^ 1).to_bytes(4, "little"))
+    *_, reply, refused = talk(logic, [*requests, wrong, arm(1, right)])
+    assert Nak.unpack(reply.payload) == Nak(Type.COMMIT, Reason.CHECKSUM, 0, right)
+    assert Nak.unpack(refused.payload).reason == Reason.UNCONFIGURED
+
+
+def test_unknown_requests_and_wrong_sizes_are_named(logic: ctypes.CDLL) -> None:
+    logic.bridge_start(0)
+    data = encode(Message(0x3F, 1)) + encode(Message(Type.CLOCK, 2, b"123"))
+    replies = ctypes.create_string_buffer(200)
+    size = logic.bridge_talk(data, len(data), replies, 0)
+    unknown, length = FrameReader().feed(replies.raw[:size])
+    assert Nak.unpack(unknown.payload) == Nak(0x3F, Reason.UNKNOWN, 0, 0)
+    assert Nak.unpack(length.payload) == Nak(Type.CLOCK, Reason.LENGTH, 0, 4)
+
+
+def test_the_boot_counter_survives_a_write_that_failed(logic: ctypes.CDLL) -> None:
+    slots = (ctypes.c_uint32 * 4)(0xFFFFFFFF, 0xFFFFFFFF, 0xFFFFFFFF, 0xFFFFFFFF)  # EEPROM as it comes
+    following = (ctypes.c_uint32 * 2)()
+    for boot in range(1, 9):
+        which = logic.boot_next(slots, following) & 0xFF
+        assert following[0] == boot
+        broken = (ctypes.c_uint32 * 4)(*slots)
+        broken[2 * which] = 12345  # power failed before its inverse was written
+        logic.boot_next(broken, (ctypes.c_uint32 * 2).from_buffer(following))
+        assert following[0] == boot
+        slots[2 * which], slots[2 * which + 1] = following
+
+
+def test_300_000_fuzzed_frames_under_the_sanitizers(build: Path) -> None:
+    need(["make", "gcc"])
+    make("fuzz", build)
+    done = subprocess.run([str(build / "fuzz"), "300000"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"300000 frames, \d{4,} pulses", done.stdout), done.stdout

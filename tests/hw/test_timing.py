@@ -1,0 +1,141 @@
+"""The figures of the firmware, in cycles of the emulated chip's clock, from the traces of its pins."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import pytest
+
+from tests.hw.chip import CYCLES_PER_US, Chip
+from tests.hw.line import STEPS, TIMING, Line, ms, us
+from vaoi_station.acquisition.controller.protocol.framing import Message, encode
+from vaoi_station.acquisition.controller.protocol.messages import Kind, RunEnd, Step, Suppressed, Type
+
+CYCLES_PER_TICK = 8
+
+
+def load(milliseconds: int) -> bytes:
+    """Requests that fill both directions of the line for a time; their replies are longer than they are."""
+    questions = b"".join(encode(Message(Type.STATUS, k % 256)) for k in range(8)) + b"noise without an end, sometimes\0"
+    return questions * (milliseconds * 23 // len(questions) + 1)
+
+
+@pytest.mark.parametrize("loaded", [False, True], ids=["quiet", "full serial load"])
+@pytest.mark.parametrize("phase", [0, 3, 5555, 262_139])
+def test_pulses_come_when_they_should(chip: Chip, loaded: bool, phase: int) -> None:
+    line = Line(chip)
+    line.arm()
+    chip.do(f"run {1 + phase}")
+    if loaded:
+        chip.do(f"send {load(400).hex()}")
+    edge, _ = line.passage(330)
+    line.run(200)
+    triggers, gates = chip.rises("PB1"), chip.rises("PB2")
+    assert len(triggers) == 18  # 20, 40, … 360 ms: the last one not later than the tail
+    assert abs(triggers[0] - edge - 20_000 * CYCLES_PER_US) <= 5 * CYCLES_PER_US
+    periods = [b - a for a, b in itertools.pairwise(triggers)]
+    assert max(periods) - min(periods) <= 1 * CYCLES_PER_US
+    assert all(abs(a - b) <= 2 * CYCLES_PER_US for a, b in zip(triggers, gates, strict=True))
+    wanted = [STEPS[k % 3].width * CYCLES_PER_TICK for k in range(18)]
+    assert all(abs(a - b) <= CYCLES_PER_US for a, b in zip(chip.widths("PB2"), wanted, strict=True))
+    assert all(abs(width - 100 * CYCLES_PER_US) <= CYCLES_PER_US for width in chip.widths("PB1"))
+
+
+def test_every_row_has_the_channels_of_its_step(chip: Chip) -> None:
+    line = Line(chip)
+    line.arm()
+    line.passage(150)
+    line.run(100)
+    high: set[str] = set()
+    lit: list[set[str]] = []
+    for _, pin, level in chip.edges:
+        if pin.startswith("PD"):
+            high = high | {pin} if level else high - {pin}
+        elif pin == "PB2" and level:
+            lit.append(set(high))
+    assert lit == [[{"PD4"}, {"PD5", "PD6"}, {"PD7"}][k % 3] for k in range(len(lit))]
+    assert len(lit) == 9
+    assert not high
+
+
+def test_events_tell_what_the_pins_did(chip: Chip) -> None:
+    line = Line(chip)
+    line.arm()
+    edge, clear = line.passage(150)
+    line.run(100)
+    pulses = line.events(Kind.PULSE)
+    start = line.events(Kind.BARRIER)[0].tick  # ties ticks to cycles
+    assert [p.index for p in pulses] == list(range(9))
+    for pulse, cycle in zip(pulses, chip.rises("PB1"), strict=True):
+        assert abs((pulse.tick - start) * CYCLES_PER_TICK - (cycle - edge)) <= CYCLES_PER_US
+    blocked, left = line.events(Kind.BARRIER)
+    assert (blocked.detail, left.detail) == (1, 0)
+    assert abs((left.tick - blocked.tick) * CYCLES_PER_TICK - (clear - edge)) <= CYCLES_PER_US
+    end = line.events(Kind.RUN_END)[0]
+    assert (end.detail, end.index, end.value) == (RunEnd.CLEAR, 9, 0)
+    assert [e.number for e in line.events()] == list(range(len(line.events())))
+
+
+def test_a_stuck_board_ends_at_the_most_rows(chip: Chip) -> None:
+    line = Line(chip)
+    line.arm(replace(TIMING, max_rows=4))
+    line.barrier(True)
+    line.run(300)
+    assert len(chip.rises("PB1")) == 4
+    assert [e.detail for e in line.events(Kind.RUN_END)] == [RunEnd.MAX_ROWS]
+
+
+def test_a_bounce_is_no_board_and_two_boards_need_a_gap(chip: Chip) -> None:
+    line = Line(chip)
+    line.arm(replace(TIMING, min_gap=ms(200)))
+    line.passage(1)
+    line.run(30)
+    assert not chip.rises("PB1")
+    line.passage(60)
+    line.run(100)
+    first = len(chip.rises("PB1"))
+    line.passage(60)
+    line.run(300)
+    assert len(chip.rises("PB1")) == first == 4
+    line.passage(60)
+    line.run(100)
+    assert len(chip.rises("PB1")) == 2 * first
+    said = [(e.detail, e.value) for e in line.events(Kind.SUPPRESSED)]
+    assert [detail for detail, _ in said] == [Suppressed.BOUNCE, Suppressed.GAP]
+    assert abs(said[0][1] - ms(1)) <= us(1)
+
+
+def test_an_encoder_paces_rows_by_distance(chip: Chip) -> None:
+    """Four times the speed in the middle of the board: rows keep their places, not their times."""
+    line = Line(chip)
+    timing = replace(TIMING, pacing=1, start_delay=100, period=200, tail=100, min_period=ms(5))
+    line.arm(timing, [Step(1, us(200)), Step(2, us(200)), Step(4, us(200))])
+    edge = line.barrier(True)
+    slow, fast = 3200, 800
+    chip.do(f"encoder 900 {slow}")
+    line.run(200)  # 900 counts of 0.2 ms are 180 ms
+    middle = chip.cycle
+    chip.do(f"encoder 600 {fast}")
+    line.run(40)
+    line.barrier(False)
+    chip.do(f"encoder 300 {slow}")
+    line.run(100)
+    latency = 1000 * CYCLES_PER_US
+    places = [100, 300, 500, 700, 900, 1100, 1300, 1500]
+    due = [edge + n * slow if n <= 900 else middle + (n - 900) * fast for n in places]
+    triggers = chip.rises("PB1")
+    assert len(triggers) == len(places)
+    assert all(abs(cycle - at - latency) <= 20 * CYCLES_PER_US for cycle, at in zip(triggers, due, strict=True))
+
+
+def test_an_encoder_that_is_too_fast_is_told(chip: Chip) -> None:
+    line = Line(chip)
+    line.arm(replace(TIMING, pacing=1, steps=1, start_delay=100, period=50, tail=0), [Step(1, us(200))])
+    line.barrier(True)
+    chip.do("encoder 1000 3200")
+    line.run(220)
+    triggers = chip.rises("PB1")
+    assert len(triggers) >= 9
+    assert min(b - a for a, b in itertools.pairwise(triggers)) >= ms(20) * CYCLES_PER_TICK - CYCLES_PER_US
+    assert {e.detail for e in line.events(Kind.SUPPRESSED)} == {Suppressed.TOO_FAST}

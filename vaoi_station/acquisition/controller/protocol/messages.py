@@ -1,0 +1,286 @@
+"""The structs of the protocol, version 1.0: little-endian, packed; times in ticks of 0.5 µs.
+
+`hw/firmware/logic/protocol.h` says the same in C; `hw/protocol_vectors.json` holds examples that both must agree on.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from enum import IntEnum
+from struct import Struct
+from typing import Any, ClassVar, TypeVar
+
+VERSION = (1, 0)
+TICK_S = 0.5e-6
+PROGRAM_STEPS = 16
+ROW_NONE = 0xFFFF
+"""Index of a pulse that belongs to no row."""
+REPLY = 0x80
+"""Added to the type of a request in its reply."""
+
+
+class Type(IntEnum):
+    """What a message is."""
+
+    IDENT = 0x01
+    STATUS = 0x02
+    CLOCK = 0x03
+    BEAT = 0x04
+    TIMING = 0x05
+    STEP = 0x06
+    COMMIT = 0x07
+    ARM = 0x08
+    DISARM = 0x09
+    FIRE_ONE = 0x0A
+    SAFE = 0x0B
+    READ_EVENT = 0x0C
+    ACK_EVENTS = 0x0D
+    EVENT = 0xC0
+    NAK = 0xFF
+
+
+class Reason(IntEnum):
+    """Why a request was refused."""
+
+    UNKNOWN = 1
+    LENGTH = 2
+    RANGE = 3
+    LED_LIMIT = 4
+    STATE = 5
+    CHECKSUM = 6
+    LED_BUDGET = 7
+    GONE = 8
+    UNCONFIGURED = 9
+
+
+class State(IntEnum):
+    """What the controller is doing."""
+
+    IDLE = 0
+    ARMED = 1
+    RUNNING = 2
+    SAFE = 3
+
+
+class Fault(IntEnum):
+    """Why it is in the safe state."""
+
+    NONE = 0
+    HEARTBEAT = 1
+    COMMANDED = 2
+    GUARD = 3
+
+
+class Pacing(IntEnum):
+    """What rows are spaced by."""
+
+    TIME = 0
+    DISTANCE = 1
+
+
+class Kind(IntEnum):
+    """What an event is about."""
+
+    BOOT = 1
+    BARRIER = 2
+    PULSE = 3
+    SUPPRESSED = 4
+    RUN_END = 5
+    FAULT = 6
+
+
+class Suppressed(IntEnum):
+    """Why there was no run, or no pulse."""
+
+    BOUNCE = 1
+    GAP = 2
+    LATE = 3
+    LED_BUDGET = 4
+    TOO_FAST = 5
+
+
+class RunEnd(IntEnum):
+    """Why a run ended."""
+
+    CLEAR = 1
+    MAX_ROWS = 2
+    DISARMED = 3
+    SAFE = 4
+
+
+S = TypeVar("S", bound="_Wire")
+
+
+@dataclass(frozen=True)
+class _Wire:
+    LAYOUT: ClassVar[Struct]
+
+    def pack(self) -> bytes:
+        """As it is sent."""
+        return self.LAYOUT.pack(*astuple(self))
+
+    @classmethod
+    def unpack(cls: type[S], payload: bytes) -> S:
+        """ValueError if the size is another."""
+        if len(payload) != cls.LAYOUT.size:
+            raise ValueError(f"{cls.__name__} has {cls.LAYOUT.size} bytes, not {len(payload)}")
+        values: tuple[Any, ...] = cls.LAYOUT.unpack(payload)
+        return cls(*values)
+
+
+@dataclass(frozen=True)
+class Timing(_Wire):
+    """When rows come; delays, period and tail in ticks, or in counts of the encoder if paced by distance."""
+
+    LAYOUT = Struct("<BBHIIIIIIH")
+    pacing: int
+    steps: int
+    max_rows: int
+    start_delay: int
+    period: int
+    tail: int
+    min_period: int
+    debounce: int
+    min_gap: int
+    trigger_width: int
+
+
+@dataclass(frozen=True)
+class Step(_Wire):
+    """The light of one row: bit k of `channels` is LED channel k, `width` its on-time in ticks."""
+
+    LAYOUT = Struct("<BxH")
+    channels: int
+    width: int
+
+
+@dataclass(frozen=True)
+class Ident(_Wire):
+    """Who it is and what it can do."""
+
+    LAYOUT = Struct("<8BII8s8sHH4HHBB")
+    major: int
+    minor: int
+    firmware_major: int
+    firmware_minor: int
+    firmware_patch: int
+    channels: int
+    program_steps: int
+    reset_cause: int
+    boots: int
+    unit: int
+    build: bytes
+    board: bytes
+    tick_ns: int
+    led_shortest: int
+    led_longest_0: int
+    led_longest_1: int
+    led_longest_2: int
+    led_longest_3: int
+    led_bucket: int
+    led_duty_shift: int
+    heartbeat_s: int
+
+
+@dataclass(frozen=True)
+class Status(_Wire):
+    """How it is; the reply to BEAT too."""
+
+    LAYOUT = Struct("<4BHH6I6H")
+    state: int
+    fault: int
+    reset_cause: int
+    blocked: int
+    run: int
+    row: int
+    tick: int
+    boots: int
+    config_crc: int
+    events_next: int
+    events_first: int
+    position: int
+    events_lost: int
+    bad_frames: int
+    unknown: int
+    replies_lost: int
+    bytes_lost: int
+    edges_lost: int
+
+
+@dataclass(frozen=True)
+class Event(_Wire):
+    """What happened; `detail`, `index` and `value` mean what hw/protocol.md says for this kind."""
+
+    LAYOUT = Struct("<IIBBHI")
+    number: int
+    tick: int
+    kind: int
+    detail: int
+    index: int
+    value: int
+
+
+@dataclass(frozen=True)
+class ClockReply(_Wire):
+    """The tick at which a question about the clock was answered."""
+
+    LAYOUT = Struct("<II")
+    nonce: int
+    tick: int
+
+
+@dataclass(frozen=True)
+class Nak(_Wire):
+    """A refusal: of which request, why, which field, and the nearest allowed value."""
+
+    LAYOUT = Struct("<BBBxI")
+    request: int
+    reason: int
+    field: int
+    limit: int
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the host asks for, before it has a sequence number."""
+
+    type: Type
+    payload: bytes = b""
+
+
+def set_step(index: int, step: Step) -> Request:
+    """One step of the program."""
+    return Request(Type.STEP, bytes([index]) + step.pack())
+
+
+def number_request(kind: Type, number: int) -> Request:
+    """A request with one number: CLOCK, COMMIT, READ_EVENT, ACK_EVENTS."""
+    return Request(kind, number.to_bytes(4, "little"))
+
+
+def arm(run: int, config_crc: int) -> Request:
+    """Watch the barrier, with the configuration of this checksum and no other."""
+    return Request(Type.ARM, run.to_bytes(2, "little") + config_crc.to_bytes(4, "little"))
+
+
+def fire_one(nonce: int, step: Step, trigger_width: int) -> Request:
+    """One pulse that belongs to no row; a nonce fires once, however often it is sent."""
+    return Request(Type.FIRE_ONE, nonce.to_bytes(2, "little") + step.pack() + trigger_width.to_bytes(2, "little"))
+
+
+def config_crc(timing: Timing, steps: Sequence[Step]) -> int:
+    """CRC-32 (that of zlib) over the timing and its steps, as they are sent."""
+    return zlib.crc32(b"".join([timing.pack(), *(step.pack() for step in steps)]))
+
+
+def configuration(timing: Timing, steps: Sequence[Step]) -> list[Request]:
+    """All requests that put a configuration in force."""
+    if timing.steps != len(steps):
+        raise ValueError(f"timing.steps is {timing.steps}, but there are {len(steps)} steps")
+    return [
+        Request(Type.TIMING, timing.pack()),
+        *(set_step(k, step) for k, step in enumerate(steps)),
+        number_request(Type.COMMIT, config_crc(timing, steps)),
+    ]

@@ -1,0 +1,61 @@
+"""What the controller refuses, and who it is, in sentences for people."""
+
+from __future__ import annotations
+
+from vaoi_station.acquisition.controller.protocol.messages import VERSION, Ident, Nak, Reason, State, Type
+from vaoi_station.errors import DeviceError
+
+BOARD = b"m328p16"
+_FIELDS = (
+    "pacing",
+    "steps",
+    "max_rows",
+    "start_delay",
+    "period",
+    "tail",
+    "min_period",
+    "debounce",
+    "min_gap",
+    "trigger_width",
+)
+_FIRST_STEP = 16
+
+
+def check_ident(ident: Ident) -> None:
+    """DeviceError if this is no controller of ours, or speaks another protocol."""
+    board = ident.board.rstrip(b"\0")
+    if board != BOARD:
+        raise DeviceError(
+            f"The device on the controller's port calls itself {board!r}, but must be {BOARD!r}.",
+            action="Check which device the port leads to.",
+            code="foreign-device",
+        )
+    if ident.major != VERSION[0]:
+        raise DeviceError(
+            f"The controller speaks protocol {ident.major}.{ident.minor}, this station {VERSION[0]}.{VERSION[1]}.",
+            action="Write the firmware that came with this station: make -C hw/firmware flash.",
+            code="protocol-version",
+        )
+
+
+def sentence(nak: Nak) -> str:
+    """Why a request was refused, with field and limit."""
+    request = Type(nak.request).name if nak.request in set(Type) else f"request {nak.request:#04x}"
+    texts = {
+        Reason.UNKNOWN: "this firmware does not know it",
+        Reason.LENGTH: f"its payload must have {nak.limit} bytes",
+        Reason.RANGE: f"{_field(nak)} is out of range, the nearest allowed value is {nak.limit}",
+        Reason.LED_LIMIT: f"{_field(nak)} asks more of the LEDs than their limit of {nak.limit} ticks",
+        Reason.STATE: f"the controller is {State(nak.limit).name if nak.limit in set(State) else nak.limit}",
+        Reason.CHECKSUM: f"the checksum of the controller's configuration is {nak.limit:#010x}",
+        Reason.LED_BUDGET: f"the LEDs of channel {nak.field} have not cooled down",
+        Reason.GONE: f"the oldest event it still has is number {nak.limit}",
+        Reason.UNCONFIGURED: "it has no configuration since its reset",
+    }
+    return f"{request} was refused: {texts.get(Reason(nak.reason)) if nak.reason in set(Reason) else nak.reason}."
+
+
+def _field(nak: Nak) -> str:
+    if nak.request == Type.COMMIT:
+        return f"step {nak.field - _FIRST_STEP}" if nak.field >= _FIRST_STEP else _FIELDS[nak.field % len(_FIELDS)]
+    return {Type.STEP: "its index", Type.FIRE_ONE: "its pulse"}.get(Type(nak.request), f"field {nak.field}")
