@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.calibration import Outcome, calibrate
+from vaoi_station.calibration.report import draw
 from vaoi_station.files.layouts import Layout
 from vaoi_station.simulation import Twin, calibration_board
 from vaoi_station.simulation.scenario import ArraySection, CalibrationBoardSection, Scenario
@@ -92,6 +93,19 @@ def test_of_four_marks_one_covered_is_refused_with_its_place(four: Film, share: 
     assert said is not None, outcome.error().message
     assert np.hypot(int(said[1]) - x, int(said[2]) - y) < 5
     assert "uncover them" in outcome.error().action
+
+
+def test_the_picture_of_a_covered_mark_shows_in_red_which_it_is(four: Film) -> None:
+    picture = draw(four.covered(four.first, 0.5, 120))
+    width = (picture.shape[1] - 16) // 3
+    frame = picture[74:, width + 8 : 2 * width + 8].astype(int)
+    scale = width / four.twin.heads[SPOILT].width
+    red, green, yellow = (40, 40, 230), (60, 200, 60), (0, 200, 230)
+    for mark in range(four.first, four.first + 4):
+        x, y = np.round(four.seen_at(mark) * scale).astype(int)
+        around = frame[y - 14 : y + 15, x - 14 : x + 15].reshape(-1, 3)
+        shown = [bool((np.abs(around - colour).max(-1) < 30).any()) for colour in (red, green, yellow)]
+        assert shown == ([True, False, False] if mark == four.first else [False, True, False]), mark
 
 
 @pytest.mark.parametrize("grey", GREYS)

@@ -94,7 +94,7 @@ def solve_camera(
         kind: how marks look in this frame.
         to: the limits.
     """
-    due = _expected(head, camera, option, marks_mm, kind)
+    due = _expected(head, camera, seen, option, marks_mm, kind)
     if (unfit := _unfit_size(kind, head) or _unfit_picture(seen, option, due)) is not None:
         return CameraResult(camera, head, seen, due, None, *unfit)
     assert option is not None
@@ -161,9 +161,7 @@ def _unfit_picture(seen: Sight, option: Hypothesis | None, due: tuple[MarkSeen, 
 
 def _absent(due: tuple[MarkSeen, ...], option: Hypothesis | None) -> str:
     """Where marks of the layout should be seen whole and are not; nothing where that is not known."""
-    if option is None:
-        return ""
-    places = [m.expected_px for m in due if m.index not in option.pairs[:, 0]]
+    places = [m.expected_px for m in due if m.px is None] if option is not None else []
     told = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in places[:LEAST_MARKS])
     more = f" and {len(places) - LEAST_MARKS} places more" if len(places) > LEAST_MARKS else ""
     return f"; no whole mark is seen at {told} px{more}, where the layout has one" if places else ""
@@ -193,11 +191,13 @@ def _unfit_result(result: CameraResult, option: Hypothesis, to: Limits) -> tuple
 
 
 def _expected(
-    head: CameraHead, camera: int, option: Hypothesis | None, marks_mm: Floats, kind: MarkKind
+    head: CameraHead, camera: int, seen: Sight, option: Hypothesis | None, marks_mm: Floats, kind: MarkKind
 ) -> tuple[MarkSeen, ...]:
-    """Where marks would be by what is known, for the picture of a refusal."""
+    """Where marks would be by what is known, and where those are that are known, for the picture of a refusal."""
     px = apply(option.similarity if option else nominal_matrix(head, camera), marks_mm)
-    return tuple(MarkSeen(int(k), px[k]) for k in np.flatnonzero(inside(head, px, kind.margin_px)))
+    known = {int(k): seen.px[n] for k, n in option.pairs} if option else {}
+    due = sorted({*np.flatnonzero(inside(head, px, kind.margin_px)).tolist(), *known})
+    return tuple(MarkSeen(k, px[k], known.get(k)) for k in due)
 
 
 def _looked_up(
@@ -238,7 +238,7 @@ def _with_residuals(marks: tuple[MarkSeen, ...], index: list[int], kept: list[in
             expected = m.px - residual[m.index]
             out.append(MarkSeen(m.index, expected, m.px, residual[m.index]))
         else:
-            out.append(MarkSeen(m.index, m.expected_px, m.px, None, "does not fit the others"))
+            out.append(MarkSeen(m.index, m.expected_px, m.px, None, "at odds with the others"))
     return tuple(out)
 
 

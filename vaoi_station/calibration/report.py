@@ -64,12 +64,14 @@ def _draw_marks(frame: Picture, result: CameraResult, scale: float, factor: int)
             cv2.circle(frame, _at(px, scale), r + 4, _STRANGE, 2, cv2.LINE_AA)
     for (x, y), _ in result.sight.doubtful:
         cv2.circle(frame, _at(np.array([x, y]), scale), r + 4, _STRANGE, 1, cv2.LINE_AA)
+    laid = result.fit is not None or any(m.px is not None for m in result.marks)
     for m in result.marks:
         x, y = _at(m.expected_px, scale)
         cv2.rectangle(frame, (x - r, y - r), (x + r, y + r), _EXPECTED, 1, cv2.LINE_AA)
+        fine = m.used or (result.fit is None and m.px is not None)
         if m.px is not None:
-            cv2.drawMarker(frame, _at(m.px, scale), _FOUND if m.used else _MISSED, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
-        if not m.used and result.fit is not None:
+            cv2.drawMarker(frame, _at(m.px, scale), _FOUND if fine else _MISSED, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
+        if not fine and laid:
             cv2.drawMarker(frame, (x, y), _MISSED, cv2.MARKER_TILTED_CROSS, 2 * r, 2, cv2.LINE_AA)
         if m.px is not None and m.residual_px is not None:
             tip = m.px + m.residual_px * factor
