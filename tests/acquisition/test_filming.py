@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.filming import film, film_pulses
+from vaoi_station.acquisition.filming import _fire_steadily, _Studio, film, film_pulses
 from vaoi_station.acquisition.keeping import keep_run
-from vaoi_station.acquisition.messages import RunFinished
-from vaoi_station.acquisition.ring import Ring
+from vaoi_station.acquisition.messages import Command, FireOne, Grant, Ready, RunFinished, Trouble
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError, StateError
 from vaoi_station.files import open_recording, read_calibration
+from vaoi_station.model import RecordingHead
 from vaoi_station.simulation import Twin, read_scenario
 
 FAULT = "[[faults.lost_frames]]\ncamera = 1\nrow = 2\n"
@@ -99,3 +102,45 @@ def test_steady_pulses_come_no_faster_than_asked(make_config: Make, tmp_path: Pa
     assert whole == [run for run in runs for _ in range(2)]
     assert time.monotonic() - started_s >= 4 / 10.0
     assert list((tmp_path / "shm").iterdir()) == []
+
+
+def test_a_pulse_that_is_refused_for_a_while_is_asked_for_again_with_the_same_memory(make_config: Make) -> None:
+    """The other end of the pipe is played by the test: a controller whose LEDs must cool down after the first pulse."""
+    config, told, asked = make_config(), list[str](), list[Command]()
+    head = RecordingHead.model_validate(
+        {
+            "format": "vaoi-recording", "version": 1, "cameras": [c.head for c in config.cameras], "rows": 1,
+            "trigger_period_s": 0.05, "conveyor_mm_s": [0.0, 100.0],
+        }
+    )  # fmt: skip
+    ours, theirs = multiprocessing.Pipe()
+
+    def done(run: str) -> RunFinished:
+        return RunFinished(run, 0, head, (), 0.0, "single")
+
+    def play() -> None:
+        theirs.send(Ready(2))
+        for answer in (done("001"), Trouble("led-budget", "the LEDs must cool down.", "Wait."), done("002")):
+            while not isinstance(command := theirs.recv(), FireOne):
+                asked.append(command)
+            asked.append(command)
+            theirs.send(answer)
+
+    with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
+        player = threading.Thread(target=play)
+        player.start()
+        studio = _Studio(ring, ours, lambda run, *_: told.append(run.run), told.append, None)
+        _fire_steadily(studio, 2, 0.01)
+        player.join()
+    assert told == ["001", "the LEDs must cool down. Wait.", "002"]
+    assert asked == [Grant("001", 0), FireOne(), Grant("002", 0), FireOne(), FireOne()]
+
+
+def test_a_first_pulse_that_is_refused_ends_it(make_config: Make) -> None:
+    config = make_config()
+    ours, theirs = multiprocessing.Pipe()
+    with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
+        theirs.send(Ready(2))
+        theirs.send(Trouble("led-limit", "the on-time is too long.", "Shorten it."))
+        with pytest.raises(DeviceError, match=r"the on-time is too long\. Shorten it\."):
+            _fire_steadily(_Studio(ring, ours, lambda *_: None, lambda _: None, None), 1, 0.01)

@@ -104,7 +104,8 @@ class Controller(Protocol):
     def fire_one(self) -> None:
         """Trigger all cameras and LEDs once, now, whatever the barrier shows: a run of one pulse.
 
-        Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board.
+        Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board; the firmware's
+        `FIRE_ONE` tells of a pulse of no row only, of which its host end makes both.
 
         Raises:
             StateError: it is armed, or cannot fire but when a board passes.
