@@ -2,7 +2,7 @@
 
 A first answer comes from the marks seen while filming. It is believed when the pictures do not
 contradict it: the board's outline must be where the fiducials put it. Otherwise the frames are
-searched once more, deeply, before the mapping is given up.
+searched once more, deeply, before the mapping is given up. In the end the outline is measured against it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from vaoi_station.stitching.footprints import component_of
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.motion import Motion
 from vaoi_station.stitching.orientation import Orientation, Outline, check, outline_of
+from vaoi_station.stitching.outline import Shift, outline_shift
 from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.reference import Reference, first_similarity, points_on_cad
 from vaoi_station.stitching.scene import Scene
@@ -41,6 +42,8 @@ class Mapping:
     """Contrast along the board's outline as placed; None where no frame shows it."""
     either_way: bool = False
     """The board might lie turned by 180° as well: neither fiducials nor pictures tell."""
+    shift: Shift | None = None
+    """Of the board's outline against the adjusted fiducials; None where too little of it shows an edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +71,8 @@ def map_cad(frame: Frame, scene: Scene, problem: Problem, moved: Adjusted, known
     marks = assign(frame, guess.c, seen, scene.cameras, moved.motion)
     points = FiducialPoints.joined([marks, referred])
     whole = _with_board(problem, points, frame, scene, moved.motion, guess.c)
-    return Mapping(adjust(whole, moved.motion, guess.c), whole, outline, guess.either_way)
+    adjusted = adjust(whole, moved.motion, guess.c)
+    return Mapping(adjusted, whole, outline, guess.either_way, _shift(frame, scene, adjusted))
 
 
 def _guess(
@@ -125,6 +129,12 @@ def _outline(frame: Frame, scene: Scene, motion: Motion, guess: Hypothesis | Fai
     if isinstance(guess, Failure):
         return None
     return outline_of(frame.board_type, frame.matrix(guess.c), scene, motion)
+
+
+def _shift(frame: Frame, scene: Scene, adjusted: Adjusted) -> Shift | None:
+    if adjusted.similarity is None:
+        return None
+    return outline_shift(frame.board_type, frame.matrix(adjusted.similarity), scene, adjusted.motion)
 
 
 def _turned_round(frame: Frame, seen_as: Orientation) -> Failure:

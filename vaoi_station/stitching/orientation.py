@@ -78,8 +78,8 @@ def check(
         if there is nothing to compare.
     """
     best = None
-    for evidence, lines in (("outline", _outline(board_type)), ("components", _parts(board_type))):
-        pieces = _pieces(lines, board_type.mm_per_unit)
+    for evidence, lines in (("outline", outline_polygons(board_type)), ("components", _parts(board_type))):
+        pieces = straight_pieces(lines, board_type.mm_per_unit)
         if not len(pieces):
             continue
         apart = _apart(pieces, placed, turned)
@@ -110,12 +110,13 @@ class Outline:
 
 def outline_of(board_type: BoardType, placed: Floats, scene: Scene, motion: Motion) -> Outline | None:
     """How plainly the pictures show the board's outline where C puts it; None where too little of it is in view."""
-    pieces = _pieces(_outline(board_type), board_type.mm_per_unit)
+    pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
     steps = _steps(pieces, placed, scene, motion) if len(pieces) else np.zeros(0)
     return Outline(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
 
 
-def _outline(board_type: BoardType) -> list[Floats]:
+def outline_polygons(board_type: BoardType) -> list[Floats]:
+    """The outline as polygons (k, 2) in CAD units: one, or none where it is not known."""
     if board_type.outline is None:
         return []
     points = np.array(board_type.outline, dtype=np.float64)
@@ -129,7 +130,7 @@ def _parts(board_type: BoardType) -> list[Floats]:
     return [board_type.footprint(c) for c in board_type.components]
 
 
-def _pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
+def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
     """Straight pieces (k, 2, 2) of closed polygons, each a few mm long; shorter edges as they are."""
     pieces = []
     for polygon in polygons:
@@ -158,7 +159,7 @@ def _steps(pieces: Floats, cad_matrix: Floats, scene: Scene, motion: Motion) -> 
     """Contrast across every piece that some frame shows, in grey levels."""
     board = apply(cad_matrix, pieces)
     points = _both_sides(board)
-    chosen = _nearest_frame(board.mean(1), scene, motion)
+    chosen = nearest_frame(board.mean(1), scene, motion)
     out = np.full(len(pieces), np.nan)
     for n in np.unique(chosen[chosen >= 0]):
         number, row = scene.present[n]
@@ -184,7 +185,7 @@ def _both_sides(board: Floats) -> Floats:
     return np.asarray(points.reshape(len(board), 2, -1, 2))
 
 
-def _nearest_frame(middle: Floats, scene: Scene, motion: Motion) -> NDArray[np.int_]:
+def nearest_frame(middle: Floats, scene: Scene, motion: Motion) -> NDArray[np.int_]:
     """For each board point (k, 2) the number of the frame that shows it closest to its middle; −1 for none."""
     best, chosen = np.full(len(middle), np.inf), np.full(len(middle), -1)
     places = {row: motion.row_from_tester(row)(middle) for row in {row for _, row in scene.present}}

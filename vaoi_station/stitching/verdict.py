@@ -15,6 +15,7 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
+from vaoi_station.stitching.agreement import of_fiducials, of_outline
 from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.certainty import matrix_sigmas, row_covariances
 from vaoi_station.stitching.evidence import Links
@@ -28,10 +29,8 @@ from vaoi_station.stitching.start import tied_rows
 from vaoi_station.stitching.uncertainty import Sigma, predicted_sigma, surface_sigma_mm
 
 _OK_SIGMA_PX = 0.20
-_FIDUCIAL_LIMIT_PX = 0.30
 _SEAM_LIMIT_PX = 0.30
 _FLOOR_LIMIT_PX = 0.30
-_SCALE_LIMIT = 1e-3
 _OUTSIDE_LIMIT = 0.03
 _OUTLIER = 8.5
 """Points further off, in their standard deviations, have no weight (6 per axis)."""
@@ -197,26 +196,14 @@ def _cad_complaints(f: Findings, frame: Frame, mapping: Mapping, c: Floats) -> l
     if not f.method.marks:
         seen = set(range(len(board_type.fiducials)))
     for n, fiducial in enumerate(board_type.fiducials):
-        at = np.flatnonzero(which == n)
-        if n not in seen:
-            if len(seen) < 2 and not (which < 0).any():
-                out.append(f"fiducial {fiducial.name} was not found; one alone does not fix the board")
-            continue
-        if not len(at):
-            continue
-        off = float(np.hypot(*f.adjusted.fiducial_px[at].T).mean())
-        if off > _FIDUCIAL_LIMIT_PX:
-            out.append(f"fiducial {fiducial.name} lies {off:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})")
+        if n not in seen and len(seen) < 2 and not (which < 0).any():
+            out.append(f"fiducial {fiducial.name} was not found; one alone does not fix the board")
+    resolution = float(np.mean([camera.px_per_mm for camera in f.scene.cameras]))
+    out += of_fiducials(frame, f.adjusted, points, f.moved.motion, resolution) + of_outline(mapping.shift, resolution)
     if mapping.either_way:
         out.append(
             "turned by 180° the board would fit its fiducials as well, and neither outline nor parts tell: "
             "it is taken to lie as expected (a third fiducial off the symmetry would settle it)"
-        )
-    scale = float(np.hypot(c[0], c[1])) / board_type.mm_per_unit - 1
-    if abs(scale) > _SCALE_LIMIT:
-        out.append(
-            f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}): "
-            "it lies above or below the calibrated plane, or is another type"
         )
     if mapping.outline is not None and not mapping.outline.visible:
         out.append(
@@ -264,6 +251,7 @@ def quality_of(f: Findings) -> dict[str, Any]:
         "fiducials": _fiducials(f),
         "scale_error": _scale_error(f),
         "outline_contrast": _rounded(f.mapping.outline.contrast, 1) if f.mapping and f.mapping.outline else None,
+        "outline_shift_mm": _shift_of(f),
         "row_sigma_px": [_rounded(v) for v in sigma.rows_px],
         "cad_sigma_px": _rounded(sigma.worst_px) if sigma.worst_px is not None else None,
         "component_sigma_px": _component_sigma(f),
@@ -321,6 +309,17 @@ def _fiducials(f: Findings) -> list[dict[str, Any]]:
             }
         )
     return out
+
+
+def _shift_of(f: Findings) -> dict[str, Any] | None:
+    shift = f.mapping.shift if f.mapping else None
+    if shift is None:
+        return None
+    return {
+        "mm": [_rounded(float(v), 3) for v in shift.mm],
+        "sigma_mm": [_rounded(float(v), 3) for v in shift.sigma_mm],
+        "pieces": shift.pieces,
+    }
 
 
 def _component_sigma(f: Findings) -> dict[str, float]:
