@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -30,3 +34,40 @@ def test_a_function_whose_code_can_be_kept_nowhere_is_compiled_all_the_same() ->
     exec(compile("def twice(x):\n    return 2 * x\n", "<no file>", "exec"), space)  # noqa: S102
     twice = compiled(space["twice"])
     assert twice(21) == 42
+
+
+_HALVES = """
+import sys
+from vaoi_station.compiled import compiled
+
+@compiled
+def half(x):
+    return x / 2
+
+@compiled
+def quarter(x):
+    return half(half(x))
+
+sys.stdin.readline()
+assert quarter(8.0) == 2.0
+print(sum(quarter.stats.cache_misses.values()), flush=True)
+"""
+
+
+def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None:
+    source = tmp_path / "halves.py"
+    source.write_text(_HALVES)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    twins = [
+        subprocess.Popen(
+            [sys.executable, source], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for _ in range(2)
+    ]
+    for twin in twins:
+        assert twin.stdin is not None
+        twin.stdin.write("now\n")
+        twin.stdin.flush()
+    misses = [int(twin.communicate()[0]) for twin in twins]
+    assert [twin.returncode for twin in twins] == [0, 0]
+    assert sorted(misses) == [0, 1], "one compiled, the other found the code"

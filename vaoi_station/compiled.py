@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+import fcntl
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 
@@ -12,6 +16,7 @@ R = TypeVar("R")
 
 _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
 """Liberties of the compiler: sums may be reordered, to run in vector registers; NaN and ∞ keep their meaning."""
+_LOCK = "vaoi-station.lock"
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -19,10 +24,47 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     The code is kept on disk (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache), so that only the
     first process after an installation waits for the compiler. The GIL is released while it runs. Results are
-    the same on one machine and may differ in the last digits between machines.
+    the same in all processes of one machine and may differ in the last digits between machines.
     """
     try:
-        made = numba.njit(cache=True, nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
+        made: Any = numba.njit(cache=True, nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
     except RuntimeError:  # no place on this machine where code may be kept: every process compiles for itself
-        made = numba.njit(nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
+        return cast("Callable[P, R]", numba.njit(nogil=True, fastmath=_ALLOWED, error_model="numpy")(function))
+    made.compile = _alone(made.compile, Path(made.stats.cache_path))
     return cast("Callable[P, R]", made)
+
+
+def _alone(compile_it: Callable[[Any], Any], kept_in: Path) -> Callable[[Any], Any]:
+    """Compile while no other process does: it finds the code when its turn comes.
+
+    Were both to compile, each would run its own code; compiled at different times, with other functions at hand to be
+    inlined, the two may round differently, and a station's result would not be that of `vaoi stitch`.
+    """
+
+    def compile_alone(signature: Any) -> Any:
+        with _turn(kept_in):
+            return compile_it(signature)
+
+    return compile_alone
+
+
+_in_this_process = threading.RLock()
+_depth = 0
+
+
+@contextmanager
+def _turn(directory: Path) -> Iterator[None]:
+    """Hold the lock of a directory; functions that are compiled on the way belong to the same turn."""
+    global _depth  # noqa: PLW0603  (of this process, under its lock)
+    with _in_this_process:
+        if _depth:
+            yield
+            return
+        directory.mkdir(parents=True, exist_ok=True)
+        with (directory / _LOCK).open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            _depth += 1
+            try:
+                yield
+            finally:
+                _depth -= 1
