@@ -134,7 +134,7 @@ def test_the_same_rule_as_the_simulated_controller(
         ({"tail": ms(5)}, 5, ms(6)),
         ({"min_period": ms(5) - 1}, 6, ms(5)),
         ({"debounce": ms(1000) + 1}, 7, ms(1000)),
-        ({"trigger_width": us(20) - 1}, 9, us(20)),
+        ({"trigger_width": us(50) - 1}, 9, us(50)),
         ({"trigger_width": us(2000) + 1}, 9, us(2000)),
     ],
 )
@@ -153,7 +153,7 @@ def test_a_timing_that_cannot_be_is_refused_by_field_and_limit(
     [
         (Step(1, us(1000) + 1), us(1000)),
         (Step(0b1001, us(500) + 1), us(500)),
-        (Step(2, us(20) - 1), us(1000)),
+        (Step(2, us(50) - 1), us(1000)),
         (Step(16, us(100)), 4),
         (Step(1, ms(5) // 16 + 1), ms(5) // 16),
     ],

@@ -199,7 +199,7 @@ def some_frame(dice: random.Random) -> bytes:
         max_rows=dice.choice([1, 5, 500]),
     )
     steps = [
-        Step(dice.randrange(1, 17), dice.choice([us(20), us(300), us(1000), dice.randrange(2**16)])) for _ in range(3)
+        Step(dice.randrange(1, 17), dice.choice([us(50), us(300), us(1000), dice.randrange(2**16)])) for _ in range(3)
     ]
     kind = dice.random()
     if kind < 0.3:

@@ -54,8 +54,9 @@ ISR(TIMER1_CAPT_vect)
     }
 }
 
-/* Both channels, both edges. Four bits, old phase and new one: +1, -1, or 0 where nothing or too much has changed. */
-static void encoder_step(void)
+/* Both channels, both edges. Four bits, old phase and new one: +1, -1, or 0 where nothing or too much has changed.
+ * Part of both interrupts rather than called: a call would save every register. */
+static inline __attribute__((always_inline)) void encoder_step(void)
 {
     static const int8_t STEP[16] = {0, 1, -1, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, -1, 1, 0};
     uint8_t seen = (uint8_t)((PIND & (ENCODER_A | ENCODER_B)) >> PD2);

@@ -82,6 +82,6 @@ int main(void)
             guard_seen = guard_ticks();
             wdt_reset();
         }
-        sleep_mode();
+        if (!serial_waits()) sleep_mode();
     }
 }

@@ -45,32 +45,55 @@ static void all_low(void)
     guard_left = 0;
 }
 
-ISR(TIMER1_COMPA_vect)
+static inline void end_gate(void)
 {
-    if (!has_come(OCR1A)) return;
+    TCCR1A &= (uint8_t)~B_SET;
+    PORTD &= (uint8_t)~CHANNEL_PINS;
+    gate_phase = LOW;
+    guard_left = 0;
+}
+
+static inline void step_gate(void)
+{
+    if (gate_phase == LOW || !has_come(OCR1B)) return;
+    if (gate_phase == HIGH) {
+        end_gate();
+        return;
+    }
+    TCCR1A = (TCCR1A & (uint8_t)~B_SET) | B_CLEAR;
+    OCR1B += gate_width;
+    gate_phase = HIGH;
+    if (has_come(OCR1B)) { /* so late that the match may have been missed: the light ends here */
+        end_gate();
+        PORTB &= (uint8_t)~GATE_PIN;
+    }
+}
+
+static inline void step_trigger(void)
+{
+    if (trigger_phase == LOW || !has_come(OCR1A)) return;
     if (trigger_phase == RISING) {
         TCCR1A = (TCCR1A & (uint8_t)~A_SET) | A_CLEAR;
         OCR1A += trigger_width;
         trigger_phase = HIGH;
-    } else if (trigger_phase == HIGH) {
-        TCCR1A &= (uint8_t)~A_SET;
-        trigger_phase = LOW;
+        if (!has_come(OCR1A)) return;
+        PORTB &= (uint8_t)~TRIGGER_PIN;
     }
+    TCCR1A &= (uint8_t)~A_SET;
+    trigger_phase = LOW;
+}
+
+/* Both outputs rise together; whichever interrupt comes, the light is looked after first. */
+ISR(TIMER1_COMPA_vect)
+{
+    step_gate();
+    step_trigger();
 }
 
 ISR(TIMER1_COMPB_vect)
 {
-    if (!has_come(OCR1B)) return;
-    if (gate_phase == RISING) {
-        TCCR1A = (TCCR1A & (uint8_t)~B_SET) | B_CLEAR;
-        OCR1B += gate_width;
-        gate_phase = HIGH;
-    } else if (gate_phase == HIGH) {
-        TCCR1A &= (uint8_t)~B_SET;
-        PORTD &= (uint8_t)~CHANNEL_PINS;
-        gate_phase = LOW;
-        guard_left = 0;
-    }
+    step_gate();
+    step_trigger();
 }
 
 /* A clock of its own and a count that was fixed before the pulse: it needs nothing of what it guards. */
@@ -113,8 +136,9 @@ uint8_t pulse_start(ticks_t due, uint16_t trigger, const struct step *light)
             if (light->channels) {
                 gate_phase = RISING;
                 PORTD = (PORTD & (uint8_t)~CHANNEL_PINS) | (uint8_t)(light->channels << CHANNEL_SHIFT);
-                /* Until the gate has fallen, rounded up, and one more for the phase of Timer 2. */
-                guard_left = (uint8_t)((ahead + light->width) / US(GUARD_TICK_US) + 2);
+                /* Until the gate has fallen, rounded up; one for the phase of Timer 2, and one because its interrupt
+                 * goes before the one that ends the light. So it comes 64 to 192 us after the end. */
+                guard_left = (uint8_t)((ahead + light->width) / US(GUARD_TICK_US) + 3);
             }
             taken = 1;
         }

@@ -41,9 +41,11 @@ void serial_start(void)
     UCSR0B = (1 << RXCIE0) | (1 << RXEN0) | (1 << TXEN0);
 }
 
+uint8_t serial_waits(void) { return rx_in != rx_out; }
+
 int16_t serial_take(void)
 {
-    if (rx_in == rx_out) return -1;
+    if (!serial_waits()) return -1;
     uint8_t byte = rx[rx_out];
     rx_out = (rx_out + 1) % RX_SIZE;
     return byte;

@@ -20,12 +20,17 @@ static void report_pulse(struct controller *c)
     if (c->shot.row != ROW_NONE) c->passage.fired++;
 }
 
+/* Take the pulse back if its edge has not come; if it has, it is told now. */
+static void settle_shot(struct controller *c)
+{
+    if (!c->shot.under_way) return;
+    if (pulse_cancel()) c->shot.under_way = 0;
+    else report_pulse(c);
+}
+
 static void end_run(struct controller *c, uint8_t why, ticks_t now)
 {
-    if (c->shot.under_way) {
-        if (pulse_cancel()) c->shot.under_way = 0;
-        else report_pulse(c);
-    }
+    settle_shot(c);
     report(c, now, EVENT_RUN_END, why, c->passage.fired, c->passage.suppressed);
     c->state = STATE_ARMED;
 }
@@ -196,8 +201,8 @@ void controller_disarm(struct controller *c, ticks_t now)
 void controller_safe(struct controller *c, uint8_t fault, ticks_t now)
 {
     if (c->state == STATE_RUNNING) end_run(c, END_SAFE, now);
+    settle_shot(c);
     outputs_off();
-    c->shot.under_way = 0;
     if (c->state != STATE_SAFE) report(c, now, EVENT_FAULT, fault, 0, 0);
     c->state = STATE_SAFE;
     c->fault = fault;

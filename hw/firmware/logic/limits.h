@@ -7,15 +7,16 @@
 #define LED_CHANNELS 4
 /* Longest pulse of each channel in ticks; over-driven LEDs die of a longer one. */
 #define LED_LONGEST { US(1000), US(1000), US(500), US(500) }
-/* A pulse shorter than the latency of an interrupt could not be ended by the compare unit. */
-#define LED_SHORTEST US(20)
+/* A pulse shorter than the latency of an interrupt could not be ended by the compare unit. With serial
+ * line, encoder and barrier all at work that was 42 us at most on the emulated chip. */
+#define LED_SHORTEST US(50)
 /* Each channel is lit 1/16 of the time at most ... */
 #define LED_DUTY_SHIFT 4
 /* ... averaged by a bucket that holds this much light. It is empty after a reset, so that resets give no light away. */
 #define LED_BUCKET US(4000)
 
 #define PROGRAM_STEPS 16
-#define TRIGGER_SHORTEST US(20)
+#define TRIGGER_SHORTEST US(50)
 #define TRIGGER_LONGEST US(2000)
 
 #define PERIOD_SHORTEST MS(5)

@@ -6,11 +6,13 @@
 static struct controller controller;
 static struct receiver receiver;
 
-void bridge_start(ticks_t now)
+void bridge_start(ticks_t now) { bridge_boot(now, 1); }
+
+void bridge_boot(ticks_t now, uint32_t boots)
 {
     pretend_reset(now);
     memset(&receiver, 0, sizeof receiver);
-    controller_start(&controller, now, 0, 1, 1);
+    controller_start(&controller, now, 0, boots, 1);
 }
 
 void bridge_edge(ticks_t tick, uint8_t blocked) { controller_edge(&controller, &(struct edge){tick, encoder_position(), blocked}); }
@@ -45,6 +47,5 @@ uint8_t bridge_event(struct event *event)
     if (!next) return 0;
     *event = *next;
     event_was_sent(&controller.events);
-    events_acknowledge(&controller.events, event->number + 1);
     return 1;
 }

@@ -5,6 +5,7 @@
 #include "pretend.h"
 
 void bridge_start(ticks_t now);
+void bridge_boot(ticks_t now, uint32_t boots);
 void bridge_edge(ticks_t tick, uint8_t blocked);
 void bridge_encoder(int32_t position);
 void bridge_poll(ticks_t now);

@@ -58,4 +58,5 @@ def sentence(nak: Nak) -> str:
 def _field(nak: Nak) -> str:
     if nak.request == Type.COMMIT:
         return f"step {nak.field - _FIRST_STEP}" if nak.field >= _FIRST_STEP else _FIELDS[nak.field % len(_FIELDS)]
-    return {Type.STEP: "its index", Type.FIRE_ONE: "its pulse"}.get(Type(nak.request), f"field {nak.field}")
+    names: dict[int, str] = {Type.STEP: "its index", Type.FIRE_ONE: "its pulse"}
+    return names.get(nak.request, f"field {nak.field}")

@@ -1,0 +1,54 @@
+"""Foreign devices, other versions and refusals are told in sentences."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vaoi_station.acquisition.controller.protocol.messages import Ident, Nak, Reason, Type
+from vaoi_station.acquisition.controller.protocol.refusals import check_ident, sentence
+from vaoi_station.errors import DeviceError
+
+VECTORS: dict[str, Any] = json.loads(
+    (Path(__file__).resolve().parents[4] / "hw" / "protocol_vectors.json").read_text(encoding="utf-8")
+)
+IDENT = Ident.unpack(bytes.fromhex(next(f["payload"] for f in VECTORS["frames"] if f.get("struct") == "Ident")))
+
+
+def test_our_own_controller_is_welcome() -> None:
+    check_ident(IDENT)
+    check_ident(replace(IDENT, minor=9))
+
+
+def test_another_major_version_is_refused_with_the_remedy() -> None:
+    with pytest.raises(DeviceError, match=r"speaks protocol 2\.0, this station 1\.0") as caught:
+        check_ident(replace(IDENT, major=2))
+    assert caught.value.code == "protocol-version"
+    assert "flash" in caught.value.action
+
+
+def test_a_foreign_device_is_named() -> None:
+    with pytest.raises(DeviceError, match="calls itself b'printer'"):
+        check_ident(replace(IDENT, board=b"printer\0"))
+
+
+@pytest.mark.parametrize(
+    ("nak", "words"),
+    [
+        (Nak(Type.COMMIT, Reason.RANGE, 4, 10000), "COMMIT was refused: period is out of range, .* 10000"),
+        (Nak(Type.COMMIT, Reason.LED_LIMIT, 17, 2000), "step 1 asks more of the LEDs than their limit of 2000 ticks"),
+        (Nak(Type.ARM, Reason.STATE, 0, 3), "ARM was refused: the controller is SAFE"),
+        (Nak(Type.ARM, Reason.CHECKSUM, 0, 0xABC), "0x00000abc"),
+        (Nak(Type.FIRE_ONE, Reason.LED_BUDGET, 2, 0), "channel 2 have not cooled down"),
+        (Nak(0x3F, Reason.UNKNOWN, 0, 0), "request 0x3f was refused: this firmware does not know it"),
+        (Nak(Type.CLOCK, 99, 0, 0), "CLOCK was refused: 99"),
+    ],
+)
+def test_refusals_are_sentences(nak: Nak, words: str) -> None:
+    import re
+
+    assert re.search(words, sentence(nak))

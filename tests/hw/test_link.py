@@ -1,0 +1,203 @@
+"""The host's `Link` against the firmware's own logic, over a line that loses, damages and repeats frames."""
+
+from __future__ import annotations
+
+import ctypes
+import random
+from collections.abc import Iterator
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.hw.line import us
+from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
+from vaoi_station.acquisition.controller.protocol.link import (
+    EventsLost,
+    Happened,
+    Link,
+    News,
+    Refused,
+    Replied,
+    Restarted,
+    Unanswered,
+)
+from vaoi_station.acquisition.controller.protocol.messages import (
+    Event,
+    Kind,
+    Request,
+    State,
+    Step,
+    Type,
+    fire_one,
+    number_request,
+)
+
+TURN_S = 0.005
+DARK = Step(0, 0)
+
+
+class Wire:
+    """5 ms per turn; each frame of either direction has its own luck."""
+
+    def __init__(self, logic: ctypes.CDLL, seed: int, loss: float) -> None:
+        self.logic, self.dice, self.loss = logic, random.Random(seed), loss
+        self.boots = 1
+        self.link = Link()
+        self.news: list[News] = []
+        self.turns = 0
+        self._replies = ctypes.create_string_buffer(4096)
+        self._event = ctypes.create_string_buffer(16)
+        logic.bridge_boot(0, self.boots)
+
+    @property
+    def now_s(self) -> float:
+        return self.turns * TURN_S
+
+    @property
+    def tick(self) -> ctypes.c_uint32:
+        return ctypes.c_uint32(self.turns * us(5000))
+
+    def turn(self) -> None:
+        self.turns += 1
+        self.logic.bridge_poll(self.tick)
+        to_chip = b"".join(self._suffer(self.link.send(self.now_s)))
+        size = self.logic.bridge_talk(to_chip, len(to_chip), self._replies, self.tick)
+        self.logic.bridge_poll(self.tick)
+        frames = [self._replies.raw[:size], *self._events()]
+        self.news += self.link.receive(b"".join(f for frame in frames for f in self._suffer(frame)), self.now_s)
+
+    def run(self, turns: int) -> None:
+        for _ in range(turns):
+            self.turn()
+
+    def reboot(self) -> None:
+        self.boots += 1
+        self.logic.bridge_boot(self.tick, self.boots)
+
+    def _events(self) -> Iterator[bytes]:
+        while self.logic.bridge_event(self._event) & 0xFF:
+            yield encode(Message(Type.EVENT, self.boots % 256, self._event.raw))
+
+    def _suffer(self, frame: bytes) -> Iterator[bytes]:
+        if not frame or self.dice.random() < self.loss:
+            return
+        if self.dice.random() < self.loss:
+            damaged = bytearray(frame)
+            damaged[self.dice.randrange(len(frame))] ^= 1 << self.dice.randrange(8)
+            yield bytes(damaged)
+            return
+        yield frame
+        if self.dice.random() < self.loss:
+            yield frame
+
+    def events(self) -> list[Event]:
+        return [item.event for item in self.news if isinstance(item, Happened)]
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32), loss=st.sampled_from([0.0, 0.05, 0.3]))
+def test_every_request_is_carried_out_once_and_every_event_arrives_once_in_order(
+    logic: ctypes.CDLL, seed: int, loss: float
+) -> None:
+    wire = Wire(logic, seed, loss)
+    requests = [Request(Type.IDENT), *(fire_one(nonce, DARK, us(100)) for nonce in range(12)), Request(Type.STATUS)]
+    for request in requests:
+        wire.link.ask(request)
+        wire.run(8)
+    wire.loss = 0.0
+    wire.run(400)
+    wire.link.ask(Request(Type.STATUS))
+    wire.run(60)
+    outcomes = [item.request for item in wire.news if isinstance(item, Replied | Refused | Unanswered)]
+    assert outcomes == [*requests, Request(Type.STATUS)]
+    assert all(isinstance(item, Replied) for item in wire.news if not isinstance(item, Happened))
+    events = wire.events()
+    assert [e.number for e in events] == list(range(len(events)))
+    assert [e.kind for e in events] == [Kind.BOOT] + [Kind.PULSE] * 12
+    assert wire.link.status is not None
+    assert wire.link.status.events_next == 13
+
+
+def test_what_a_long_silence_overwrote_is_counted(logic: ctypes.CDLL) -> None:
+    wire = Wire(logic, 1, 0.0)
+    wire.link.ask(Request(Type.IDENT))
+    wire.run(5)
+    wire.loss = 1.0
+    for nonce in range(50):  # the host was heard once more each time, and heard nothing
+        frame = encode(Message(Type.FIRE_ONE, nonce, fire_one(nonce, DARK, us(100)).payload))
+        logic.bridge_talk(frame, len(frame), ctypes.create_string_buffer(100), wire.tick)
+        wire.run(3)
+    wire.loss = 0.0
+    wire.link.ask(Request(Type.STATUS))
+    wire.run(200)
+    lost = [item.count for item in wire.news if isinstance(item, EventsLost)]
+    assert lost == [51 - 32 - 1]  # 50 pulses and the boot, which had arrived
+    assert [e.number for e in wire.events()] == [0, *range(51 - 32, 51)]
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**32), loss=st.sampled_from([0.0, 0.2]), before=st.integers(0, 6), after=st.integers(0, 9))
+def test_a_reset_is_noticed_and_no_event_is_taken_for_one_of_another_boot(
+    logic: ctypes.CDLL, seed: int, loss: float, before: int, after: int
+) -> None:
+    wire = Wire(logic, seed, loss)
+    wire.link.beating = True
+    for nonce in range(before):
+        wire.link.ask(fire_one(nonce, DARK, us(100)))
+    wire.run(2000)  # all are answered: a pulse asked for while the controller is reset may come once more
+    wire.reboot()
+    for nonce in range(100, 100 + after):
+        frame = encode(Message(Type.FIRE_ONE, nonce % 256, fire_one(nonce, DARK, us(100)).payload))
+        logic.bridge_talk(frame, len(frame), ctypes.create_string_buffer(100), wire.tick)
+        wire.run(3)
+    wire.loss = 0.0
+    wire.run(400)
+    cut = next(k for k, item in enumerate(wire.news) if isinstance(item, Restarted))
+    assert [item for item in wire.news if isinstance(item, Restarted)] == [Restarted(2)]
+    new = [item.event for item in wire.news[cut:] if isinstance(item, Happened)]
+    assert [e.number for e in new] == list(range(after + 1))
+    assert new[0].value == 2
+    old = [item.event.number for item in wire.news[:cut] if isinstance(item, Happened)]
+    assert old == list(range(len(old)))
+
+
+def test_a_controller_that_is_not_there(logic: ctypes.CDLL) -> None:
+    wire = Wire(logic, 1, 1.0)
+    wire.link.ask(Request(Type.IDENT))
+    wire.link.ask(number_request(Type.CLOCK, 5))
+    wire.run(500)
+    assert wire.news == [Unanswered(Request(Type.IDENT)), Unanswered(number_request(Type.CLOCK, 5))]
+    assert wire.link.retries == 18
+
+
+def test_answers_to_nobody_are_counted_and_the_clock_is_bounded_by_its_first_question(logic: ctypes.CDLL) -> None:
+    wire = Wire(logic, 1, 0.0)
+    wire.link.receive(encode(Message(Type.CLOCK | 0x80, 3, bytes(8))) + encode(Message(Type.NAK, 9, bytes(8))), 0.0)
+    assert wire.link.strays == 2
+    question = number_request(Type.CLOCK, 0x1234)
+    wire.link.ask(question)
+    wire.loss = 1.0
+    wire.turn()
+    asked_s = wire.now_s
+    wire.run(10)
+    wire.loss = 0.0
+    wire.run(30)
+    (reply,) = [item for item in wire.news if isinstance(item, Replied)]
+    assert reply.payload[:4] == (0x1234).to_bytes(4, "little")
+    assert reply.sent_s == asked_s
+    assert reply.received_s - asked_s >= 0.1
+
+
+def test_beats_keep_coming_and_show_the_state(logic: ctypes.CDLL) -> None:
+    wire = Wire(logic, 1, 0.0)
+    wire.link.beating = True
+    seen = 0
+    for _ in range(400):
+        data = wire.link.send(wire.now_s)
+        seen += sum(m.type == Type.BEAT for m in FrameReader().feed(data))
+        size = logic.bridge_talk(data, len(data), wire._replies, wire.tick)
+        wire.link.receive(wire._replies.raw[:size], wire.now_s)
+        wire.turns += 1
+    assert seen == 8  # in 2 s
+    assert wire.link.status is not None
+    assert wire.link.status.state == State.IDLE
