@@ -56,7 +56,7 @@ static void say_sent(void)
 
 /* simavr up to 1.7 gives compare outputs their PWM meaning in every mode: if an overflow falls between a match and the
  * interrupt that disconnects the pin, it raises a pin that is in "clear" and lowers one that is in "set". No chip
- * does that, so such an edge has not happened. */
+ * does that: such an edge is not told, and taken back a cycle later. */
 static int is_artefact(const struct output *output, uint32_t level)
 {
     if (!output->com_shift) return 0;
@@ -64,12 +64,24 @@ static int is_artefact(const struct output *output, uint32_t level)
     return (level && mode == 2) || (!level && mode == 3);
 }
 
+static avr_cycle_count_t take_back(avr_t *unused, avr_cycle_count_t when, void *param)
+{
+    const struct output *output = param;
+    (void)unused, (void)when;
+    avr_raise_irq(pin(output->name), output->level);
+    return 0;
+}
+
 static void on_output(avr_irq_t *irq, uint32_t value, void *param)
 {
     struct output *output = param;
     uint8_t level = value & 1;
     (void)irq;
-    if (level == output->level || is_artefact(output, level)) return;
+    if (level == output->level) return;
+    if (is_artefact(output, level)) {
+        avr_cycle_timer_register(avr, 1, take_back, output);
+        return;
+    }
     output->level = level;
     printf("edge %llu %s %u\n", (unsigned long long)avr->cycle, output->name, level);
 }

@@ -47,6 +47,8 @@ class Chip:
         self.cycle = 0
         self.edges: list[tuple[int, str, int]] = []
         """(cycle, pin, level) of all outputs."""
+        self.inputs: list[tuple[int, str, int]] = []
+        """(cycle, pin, level) of what was set from outside by `pin`."""
         self.sent: list[tuple[int, bytes]] = []
         """What the firmware sent, with the cycle of the first byte; to be taken by the reader."""
         self.resets: list[int] = []
@@ -55,6 +57,9 @@ class Chip:
         """One command, and what comes of it."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
+        word, *rest = command.split()
+        if word == "pin":
+            self.inputs.append((self.cycle, rest[0], int(rest[1])))
         self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
         for line in self.process.stdout:

@@ -29,7 +29,7 @@ def test_pulses_come_when_they_should(chip: Chip, loaded: bool, phase: int) -> N
     chip.do(f"run {1 + phase}")
     if loaded:
         chip.do(f"send {load(400).hex()}")
-    edge, _ = line.passage(330)
+    edge, _ = line.passage(340)
     line.run(200)
     triggers, gates = chip.rises("PB1"), chip.rises("PB2")
     assert len(triggers) == 18  # 20, 40, … 360 ms: the last one not later than the tail
@@ -40,6 +40,29 @@ def test_pulses_come_when_they_should(chip: Chip, loaded: bool, phase: int) -> N
     wanted = [STEPS[k % 3].width * CYCLES_PER_TICK for k in range(18)]
     assert all(abs(a - b) <= CYCLES_PER_US for a, b in zip(chip.widths("PB2"), wanted, strict=True))
     assert all(abs(width - 100 * CYCLES_PER_US) <= CYCLES_PER_US for width in chip.widths("PB1"))
+
+
+def test_edges_beside_an_overflow_of_the_timer(chip: Chip) -> None:
+    """The period is two ticks longer than a turn of Timer 1, so rise and fall wander across its overflow."""
+    line = Line(chip)
+    timing = replace(TIMING, steps=1, max_rows=160, period=2**16 + 2, trigger_width=us(60))
+    line.arm(timing, [Step(1, us(80))])
+    line.passage(1)
+    line.run(20)
+    bounce = line.events(Kind.SUPPRESSED)[0].tick  # ties ticks to cycles
+    seen = next(cycle for cycle, name, level in chip.inputs if name == "PB0" and level)
+    now = bounce + (chip.cycle - seen) // CYCLES_PER_TICK
+    wanted = -(timing.start_delay + us(80) + 100) % 2**16  # the first light ends 100 ticks before the overflow
+    ticks = (wanted - now) % 2**16
+    chip.do(f"at {chip.cycle + ticks * CYCLES_PER_TICK} PB0 1")
+    edge = chip.cycle + ticks * CYCLES_PER_TICK
+    line.run(5400)
+    triggers = chip.rises("PB1")
+    assert len(triggers) == len(chip.rises("PB2")) == 160
+    for row, cycle in enumerate(triggers):
+        assert abs(cycle - edge - (timing.start_delay + row * timing.period) * CYCLES_PER_TICK) <= CYCLES_PER_US
+    assert all(abs(width - 80 * CYCLES_PER_US) <= CYCLES_PER_US for width in chip.widths("PB2"))
+    assert all(abs(width - 60 * CYCLES_PER_US) <= CYCLES_PER_US for width in chip.widths("PB1"))
 
 
 def test_every_row_has_the_channels_of_its_step(chip: Chip) -> None:
