@@ -34,6 +34,16 @@ def test_only_bodies_far_off_are_left_out_beforehand(make: Make, monkeypatch: py
     assert all(np.array_equal(a, b) for a, b in zip(some, looked_at_all, strict=True))
 
 
+def test_a_board_too_long_for_one_texture_looks_like_any(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = make(board={"density": 2.0}, array={"cameras": 2, "tilt_deg": 1.0})
+    whole = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
+    monkeypatch.setattr("vaoi_station.simulation.scene._MOST_PX", 16)
+    parts = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
+    for a, b in zip(whole, parts, strict=True):
+        assert np.abs(a - b).mean() < 0.02, "but for the rounding of large coordinates"
+        assert np.abs(a - b).max() <= 3
+
+
 def test_boards_cameras_and_rows_have_noise_of_their_own(make: Make) -> None:
     twin = make(array={"read_noise": 2.0, "cameras": 2})
     empty = {(k, c): twin.passage(k).frame_at(c, -5.0, "ring", 0).astype(int) for k in (0, 1) for c in (0, 1)}

@@ -13,16 +13,20 @@ def work(connection: Connection[Any, Any], ring_path: str) -> None:
     """Do jobs until there are no more; heavy imports only after the number of threads is set."""
     settle_in(one_thread=True)
     from vaoi_station.runs.bench import Bench
+    from vaoi_station.runs.jobs import CloseRun, Ping
     from vaoi_station.runs.warming import warm_up
 
     with connection, Bench(ring_path) as bench:
         try:
             warm_up()
             gc.collect()
-            gc.freeze()  # what was imported and compiled stays: it need not be looked through while a board waits
+            gc.freeze()  # what was imported and compiled stays
+            gc.disable()  # and nothing is looked through while a board waits
             connection.send(bench.hello())
             while (message := connection.recv()) is not None:
                 if (answer := bench.take(message)) is not None:
                     connection.send(answer)
+                if isinstance(message, CloseRun | Ping):
+                    gc.collect()
         except (EOFError, BrokenPipeError, ConnectionResetError):
             return  # the station is gone, and so is the reason to be here

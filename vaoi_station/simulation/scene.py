@@ -24,6 +24,8 @@ from vaoi_station.simulation.scenario import BoardSection, LightSection
 _SURFACE_STEPS = 4
 _LEAST_LEAN_PX = 0.02
 _SIXTEENTHS = 4
+_MOST_PX = 2**15 - 2
+"""OpenCV samples images of no more pixels along an axis."""
 _ROOM_MM = 10.0
 """More than a placement's shift and the lean of what stands at the edge of a view."""
 
@@ -162,8 +164,18 @@ class Scene:
                 place = apply(back, camera.ground(lattice.nodes_px, self.surface_z(place)))
         t = self.artwork.to_px(place)
         shape = (camera.height_px * OVERSAMPLING, camera.width_px * OVERSAMPLING)
+        if max(texture.shape) > _MOST_PX:
+            texture, t = _in_reach(texture, t)
         x, y = lattice.spread(t[:, 0], shape), lattice.spread(t[:, 1], shape)
         return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderValue=round(self.belt_grey)))
+
+
+def _in_reach(texture: Bytes, px: Floats) -> tuple[Bytes, Floats]:
+    """The part of a texture about pixels (k, 2), which OpenCV could not sample as a whole, and the pixels on it."""
+    size = np.array(texture.shape[::-1])
+    low = np.clip(np.floor(px.min(0)).astype(int) - 2, 0, size - 1)
+    high = np.clip(np.ceil(px.max(0)).astype(int) + 3, low + 1, size)
+    return texture[low[1] : high[1], low[0] : high[0]], px - low
 
 
 def _lit(grey: Bytes, metal: Bytes, gain: float) -> Bytes:
