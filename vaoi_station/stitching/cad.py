@@ -88,22 +88,21 @@ class Places:
 
 def gather(sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion) -> Places:
     """One place per mark of the board, however many frames saw it."""
-    found = []
-    for s in sightings:
-        if len(s.px):
-            camera, row = s.task.a
-            at = motion.board(np.full(len(s.px), row), cameras[camera].ground(s.px))
-            found += [(float(v), int(k), p) for v, k, p in zip(s.score, s.kind, at, strict=True)]
-    found.sort(key=lambda f: -f[0])
-    kept: list[tuple[float, int, Floats]] = []
-    for f in found:
-        if not any(k[1] == f[1] and np.hypot(*(k[2] - f[2])) < _SAME_PLACE_MM for k in kept):
-            kept.append(f)
-    return Places(
-        np.array([k[2] for k in kept]).reshape(-1, 2),
-        np.array([k[1] for k in kept], dtype=np.int_),
-        np.array([k[0] for k in kept]),
+    seen = [s for s in sightings if len(s.px)]
+    if not seen:
+        return Places(np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
+    at = (motion.board(np.full(len(s.px), s.task.a[1]), cameras[s.task.a[0]].ground(s.px)) for s in seen)
+    mm, kind, score = (
+        np.concatenate([*at]),
+        np.concatenate([s.kind for s in seen]),
+        np.concatenate([s.score for s in seen]),
     )
+    best_first = np.argsort(-score, kind="stable")
+    mm, kind, score = mm[best_first], kind[best_first].astype(np.int_), score[best_first]
+    kept = np.zeros(len(mm), dtype=bool)
+    for n in range(len(mm)):
+        kept[n] = not (kept[:n] & (kind[:n] == kind[n]) & (np.hypot(*(mm[:n] - mm[n]).T) < _SAME_PLACE_MM)).any()
+    return Places(mm[kept], kind[kept], score[kept])
 
 
 @dataclass(frozen=True, eq=False)
