@@ -50,6 +50,47 @@ def look_alikes(x_mm: float, y_mm: float) -> Paint:
     return paint
 
 
+def cover(from_mm: float) -> Paint:
+    """What lies on a mark from there on to the right."""
+
+    def paint(picture: Picture, place: NDArray[np.float64], px_per_mm: float) -> None:
+        x, y = place
+        left, right = round(float(x) + from_mm * px_per_mm), round(float(x) + px_per_mm)
+        picture[round(float(y) - px_per_mm) : round(float(y) + px_per_mm), left:right] = MASK
+
+    return paint
+
+
+def glare(levels: float) -> Paint:
+    """A spot of light beside the mark that reaches over it."""
+
+    def paint(picture: Picture, place: NDArray[np.float64], px_per_mm: float) -> None:
+        y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
+        u, v = (x - place[0]) / px_per_mm - 0.4, (y - place[1]) / px_per_mm - 0.2
+        picture[:] = np.clip(picture + levels * np.exp(-2 * (u**2 + v**2)), 0, 255)
+
+    return paint
+
+
+@pytest.mark.parametrize("paint", [cover(0.4), cover(0.35), cover(0.3), glare(60), glare(120), glare(180)])
+def test_marks_that_are_covered_or_in_a_glare_admit_what_they_are_off(filmed: Any, paint: Paint) -> None:
+    result = filmed.stitched(frames=painted(filmed, paint))
+    if result.status is Status.FAILED:
+        return
+    assert filmed.error_px(result) <= 3.5 * result.quality["cad_sigma_px"]
+    if filmed.error_px(result) > 0.4:
+        assert result.status is Status.DEGRADED
+        assert any("partly covered, smudged or in a glare: FID" in r for r in result.reasons), result.reasons
+
+
+def test_glare_on_some_sightings_leaves_the_others_their_say(filmed: Any) -> None:
+    """Every fiducial is seen twice; only in odd rows is there a reflection."""
+    bright = painted(filmed, glare(120))
+    result = filmed.stitched(frames={k: bright[k] if k[1] % 2 else frame for k, frame in filmed.frames.items()})
+    assert filmed.error_px(result) <= 3.5 * result.quality["cad_sigma_px"]
+    assert result.quality["cad_sigma_px"] < 0.2
+
+
 @pytest.mark.parametrize("off", [(2.5, 0.0), (1.2, 0.0), (-1.2, 0.0), (0.8, 0.8)])
 def test_look_alikes_beside_all_fiducials_do_not_agree_with_the_outline(filmed: Any, off: tuple[float, float]) -> None:
     result = filmed.stitched(frames=painted(filmed, look_alikes(*off)))

@@ -1,7 +1,8 @@
 """The place of a mark to a few hundredths of a pixel.
 
 Discs by a fit of their picture (`disc`), every other mark by its point symmetry (`symmetry`). Neither depends on
-brightness or gain, on its slope across the mark, or on how much of the rim is bare.
+brightness or gain, on its slope across the mark, or on how much of the rim is bare. Marks that are partly covered or
+lie in a glare say so by their standard deviation (`evenness`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import disc, symmetry
 from vaoi_station.marks.artwork import CROSS_ARM, Shape
+from vaoi_station.marks.evenness import disturbance
 from vaoi_station.marks.likeness import SHAPE_CODE, likeness
 from vaoi_station.marks.search import SURROUND
 
@@ -82,6 +84,8 @@ def locate(
         return Failure(f"contrast {abs(contrast):.0f} of the mark at ({x}, {y}) px is below {_LEAST_CONTRAST:.0f}")
     if score < _LEAST_SCORE:
         return Failure(f"correlation {score:.2f} of the mark at ({x}, {y}) px is below {_LEAST_SCORE}")
+    if precise:
+        sigma = math.hypot(sigma, disturbance(image, px, size_px, contrast, sigma))
     return Mark(np.array(px), max(sigma, _LEAST_SIGMA_PX), score, contrast > 0)
 
 

@@ -53,6 +53,21 @@ def of_fiducials(
     return out
 
 
+def of_sightings(frame: Frame, points: FiducialPoints | None, limit_px: float) -> str:
+    """Which fiducials are to blame for positions that are too uncertain: those no sighting of which is sure."""
+    if points is None:
+        return ""
+    sigma_px = points.sigma_mm * points.px_per_mm
+    numbers = np.unique(points.which[points.which >= 0]).tolist()
+    unsure = [n for n in numbers if sigma_px[points.which == n].min() > limit_px]
+    if not unsure:
+        return ""
+    names = ", ".join(
+        f"{frame.board_type.fiducials[n].name} ± {sigma_px[points.which == n].min():.2f} px" for n in unsure
+    )
+    return f"; fiducials that are partly covered, smudged or in a glare: {names}"
+
+
 def of_outline(shift: Shift | None, px_per_mm: float) -> list[str]:
     """The outline lies elsewhere than the fiducials say."""
     if shift is None or not shift.excess_mm:

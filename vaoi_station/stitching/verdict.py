@@ -15,7 +15,7 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
-from vaoi_station.stitching.agreement import of_fiducials, of_outline
+from vaoi_station.stitching.agreement import of_fiducials, of_outline, of_sightings
 from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.certainty import matrix_sigmas, row_covariances
 from vaoi_station.stitching.evidence import Links
@@ -219,7 +219,8 @@ def _cad_complaints(f: Findings, frame: Frame, mapping: Mapping, c: Floats) -> l
         )
     worst = f.sigma.worst_px
     if worst is not None and worst > _OK_SIGMA_PX:
-        out.append(f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX})")
+        blamed = of_sightings(frame, points, _OK_SIGMA_PX)
+        out.append(f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX}){blamed}")
     return out
 
 
