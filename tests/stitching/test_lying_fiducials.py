@@ -128,3 +128,15 @@ def test_data_that_are_scaled_are_told(filmed: Any, share: float) -> None:
     result = filmed.stitched(board_type=BoardType.model_validate(data), calibration=flat)
     assert result.status is Status.DEGRADED
     assert any("larger than its CAD data" in r for r in result.reasons), result.reasons
+
+
+def test_two_fiducials_of_which_one_lies_across_turn_the_outline(filmed: Any) -> None:
+    data = filmed.board_type.model_dump(mode="json", exclude_none=True)
+    data["fiducials"] = data["fiducials"][:2]
+    (ax, ay), (bx, by) = ((f["x"], f["y"]) for f in data["fiducials"])
+    length = np.hypot(bx - ax, by - ay)
+    data["fiducials"][0]["x"] += -0.6 * (by - ay) / length
+    data["fiducials"][0]["y"] += 0.6 * (bx - ax) / length
+    result = filmed.stitched(board_type=BoardType.model_validate(data))
+    assert result.status is Status.DEGRADED
+    assert any("the board's outline is turned by" in r for r in result.reasons), result.reasons

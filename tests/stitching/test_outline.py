@@ -54,6 +54,15 @@ def test_the_outline_is_measured_to_a_few_hundredths_of_a_mm(
     assert found.excess_mm == pytest.approx(expected, abs=0.06)
 
 
+@pytest.mark.parametrize("mrad", [-40, 30, 25, 0])
+def test_a_turn_is_measured(workshop: Any, mrad: float) -> None:
+    c, s = np.cos(1e-3 * mrad), np.sin(1e-3 * mrad)
+    found = outline_shift(board(), np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ PLACED, scene(workshop), STILL)
+    assert found is not None
+    assert 1e3 * found.turn_rad == pytest.approx(-mrad, abs=5)
+    assert found.turned_mm == pytest.approx(1e-3 * abs(mrad) * 17, abs=0.1)
+
+
 def test_a_board_that_is_cut_smaller_all_round_has_not_moved(workshop: Any) -> None:
     smaller = scene(workshop, (27.6, 20.0))
     found = outline_shift(board(), PLACED, smaller, STILL)

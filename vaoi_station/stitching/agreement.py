@@ -70,14 +70,24 @@ def of_sightings(frame: Frame, points: FiducialPoints | None, limit_px: float) -
 
 def of_outline(shift: Shift | None, px_per_mm: float) -> list[str]:
     """The outline lies elsewhere than the fiducials say."""
-    if shift is None or not shift.excess_mm:
+    if shift is None:
         return []
+    out = []
     (x, y), (sx, sy) = shift.mm, shift.sigma_mm
-    return [
-        f"the board's outline lies {shift.excess_mm:.2f} mm ({shift.excess_mm * px_per_mm:.0f} px) from where the "
-        f"fiducials put it, ({x:+.2f}, {y:+.2f}) mm ± ({sx:.2f}, {sy:.2f}) over {shift.pieces} places: look-alikes may "
-        "have been taken for the fiducials; compare fiducials and outline of the board type with the board"
-    ]
+    if shift.excess_mm:
+        out.append(
+            f"the board's outline lies {shift.excess_mm:.2f} mm ({shift.excess_mm * px_per_mm:.0f} px) from where the "
+            f"fiducials put it, ({x:+.2f}, {y:+.2f}) mm ± ({sx:.2f}, {sy:.2f}) over {shift.pieces} places: look-alikes "
+            "may have been taken for the fiducials; compare fiducials and outline of the board type with the board"
+        )
+    if shift.turned_mm:
+        turn, sigma = 1e3 * shift.turn_rad, 1e3 * shift.turn_sigma_rad
+        out.append(
+            f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, {shift.turned_mm:.2f} "
+            f"mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not where the CAD data have it, or a "
+            "look-alike was taken for it"
+        )
+    return out
 
 
 Seen = dict[int, tuple[Floats, float]]

@@ -40,7 +40,8 @@ the machining; it is why one side alone says less than two that face each other.
 _PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
 """What a piece is off by at least, and the whole outline against the copper (1 σ; boards are cut to 0.1 or 0.2 mm)."""
 _KNEE, _ROUNDS = 2.0, 6
-_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 4.0
+_LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
+"""A cut is rather beside its place than askew: of a turn less is let pass, at the ends of the board."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,9 @@ class Shift:
     covariance: Floats
     """(2, 2) mm²; of the size of the priors in such a direction."""
     turn_rad: float
+    turn_sigma_rad: float
+    arm_mm: float
+    """From the middle of the pieces to the furthest."""
     pieces: int
     """On so many pieces of the outline."""
 
@@ -62,6 +66,12 @@ class Shift:
         along = np.abs(way.T @ self.mm)
         beyond = along > np.maximum(_LIMIT_MM, _LIMIT_SIGMAS * np.sqrt(sigma))
         return float(np.hypot(*(along * beyond)))
+
+    @property
+    def turned_mm(self) -> float:
+        """What the turn makes at the ends of the board, if neither machining nor noise explain it; else 0."""
+        turned = abs(self.turn_rad) * self.arm_mm
+        return turned if turned > max(_TURN_LIMIT_MM, _LIMIT_SIGMAS * self.turn_sigma_rad * self.arm_mm) else 0.0
 
     @property
     def sigma_mm(self) -> Floats:
@@ -200,7 +210,8 @@ def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Shi
         misfit = offset - j @ solved
         scatter = max(1.4826 * float(np.median(np.abs(misfit))), _PIECE_SIGMA_MM)
         weight = huber_weights(misfit / scatter, _KNEE)
-    return Shift(solved[:2], inverse[:2, :2] + _MACHINED_MM**2 * np.eye(2), float(solved[2]), len(n))
+    covariance, turn_sigma = inverse[:2, :2] + _MACHINED_MM**2 * np.eye(2), float(np.sqrt(inverse[2, 2]))
+    return Shift(solved[:2], covariance, float(solved[2]), turn_sigma, float(np.hypot(*arm.T).max()), len(n))
 
 
 def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:

@@ -319,6 +319,8 @@ def _shift_of(f: Findings) -> dict[str, Any] | None:
     return {
         "mm": [_rounded(float(v), 3) for v in shift.mm],
         "sigma_mm": [_rounded(float(v), 3) for v in shift.sigma_mm],
+        "turn_mrad": _rounded(1e3 * shift.turn_rad, 3),
+        "turn_sigma_mrad": _rounded(1e3 * shift.turn_sigma_rad, 3),
         "pieces": shift.pieces,
     }
 
