@@ -83,9 +83,9 @@ def of_outline(shift: Shift | None, px_per_mm: float) -> list[str]:
     if shift.turned_mm:
         turn, sigma = 1e3 * shift.turn_rad, 1e3 * shift.turn_sigma_rad
         out.append(
-            f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, {shift.turned_mm:.2f} "
-            f"mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not where the CAD data have it, or a "
-            "look-alike was taken for it"
+            f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, "
+            f"{shift.turned_mm:.2f} mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not where the "
+            "CAD data have it, or a look-alike was taken for it"
         )
     return out
 
