@@ -50,6 +50,11 @@ class Prepared:
         wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
         return np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
 
+    @cached_property
+    def coarser(self) -> NDArray[np.float32]:
+        """Half the size of `coarse`."""
+        return np.asarray(halved(self.coarse))
+
     def corners(self, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float32]:
         """Smaller eigenvalue of the structure tensor of a part of `quarter`: how well a place is fixed both ways."""
         left, top = max(x0 - _CORNER_PX, 0), max(y0 - _CORNER_PX, 0)
@@ -80,7 +85,7 @@ def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(grey >> (bits - 8), dtype=np.uint8)
 
 
-def halved(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def halved(image: NDArray[Any]) -> NDArray[Any]:
     """Block means of 2×2; an odd last row or column is left out, so that pixel centres stay in step."""
     h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
-    return np.asarray(cv2.resize(image[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(cv2.resize(image[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA))
