@@ -43,6 +43,11 @@ class Prepared:
             factor *= 2
         return factor
 
+    @property
+    def grain(self) -> int:
+        """How finely places are chosen, px: a third of a patch in large frames, a sixth in small ones."""
+        return min(self.factor, 8)
+
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
         """High-passed: the local mean is taken off, so that light and vignetting do not matter."""
@@ -56,9 +61,9 @@ class Prepared:
         return np.asarray(halved(self.coarse))
 
     def corners(self, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float32]:
-        """Smaller eigenvalue of the structure tensor of a part of `quarter`: how well a place is fixed both ways."""
+        """How well places are fixed both ways: smaller eigenvalue of the structure tensor, per `grain` of the frame."""
         left, top = max(x0 - _CORNER_PX, 0), max(y0 - _CORNER_PX, 0)
-        part = self.quarter[top : y1 + _CORNER_PX, left : x1 + _CORNER_PX]
+        part = reduced(self, self.grain)[top : y1 + _CORNER_PX, left : x1 + _CORNER_PX]
         found = cv2.cornerMinEigenVal(part, 3, ksize=3)
         return np.asarray(found[y0 - top : y1 - top, x0 - left : x1 - left], dtype=np.float32)
 
