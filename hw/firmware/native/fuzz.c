@@ -81,6 +81,16 @@ static void commit_and_arm(void)
     say(MSG_ARM, &arm, sizeof arm, 0);
 }
 
+/* The longest pulses as often as the chip can make them: only the duty cycle is in the way. */
+static void storm(void)
+{
+    for (uint8_t k = 0; k < 12; k++) {
+        struct fire_request fire = {(uint16_t)any(65536), {(uint8_t)(1 + any(3)), 0, US(1000)}, US(100)};
+        say(MSG_FIRE_ONE, &fire, sizeof fire, 0);
+        for (uint8_t poll = 0; poll < 8; poll++) bridge_poll(now += US(500));
+    }
+}
+
 static void speak(void)
 {
     uint8_t payload[PAYLOAD_LONGEST], noise[80];
@@ -93,6 +103,9 @@ static void speak(void)
         break;
     case 1: commit_and_arm(); break;
     case 2: say(MSG_BEAT, NULL, 0, 0); break;
+    case 3:
+        if (any(20) == 0) storm();
+        break;
     default: say(type, payload, make_payload(type, payload), any(10) == 0);
     }
 }
