@@ -34,6 +34,17 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", made)
 
 
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """The same for a function that compiled functions of its module call: it becomes a part of each of them.
+
+    A function that stayed one of its own would be there twice, optimised alone and with its caller; which of the two is
+    linked depends on whether the code was just compiled or kept, and so would the last digits of a result.
+    """
+    return cast(
+        "Callable[P, R]", numba.njit(inline="always", nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
+    )
+
+
 def _alone(compile_it: Callable[[Any], Any], kept_in: Path) -> Callable[[Any], Any]:
     """Compile while no other process does: it finds the code when its turn comes.
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -87,3 +91,30 @@ def test_a_match_is_where_numpy_finds_nothing_left_to_do(workshop: Any, noise: f
         assert twice[n] == pytest.approx(true["blurred"], rel=0.02, abs=0.01 * np.trace(twice[n]))
         assert told[n, 1] == pytest.approx(true["scatter"], rel=0.02, abs=0.03)
         assert told[n, 0] == pytest.approx(true["score"], abs=2e-4)
+
+
+_ONCE = """
+import hashlib
+import cv2
+import numpy as np
+from vaoi_station.stitching.patches import match, middles
+
+g = np.random.default_rng(1)
+a = np.clip(cv2.GaussianBlur(g.normal(128, 300, (240, 300)), (0, 0), 2), 0, 255).astype(np.uint8)
+b = cv2.GaussianBlur(np.roll(a, (1, 2), (0, 1)), (3, 3), 0.5)
+places = g.integers(40, 190, (40, 2))
+found = match(a, b, places, middles(places) + (1.7, 1.2))
+print(hashlib.sha256(found.b_px.tobytes() + found.information.tobytes()).hexdigest())
+"""
+
+
+def test_code_just_compiled_and_code_that_was_kept_agree_to_the_last_digit(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", _ONCE], env=environment, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    assert len(said[0]) > 60
+    assert said[0] == said[1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
 Lensing = tuple[float, float, float, float, float]
@@ -65,7 +65,7 @@ def distort(points: Floats, radial: Floats, lens: Lensing, out: Floats) -> None:
         out[i, 0], out[i, 1] = _distorted(points[i, 0], points[i, 1], radial, lens)
 
 
-@compiled
+@inlined
 def _polynomial(radial: Floats, rho2: float) -> tuple[float, float]:
     """1 + a1·ρ² + … and the slope of ρ times that, at a squared radius in units of R²."""
     factor, slope, power = 1.0, 1.0, 1.0
@@ -76,7 +76,7 @@ def _polynomial(radial: Floats, rho2: float) -> tuple[float, float]:
     return factor, slope
 
 
-@compiled
+@inlined
 def _undistorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[float, float]:
     if len(radial) == 0:
         return u, v
@@ -86,7 +86,7 @@ def _undistorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[flo
     return x0 + x * factor, y0 + y * factor
 
 
-@compiled
+@inlined
 def _distorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[float, float]:
     """By Newton's method."""
     if len(radial) == 0:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.marks.equations import solve, variance
 
 FITTED, NO_EDGE, TOO_FAR = 0, 1, 2
@@ -73,7 +73,7 @@ def fit_disc(
     return FITTED, p[0], p[1], noise * math.sqrt(variance(odd)), p[6], p[7], p[4], p[5]
 
 
-@compiled
+@inlined
 def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
     image: NDArray[np.uint8],
     p: NDArray[np.float64],
@@ -158,7 +158,7 @@ def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
     return math.sqrt(total / max(weights, 1.0))
 
 
-@compiled
+@inlined
 def _step(z: float) -> tuple[float, float]:
     """½ erfc(z / √2) to 1e-7 (Abramowitz and Stegun 7.1.26), and the normal density, by one exponential."""
     t, density = 1 / (1 + 0.2316418882 * abs(z)), math.exp(-0.5 * z * z)
@@ -167,7 +167,7 @@ def _step(z: float) -> tuple[float, float]:
     return (tail if z >= 0 else 1 - tail), 0.3989422804014327 * density
 
 
-@compiled
+@inlined
 def _move(
     p: NDArray[np.float64], odd: NDArray[np.float64], even: NDArray[np.float64], moves: bool, shapes: bool
 ) -> bool:

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import inlined
 
 
-@compiled
+@inlined
 def solve(a: NDArray[np.float64], n: int) -> bool:
     """Cholesky on the upper triangle of the first n equations; the solution comes to column 4."""
     for i in range(n):
@@ -35,7 +35,7 @@ def solve(a: NDArray[np.float64], n: int) -> bool:
     return True
 
 
-@compiled
+@inlined
 def variance(root: NDArray[np.float64]) -> float:
     """Mean variance of the first two unknowns, measurements having 1, from what `solve` left of four equations."""
     total = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
 RING = 16
@@ -60,7 +60,7 @@ def alike(
     return found[:count]
 
 
-@compiled
+@inlined
 def _stand_out(
     image: NDArray[np.uint8],
     y: int,
@@ -90,7 +90,7 @@ def _stand_out(
         rim_above[x] = above if least >= above else np.int16(0)
 
 
-@compiled
+@inlined
 def _ringed(image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], rim_below: int, rim_above: int) -> bool:
     """Whether enough of the rim is as dark as `rim_below` or, where that is 0, as light as `rim_above`."""
     astray = 0
@@ -102,7 +102,7 @@ def _ringed(image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], ri
     return True
 
 
-@compiled
+@inlined
 def _correlation(
     image: NDArray[np.uint8], template: NDArray[np.float32], left: int, top: int, window: NDArray[np.float32]
 ) -> float:

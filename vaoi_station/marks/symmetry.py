@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.marks.equations import solve, variance
 
 FITTED, NOTHING_FIXES, TOO_FAR = 0, 1, 2
@@ -65,7 +65,7 @@ def fit_symmetry(
     return FITTED, cx, cy, noise * math.sqrt(variance(normal))
 
 
-@compiled
+@inlined
 def _differences(
     window: NDArray[np.float32], stride: int, limit: float, normal: NDArray[np.float64]
 ) -> tuple[float, float]:
@@ -123,7 +123,7 @@ def _differences(
     return total, count
 
 
-@compiled
+@inlined
 def _centred(
     image: NDArray[np.float32],
     x: float,
@@ -160,7 +160,7 @@ def _centred(
             out[j] = down[0] * a[j] + down[1] * b[j] + down[2] * c[j] + down[3] * d[j] + down[4] * e[j] + down[5] * f[j]
 
 
-@compiled
+@inlined
 def _lagrange(fraction: float, weights: NDArray[np.float32]) -> None:
     """Weights of the pixels from `BEFORE` before to `AFTER` after, for a place `fraction` behind the pixel at 0."""
     for i in range(BEFORE + AFTER + 1):

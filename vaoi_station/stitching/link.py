@@ -21,6 +21,8 @@ _POINTS = 80
 """Places per pair of frames: enough that losing half of them to tall parts costs nothing …"""
 _POINTS_APART = 40
 """… and per pair of rows that are not consecutive: they stiffen the chain."""
+_GRAIN_PX, _AMPLE_PX = 8, 96
+"""How finely places are chosen: a patch is three times as wide; half of it in small frames and in narrower overlaps."""
 _LEAST_CELL_PX = 28
 """Places stand no closer: patches that overlap tell the same twice."""
 _LEAST_SCORE = 0.80
@@ -130,7 +132,9 @@ def _fine(
 
 def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POINTS) -> NDArray[np.int_]:
     """The best-textured place of each cell of a grid laid over a box of the frame, (k, 2) whole pixels."""
-    grain = a.grain
+    grain = (
+        _GRAIN_PX if a.factor >= _GRAIN_PX and min(box[2] - box[0], box[3] - box[1]) >= _AMPLE_PX else _GRAIN_PX // 2
+    )
     x0, y0, x1, y1 = (-(-v // grain) for v in box[:2] + (box[2] - grain + 1, box[3] - grain + 1))
     w, h = x1 - x0, y1 - y0
     if w < 1 or h < 1:
@@ -138,7 +142,7 @@ def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POI
     cell = max(int(np.sqrt(w * h / count)), _LEAST_CELL_PX // grain)
     nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
     sx, sy = max(w // nx, 1), max(h // ny, 1)
-    cut = a.corners(x0, y0, x0 + nx * sx, y0 + ny * sy)
+    cut = a.corners(grain, x0, y0, x0 + nx * sx, y0 + ny * sy)
     ny, nx = cut.shape[0] // sy, cut.shape[1] // sx
     cells = cut[: ny * sy, : nx * sx].reshape(ny, sy, nx, sx).swapaxes(1, 2).reshape(ny * nx, sy * sx)
     best = cells.argmax(1)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
@@ -179,7 +179,7 @@ def _voted(steps: Floats, normal: Floats) -> Floats:
     return np.array([tries[j], tries[i]])
 
 
-@compiled
+@inlined
 def _heard(
     steps: NDArray[np.float64], normal: NDArray[np.float64], tries: NDArray[np.float64], step_mm: float
 ) -> NDArray[np.float64]:

@@ -27,8 +27,14 @@ class Prepared:
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
-        """(h, w) 8-bit luminance."""
-        return to_eight_bit(to_grey(self._pixels))
+        """(h, w) 8-bit luminance, read-only and contiguous wherever it came from.
+
+        A function is compiled anew for arrays that may be written, and the two may round differently: a frame in
+        the ring and the same frame out of a file must give the same evidence.
+        """
+        view = np.ascontiguousarray(to_eight_bit(to_grey(self._pixels))).view()
+        view.flags.writeable = False
+        return view
 
     @cached_property
     def quarter(self) -> NDArray[np.uint8]:
@@ -43,11 +49,6 @@ class Prepared:
             factor *= 2
         return factor
 
-    @property
-    def grain(self) -> int:
-        """How finely places are chosen, px: a third of a patch in large frames, a sixth in small ones."""
-        return min(self.factor, 8)
-
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
         """High-passed: the local mean is taken off, so that light and vignetting do not matter."""
@@ -60,10 +61,10 @@ class Prepared:
         """Half the size of `coarse`."""
         return np.asarray(halved(self.coarse))
 
-    def corners(self, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float32]:
-        """How well places are fixed both ways: smaller eigenvalue of the structure tensor, per `grain` of the frame."""
+    def corners(self, grain: int, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float32]:
+        """How well places are fixed both ways: smaller eigenvalue of the structure tensor, per `grain` px."""
         left, top = max(x0 - _CORNER_PX, 0), max(y0 - _CORNER_PX, 0)
-        part = reduced(self, self.grain)[top : y1 + _CORNER_PX, left : x1 + _CORNER_PX]
+        part = reduced(self, grain)[top : y1 + _CORNER_PX, left : x1 + _CORNER_PX]
         found = cv2.cornerMinEigenVal(part, 3, ksize=3)
         return np.asarray(found[y0 - top : y1 - top, x0 - left : x1 - left], dtype=np.float32)
 

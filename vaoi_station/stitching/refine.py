@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.patch_tables import ACROSS, BLUR_REACH, DOWN, FRACTIONS, GAUSS, SINC, TAPS, TWICE, WINDOW_PX
 
@@ -119,7 +119,7 @@ def refine(
         b_px[k, 0], b_px[k, 1] = px + _LEFT + 0.5, py + _LEFT + 0.5
 
 
-@compiled
+@inlined
 def _approach(
     tile: _Plane, dx: float, dy: float, patch: _Patch, s: _Plane, inverse: _Inverse
 ) -> tuple[float, float, bool, bool]:
@@ -141,7 +141,7 @@ def _approach(
     return dx, dy, False, False
 
 
-@compiled
+@inlined
 def _settle(
     tile: _Plane, dx: float, dy: float, patch: _Patch, factor: Floats, rows: _Plane, s: _Plane, inverse: _Inverse
 ) -> tuple[float, float, float, float, float]:
@@ -166,14 +166,14 @@ def _settle(
     return dx, dy, step, score, scatter
 
 
-@compiled
+@inlined
 def _outside(dx: float, dy: float) -> bool:
     """Whether a window needs more than its tile has."""
     low, high = TAPS // 2 - 1, _B_PX - WINDOW_PX - TAPS // 2
     return not (low <= dx < high and low <= dy < high)
 
 
-@compiled
+@inlined
 def _within(px: float, py: float, image: _Pixels) -> bool:
     """Whether a window whose first pixel is here keeps its margin to the image's border."""
     h, w = image.shape
@@ -181,7 +181,7 @@ def _within(px: float, py: float, image: _Pixels) -> bool:
     return bool(low <= px <= w - MARGIN_PX - _LEFT and low <= py <= h - MARGIN_PX - _LEFT)
 
 
-@compiled
+@inlined
 def _cut(image: _Pixels, x0: int, y0: int, raw: _Pixels, size: int) -> None:
     """A square of an image, with room for the blur around `size`; beyond the border its last pixels are repeated."""
     h, w = image.shape
@@ -198,7 +198,7 @@ def _cut(image: _Pixels, x0: int, y0: int, raw: _Pixels, size: int) -> None:
                 to[x] = line[min(max(x0 + x, 0), w - 1)]
 
 
-@compiled
+@inlined
 def _blur(raw: _Pixels, half_way: _Plane, out: _Plane, size: int, less: float) -> None:
     """Gaussian across and down, less a constant; `raw` has room for its reach on every side."""
     w0, w1, w2, w3, w4 = GAUSS[0], GAUSS[1], GAUSS[2], GAUSS[3], GAUSS[4]
@@ -211,7 +211,7 @@ def _blur(raw: _Pixels, half_way: _Plane, out: _Plane, size: int, less: float) -
     _down(half_way, out, size, (w0, w1, w2, w3, w4), _Float(less))
 
 
-@compiled
+@inlined
 def _down(lines: _Plane, out: _Plane, size: int, w: tuple[np.float32, ...], less: np.float32) -> None:
     """Nine points of every column, symmetrically weighted from the middle outwards, less a constant."""
     w0, w1, w2, w3, w4 = w
@@ -223,7 +223,7 @@ def _down(lines: _Plane, out: _Plane, size: int, w: tuple[np.float32, ...], less
             to[x] = w0 * e[x] + w1 * (d[x] + f[x]) + w2 * (c[x] + g[x]) + w3 * (b[x] + h[x]) + w4 * (a[x] + i[x]) - less
 
 
-@compiled
+@inlined
 def _saturated(raw: _Pixels, border: int) -> float:
     """Share of a window's pixels that are blown out."""
     count = 0
@@ -234,7 +234,7 @@ def _saturated(raw: _Pixels, border: int) -> float:
     return count / _AREA
 
 
-@compiled
+@inlined
 def _template(tile: _Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
     """Make a patch and the factor of its light; returns its mean, t·t and the sums of products of its slopes."""
     t, gx, gy, tx, ty = patch
@@ -289,7 +289,7 @@ def _template(tile: _Plane, patch: _Patch, factor: Floats) -> tuple[float, float
     return float(mean), max(float(s11), 1e-6), float(xx), float(xy), float(yy)
 
 
-@compiled
+@inlined
 def _factorise(m: Floats) -> None:
     """Cholesky factor of a matrix (4, 4), in its lower triangle; a little is added where texture may be nil."""
     for i in range(4):
@@ -301,7 +301,7 @@ def _factorise(m: Floats) -> None:
             m[i, j] = math.sqrt(max(value, 1e-9)) if i == j else value / m[j, j]
 
 
-@compiled
+@inlined
 def _halfway(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
     """L⁻¹·b for the factor L."""
     v0 = b0 / m[0, 0]
@@ -310,7 +310,7 @@ def _halfway(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[flo
     return v0, v1, v2, (b3 - m[3, 0] * v0 - m[3, 1] * v1 - m[3, 2] * v2) / m[3, 3]
 
 
-@compiled
+@inlined
 def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
     """(L·Lᵀ)⁻¹·b for the factor L."""
     v0, v1, v2, v3 = _halfway(m, b0, b1, b2, b3)
@@ -320,7 +320,7 @@ def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[floa
     return (v0 - m[1, 0] * w1 - m[2, 0] * w2 - m[3, 0] * w3) / m[0, 0], w1, w2, w3
 
 
-@compiled
+@inlined
 def _dot(a: _Plane, b: _Plane) -> float:
     total = _Float(0)
     for n in range(_AREA):
@@ -328,7 +328,7 @@ def _dot(a: _Plane, b: _Plane) -> float:
     return float(total)
 
 
-@compiled
+@inlined
 def _soften(g: _Plane, padded: _Plane, lines: _Plane, out: _Plane) -> None:
     """A slope blurred twice, as far as the window goes; nothing lies beyond it."""
     w0, w1, w2, w3, w4 = TWICE[0], TWICE[1], TWICE[2], TWICE[3], TWICE[4]
@@ -342,7 +342,7 @@ def _soften(g: _Plane, padded: _Plane, lines: _Plane, out: _Plane) -> None:
     _down(lines, out.reshape(WINDOW_PX, WINDOW_PX), WINDOW_PX, (w0, w1, w2, w3, w4), _Float(0))
 
 
-@compiled
+@inlined
 def _products(s: _Plane, patch: _Patch) -> tuple[float, float, float, float, float]:
     """Sums of s, s·t, s·gx, s·gy, s·s."""
     t, gx, gy = patch[0], patch[1], patch[2]
@@ -357,7 +357,7 @@ def _products(s: _Plane, patch: _Patch) -> tuple[float, float, float, float, flo
     return float(s1), float(st), float(sx), float(sy), float(ss)
 
 
-@compiled
+@inlined
 def _bilinear(tile: _Plane, x: float, y: float, out: _Plane) -> None:
     """The window whose first pixel lies at (x, y) of a tile."""
     x0, y0, one = int(x), int(y), _Float(1)
@@ -371,7 +371,7 @@ def _bilinear(tile: _Plane, x: float, y: float, out: _Plane) -> None:
             to[c] = w00 * upper[c] + w01 * upper[c + 1] + w10 * lower[c] + w11 * lower[c + 1]
 
 
-@compiled
+@inlined
 def _sharp(tile: _Plane, x: float, y: float, rows: _Plane, out: _Plane) -> None:
     """The same by the sinc of six points."""
     x0, y0 = int(x), int(y)
@@ -388,7 +388,7 @@ def _sharp(tile: _Plane, x: float, y: float, rows: _Plane, out: _Plane) -> None:
             to[n] = w0 * a[n] + w1 * b[n] + w2 * c[n] + w3 * d[n] + w4 * e[n] + w5 * f[n]
 
 
-@compiled
+@inlined
 def _weights(f: float) -> tuple[float, float, float, float, float, float]:
     """Of the six points at a fraction, between the two nearest of the table."""
     at = f * FRACTIONS
