@@ -62,7 +62,7 @@ class Projective:
     source: System
 
     def __post_init__(self) -> None:
-        m = np.array(self.matrix, dtype=np.float64)
+        m = np.array(self.matrix, dtype=np.float64, order="C")
         if m.shape != (3, 3) or not np.isfinite(m).all():
             raise InternalError(f"{self.target}_from_{self.source} is not a finite 3×3 matrix: {m!r}")
         m.setflags(write=False)

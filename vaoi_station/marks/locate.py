@@ -74,6 +74,8 @@ def locate(
     x, y = (round(float(v)) for v in near_px)
     if not (half <= x < image.shape[1] - half and half <= y < image.shape[0] - half):
         return Failure(f"the mark at ({x}, {y}) px is cut off by the frame's border")
+    image = image.view()
+    image.flags.writeable = False  # a function is compiled anew for arrays that may be written
     start = float(near_px[0]), float(near_px[1])
     found = _disc(image, start, size_px, precise) if shape == "circle" else _symmetric(image, start, size_px, half)
     if isinstance(found, Failure):

@@ -56,7 +56,7 @@ def find_shift(
     contrast = float(template.std())
     if contrast < _LEAST_CONTRAST:
         return Failure(f"the overlap is empty: contrast {contrast:.1f} grey levels")
-    reach = np.maximum(np.ceil(reach_px / f).astype(int), 2)
+    reach = np.maximum(np.ceil(reach_px / f).astype(int) + 1, 2)  # and one more, so that the best place has neighbours
     shift = np.round(offset_px / f).astype(int)
     window = _padded(coarse_b, x0 + shift[0], y0 + shift[1], x1 + shift[0], y1 + shift[1], reach)
     surface = cv2.matchTemplate(window, template, cv2.TM_CCORR_NORMED)
