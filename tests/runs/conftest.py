@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.runs.peer import PATIENCE_S, Peer
 from vaoi_station.acquisition import messages as said
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
@@ -34,7 +33,7 @@ from vaoi_station.model import (
     Stitch,
     Verdict,
 )
-from vaoi_station.runs.acquisition_link import AcquisitionLink, Process
+from vaoi_station.runs.acquisition_link import AcquisitionLink
 from vaoi_station.runs.archive import Archive
 from vaoi_station.runs.conductor import StationConductor
 from vaoi_station.runs.core import Parts
@@ -48,8 +47,6 @@ from vaoi_station.runs.watch import CalibrationWatch
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
-R = TypeVar("R")
-PATIENCE_S = 20.0
 WIDTH, HEIGHT, PX_PER_MM = 64, 48, 2.0
 PERIOD_S, SPEED_MM_S = 0.1, 100.0
 
@@ -176,81 +173,6 @@ class ScriptedWorkers:
 
     def tasks(self, run: str) -> list[Task]:
         return [task for job in self.done if isinstance(job, LinkJob) and job.run == run for task in job.tasks]
-
-
-class FakeProcess:
-    """A process that is a thread's idea of one: it 'dies' when told to."""
-
-    def __init__(self) -> None:
-        self._here, self._there = multiprocessing.Pipe(duplex=False)
-        self._ended = threading.Event()
-        self.pid = 4711
-        self.exitcode: int | None = None
-
-    @property
-    def sentinel(self) -> int:
-        return self._here.fileno()
-
-    def kill(self) -> None:
-        self.die(-9)
-
-    def die(self, code: int) -> None:
-        if self.exitcode is None:
-            self.exitcode = code
-            self._ended.set()
-            self._there.close()
-
-    def join(self, timeout: float | None = None) -> None:
-        self._ended.wait(timeout)
-
-    def close(self) -> None:
-        self._here.close()
-
-
-class Peer:
-    """The acquisition process, played by the test."""
-
-    def __init__(self) -> None:
-        self.lives: list[tuple[FakeProcess, Connection[Any, Any]]] = []
-        self._born = threading.Condition()
-        self.grants: list[said.Grant] = []
-
-    def launch(self) -> tuple[Process, Connection[Any, Any]]:
-        here, there = multiprocessing.Pipe()
-        process = FakeProcess()
-        with self._born:
-            self.lives.append((process, there))
-            self._born.notify_all()
-        return process, here
-
-    def life(self, number: int) -> None:
-        """Wait for the process's n-th life."""
-        with self._born:
-            assert self._born.wait_for(lambda: len(self.lives) >= number, PATIENCE_S)
-
-    @property
-    def connection(self) -> Connection[Any, Any]:
-        return self.lives[-1][1]
-
-    def say(self, *reports: said.Report) -> None:
-        for report in reports:
-            self.connection.send(report)
-
-    def expect(self, kind: type[R]) -> R:
-        assert self.connection.poll(PATIENCE_S), f"no {kind.__name__} came"
-        command = self.connection.recv()
-        assert isinstance(command, kind), command
-        return command
-
-    def die(self, code: int = -9) -> None:
-        process, connection = self.lives[-1]
-        connection.close()
-        process.die(code)
-
-    def close(self) -> None:
-        for process, connection in self.lives:
-            connection.close()
-            process.die(0)
 
 
 @dataclass

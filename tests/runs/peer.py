@@ -1,0 +1,89 @@
+"""The acquisition process as the conductor sees it, played by a test."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+from vaoi_station.acquisition import messages as said
+from vaoi_station.runs.acquisition_link import Process
+
+R = TypeVar("R")
+PATIENCE_S = 20.0
+
+
+class FakeProcess:
+    """A process that is a thread's idea of one: it 'dies' when told to."""
+
+    def __init__(self) -> None:
+        self._here, self._there = multiprocessing.Pipe(duplex=False)
+        self._ended = threading.Event()
+        self.pid = 4711
+        self.exitcode: int | None = None
+
+    @property
+    def sentinel(self) -> int:
+        return self._here.fileno()
+
+    def kill(self) -> None:
+        self.die(-9)
+
+    def die(self, code: int) -> None:
+        if self.exitcode is None:
+            self.exitcode = code
+            self._ended.set()
+            self._there.close()
+
+    def join(self, timeout: float | None = None) -> None:
+        self._ended.wait(timeout)
+
+    def close(self) -> None:
+        self._here.close()
+
+
+class Peer:
+    """The acquisition process, played by the test."""
+
+    def __init__(self) -> None:
+        self.lives: list[tuple[FakeProcess, Connection[Any, Any]]] = []
+        self._born = threading.Condition()
+        self.grants: list[said.Grant] = []
+
+    def launch(self) -> tuple[Process, Connection[Any, Any]]:
+        here, there = multiprocessing.Pipe()
+        process = FakeProcess()
+        with self._born:
+            self.lives.append((process, there))
+            self._born.notify_all()
+        return process, here
+
+    def life(self, number: int) -> None:
+        """Wait for the process's n-th life."""
+        with self._born:
+            assert self._born.wait_for(lambda: len(self.lives) >= number, PATIENCE_S)
+
+    @property
+    def connection(self) -> Connection[Any, Any]:
+        return self.lives[-1][1]
+
+    def say(self, *reports: said.Report) -> None:
+        for report in reports:
+            self.connection.send(report)
+
+    def expect(self, kind: type[R]) -> R:
+        assert self.connection.poll(PATIENCE_S), f"no {kind.__name__} came"
+        command = self.connection.recv()
+        assert isinstance(command, kind), command
+        return command
+
+    def die(self, code: int = -9) -> None:
+        process, connection = self.lives[-1]
+        connection.close()
+        process.die(code)
+
+    def close(self) -> None:
+        for process, connection in self.lives:
+            connection.close()
+            process.die(0)
