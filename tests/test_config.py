@@ -108,6 +108,23 @@ def test_replay_paths_are_relative_to_the_file_too(tmp_path: Path) -> None:
     assert station.replay.pace == "original"
 
 
+def test_real_devices_come_together(tmp_path: Path) -> None:
+    """Lights are used in the order of the file, if none is given."""
+    real = (
+        ('exposure_us = 250.0\n', 'exposure_us = 250.0\nbackend = "aravis"\n'),
+        ('pixel_format = "Mono16"', 'backend = "aravis"\nreadout_us = 8000.0'),
+        ('[controller]\nbackend = "simulated"', '[controller]\nbackend = "serial"\nport = "/dev/ttyUSB3"\n'
+         'lights.top = {channels = [0, 1], on_us = 300.0}\nlights.low = {channels = [2], on_us = 200.0}'),
+    )  # fmt: skip
+    station = read_config(written(tmp_path, *real))
+    assert station.controller.port == "/dev/ttyUSB3"
+    assert station.controller.lights["top"].channels == (0, 1)
+    assert station.controller.lights_in_turn == ("top", "low")
+    assert station.cameras[1].readout_us == 8000.0
+    ordered = (("lights.top =", 'order = ["low", "top", "low"]\nlights.top ='),)
+    assert read_config(written(tmp_path, *real, *ordered)).controller.lights_in_turn == ("low", "top", "low")
+
+
 def test_the_configuration_is_frozen(tmp_path: Path) -> None:
     station = read_config(written(tmp_path))
     with pytest.raises(ValidationError, match="frozen"):
@@ -158,7 +175,11 @@ def test_no_pulse_of_the_longest_board_lacks_a_slot(delay: float, rows: int) -> 
         ("exposure_us = 250.0", "exposure_us = 125000.0", r"camera 'left' exposes 125000\.0 us, .*every 125000 us"),
         ('"Mono16"', '"Mono12"', r"cameras\.1\.pixel_format: .*'Mono8' or 'Mono16' \(given: 'Mono12'\)"),
         ('"Mono16"', '"Mono8"\nbackend = "usb"', r"cameras\.1\.backend: .*\(given: 'usb'\)"),
-        ('"Mono16"', '"Mono8"\nbackend = "replay"', r"backends \['replay', 'simulated'\] are mixed"),
+        ('"Mono16"', '"Mono8"\nbackend = "replay"', r"cameras with backend 'simulated', but there are \['replay'\]"),
+        ('oller]\nbackend = "simulated"', 'oller]\nbackend = "serial"', r"fires cameras with backend 'aravis'"),
+        ('"simulated"\n', '"simulated"\norder = ["top"]\n', r"order names the lights \['top'\], but there are \[\]"),
+        ('"simulated"\n', '"simulated"\nlights.top = {channels = [], on_us = 9}\n', r"top\.channels: .*at least 1"),
+        ('"simulated"\n', '"simulated"\nlights.top = {channels = [8], on_us = 9}\n', r"top\.channels\.0: .* 7"),
         ("[simulation]\nscenario = \"scenario.toml\"\nboards = 0", "", r"'simulated' needs a table \[simulation\]"),
         ("boards = 0", "boards = -1", r"simulation\.boards: .*equal to 0"),
         ("runs = 3", "runs = 1", r"ring\.runs: .*equal to 2 \(given: 1\)"),

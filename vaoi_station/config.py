@@ -20,6 +20,12 @@ MethodName = Literal["auto", "fiducials", "features", "reference"]
 NotNegative = Annotated[Finite, Field(ge=0)]
 
 
+CAMERAS_OF = {"simulated": "simulated", "replay": "replay", "serial": "aravis"}
+"""Backend of the controller → that of its cameras: they stand for one world."""
+TABLE_OF = {"simulated": "simulation", "replay": "replay"}
+"""Backend of the controller → the table that describes what it stands in for."""
+
+
 class Section(BaseModel):
     """A table of the file: frozen, no unknown keys."""
 
@@ -97,10 +103,12 @@ class CameraConfig(Section):
     """One camera of the array, in the order of the calibration."""
 
     name: str
-    backend: Literal["simulated", "replay"] = "simulated"
+    backend: Literal["simulated", "replay", "aravis"] = "simulated"
     width: Annotated[Whole, Field(ge=16, le=65536)]
     height: Annotated[Whole, Field(ge=16, le=65536)]
     exposure_us: Positive
+    readout_us: NotNegative = 0.0
+    """How long after an exposure the next one may begin; 0: it exposes while it reads out."""
     pixel_format: Literal["Mono8", "Mono16"] = "Mono8"
     nominal_center_mm: tuple[Finite, Finite] | None = None
     """Where it is meant to look, by the mechanical design; calibration needs it to a few mm."""
@@ -123,10 +131,38 @@ class CameraConfig(Section):
         return self.width * self.height * (1 if self.pixel_format == "Mono8" else 2)
 
 
+class LightConfig(Section):
+    """A light pattern: LED channels that are lit together, and for how long."""
+
+    channels: Annotated[tuple[Annotated[Whole, Field(ge=0, le=7)], ...], Field(min_length=1)]
+    on_us: Positive
+
+
 class ControllerConfig(Section):
     """The microcontroller that fires cameras and LEDs."""
 
-    backend: Literal["simulated", "replay"] = "simulated"
+    backend: Literal["simulated", "replay", "serial"] = "simulated"
+    port: str = "/dev/vaoi-trigger"
+    """Its serial port, by a name that stays: deploy/99-vaoi.rules makes this one."""
+    baud: Annotated[Whole, Field(ge=9600, le=2_000_000)] = 250_000
+    trigger_us: Positive = 100.0
+    """Width of the cameras' trigger."""
+    min_gap_s: NotNegative = 0.0
+    """A board that comes sooner after the last one's end is not filmed."""
+    lights: dict[str, LightConfig] = {}
+    order: tuple[str, ...] = ()
+    """Lights of the rows, in turn; empty: all in the order of the file. Without lights only cameras are fired."""
+
+    @model_validator(mode="after")
+    def _lights_exist(self) -> Self:
+        if unknown := [name for name in self.order if name not in self.lights]:
+            raise ValueError(f"order names the lights {unknown}, but there are {list(self.lights)}")
+        return self
+
+    @property
+    def lights_in_turn(self) -> tuple[str, ...]:
+        """Names of the lights of rows 0, 1, …, then from the start again."""
+        return self.order or tuple(self.lights)
 
 
 class SimulationConfig(Section):
@@ -197,11 +233,14 @@ class StationConfig(Section):
         names = [c.name for c in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"cameras have the names {names}; they must differ")
-        backends = {self.controller.backend, *(c.backend for c in self.cameras)}
-        if len(backends) > 1:
-            raise ValueError(f"backends {sorted(backends)} are mixed; cameras and controller must share one")
-        needed = {"simulated": "simulation", "replay": "replay"}[self.controller.backend]
-        if getattr(self, needed) is None:
+        wanted = CAMERAS_OF[self.controller.backend]
+        if wrong := sorted({c.backend for c in self.cameras} - {wanted}):
+            raise ValueError(
+                f"backends are mixed: a controller with backend {self.controller.backend!r} "
+                f"fires cameras with backend {wanted!r}, but there are {wrong}"
+            )
+        if self.controller.backend != "serial" and getattr(self, TABLE_OF[self.controller.backend]) is None:
+            needed = TABLE_OF[self.controller.backend]
             raise ValueError(f"backend {self.controller.backend!r} needs a table [{needed}]")
         for camera in self.cameras:
             if camera.exposure_us * 1e-6 >= self.line.trigger_period_s:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError
+from vaoi_station.errors import DeviceError, InputError
 
 
 def open_devices(config: StationConfig) -> Devices:
     """Cameras and controller of the configured backend; InputError or DeviceError says what is wrong."""
+    if config.controller.backend == "serial":
+        return _open_hardware(config)
     if config.controller.backend == "replay":
         from vaoi_station.acquisition.replay import open_replay
 
@@ -18,8 +20,19 @@ def open_devices(config: StationConfig) -> Devices:
     return open_simulated(config)
 
 
+def _open_hardware(config: StationConfig) -> Devices:
+    """Real cameras and a real controller."""
+    raise DeviceError(
+        f"the controller at {config.controller.port} and {len(config.cameras)} cameras were found in station.toml, "
+        "but this version opens no real devices.",
+        action="Use the backends simulated or replay.",
+    )
+
+
 def check_backends(config: StationConfig) -> None:
     """Refuse at once what no attempt to open the devices could mend: a scenario or recordings that do not fit."""
+    if config.controller.backend == "serial":
+        return
     if config.controller.backend == "replay":
         from vaoi_station.files import open_recording
 
