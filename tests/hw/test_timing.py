@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import pytest
 
 from tests.hw.chip import CYCLES_PER_US, Chip
 from tests.hw.line import STEPS, TIMING, Line, ms, us
-from vaoi_station.acquisition.controller.protocol.framing import Message, encode
-from vaoi_station.acquisition.controller.protocol.messages import Fault, Kind, RunEnd, Step, Suppressed, Type
+from tests.hw.load import full_line
+from tests.hw.timing import film
+from tests.hw.timing_picture import draw
+from vaoi_station.acquisition.controller.protocol.messages import Fault, Kind, RunEnd, Step, Suppressed
 
 CYCLES_PER_TICK = 8
-
-
-def load(milliseconds: int) -> bytes:
-    """Requests that fill both directions of the line for a time; their replies are longer than they are."""
-    questions = b"".join(encode(Message(Type.STATUS, k % 256)) for k in range(8)) + b"noise without an end, sometimes\0"
-    return questions * (milliseconds * 23 // len(questions) + 1)
 
 
 @pytest.mark.parametrize("loaded", [False, True], ids=["quiet", "full serial load"])
@@ -28,7 +25,7 @@ def test_pulses_come_when_they_should(chip: Chip, loaded: bool, phase: int) -> N
     line.arm()
     chip.do(f"run {1 + phase}")
     if loaded:
-        chip.do(f"send {load(400).hex()}")
+        chip.do(f"send {full_line(400).hex()}")
     edge, _ = line.passage(340)
     line.run(200)
     triggers, gates = chip.rises("PB1"), chip.rises("PB2")
@@ -40,6 +37,17 @@ def test_pulses_come_when_they_should(chip: Chip, loaded: bool, phase: int) -> N
     wanted = [STEPS[k % 3].width * CYCLES_PER_TICK for k in range(18)]
     assert all(abs(a - b) <= CYCLES_PER_US for a, b in zip(chip.widths("PB2"), wanted, strict=True))
     assert all(abs(width - 100 * CYCLES_PER_US) <= CYCLES_PER_US for width in chip.widths("PB1"))
+
+
+def test_the_table_and_the_picture_of_the_timing(chip: Chip) -> None:
+    found, trace = film(chip, 3, loaded=True)
+    assert max(map(abs, found.delay)) <= 5
+    assert max(found.period) - min(found.period) <= 1
+    assert max(map(abs, found.width)) <= 1
+    assert max(map(abs, found.light)) <= 2
+    svg = ElementTree.fromstring(draw(trace, {"line full in both directions": found.rows()}))
+    words = [element.text for element in svg.iter("{http://www.w3.org/2000/svg}text")]
+    assert all(word in words for word in ["light barrier, PB0", "LED gate, PB2", *found.rows()])
 
 
 def test_edges_beside_an_overflow_of_the_timer(chip: Chip) -> None:
@@ -170,7 +178,7 @@ def test_the_shortest_pulses_under_every_load_at_once(chip: Chip) -> None:
     """Serial line full, an encoder at 20 000 counts/s, a bouncing barrier: no interrupt comes too late to end them."""
     line = Line(chip)
     line.arm(replace(TIMING, steps=1, period=ms(6) + 1, min_period=ms(6), max_rows=500), [Step(1, us(50))])
-    chip.do(f"send {load(1000).hex()}")
+    chip.do(f"send {full_line(1000).hex()}")
     chip.do("encoder 100000 800")
     line.barrier(True)
     for k in range(400):
