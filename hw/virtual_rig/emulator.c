@@ -1,22 +1,10 @@
-/* The firmware on an emulated ATmega328P, in simulated time alone: a command says how far to run, and the same
- * commands always give the same answers, however busy the computer is.
+/* The firmware on an emulated ATmega328P, with its pins and its serial line on stdin and stdout. See README.md.
  *
- *          emulator FIRMWARE.elf
- *
- * stdin, a command per line             stdout
- *   run CYCLES                            edge CYCLE PIN LEVEL    an output has changed
- *   send HEX     bytes to the UART        sent CYCLE HEX          bytes of the firmware, CYCLE of the first
- *   pin PB0 1    now                      reset CYCLE             the chip starts anew, by whatever cause
- *   at CYCLE PB0 1                        ok CYCLE                the command is done
- *   encoder COUNTS CYCLES  a step each    crashed CYCLE           it has executed nonsense
- *   reset power|external
- *   poke ADDRESS VALUE     into the data memory, in hexadecimal
- *   hang         the main loop goes round for ever, interrupts live on
- *   deaf         the same, and no interrupt lives
- *
- * Serial bytes take the time simavr gives them, 11 bits each. What is scheduled by `at` and `encoder` is forgotten when
- * the chip is reset.
+ *          emulator FIRMWARE.elf                in simulated time alone: the same commands, the same answers
+ *          emulator FIRMWARE.elf --pty LINK     at the pace of the clock, its serial line behind the terminal LINK
  */
+#include "emulator.h"
+
 #include <avr_ioport.h>
 #include <avr_uart.h>
 #include <sim_avr.h>
@@ -27,7 +15,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define HZ 16000000UL
 #define BYTE_CYCLES 704 /* 11 bits at 250 000 baud, simavr's pace */
 #define TRAP 0x7F00     /* flash far behind the firmware: an instruction that jumps to itself */
 #define ADDRESS_TCCR1A 0x80
@@ -36,7 +23,7 @@ struct output { const char *name; uint8_t com_shift; uint8_t level; };
 static struct output outputs[] = {{"PB1", 6, 0}, {"PB2", 4, 0}, {"PD4", 0, 0}, {"PD5", 0, 0}, {"PD6", 0, 0}, {"PD7", 0, 0}};
 static uint8_t inputs[26][8]; /* levels by port letter and bit, to be applied again after a reset */
 
-static avr_t *avr;
+avr_t *avr;
 static uint8_t *to_send;
 static size_t to_send_count, to_send_next;
 static char sent[4096];
@@ -45,6 +32,8 @@ static avr_cycle_count_t sent_at;
 static long encoder_left;
 static avr_cycle_count_t encoder_every;
 static uint8_t encoder_phase;
+static double noise_in, noise_out;
+static uint32_t dice = 1;
 
 static avr_irq_t *pin(const char *name) { return avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(name[1]), name[2] - '0'); }
 
@@ -86,38 +75,58 @@ static void on_output(avr_irq_t *irq, uint32_t value, void *param)
     printf("edge %llu %s %u\n", (unsigned long long)avr->cycle, output->name, level);
 }
 
-static void on_byte(avr_irq_t *irq, uint32_t value, void *param)
+static double throw(void) { return (double)((dice = dice * 1664525u + 1013904223u) >> 8) / (1 << 24); }
+
+/* With this probability one bit of a byte is turned over. */
+static uint8_t suffer(uint8_t byte, double noise) { return noise > 0 && throw() < noise ? byte ^ (1 << (int)(8 * throw())) : byte; }
+
+static void tell_byte(uint8_t byte)
 {
-    (void)irq, (void)param;
     if (sent_count + 3 > sizeof sent) say_sent();
     if (!sent_count) sent_at = avr->cycle;
-    sent_count += (size_t)sprintf(sent + sent_count, "%02x", value & 0xFF);
+    sent_count += (size_t)sprintf(sent + sent_count, "%02x", byte);
+}
+
+static void on_byte(avr_irq_t *irq, uint32_t value, void *param)
+{
+    uint8_t byte = suffer((uint8_t)value, noise_out);
+    (void)irq, (void)param;
+    if (terminal_is_used()) terminal_put(byte);
+    else tell_byte(byte);
 }
 
 static avr_cycle_count_t feed(avr_t *unused, avr_cycle_count_t when, void *param)
 {
     (void)unused, (void)param;
     if (to_send_next == to_send_count) return 0;
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), to_send[to_send_next++]);
+    uint8_t byte = suffer(to_send[to_send_next++], noise_in);
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), byte);
     return when + BYTE_CYCLES;
 }
 
-static void send(const char *hex)
+void send_to_chip(const uint8_t *bytes, size_t count)
 {
-    size_t more = strlen(hex) / 2;
-    uint8_t *all = malloc(to_send_count - to_send_next + more + 1);
+    uint8_t *all = malloc(to_send_count - to_send_next + count + 1);
     if (!all) exit(2);
     memcpy(all, to_send + to_send_next, to_send_count - to_send_next);
     to_send_count -= to_send_next;
-    for (size_t k = 0; k < more; k++) {
-        unsigned byte;
-        sscanf(hex + 2 * k, "%2x", &byte);
-        all[to_send_count++] = (uint8_t)byte;
-    }
+    memcpy(all + to_send_count, bytes, count);
+    to_send_count += count;
     free(to_send);
     to_send = all;
     to_send_next = 0;
     if (!avr_cycle_timer_status(avr, feed, NULL)) avr_cycle_timer_register(avr, BYTE_CYCLES, feed, NULL);
+}
+
+static size_t from_hex(const char *hex, uint8_t *bytes)
+{
+    size_t count = strlen(hex) / 2;
+    for (size_t k = 0; k < count; k++) {
+        unsigned byte = 0;
+        sscanf(hex + 2 * k, "%2x", &byte);
+        bytes[k] = (uint8_t)byte;
+    }
+    return count;
 }
 
 static void set_input(const char *name, uint8_t level)
@@ -168,14 +177,15 @@ static void after_reset(void)
             if (inputs[port][bit]) set_input((char[]){'P', (char)('A' + port), (char)('0' + bit), 0}, 1);
 }
 
-static void reset(int power)
+static void reset(const char *cause, unsigned bootloader_ms)
 {
     avr_reset(avr);
-    avr_regbit_set(avr, power ? avr->reset_flags.porf : avr->reset_flags.extrf);
+    avr_regbit_set(avr, !strcmp(cause, "power") ? avr->reset_flags.porf : avr->reset_flags.extrf);
     after_reset();
+    if (terminal_is_used()) terminal_hold(bootloader_ms);
 }
 
-static int run(avr_cycle_count_t cycles)
+int run(avr_cycle_count_t cycles)
 {
     avr_cycle_count_t end = avr->cycle + cycles;
     while (avr->cycle < end) {
@@ -198,18 +208,23 @@ static void hang(int deaf)
 static int obey(const char *line)
 {
     unsigned long long a = 0, b = 0;
-    char name[4];
+    char name[4], cause[9];
     static char hex[1 << 20];
-    if (sscanf(line, "run %llu", &a) == 1) return run(a);
-    if (sscanf(line, "send %1048575s", hex) == 1) send(hex);
-    else if (sscanf(line, "pin %3s %llu", name, &a) == 2) set_input(name, a != 0);
+    static uint8_t bytes[1 << 19];
+    if (!terminal_is_used() && sscanf(line, "run %llu", &a) == 1) return run(a);
+    if (sscanf(line, "send %1048575s", hex) == 1) send_to_chip(bytes, from_hex(hex, bytes));
+    else if (terminal_obeys(line)) return 1;
+    else if (sscanf(line, "noise %lf %lf %u", &noise_in, &noise_out, &dice) >= 2) return 1;
+    else if (sscanf(line, "board %llu", &a) == 1) {
+        schedule(avr->cycle + a, "PB0", 0);
+        set_input("PB0", 1);
+    } else if (sscanf(line, "pin %3s %llu", name, &a) == 2) set_input(name, a != 0);
     else if (sscanf(line, "at %llu %3s %llu", &a, name, &b) == 3) schedule(a, name, b != 0);
     else if (sscanf(line, "encoder %ld %llu", &encoder_left, &a) == 2) {
         encoder_every = a;
         avr_cycle_timer_register(avr, a, turn_encoder, NULL);
     } else if (sscanf(line, "poke %llx %llx", &a, &b) == 2) avr->data[a] = (uint8_t)b;
-    else if (!strncmp(line, "reset power", 11)) reset(1);
-    else if (!strncmp(line, "reset external", 14)) reset(0);
+    else if (sscanf(line, "reset %8[a-z] %llu", cause, &a) >= 1) reset(cause, (unsigned)a);
     else if (!strncmp(line, "hang", 4)) hang(0);
     else if (!strncmp(line, "deaf", 4)) hang(1);
     else {
@@ -244,19 +259,26 @@ static void start(const char *path)
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
 }
 
+static void answer(const char *line)
+{
+    int alive = obey(line);
+    say_sent();
+    printf("%s %llu\n", alive ? "ok" : "crashed", (unsigned long long)avr->cycle);
+    fflush(stdout);
+}
+
 int main(int argc, char **argv)
 {
-    static char line[(1 << 20) + 16];
+    static char line[COMMAND_LONGEST];
+    if (argc == 4 && !strcmp(argv[2], "--pty")) {
+        start(argv[1]);
+        return terminal_serve(argv[3], answer);
+    }
     if (argc != 2) {
-        fprintf(stderr, "usage: emulator FIRMWARE.elf\n");
+        fprintf(stderr, "usage: emulator FIRMWARE.elf [--pty LINK]\n");
         return 2;
     }
     start(argv[1]);
-    while (fgets(line, sizeof line, stdin)) {
-        int alive = obey(line);
-        say_sent();
-        printf("%s %llu\n", alive ? "ok" : "crashed", (unsigned long long)avr->cycle);
-        fflush(stdout);
-    }
+    while (fgets(line, sizeof line, stdin)) answer(line);
     return 0;
 }

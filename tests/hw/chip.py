@@ -35,7 +35,7 @@ def make(target: str, build: Path) -> None:
 
 
 class Chip:
-    """The firmware on the emulated chip; see hw/virtual_rig/emulator.c. Time is in cycles of its clock."""
+    """The firmware on the emulated chip; see hw/virtual_rig/README.md. Time is in cycles of its clock."""
 
     def __init__(self, build: Path) -> None:
         self.process = subprocess.Popen(

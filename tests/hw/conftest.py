@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.hw.chip import Chip, make, need
+from tests.hw.paced import PacedChip
 
 
 @pytest.fixture(scope="session")
@@ -37,5 +38,13 @@ def chip(built: Path) -> Iterator[Chip]:
     """A chip that has just been powered and is listening."""
     chip = Chip(built)
     chip.run_ms(50)
+    yield chip
+    chip.close()
+
+
+@pytest.fixture
+def paced(built: Path, tmp_path: Path) -> Iterator[PacedChip]:
+    """A chip at the pace of the clock, its serial line at `paced.link`."""
+    chip = PacedChip(built, tmp_path / "vaoi-trigger")
     yield chip
     chip.close()
