@@ -312,6 +312,9 @@ class Surface(Noun):
 class Stitch(Noun):
     """A result: M_ij, C, D_j, the verdict and its evidence; immutable once written."""
 
+    model_config = ConfigDict(ser_json_inf_nan="constants")
+    """So that a number that JSON does not have is noticed, not turned into null."""
+
     format: Literal["vaoi-stitch"] = "vaoi-stitch"
     version: Literal[1] = 1
     method: str

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_stitch, write_stitch
 from vaoi_station.files.documents import read_json
+from vaoi_station.files.results import stitch_document, stitch_text
 
 Write = Callable[..., Path]
 EYE = np.eye(3).tolist()
@@ -50,6 +52,26 @@ def test_options_round_trip(tmp_path: Path, write: Write, document: dict[str, An
     document |= {"surface": surface, "components": {"U1": [[0, 0, 1.5, 2.5]]}, "cad_matrix": EYE, "x_run": 7}
     write_stitch(tmp_path / "again.json", read_stitch(write(document)))
     assert read_json(tmp_path / "again.json") == document
+
+
+@pytest.mark.parametrize("name", ["U1", "NaN", "-Infinity", "Gehäuse ½"])
+def test_the_text_of_a_result_says_what_its_document_says(write: Write, document: dict[str, Any], name: str) -> None:
+    document |= {"components": {name: [[0, 0, 1e-5, 2.5e21]]}, "x_run": 7}
+    stitch = read_stitch(write(document))
+    assert json.loads(stitch_text(stitch)) == stitch_document(stitch) == document
+    bare = read_stitch(write({k: v for k, v in document.items() if k != "components"}))
+    assert json.loads(stitch_text(bare)) == stitch_document(bare)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+def test_a_result_with_a_number_that_json_does_not_have_is_no_text(
+    write: Write, document: dict[str, Any], number: float
+) -> None:
+    stitch = read_stitch(write(document))
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        stitch_text(stitch.model_copy(update={"quality": {"rms_px": [number]}}))
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        stitch_text(stitch.model_copy(update={"components": {"U1": ((0, 0, number, 1.0),)}}))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import logging
 import os
 import time
@@ -21,7 +20,7 @@ from vaoi_station.drift.check_run import check_run
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
-from vaoi_station.files.results import stitch_document
+from vaoi_station.files.results import stitch_text
 from vaoi_station.rendering import render
 from vaoi_station.runs.jobs import (
     Answer,
@@ -146,7 +145,7 @@ class Bench:
                 job.head.row_times_s(), tuple(job.slots), [linked.evidence for linked in job.linked]
             ),
         )
-        return Concluded(stitch, json.dumps(stitch_document(stitch), allow_nan=False))
+        return Concluded(stitch, stitch_text(stitch))
 
     def _render(self, job: RenderJob) -> bytes:
         frame = self._ring.frame(job.slot)

@@ -130,13 +130,16 @@ def _result(
             surface = described(board_type, adjusted.surface_mm)
         components = footprint_views(board_type, matrix, findings.scene.cameras, d, surface)
     images = (
-        tuple((camera.image_from_row.matrix @ row.matrix) if findings.placed[j] else None for j, row in enumerate(d))
+        tuple(
+            _fixed(camera.image_from_row.matrix @ row.matrix) if findings.placed[j] else None for j, row in enumerate(d)
+        )
         for camera in findings.scene.cameras
     )
-    return Stitch(
+    # of our own making: thousands of entries need no second look
+    return Stitch.model_construct(
         method=method,
         image_matrices=tuple(images),
-        cad_matrix=matrix,
+        cad_matrix=None if matrix is None else _fixed(matrix),
         row_motion=tuple(row.matrix for row in d),
         status=status,
         reasons=reasons,
@@ -144,3 +147,9 @@ def _result(
         surface=surface,
         components=components,
     )
+
+
+def _fixed(matrix: Floats) -> Floats:
+    """The same, read-only."""
+    matrix.setflags(write=False)
+    return matrix

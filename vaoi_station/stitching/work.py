@@ -64,21 +64,18 @@ def possible_tasks(
         times_s: time of each row's pulse, by row.
         setup: what is known beforehand.
     """
-    return tuple(t for t in _tasks_of(new, times_s, setup) if _possible(t, lambda key: key == new or key in present))
+    return tuple(_tasks_of(new, lambda key: key in present, times_s, setup))
 
 
 def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: Setup) -> tuple[Task, ...]:
     """The canonical tasks of a finished run, row by row: the evidence a result is made from."""
     frames = set(present)
     in_order = sorted(frames, key=lambda key: (key[1], key[0]))
-    tasks = {
-        task: None
-        for key in in_order
-        for task in _tasks_of(key, times_s, setup)
-        if _possible(task, frames.__contains__)
-    }
-    for task in _bridges(frames, times_s, setup):
-        tasks.setdefault(task)
+    there = frames.__contains__
+    tasks = [task for key in in_order for task in _tasks_of(key, there, times_s, setup, only_ahead=True)]
+    if bridges := _bridges(frames, times_s, setup):
+        known = set(tasks)
+        tasks += [task for task in bridges if task not in known]
     return tuple(tasks)
 
 
@@ -155,19 +152,31 @@ class Desk:
         return self._prepared[key]
 
 
-def _tasks_of(key: FrameKey, times_s: Mapping[int, float], setup: Setup) -> list[Task]:
-    """Every task a frame takes part in, whether its partner is there or not."""
+def _tasks_of(
+    key: FrameKey,
+    there: Callable[[FrameKey], bool],
+    times_s: Mapping[int, float],
+    setup: Setup,
+    *,
+    only_ahead: bool = False,
+) -> list[Task]:
+    """The tasks a frame takes part in whose partner is there; with `only_ahead` those with later rows and cameras.
+
+    Every task of two frames is ahead of one of them, and of one only.
+    """
     camera, row = key
     method, tasks = METHODS[setup.method], []
     if method.links:
+        pairs = ((row, row + 1), (row, row + 2), (row - 1, row), (row - 2, row))[: 2 if only_ahead else 4]
         tasks += [
             _link((camera, p), (camera, q), times_s)
-            for p, q in ((row - 1, row), (row, row + 1), (row - 2, row), (row, row + 2))
-            if p in times_s and q in times_s
+            for p, q in pairs
+            if p in times_s and q in times_s and there((camera, p + q - row))
             if q - p == 1 or _strip_px(setup.cameras[camera], setup.conveyor_mm_s, _dt_s(p, q, times_s)) >= _WIDE_PX
         ]
-        lefts = [left for left in (camera - 1, camera) if 0 <= left < len(setup.cameras) - 1]
-        tasks += [Task("neighbours", (left, row), (left + 1, row)) for left in lefts]
+        for left in (camera,) if only_ahead else (camera, camera - 1):
+            if 0 <= left < len(setup.cameras) - 1 and there((2 * left + 1 - camera, row)):
+                tasks.append(Task("neighbours", (left, row), (left + 1, row)))
     if method.marks and setup.board_type is not None and setup.board_type.fiducials:
         tasks.append(Task("marks", key))
     if method.reference and setup.reference is not None and (task := setup.reference.task(key)):
@@ -178,13 +187,21 @@ def _tasks_of(key: FrameKey, times_s: Mapping[int, float], setup: Setup) -> list
 @lru_cache(maxsize=_KEPT_STRIPS)
 def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -> float:
     """The shorter side of what two frames of a camera share, by the belt's nominal motion; ≤ 0: nothing."""
-    middle = np.asarray(camera.center_px)
-    moved = camera.image_from_row(camera.row_from_image(middle) + np.asarray(velocity_mm_s) * dt_s)
-    return float((np.array([camera.width_px, camera.height_px]) - np.abs(moved - middle)).min())
+    (a, b, c), (d, e, f), (g, h, i) = camera.image_from_row.matrix.tolist()
+    u, v = camera.center_px
+    x, y = _middle_mm(camera)
+    x, y = x + velocity_mm_s[0] * dt_s, y + velocity_mm_s[1] * dt_s
+    w = g * x + h * y + i
+    return float(
+        min(camera.width_px - abs((a * x + b * y + c) / w - u), camera.height_px - abs((d * x + e * y + f) / w - v))
+    )
 
 
-def _possible(task: Task, there: Callable[[FrameKey], bool]) -> bool:
-    return there(task.a) and (task.b is None or task.kind == "reference" or there(task.b))
+@lru_cache(maxsize=_KEPT_STRIPS)
+def _middle_mm(camera: Camera) -> tuple[float, float]:
+    """The place on the belt that the middle of the undistorted frame shows."""
+    x, y = camera.row_from_image(camera.center_px).tolist()
+    return x, y
 
 
 def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: Setup) -> list[Task]:
@@ -207,4 +224,4 @@ def _link(a: FrameKey, b: FrameKey, times_s: Mapping[int, float]) -> Task:
 
 def _dt_s(p: int, q: int, times_s: Mapping[int, float]) -> float:
     """From one row to another, to a microsecond."""
-    return round(times_s[q] - times_s[p], 6)
+    return round(float(times_s[q] - times_s[p]), 6)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from typing import Annotated
 
@@ -13,7 +12,7 @@ from vaoi_station.api.parameters import RunId, TimeoutS
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import Matrices, RunPage
 from vaoi_station.errors import NotFoundError
-from vaoi_station.files.results import stitch_document
+from vaoi_station.files.results import stitch_text
 from vaoi_station.runs.facade import LeaseStatus, RunDetail
 from vaoi_station.runs.state import IN_MEMORY
 
@@ -67,7 +66,7 @@ def router(services: Services) -> APIRouter:
     async def get_matrices(request: Request, run: RunId) -> Response:
         """The result in the format of `docs/formats.md`; 409 while it is not there yet."""
         stitch = await ask(conductor.stitch, run)
-        content = json.dumps(stitch_document(stitch), allow_nan=False).encode()
+        content = stitch_text(stitch).encode()
         return conditional(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)
