@@ -10,6 +10,7 @@ from vaoi_station.model import BoardType, Surface
 from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.cad import board_frame
 from vaoi_station.stitching.footprints import component_of, footprint_views
+from vaoi_station.stitching.parts import Parts
 
 C = np.array([1.0, 0.02, -12.0, -8.0])
 
@@ -41,6 +42,13 @@ def test_the_smaller_of_two_parts_wins_and_flat_ones_are_board(workshop: Any) ->
     assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [1, 0, -1]
 
 
+def test_of_two_alike_that_touch_the_later_one_wins(workshop: Any) -> None:
+    kind = board([part(ref, x, 10, 2, 2) for ref, x in (("A", 10.0), ("B", 12.2), ("C", 14.4))])
+    frame = board_frame(kind, workshop.camera())
+    cad = np.array([[11.1, 10], [13.3, 10], [12.2, 10]])
+    assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [1, 2, 1]
+
+
 @pytest.mark.parametrize("lift", [None, 1.0])
 def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: float | None) -> None:
     kind = board([part("A", 8, 10, 6, 3), part("B", 22, 10, 4, 4), part("FAR", 29, 19, 1, 1)], y_axis="down")
@@ -48,7 +56,7 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
     motion = [Euclidean.motion(0.001 * j, (0, 4.0 * j), System.ROW, System.TESTER) for j in range(3)]
     matrix = board_frame(kind, cameras[0]).matrix(C)
     surface = None if lift is None else Surface(lift_mm=lift)
-    views = footprint_views(kind, matrix, cameras, motion, surface)
+    views = footprint_views(Parts.of(kind), matrix, cameras, motion, surface)
     assert list(views) == ["A", "B", "FAR"]
     for component in kind.components:
         place = matrix @ (*component.center, 1)
@@ -63,7 +71,7 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
 
 
 def test_no_parts_no_views(workshop: Any) -> None:
-    assert footprint_views(board([]), np.eye(3), [workshop.camera()], [], None) == {}
+    assert footprint_views(Parts.of(board([])), np.eye(3), [workshop.camera()], [], None) == {}
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from vaoi_station.stitching.heights import _highest
+from vaoi_station.stitching.heights import highest
 
 
 def test_the_twins_parts_are_as_high_as_they_are(filmed: Any) -> None:
@@ -20,23 +22,45 @@ def test_the_twins_parts_are_as_high_as_they_are(filmed: Any) -> None:
         assert 0.005 < q["height_sigma_mm"][ref] < 0.2
 
 
+Part = list[float]
+
+
+def of_parts(*parts: Part) -> list[tuple[float, float, int]]:
+    """What `highest` makes of parts whose links tell these heights: mm, sigma_mm, links of each."""
+    heights = np.array([mm for part in parts for mm in part])
+    ends = np.cumsum([len(part) for part in parts])
+    found = highest(ends, heights, np.full(len(heights), 0.05), np.full(len(heights), 0.01))
+    return list(zip(*(values.tolist() for values in found), strict=True))
+
+
 def test_the_highest_group_that_agrees_is_the_body() -> None:
-    sure = np.full(8, 0.05)
-    heights = np.array([0.02, 0.0, 0.05, 0.03, 1.41, 1.38, 1.44, 3.0])
-    found = _highest(heights, sure, 0.01)
-    assert found is not None
-    assert found.links == 3
-    assert found.mm == pytest.approx(1.41, abs=0.005)
-    assert 0.03 < found.sigma_mm < 0.06
+    [(mm, sigma_mm, links)] = of_parts([0.02, 0.0, 0.05, 0.03, 1.41, 1.38, 1.44, 3.0])
+    assert links == 3
+    assert mm == pytest.approx(1.41, abs=0.005)
+    assert 0.03 < sigma_mm < 0.06
 
 
 def test_links_that_do_not_agree_tell_nothing() -> None:
-    assert _highest(np.array([0.0, 0.8, 1.7, 2.9]), np.full(4, 0.05), 0.01) is None
-    assert _highest(np.array([1.0, 1.0]), np.full(2, 0.05), 0.01) is None
-    few = np.concatenate([np.zeros(17), np.full(3, 1.5)])
-    found = _highest(few, np.full(20, 0.05), 0.01)
-    assert found is not None
-    assert found.mm == pytest.approx(0), "three of twenty are no body"
+    assert of_parts([0.0, 0.8, 1.7, 2.9])[0][2] == 0
+    assert of_parts([1.0, 1.0])[0][2] == 0
+    assert of_parts([])[0][2] == 0
+    [(mm, _, links)] = of_parts([0.0] * 17 + [1.5] * 3)
+    assert links == 17
+    assert mm == pytest.approx(0), "three of twenty are no body"
+
+
+@given(st.lists(st.lists(st.sampled_from([0.0, 0.04, 0.3, 0.9, 0.93, 1.6]), max_size=9), min_size=1, max_size=5))
+def test_every_part_is_told_by_its_own_links_as_numpy_has_it(parts: list[Part]) -> None:
+    for part, (mm, sigma_mm, links) in zip(parts, of_parts(*parts), strict=True):
+        h, variance = np.array(part), 0.05**2 + 0.03**2
+        agree = np.abs(h[None] - h[:, None]) <= 2.5 * np.sqrt(variance)
+        able = agree.sum(1) >= max(3, 0.25 * len(h))
+        assert (links > 0) == able.any()
+        if links:
+            means = np.where(able, (agree @ h) / np.maximum(agree.sum(1), 1), -np.inf)
+            assert mm == pytest.approx(means.max())
+            assert links in agree.sum(1)[means > means.max() - 1e-9]
+            assert sigma_mm == pytest.approx(np.sqrt(variance / links + 0.01**2 + (0.01 * mm) ** 2))
 
 
 def test_without_a_working_distance_there_are_no_heights(filmed: Any) -> None:

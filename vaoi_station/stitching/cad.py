@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -22,6 +23,7 @@ from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.evidence import Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.parts import Parts
 from vaoi_station.stitching.problem import FIXTURE, FiducialPoints
 from vaoi_station.stitching.sight import fixture_kind, kind_of, mark_kinds
 
@@ -42,6 +44,11 @@ class Frame:
     board_type: BoardType
     mirrored: bool
     """Whether C changes handedness."""
+
+    @cached_property
+    def parts(self) -> Parts:
+        """The components as arrays."""
+        return Parts.of(self.board_type)
 
     def flat(self, cad: Floats) -> Floats:
         """CAD points (k, 2) in CAD units with y flipped where C mirrors: what `adjustment.similar` takes."""

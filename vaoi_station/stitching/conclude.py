@@ -17,9 +17,9 @@ import numpy as np
 from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.model import Status, Stitch
 from vaoi_station.stitching.adjustment import adjust
-from vaoi_station.stitching.cad import board_frame
+from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.evidence import Evidence, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.footprints import footprint_views
@@ -56,8 +56,8 @@ class Stages:
 class Terms:
     """What was known before the board was filmed."""
 
-    board_type: BoardType | None
-    """What is on the belt; None leaves C out."""
+    frame: Frame | None
+    """Of the board type that is on the belt; None leaves C out."""
     expectation: Expectation
     velocity_mm_s: Floats
     """(2,) nominal."""
@@ -94,7 +94,7 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
     texture = _texture(observed, moved) if method.links else np.zeros((0, 2))
     stages.done("motion")
 
-    frame = None if terms.board_type is None else board_frame(terms.board_type, scene.cameras[0])
+    frame = terms.frame
     known = Known(terms.expectation, method, sightings, texture, terms.reference, referred)
     found = NO_BOARD_TYPE if frame is None else map_cad(frame, scene, problem, moved, known)
     stages.done("cad")
@@ -128,7 +128,7 @@ def _result(
         matrix = findings.frame.matrix(adjusted.similarity)
         if len(adjusted.surface_mm):
             surface = described(board_type, adjusted.surface_mm)
-        components = footprint_views(board_type, matrix, findings.scene.cameras, d, surface)
+        components = footprint_views(findings.frame.parts, matrix, findings.scene.cameras, d, surface)
     images = (
         tuple(
             _fixed(camera.image_from_row.matrix @ row.matrix) if findings.placed[j] else None for j, row in enumerate(d)

@@ -12,13 +12,13 @@ height of a part is that of the highest group of links that agree.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import BoardType
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.observations import Ints
 from vaoi_station.stitching.patches import PATCH_PX
@@ -52,60 +52,31 @@ class Height:
 
 def component_heights(frame: Frame, problem: Problem, adjusted: Adjusted) -> dict[str, Height]:
     """Heights by address, of those parts whose links tell; small parts, which no patch fits on, have none."""
-    c, parts = adjusted.similarity, frame.board_type.components
+    c, addresses = adjusted.similarity, frame.parts.addresses
     if problem.surface is None or c is None or not len(problem.links):
         return {}
     near = np.flatnonzero(problem.component >= 0)
     near = near[_on_body(frame, c, problem, adjusted, near)]
     height, sigma, sole, aside = _told(problem, adjusted, near)
-    good = (sigma < _WORST_MM) & (aside < _ASIDE)
-    number = problem.component[near]
-    out = {}
-    for n, mine in _of_each(number, good):
-        found = _highest(height[mine], sigma[mine], _median(sole[mine]))
-        if found is not None:
-            out[parts[n].address] = found
-    return out
-
-
-def _of_each(number: Ints, good: np.ndarray) -> Iterator[tuple[int, Ints]]:
-    """The good links of one component after another, of those that have enough to tell anything."""
-    at = np.flatnonzero(good)
-    order = at[np.argsort(number[at], kind="stable")]
-    starts = np.flatnonzero(np.diff(number[order], prepend=-1))
-    for mine in np.split(order, starts[1:]):
-        if len(mine) >= _LEAST_LINKS:
-            yield int(number[mine[0]]), mine
-
-
-def _median(values: Floats) -> float:
-    """That of a handful, for which numpy's own takes most of its time to find out what it is given."""
-    ordered, n = np.sort(values), len(values)
-    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
+    good = np.flatnonzero((sigma < _WORST_MM) & (aside < _ASIDE))
+    number = problem.component[near[good]]
+    good = good[np.argsort(number, kind="stable")]
+    of_part = np.cumsum(np.bincount(number, minlength=len(addresses)))
+    found = highest(of_part, height[good], sigma[good], sole[good])
+    each = zip(addresses, *(values.tolist() for values in found), strict=True)
+    return {address: Height(mm, sigma_mm, links) for address, mm, sigma_mm, links in each if links}
 
 
 def _on_body(frame: Frame, c: Floats, problem: Problem, adjusted: Adjusted, at: Ints) -> np.ndarray:
     """Which of some links lie well within the body of their component, and whether a patch fits on that."""
-    o, board_type = problem.links, frame.board_type
+    o, parts = problem.links, frame.parts
     place = apply(np.linalg.inv(frame.matrix(c)), adjusted.motion.board(o.p[at], o.a_mm[at]))
-    center, angle, size = _bodies(board_type)
     number = problem.component[at]
-    d = place - center[number]
-    cos, sin = np.cos(angle[number]), np.sin(angle[number])
+    d, size = place - parts.center[number], parts.size[number]
+    cos, sin = np.cos(parts.angle_rad)[number], np.sin(parts.angle_rad)[number]
     offset = np.stack([cos * d[:, 0] + sin * d[:, 1], cos * d[:, 1] - sin * d[:, 0]], -1)
-    room_px = size[number].min(1) * board_type.mm_per_unit * o.px_per_mm[at]
-    return np.asarray((np.abs(offset) <= _CORE / 2 * size[number]).all(1) & (room_px >= PATCH_PX))
-
-
-def _bodies(board_type: BoardType) -> tuple[Floats, Floats, Floats]:
-    """Centres (k, 2) and sizes (k, 2) in CAD units, and angles (k,) rad in CAD's axes."""
-    parts = board_type.components
-    sign = 1.0 if board_type.y_axis == "up" else -1.0
-    return (
-        np.array([p.center for p in parts]).reshape(-1, 2),
-        np.radians([sign * p.rotation for p in parts]),
-        np.array([(p.width, p.height) for p in parts]).reshape(-1, 2),
-    )
+    room_px = size.min(1) * parts.mm_per_unit * o.px_per_mm[at]
+    return np.asarray((np.abs(offset) <= _CORE / 2 * size).all(1) & (room_px >= PATCH_PX))
 
 
 def _told(problem: Problem, adjusted: Adjusted, at: Ints) -> tuple[Floats, Floats, Floats, Floats]:
@@ -117,26 +88,53 @@ def _told(problem: Problem, adjusted: Adjusted, at: Ints) -> tuple[Floats, Float
     ground = problem.surface.at_links[at] @ adjusted.surface_mm
     misfit = motion.board(q, o.b_mm[at]) - motion.board(p, o.a_mm[at]) + lean * ground[:, None]
     floor = (adjusted.floor_px / o.px_per_mm[at]) ** 2
-    weight = np.linalg.inv(o.noise_mm2[at] + floor[:, None, None] * np.eye(2))
-    along = np.einsum("ki,kij->kj", lean, weight)
-    information = np.maximum((along * lean).sum(1), 1e-12)
-    height = -(along * misfit).sum(1) / information
+    a, b, d = o.noise_mm2[at, 0, 0] + floor, o.noise_mm2[at, 0, 1], o.noise_mm2[at, 1, 1] + floor
+    weight = np.stack([d, -b, a], -1) / (a * d - b * b)[:, None]
+    information = np.maximum(_product(lean, weight, lean), 1e-12)
+    height = -_product(lean, weight, misfit) / information
     left = misfit + lean * height[:, None]
-    aside = np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", left, weight, left), 0))
+    aside = np.sqrt(np.maximum(_product(left, weight, left), 0))
     shared = _SHARED_PX / o.px_per_mm[at] / np.maximum(np.hypot(*lean.T), 1e-9)
     return height, 1 / np.sqrt(information), shared, aside
 
 
-def _highest(height: Floats, sigma: Floats, shared_mm: float) -> Height | None:
-    """The highest group of links that agree; None if none does."""
-    variance = sigma**2 + _SCATTER_MM**2
-    least = max(_LEAST_LINKS, _LEAST_SHARE * len(height))
-    agree = np.abs(height[None] - height[:, None]) <= _AGREE * np.sqrt(variance)
-    count = agree.sum(1)
-    if count.max(initial=0) < least:
-        return None
-    weight = agree @ (1 / variance)
-    mm = np.where(count >= least, agree @ (height / variance) / np.maximum(weight, 1e-300), -np.inf)
-    n = int(np.argmax(mm))
-    spread = float(np.sqrt(1 / weight[n] + shared_mm**2 + (_SCALE * mm[n]) ** 2))
-    return Height(float(mm[n]), spread, int(count[n]))
+def _product(u: Floats, weight: Floats, v: Floats) -> Floats:
+    """uᵀ·W·v (k,) of vectors (k, 2) and symmetric matrices (k, 3): xx, xy, yy."""
+    (ux, uy), (vx, vy), (xx, xy, yy) = u.T, v.T, weight.T
+    return np.asarray(ux * (xx * vx + xy * vy) + uy * (xy * vx + yy * vy))
+
+
+@compiled
+def highest(ends: Ints, height: Floats, sigma: Floats, shared_mm: Floats) -> tuple[Floats, Floats, Ints]:
+    """Of every part the highest group of links that agree.
+
+    Args:
+        ends: (n,) where the links of each part end; they stand one part after the other.
+        height: (k,) mm that each link tells.
+        sigma: (k,) its standard deviation.
+        shared_mm: (k,) what the links of one pair of frames share of that.
+
+    Returns:
+        Height (n,) in mm, its standard deviation (n,), and how many links say so (n,); 0 where none agree.
+    """
+    mm, spread, links = np.zeros(len(ends)), np.zeros(len(ends)), np.zeros(len(ends), np.int64)
+    first = 0
+    for part in range(len(ends)):
+        begin, first = first, ends[part]
+        n = first - begin
+        least = max(float(_LEAST_LINKS), _LEAST_SHARE * n)
+        if n < least:
+            continue
+        for i in range(begin, first):
+            count, weight, total = 0, 0.0, 0.0
+            for j in range(begin, first):
+                variance = sigma[j] ** 2 + _SCATTER_MM**2
+                if abs(height[j] - height[i]) <= _AGREE * math.sqrt(variance):
+                    count, weight, total = count + 1, weight + 1 / variance, total + height[j] / variance
+            if count >= least and (links[part] == 0 or total / weight > mm[part]):
+                mm[part], spread[part], links[part] = total / weight, 1 / weight, count
+        if links[part]:
+            shared = np.sort(shared_mm[begin:first])
+            middle = (shared[(n - 1) // 2] + shared[n // 2]) / 2
+            spread[part] = math.sqrt(spread[part] + middle**2 + (_SCALE * mm[part]) ** 2)
+    return mm, spread, links

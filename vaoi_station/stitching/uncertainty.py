@@ -81,9 +81,9 @@ def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Si
     if frame is None or adjusted.similarity is None:
         none = np.zeros(0, dtype=np.int_)
         return Sigma(tuple(motion), None, (), none, np.zeros((0, 2), dtype=np.int_), np.zeros((0, 2, 2)))
-    parts = frame.board_type.components
-    names = tuple(p.address for p in parts) or ("low corner", "high corner")
-    cad = np.array([p.center for p in parts] or frame.board_type.extent()).reshape(-1, 2)
+    parts = frame.parts
+    names = parts.addresses or ("low corner", "high corner")
+    cad = parts.center if len(parts.center) else np.array(frame.board_type.extent())
     places = _Places(frame, adjusted, cad)
     views = [places.seen_by(number, camera, scene.present) for number, camera in enumerate(scene.cameras)]
     part, seen_in, covariance = (np.concatenate([v[n] for v in views]) for n in range(3))

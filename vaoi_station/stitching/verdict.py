@@ -6,6 +6,7 @@ the model. degraded: usable, with the reason. failed: component positions cannot
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -97,7 +98,7 @@ class Findings:
         """Groups of rows that links tie together, of those rows that show texture."""
         o = self.problem.links
         used = (self.adjusted.weight > 0.1) & (o.p != o.q)
-        linked = set(o.p[used]) | set(o.q[used])
+        linked = set(np.flatnonzero(np.bincount(np.append(o.p[used], o.q[used]), minlength=self.rows)).tolist())
         if self.problem.fiducials is not None:
             linked |= set(self.problem.fiducials.row.tolist())
         groups = [g for g in tied_rows(o, self.rows, used) if any(r in linked for r in g)]
@@ -114,15 +115,21 @@ class Findings:
         return len(np.unique(points.cad[np.isin(points.row, rows)], axis=0)) >= 2
 
     @cached_property
+    def _seam(self) -> np.ndarray:
+        """(k,) the left one of the two neighbouring cameras that a link joins, −1 for links from row to row."""
+        o = self.problem.links
+        left = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in o.groups]
+        return np.array(left, dtype=np.int_)[o.group]
+
+    @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
         """Median misfit between neighbouring cameras of one row, on the bare board: height or a moved camera."""
-        o = self.problem.links
-        out = {}
+        bare = np.flatnonzero((self._seam >= 0) & (self.problem.component < 0))
+        seam, off_px, out = self._seam[bare], self.adjusted.link_px[bare], {}
         for i in range(len(self.scene.cameras) - 1):
-            pairs = {n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i}
-            use = np.isin(o.group, list(pairs)) & (self.problem.component < 0)
-            if use.sum() >= _SEAM_LINKS:
-                out[i, i + 1] = float(np.hypot(*np.median(self.adjusted.link_px[use], axis=0)))
+            mine = off_px[seam == i]
+            if len(mine) >= _SEAM_LINKS:
+                out[i, i + 1] = float(np.hypot(*np.median(mine, axis=0)))
         return out
 
     @cached_property
@@ -142,14 +149,13 @@ class Findings:
     @cached_property
     def strangers(self) -> dict[tuple[int, int], int]:
         """Neighbouring cameras whose overlap shows texture, but not the same, and in how many rows."""
-        o = self.problem.links
+        unmatched = Counter(e.task.a[0] for e in self.links if e.task.kind == "neighbours" and e.unmatched)
         out = {}
-        for i in range(len(self.scene.cameras) - 1):
-            rows = sum(e.unmatched for e in self.links if e.task.kind == "neighbours" and e.task.a[0] == i)
-            mine = [n for n, e in enumerate(o.groups) if e.task.kind == "neighbours" and e.task.a[0] == i]
-            agreeing = np.isin(o.group, mine) & (self.adjusted.weight > 0.1) & self._vouching
-            if rows >= 2 and agreeing.sum() < _SEAM_LINKS and (i, i + 1) not in self.seams_px:
-                out[i, i + 1] = rows
+        for i, rows in sorted(unmatched.items()):
+            if rows >= 2 and (i, i + 1) not in self.seams_px:
+                agreeing = (self._seam == i) & (self.adjusted.weight > 0.1) & self._vouching
+                if agreeing.sum() < _SEAM_LINKS:
+                    out[i, i + 1] = rows
         return out
 
 
@@ -275,8 +281,9 @@ def quality_of(f: Findings) -> dict[str, Any]:
 
 
 def _used(f: Findings, kind: str, used: np.ndarray) -> int:
-    groups = [n for n, e in enumerate(f.problem.links.groups) if e.task.kind == kind]
-    return int(used[np.isin(f.problem.links.group, groups)].sum())
+    o = f.problem.links
+    count = np.bincount(o.group[used], minlength=len(o.groups)).tolist()
+    return sum(n for n, e in zip(count, o.groups, strict=True) if e.task.kind == kind)
 
 
 def _points_used(f: Findings) -> dict[str, dict[str, int]]:
@@ -330,7 +337,7 @@ def _component_sigma(f: Findings) -> dict[str, float]:
     if f.frame is None or f.mapping is None:
         return {}
     found = f.sigma.of_components
-    return {p.address: _rounded(found[p.address]) for p in f.frame.board_type.components if p.address in found}
+    return {address: _rounded(found[address]) for address in f.frame.parts.addresses if address in found}
 
 
 def _surface_sigma(f: Findings) -> float | None:

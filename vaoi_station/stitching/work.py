@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
+from vaoi_station.stitching.cad import Frame, board_frame
 from vaoi_station.stitching.conclude import Terms, conclude
 from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings, Task
 from vaoi_station.stitching.expectation import Expectation
@@ -51,6 +52,11 @@ class Setup:
     method: MethodName = "auto"
     reference: Reference | None = None
     """A stitched run of the board type; its frames come through the desk."""
+
+    @cached_property
+    def frame(self) -> Frame | None:
+        """The board type's plane as these cameras see it."""
+        return None if self.board_type is None else board_frame(self.board_type, self.cameras[0])
 
 
 def possible_tasks(
@@ -128,7 +134,7 @@ class Desk:
         canonical = set(all_tasks(present, dict(enumerate(times_s)), s))
         return conclude(
             Scene(s.cameras, tuple(sorted(present)), self._get),
-            Terms(s.board_type, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference),
+            Terms(s.frame, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference),
             np.asarray(times_s, dtype=np.float64),
             [e for e in evidence if e.task in canonical],
         )
