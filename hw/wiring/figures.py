@@ -1,0 +1,52 @@
+"""What the circuit does, in figures: from the values in `circuit.toml`, and the limits in the firmware.
+
+Every figure is the worst case of its tolerances and stands beside its limit.
+"""
+
+from __future__ import annotations
+
+from hw.wiring.circuit import Circuit
+from hw.wiring.figure import Figure, Firmware
+from hw.wiring.light import bank_figures, current_figures, currents, heat_figures, one_shot_figures
+from hw.wiring.signals import input_figures, output_figures, trigger_figures
+
+
+def all_figures(circuit: Circuit, firmware: Firmware) -> dict[str, list[Figure]]:
+    """Every table of hw/wiring.md, by its name."""
+    return {
+        "inputs": input_figures(circuit),
+        "outputs": output_figures(circuit),
+        "trigger": trigger_figures(circuit),
+        "one-shots": one_shot_figures(circuit, firmware),
+        "current": current_figures(circuit, firmware),
+        "bank": bank_figures(circuit, firmware),
+        "heat": heat_figures(circuit, firmware),
+        "power": power_figures(circuit, firmware),
+    }
+
+
+def power_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
+    """What the 24 V supply and the 5 V converter have to give."""
+    d, usual = circuit.design, circuit.design["operating"]
+    strings = d["led"]["channels"] * d["led"]["strings_per_channel"]
+    most = max(currents(circuit))
+    cameras = circuit.part("X10").count * d["camera"]["draws_a"][1]
+    inputs = circuit.part("X10").count * (d["logic_supply_v"][1] - d["array"]["input_v"]) / d["array"]["input_ohm"]
+    return [
+        Figure(
+            "light, at the firmware's limit",
+            "16 · I · duty",
+            strings * most * firmware.duty,
+            "A",
+            "≤",
+            circuit.value("F20") - cameras - 0.5,
+            "5 A less cameras and sensors",
+        ),
+        Figure(
+            "light, on the paper's line",
+            "16 · I · 250 µs/125 ms",
+            strings * most * usual["pulse_s"] / usual["period_s"],
+            "A",
+        ),
+        Figure("5 V: inputs of the drivers", "12 · (V − 1.4 V)/2.7 kΩ", inputs, "A", "≤", 0.25, "half the converter"),
+    ]
