@@ -2,7 +2,7 @@
 
 With g the slopes of a patch, H = Σ g·gᵀ, and noise that was white before the blur B, a match scatters by
 H⁻¹·(s²·Σ (B g)(B g)ᵀ)·H⁻¹: slopes are smooth, and smooth noise is what the blur leaves. What remains of the
-difference of the two patches has v² = s²·Σ B² = s² / (4π·1.2²), so s² follows from it. The structure tensor
+difference of the two patches has v² = s²·Σ B², so s² follows from it. The structure tensor
 over v² alone would be too sure by a factor of 4 to 14.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.patch_tables import BLUR_PX, WINDOW_PX
+from vaoi_station.stitching.patch_tables import NOISE_SHARE, WINDOW_PX
 from vaoi_station.stitching.refine import MARGIN_PX, refine
 
 PATCH_PX = WINDOW_PX + 10
@@ -74,7 +74,7 @@ def match(a: NDArray[np.uint8], b: NDArray[np.uint8], places: NDArray[np.int_], 
 
 def _information(hessian: Floats, blurred: Floats, noise: Floats) -> Floats:
     """Inverse covariance (k, 2, 2), from sums over slopes and the scatter after the blur (k,) in grey levels."""
-    spread = blurred * (4 * np.pi * BLUR_PX**2 * noise**2)[:, None, None]
+    spread = blurred * (noise**2 / NOISE_SHARE)[:, None, None]
     return np.asarray(hessian @ np.linalg.inv(spread + 1e-9 * np.eye(2)) @ hessian)
 
 

@@ -1,8 +1,8 @@
 """The inner loop of matching: one patch of image a, found again in image b to a few thousandths of a pixel.
 
-Both images are blurred by 1.2 px around the patch, which takes away most of the interpolation's pull towards whole
+Both images are blurred around the patch, which takes away most of the interpolation's pull towards whole
 pixels. Inverse-compositional Gauss-Newton with gain and offset follows: first with bilinear interpolation until
-it stands still, then two steps with a sinc of six points under a Kaiser window, which removes the rest.
+steps get short, then with a sinc of six points under a Kaiser window until they are next to nothing.
 
 With t the patch without its mean, g its two slopes freed of what light can explain, H = g·gᵀ, and s the window of b at
 the place reached, a step is H⁻¹·(g·s) / gain, gain = (t·s) / (t·t).
@@ -10,6 +10,10 @@ the place reached, a step is H⁻¹·(g·s) / gain, gain = (t·s) / (t·t).
 **Light.** Vignetting and the fall of a lamp make a patch brighter on one side, in frame b often on the other:
 a blob of 5 px then seems to move by 0.01 to 0.02 px, in all patches alike, so that it does not average out. The
 slopes are therefore freed of what offset, gain and a slope of the gain across the patch can explain (1, t, t·x, t·y).
+
+**Memory.** Patches and tiles lie line after line in flat arrays, `PITCH_PX` apart, and a loop runs over all lines: the
+compiler turns it into vector instructions, which it does not do with loops over a line of 24. What fills a line up is
+nil in everything a sum is made with.
 """
 
 from __future__ import annotations
@@ -21,37 +25,51 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.patch_tables import ACROSS, BLUR_REACH, DOWN, FRACTIONS, GAUSS, SINC, TAPS, TWICE, WINDOW_PX
+from vaoi_station.stitching.patch_tables import (
+    ACROSS,
+    BINOMIAL,
+    BLUR_REACH,
+    DOWN,
+    FRACTIONS,
+    INSIDE,
+    PITCH_PX,
+    SINC,
+    TAPS,
+    WINDOW_PX,
+)
 
-ROOM_PX = 3
-"""How far a patch may move within the tile that is cut out of b; beyond that a new tile is cut …"""
-_MOST_TILES = 5
-"""… so many times."""
+_MOST_TILES = 7
+"""A tile cut out of b has room for a patch to move by a pixel and a half; further away a new one is cut."""
 MARGIN_PX = WINDOW_PX // 2 + TAPS // 2
 """A patch's middle keeps so far off the border of either image; what the blur wants beyond that is repeated."""
-_MOST_STEPS, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.05, 1.5, 1e-3
+_MOST_STEPS, _NEAR_PX, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.25, 0.01, 1.5, 1e-3
+"""Steps shorter than `_NEAR_PX` lead to where the sinc goes on; the one shorter than `_STILL_PX` is the last."""
+_FOLLOWED, _FOLLOWED_SCORE = 4, 0.8
+"""Neighbouring patches mostly move alike: one starts where about so many before it, well matched, were found."""
 _LEAST_CORNER = 1e-6
 """det H / (trace H)² below which a patch is but an edge."""
 _SATURATED = 254
-_A_PX = WINDOW_PX + 2
-_B_PX = WINDOW_PX + 2 * ROOM_PX + TAPS
-_B_FIRST = ROOM_PX + TAPS // 2
+_A_PX, _B_PX, _B_PITCH = WINDOW_PX + 2, 32, 40
+"""Sides of the tiles cut out of a and b, and the pitch of the latter while it has room for the blur around it."""
+_B_FIRST = 4
 """Where in a tile of b the window's first pixel lies when it is cut."""
-_PADDED_PX = WINDOW_PX + 2 * BLUR_REACH
+_RAW_LINES, _PADDING, _TILE = 40, 6 * PITCH_PX, 34 * PITCH_PX
+"""Room in memory: loops over whole lines read a little beyond the last of them."""
 _LEFT = WINDOW_PX // 2 - 1
 _AREA = WINDOW_PX * WINDOW_PX
+_SIZE = WINDOW_PX * PITCH_PX
 
 _Pixels = NDArray[np.uint8]
 _Inverse = tuple[float, float, float, float]
 """t·t, and H⁻¹ as xx, xy, yy."""
 _Plane = NDArray[np.float32]
 _Patch = tuple[_Plane, _Plane, _Plane, _Plane, _Plane]
-"""t, the slopes in x and y, t·x and t·y; (n,) each."""
+"""t, the slopes in x and y, t·x and t·y; (768,) each."""
 _Float = np.float32
 
 
 @compiled
-def refine(
+def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
     a: _Pixels,
     b: _Pixels,
     places: NDArray[np.int64],
@@ -76,100 +94,84 @@ def refine(
         told: out, (k, 4) correlation, scatter of what is left (grey levels), last step (px; infinite if lost), share of
             saturated pixels.
     """
-    raw = np.empty((_B_PX + 2 * BLUR_REACH, _B_PX + 2 * BLUR_REACH), np.uint8)
-    half_way = np.empty((_B_PX + 2 * BLUR_REACH, _B_PX), _Float)
-    tile_a, tile_b = np.empty((_A_PX, _A_PX), _Float), np.empty((_B_PX, _B_PX), _Float)
-    t, gx, gy = np.empty(_AREA, _Float), np.empty(_AREA, _Float), np.empty(_AREA, _Float)
-    tx, ty, s = np.empty(_AREA, _Float), np.empty(_AREA, _Float), np.empty(_AREA, _Float)
-    patch, factor = (t, gx, gy, tx, ty), np.zeros((4, 4))
-    padded, soft_rows = np.zeros(_PADDED_PX, _Float), np.zeros((_PADDED_PX, WINDOW_PX), _Float)
-    rows = np.empty((WINDOW_PX + TAPS - 1, WINDOW_PX), _Float)
+    raw, half_way = np.zeros(_RAW_LINES * _B_PITCH, np.uint8), np.zeros(_RAW_LINES * _B_PITCH, _Float)
+    tile_a, tile_b = np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
+    padded_x, padded_y = np.zeros(_SIZE + 2 * _PADDING, _Float), np.zeros(_SIZE + 2 * _PADDING, _Float)
+    gx, gy = padded_x[_PADDING : _PADDING + _SIZE], padded_y[_PADDING : _PADDING + _SIZE]
+    t, tx, ty = np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float)
+    patch, factor, lines, soft = (t, gx, gy, tx, ty), np.zeros((4, 4)), np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
+    lead_x, lead_y, followed = 0.0, 0.0, 0
+    further, one = reach_px + _LONGEST_STEP_PX, places.shape[1] // 2  # 1, which the compiler does not know
     for k in range(len(places)):
-        _cut(a, places[k, 0] - _LEFT - 1 - BLUR_REACH, places[k, 1] - _LEFT - 1 - BLUR_REACH, raw, _A_PX)
-        _blur(raw, half_way, tile_a, _A_PX, 0.0)
-        told[k, 2], told[k, 3] = np.inf, _saturated(raw, BLUR_REACH + 1)
+        x0, y0 = places[k, 0] - _LEFT - 1, places[k, 1] - _LEFT - 1
+        _cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
+        _blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
+        told[k, 2], told[k, 3] = np.inf, _saturated(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
+        b_px[k] = guess_px[k]
         mean, tt, xx, xy, yy = _template(tile_a, patch, factor)
         hessian[k, 0, 0], hessian[k, 0, 1], hessian[k, 1, 0], hessian[k, 1, 1] = xx, xy, xy, yy
         determinant = xx * yy - xy * xy
         if determinant <= _LEAST_CORNER * (xx + yy) ** 2 + _LEAST_CORNER:
-            b_px[k] = guess_px[k]
             continue
-        inverse = (tt, yy / determinant, -xy / determinant, xx / determinant)
-        px, py = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5  # of the window's first pixel from here
-        x0, y0, settled = 0, 0, False
-        for _ in range(_MOST_TILES):
-            x0, y0 = math.floor(px) - _B_FIRST, math.floor(py) - _B_FIRST
-            _cut(b, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _B_PX)
-            _blur(raw, half_way, tile_b, _B_PX, mean)
-            dx, dy, left, settled = _approach(tile_b, px - x0, py - y0, patch, s, inverse)
-            px, py = dx + x0, dy + y0
-            away = max(abs(px + _LEFT + 0.5 - guess_px[k, 0]), abs(py + _LEFT + 0.5 - guess_px[k, 1]))
-            if not left or away > reach_px or not _within(px, py, b):
+        ixx, ixy, iyy = yy / determinant, -xy / determinant, xx / determinant
+        first_x, first_y = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5  # of the window, from here on
+        px, py, tiles, near, lost = first_x + lead_x, first_y + lead_y, 0, False, True
+        s1 = st = sx = sy = ss = su = sv = ex = ey = length = 0.0
+        for _ in range(_MOST_STEPS):
+            lost = True
+            if tiles == 0 or _outside(px - x0, py - y0):
+                if tiles == _MOST_TILES:
+                    break
+                x0, y0, tiles = round(px) - _B_FIRST, round(py) - _B_FIRST, tiles + 1
+                _cut(b, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _B_PX, _B_PITCH, _B_PITCH * one)
+                _blur(raw, half_way, tile_b, _B_PX, _B_PITCH, mean)
+            if near:
+                s1, st, sx, sy, ss, su, sv = _sharp(tile_b, px - x0, py - y0, patch, lines)
+            else:
+                st, sx, sy = _bilinear(tile_b, px - x0, py - y0, patch)
+            if st <= _LEAST_GAIN * tt:
                 break
-        if settled:
-            dx, dy, step, score, scatter = _settle(tile_b, px - x0, py - y0, patch, factor, rows, s, inverse)
-            px, py = dx + x0, dy + y0
-            told[k, 0], told[k, 1], told[k, 2] = score, scatter, step
-            _soften(gx, padded, soft_rows, s)
-            blurred[k, 0, 0], blurred[k, 0, 1] = _dot(gx, s), _dot(gy, s)
-            _soften(gy, padded, soft_rows, s)
-            blurred[k, 1, 0], blurred[k, 1, 1] = blurred[k, 0, 1], _dot(gy, s)
-            _cut(b, round(px), round(py), raw, WINDOW_PX - 2 * BLUR_REACH)
-            told[k, 3] = max(told[k, 3], _saturated(raw, 0))
+            ex, ey = (ixx * sx + ixy * sy) * tt / st, (ixy * sx + iyy * sy) * tt / st
+            length = max(abs(ex), abs(ey))
+            share = min(1.0, _LONGEST_STEP_PX / max(length, 1e-9))
+            px, py = px - ex * share, py - ey * share
+            if max(abs(px - first_x), abs(py - first_y)) > further or not _within(px, py, b):
+                break
+            lost = not near
+            if near and length < _STILL_PX:
+                break
+            near = near or length < _NEAR_PX
         b_px[k, 0], b_px[k, 1] = px + _LEFT + 0.5, py + _LEFT + 0.5
+        if not lost:
+            told[k, 0], told[k, 1] = _agreement(factor, tt, (s1, st, sx, sy, ss, su, sv), ex, ey)
+            told[k, 2] = length
+            here = _saturated(raw, _B_PX, _B_PITCH, round(px) - x0 + BLUR_REACH, round(py) - y0 + BLUR_REACH)
+            told[k, 3] = max(told[k, 3], here)
+            xx, xy, yy = _softened(padded_x, padded_y, soft)
+            blurred[k, 0, 0], blurred[k, 0, 1], blurred[k, 1, 0], blurred[k, 1, 1] = xx, xy, xy, yy
+            if told[k, 0] >= _FOLLOWED_SCORE:
+                followed = min(followed + 1, _FOLLOWED)
+                lead_x += (px - first_x - lead_x) / followed
+                lead_y += (py - first_y - lead_y) / followed
 
 
 @inlined
-def _approach(
-    tile: _Plane, dx: float, dy: float, patch: _Patch, s: _Plane, inverse: _Inverse
-) -> tuple[float, float, bool, bool]:
-    """Steps with bilinear interpolation: the place reached, whether it left the tile, whether it stands still."""
-    tt, ixx, ixy, iyy = inverse
-    for _ in range(_MOST_STEPS):
-        if _outside(dx, dy):
-            return dx, dy, True, False
-        _bilinear(tile, dx, dy, s)
-        _, st, sx, sy, _ = _products(s, patch)
-        if st <= _LEAST_GAIN * tt:
-            return dx, dy, False, False
-        ex, ey = (ixx * sx + ixy * sy) * tt / st, (ixy * sx + iyy * sy) * tt / st
-        length = max(abs(ex), abs(ey))
-        share = min(1.0, _LONGEST_STEP_PX / max(length, 1e-9))
-        dx, dy = dx - ex * share, dy - ey * share
-        if length < _STILL_PX:
-            return dx, dy, False, not _outside(dx, dy)
-    return dx, dy, False, False
-
-
-@inlined
-def _settle(
-    tile: _Plane, dx: float, dy: float, patch: _Patch, factor: Floats, rows: _Plane, s: _Plane, inverse: _Inverse
-) -> tuple[float, float, float, float, float]:
-    """Two steps with the sinc: place, length of the last step (infinite if lost), correlation and scatter after it."""
-    tt, ixx, ixy, iyy = inverse
-    step, score, scatter = np.inf, 0.0, 0.0
-    for _ in range(2):
-        if _outside(dx, dy):
-            return dx, dy, np.inf, 0.0, 0.0
-        _sharp(tile, dx, dy, rows, s)
-        s1, st, sx, sy, ss = _products(s, patch)
-        if st <= _LEAST_GAIN * tt:
-            return dx, dy, np.inf, 0.0, 0.0
-        gain = st / tt
-        sx, sy = sx / gain, sy / gain
-        ex, ey = ixx * sx + ixy * sy, ixy * sx + iyy * sy
-        dx, dy, step = dx - ex, dy - ey, max(abs(ex), abs(ey))
-        v0, v1, v2, v3 = _halfway(factor, s1, st, _dot(s, patch[3]), _dot(s, patch[4]))
-        left = (ss - v0 * v0 - v1 * v1 - v2 * v2 - v3 * v3) / (gain * gain) - (ex * sx + ey * sy)
-        left = max(left, 0.0)
-        score, scatter = math.sqrt(tt / (tt + left)), math.sqrt(left / _AREA)
-    return dx, dy, step, score, scatter
+def _agreement(
+    factor: Floats, tt: float, sums: tuple[float, float, float, float, float, float, float], ex: float, ey: float
+) -> tuple[float, float]:
+    """Correlation and scatter after a last step (ex, ey), from the sums before it."""
+    s1, st, sx, sy, ss, su, sv = sums
+    v0, v1, v2, v3 = _halfway(factor, s1, st, su, sv)
+    gain = st / tt
+    left = (ss - v0 * v0 - v1 * v1 - v2 * v2 - v3 * v3) / (gain * gain) - (ex * sx + ey * sy) / gain
+    left = max(left, 0.0)
+    return math.sqrt(tt / (tt + left)), math.sqrt(left / _AREA)
 
 
 @inlined
 def _outside(dx: float, dy: float) -> bool:
     """Whether a window needs more than its tile has."""
-    low, high = TAPS // 2 - 1, _B_PX - WINDOW_PX - TAPS // 2
+    low, high = TAPS // 2 - 1, _B_PX - WINDOW_PX - TAPS // 2 + 1
     return not (low <= dx < high and low <= dy < high)
 
 
@@ -182,55 +184,54 @@ def _within(px: float, py: float, image: _Pixels) -> bool:
 
 
 @inlined
-def _cut(image: _Pixels, x0: int, y0: int, raw: _Pixels, size: int) -> None:
-    """A square of an image, with room for the blur around `size`; beyond the border its last pixels are repeated."""
+def _cut(image: _Pixels, x0: int, y0: int, raw: _Pixels, size: int, pitch: int, wide: int) -> None:
+    """A square of an image, with room for the blur around `size`; beyond the border its last pixels are repeated.
+
+    `wide` is the pitch; were it a constant, the compiler would copy byte by byte.
+    """
     h, w = image.shape
     side = size + 2 * BLUR_REACH
-    inside = 0 <= x0 <= w - side
-    for y in range(side):
-        line, to = image[min(max(y0 + y, 0), h - 1)], raw[y]
-        if inside:
-            cut = line[x0 : x0 + side]
+    if 0 <= x0 <= w - pitch and 0 <= y0 <= h - side:
+        for y in range(side):
+            line, to = image[y0 + y, x0 : x0 + wide], raw[y * pitch : y * pitch + wide]
+            for x in range(wide):
+                to[x] = line[x]
+    else:
+        for y in range(side):
+            line = image[min(max(y0 + y, 0), h - 1)]
             for x in range(side):
-                to[x] = cut[x]
-        else:
-            for x in range(side):
-                to[x] = line[min(max(x0 + x, 0), w - 1)]
+                raw[y * pitch + x] = line[min(max(x0 + x, 0), w - 1)]
 
 
 @inlined
-def _blur(raw: _Pixels, half_way: _Plane, out: _Plane, size: int, less: float) -> None:
-    """Gaussian across and down, less a constant; `raw` has room for its reach on every side."""
-    w0, w1, w2, w3, w4 = GAUSS[0], GAUSS[1], GAUSS[2], GAUSS[3], GAUSS[4]
-    for y in range(size + 2 * BLUR_REACH):
-        line, to = raw[y], half_way[y]
-        for x in range(size):
-            near = w1 * (_Float(line[x + 3]) + _Float(line[x + 5])) + w2 * (_Float(line[x + 2]) + _Float(line[x + 6]))
-            far = w3 * (_Float(line[x + 1]) + _Float(line[x + 7])) + w4 * (_Float(line[x]) + _Float(line[x + 8]))
-            to[x] = w0 * _Float(line[x + 4]) + near + far
-    _down(half_way, out, size, (w0, w1, w2, w3, w4), _Float(less))
-
-
-@inlined
-def _down(lines: _Plane, out: _Plane, size: int, w: tuple[np.float32, ...], less: np.float32) -> None:
-    """Nine points of every column, symmetrically weighted from the middle outwards, less a constant."""
-    w0, w1, w2, w3, w4 = w
+def _blur(raw: _Pixels, half_way: _Plane, out: _Plane, size: int, pitch: int, less: float) -> None:
+    """Down, exactly, and across, less a constant; `raw` has room for the reach on every side."""
+    w0, w1, w2, w3 = BINOMIAL
+    p = pitch
+    for n in range(size * p):
+        near = w1 * (raw[n + 2 * p] + raw[n + 4 * p]) + w2 * (raw[n + p] + raw[n + 5 * p])
+        half_way[n] = np.uint16(w0 * raw[n + 3 * p] + near + w3 * (raw[n] + raw[n + 6 * p]))
+    v0, v1, v2, v3 = _Float(w0 / 4096), _Float(w1 / 4096), _Float(w2 / 4096), _Float(w3 / 4096)
+    constant = _Float(less)
     for y in range(size):
-        a, b, c, d, e = lines[y], lines[y + 1], lines[y + 2], lines[y + 3], lines[y + 4]
-        f, g, h, i = lines[y + 5], lines[y + 6], lines[y + 7], lines[y + 8]
-        to = out[y]
-        for x in range(size):
-            to[x] = w0 * e[x] + w1 * (d[x] + f[x]) + w2 * (c[x] + g[x]) + w3 * (b[x] + h[x]) + w4 * (a[x] + i[x]) - less
+        v, to = half_way[y * p : y * p + PITCH_PX + 2 * BLUR_REACH], out[y * PITCH_PX : (y + 1) * PITCH_PX]
+        for x in range(PITCH_PX):
+            near = v1 * (v[x + 2] + v[x + 4]) + v2 * (v[x + 1] + v[x + 5])
+            to[x] = v0 * v[x + 3] + near + v3 * (v[x] + v[x + 6]) - constant
 
 
 @inlined
-def _saturated(raw: _Pixels, border: int) -> float:
+def _saturated(raw: _Pixels, size: int, pitch: int, x0: int, y0: int) -> float:
     """Share of a window's pixels that are blown out."""
+    brightest = np.uint8(0)
+    for n in range((size + 2 * BLUR_REACH) * pitch):
+        brightest = max(brightest, raw[n])
+    if brightest < _SATURATED:
+        return 0.0
     count = 0
-    for y in range(WINDOW_PX):
-        line = raw[y + border]
-        for x in range(WINDOW_PX):
-            count += line[x + border] >= _SATURATED
+    for y in range(y0, y0 + WINDOW_PX):
+        for x in range(x0, x0 + WINDOW_PX):
+            count += raw[y * pitch + x] >= _SATURATED
     return count / _AREA
 
 
@@ -238,23 +239,18 @@ def _saturated(raw: _Pixels, border: int) -> float:
 def _template(tile: _Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
     """Make a patch and the factor of its light; returns its mean, t·t and the sums of products of its slopes."""
     t, gx, gy, tx, ty = patch
-    half, total = _Float(0.5), _Float(0)
-    for y in range(WINDOW_PX):
-        above, line, below = tile[y], tile[y + 1], tile[y + 2]
-        first = y * WINDOW_PX
-        to_t, to_x, to_y = t[first : first + WINDOW_PX], gx[first : first + WINDOW_PX], gy[first : first + WINDOW_PX]
-        for x in range(WINDOW_PX):
-            to_t[x] = line[x + 1]
-            to_x[x] = half * (line[x + 2] - line[x])
-            to_y[x] = half * (below[x + 1] - above[x + 1])
-            total += line[x + 1]
+    half, total, p = _Float(0.5), _Float(0), PITCH_PX
+    for n in range(_SIZE):
+        total += INSIDE[n] * tile[n + p + 1]
     mean = total / _Float(_AREA)
-    for n in range(_AREA):
-        tx[n], ty[n] = t[n] * ACROSS[n], t[n] * DOWN[n]
-        t[n] -= mean
+    for n in range(_SIZE):
+        here, inside = tile[n + p + 1], INSIDE[n]
+        t[n], tx[n], ty[n] = inside * (here - mean), here * ACROSS[n], here * DOWN[n]
+        gx[n] = inside * half * (tile[n + p + 2] - tile[n + p])
+        gy[n] = inside * half * (tile[n + 2 * p + 1] - tile[n + 1])
     s02 = s03 = s11 = s12 = s13 = s22 = s23 = s33 = _Float(0)
     x0 = x1 = x2 = x3 = y0 = y1 = y2 = y3 = _Float(0)
-    for n in range(_AREA):
+    for n in range(_SIZE):
         a, b, c, u, v = t[n], tx[n], ty[n], gx[n], gy[n]
         s02 += b
         s03 += c
@@ -278,10 +274,12 @@ def _template(tile: _Plane, patch: _Patch, factor: Floats) -> tuple[float, float
     _factorise(factor)
     p0, p1, p2, p3 = _solved(factor, float(x0), float(x1), float(x2), float(x3))
     q0, q1, q2, q3 = _solved(factor, float(y0), float(y1), float(y2), float(y3))
+    u0, u1, u2, u3 = _Float(p0), _Float(p1), _Float(p2), _Float(p3)
+    v0, v1, v2, v3 = _Float(q0), _Float(q1), _Float(q2), _Float(q3)
     xx = xy = yy = _Float(0)
-    for n in range(_AREA):
-        u = gx[n] - (_Float(p0) + _Float(p1) * t[n] + _Float(p2) * tx[n] + _Float(p3) * ty[n])
-        v = gy[n] - (_Float(q0) + _Float(q1) * t[n] + _Float(q2) * tx[n] + _Float(q3) * ty[n])
+    for n in range(_SIZE):
+        u = gx[n] - (u0 * INSIDE[n] + u1 * t[n] + u2 * tx[n] + u3 * ty[n])
+        v = gy[n] - (v0 * INSIDE[n] + v1 * t[n] + v2 * tx[n] + v3 * ty[n])
         gx[n], gy[n] = u, v
         xx += u * u
         xy += u * v
@@ -321,71 +319,79 @@ def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[floa
 
 
 @inlined
-def _dot(a: _Plane, b: _Plane) -> float:
-    total = _Float(0)
-    for n in range(_AREA):
-        total += a[n] * b[n]
-    return float(total)
+def _softened(padded_x: _Plane, padded_y: _Plane, soft: _Plane) -> tuple[float, float, float]:
+    """Sums of products of the slopes blurred once more, nothing lying beyond the patch.
+
+    Of their lines every second is looked at: they are so smooth that twice its sum is that of both.
+    """
+    w0, w1, w2, w3 = BINOMIAL
+    v0, v1, v2, v3 = _Float(w0 / 64), _Float(w1 / 64), _Float(w2 / 64), _Float(w3 / 64)
+    p, count = PITCH_PX, (WINDOW_PX + 2 * BLUR_REACH) // 2
+    soft_x, soft_y, room = soft[: (count + 1) * p], soft[(count + 1) * p :], 2 * BLUR_REACH
+    for y in range(count):
+        f, g = padded_x[2 * y * p : (2 * y + 7) * p], padded_y[2 * y * p : (2 * y + 7) * p]
+        to_x, to_y = soft_x[y * p + room : (y + 1) * p + room], soft_y[y * p + room : (y + 1) * p + room]
+        for x in range(p):
+            near = v1 * (f[x + 2 * p] + f[x + 4 * p]) + v2 * (f[x + p] + f[x + 5 * p])
+            to_x[x] = v0 * f[x + 3 * p] + near + v3 * (f[x] + f[x + 6 * p])
+            near = v1 * (g[x + 2 * p] + g[x + 4 * p]) + v2 * (g[x + p] + g[x + 5 * p])
+            to_y[x] = v0 * g[x + 3 * p] + near + v3 * (g[x] + g[x + 6 * p])
+    xx = xy = yy = _Float(0)
+    for n in range(count * p):
+        u = v0 * soft_x[n + 3] + v1 * (soft_x[n + 2] + soft_x[n + 4])
+        v = v0 * soft_y[n + 3] + v1 * (soft_y[n + 2] + soft_y[n + 4])
+        u += v2 * (soft_x[n + 1] + soft_x[n + 5]) + v3 * (soft_x[n] + soft_x[n + 6])
+        v += v2 * (soft_y[n + 1] + soft_y[n + 5]) + v3 * (soft_y[n] + soft_y[n + 6])
+        xx += u * u
+        xy += u * v
+        yy += v * v
+    return 2 * float(xx), 2 * float(xy), 2 * float(yy)
 
 
 @inlined
-def _soften(g: _Plane, padded: _Plane, lines: _Plane, out: _Plane) -> None:
-    """A slope blurred twice, as far as the window goes; nothing lies beyond it."""
-    w0, w1, w2, w3, w4 = TWICE[0], TWICE[1], TWICE[2], TWICE[3], TWICE[4]
-    v = padded
-    for y in range(WINDOW_PX):
-        to = lines[y + BLUR_REACH]
-        v[BLUR_REACH : BLUR_REACH + WINDOW_PX] = g[y * WINDOW_PX : (y + 1) * WINDOW_PX]
-        for x in range(WINDOW_PX):
-            near = w1 * (v[x + 3] + v[x + 5]) + w2 * (v[x + 2] + v[x + 6])
-            to[x] = w0 * v[x + 4] + near + w3 * (v[x + 1] + v[x + 7]) + w4 * (v[x] + v[x + 8])
-    _down(lines, out.reshape(WINDOW_PX, WINDOW_PX), WINDOW_PX, (w0, w1, w2, w3, w4), _Float(0))
-
-
-@inlined
-def _products(s: _Plane, patch: _Patch) -> tuple[float, float, float, float, float]:
-    """Sums of s, s·t, s·gx, s·gy, s·s."""
+def _bilinear(tile: _Plane, x: float, y: float, patch: _Patch) -> tuple[float, float, float]:
+    """Sums of s·t, s·gx, s·gy of the window s whose first pixel lies at (x, y) of a tile."""
     t, gx, gy = patch[0], patch[1], patch[2]
-    s1 = st = sx = sy = ss = _Float(0)
-    for n in range(_AREA):
-        v = s[n]
-        s1 += v
-        st += v * t[n]
-        sx += v * gx[n]
-        sy += v * gy[n]
-        ss += v * v
-    return float(s1), float(st), float(sx), float(sy), float(ss)
-
-
-@inlined
-def _bilinear(tile: _Plane, x: float, y: float, out: _Plane) -> None:
-    """The window whose first pixel lies at (x, y) of a tile."""
     x0, y0, one = int(x), int(y), _Float(1)
     fx, fy = _Float(x - x0), _Float(y - y0)
     w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
-    for r in range(WINDOW_PX):
-        upper = tile[y0 + r, x0 : x0 + WINDOW_PX + 1]
-        lower = tile[y0 + r + 1, x0 : x0 + WINDOW_PX + 1]
-        to = out[r * WINDOW_PX : (r + 1) * WINDOW_PX]
-        for c in range(WINDOW_PX):
-            to[c] = w00 * upper[c] + w01 * upper[c + 1] + w10 * lower[c] + w11 * lower[c + 1]
+    first = y0 * PITCH_PX + x0
+    v = tile[first : first + _SIZE + PITCH_PX + 1]
+    st = sx = sy = _Float(0)
+    for n in range(_SIZE):
+        s = w00 * v[n] + w01 * v[n + 1] + w10 * v[n + PITCH_PX] + w11 * v[n + PITCH_PX + 1]
+        st += s * t[n]
+        sx += s * gx[n]
+        sy += s * gy[n]
+    return float(st), float(sx), float(sy)
 
 
 @inlined
-def _sharp(tile: _Plane, x: float, y: float, rows: _Plane, out: _Plane) -> None:
-    """The same by the sinc of six points."""
-    x0, y0 = int(x), int(y)
+def _sharp(
+    tile: _Plane, x: float, y: float, patch: _Patch, lines: _Plane
+) -> tuple[float, float, float, float, float, float, float]:
+    """Sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y of the same window by the sinc of six points."""
+    t, gx, gy, tx, ty = patch
+    x0, y0, p = int(x), int(y), PITCH_PX
+    first, count = (y0 - 2) * p + x0 - 2, (WINDOW_PX + TAPS - 1) * p
+    v = tile[first : first + count + TAPS - 1]
     w0, w1, w2, w3, w4, w5 = _weights(x - x0)
-    for r in range(WINDOW_PX + TAPS - 1):
-        a, to = tile[y0 - 2 + r, x0 - 2 : x0 + WINDOW_PX + 3], rows[r]
-        for n in range(WINDOW_PX):
-            to[n] = w0 * a[n] + w1 * a[n + 1] + w2 * a[n + 2] + w3 * a[n + 3] + w4 * a[n + 4] + w5 * a[n + 5]
+    for n in range(count):
+        lines[n] = w0 * v[n] + w1 * v[n + 1] + w2 * v[n + 2] + w3 * v[n + 3] + w4 * v[n + 4] + w5 * v[n + 5]
     w0, w1, w2, w3, w4, w5 = _weights(y - y0)
-    for r in range(WINDOW_PX):
-        a, b, c, d, e, f = rows[r], rows[r + 1], rows[r + 2], rows[r + 3], rows[r + 4], rows[r + 5]
-        to = out[r * WINDOW_PX : (r + 1) * WINDOW_PX]
-        for n in range(WINDOW_PX):
-            to[n] = w0 * a[n] + w1 * b[n] + w2 * c[n] + w3 * d[n] + w4 * e[n] + w5 * f[n]
+    s1 = st = sx = sy = ss = su = sv = _Float(0)
+    for n in range(_SIZE):
+        s = w0 * lines[n] + w1 * lines[n + p] + w2 * lines[n + 2 * p]
+        s += w3 * lines[n + 3 * p] + w4 * lines[n + 4 * p] + w5 * lines[n + 5 * p]
+        inside = s * INSIDE[n]
+        s1 += inside
+        ss += s * inside
+        st += s * t[n]
+        sx += s * gx[n]
+        sy += s * gy[n]
+        su += s * tx[n]
+        sv += s * ty[n]
+    return float(s1), float(st), float(sx), float(sy), float(ss), float(su), float(sv)
 
 
 @inlined
