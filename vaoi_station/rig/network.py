@@ -39,7 +39,7 @@ def isolation() -> list[str]:
     Root keeps its rights; everybody else becomes root of a user namespace, if there may be one.
     """
     ways = (["unshare", "--net"], ["unshare", "--map-root-user", "--net"])
-    return next((way for way in ways if shutil.which(way[0]) and _works([*way, "true"])), [])
+    return next((way for way in ways if _works([*way, "true"])), [])
 
 
 def isolate() -> None:
@@ -48,6 +48,11 @@ def isolate() -> None:
         return
     command = [*before, sys.executable, "-m", "vaoi_station", *sys.argv[1:]]
     os.execvpe(command[0], command, os.environ | {INSIDE: "1"})
+
+
+def may_add() -> bool:
+    """Whether this process may add addresses where it is."""
+    return os.geteuid() == 0 and _works(["ip", "link", "set", "lo", "up"])
 
 
 def isolated() -> bool:
@@ -81,7 +86,10 @@ class Loopback:
 
 
 def _works(command: list[str]) -> bool:
-    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+    return (
+        shutil.which(command[0]) is not None
+        and subprocess.run(command, capture_output=True, check=False).returncode == 0
+    )
 
 
 def _ip(*words: str) -> str:

@@ -1,0 +1,29 @@
+"""The firmware on its emulated chip, and a film of the small scenario."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.hw.chip import need
+from vaoi_station.rig.chip import build
+from vaoi_station.rig.films import Film, films
+from vaoi_station.simulation import Scenario, read_scenario, scenario_path
+
+
+@pytest.fixture(scope="session")
+def small() -> Scenario:
+    return read_scenario(scenario_path("small"))
+
+
+@pytest.fixture(scope="session")
+def filmed(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[Film, ...]:
+    """Two boards."""
+    return films(small, [0, 1], tmp_path_factory.mktemp("films"), lambda _: None)
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    need(["avr-gcc", "make", "gcc"], simavr=True)
+    return build(tmp_path_factory.mktemp("rig") / "firmware")

@@ -1,0 +1,92 @@
+"""Boards before the real firmware on its emulated chip; the cameras' wires end nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.rig.host import Host
+from vaoi_station.acquisition.controller.protocol.messages import Step
+from vaoi_station.rig.chip import HZ, Chip
+from vaoi_station.rig.films import Film
+from vaoi_station.rig.scenarios import lamp_of
+from vaoi_station.rig.stage import Mischief, Stage
+from vaoi_station.rig.wire import CameraWire
+from vaoi_station.simulation import Scenario
+
+RING_LIGHT = Step(0b0001, 500)
+"""250 us in ticks: as long as the exposure."""
+
+
+@dataclass
+class Line:
+    stage: Stage
+    chip: Chip
+    host: Host
+    rows: list[tuple[int, int]]
+    """Board and row, as they were noticed."""
+
+
+@pytest.fixture
+def line(small: Scenario, built: Path, tmp_path: Path) -> Iterator[Line]:
+    rows: list[tuple[int, int]] = []
+    wires = [CameraWire("127.0.0.2", "A"), CameraWire("127.0.0.3", "B")]
+    mischief = Mischief(ignored=frozenset({(0, 2, 1)}))
+    stage = Stage(wires, lamp_of(small), mischief, lambda board, row: rows.append((board, row)))
+    with Chip(built, tmp_path / "trigger", stage.hear, stage.chip_restarted) as chip:
+        stage.use(chip)
+        with Host(chip.terminal) as host:
+            yield Line(stage, chip, host, rows)
+
+
+def test_every_pulse_comes_when_its_frames_were_rendered_for(
+    line: Line, small: Scenario, filmed: tuple[Film, ...]
+) -> None:
+    line.host.arm(small, (RING_LIGHT,))
+    for board, film in enumerate(filmed):
+        passing = line.stage.let_pass(film)
+        line.host.wait(film.lasts_s + 0.3)
+        assert [fired.row for fired in passing.fired] == list(range(film.rows))
+        assert max(abs(fired.off_us) for fired in passing.fired) < 1.0
+        assert {fired.note for fired in passing.fired} == {""}
+        assert all(fired.light == [1.0, 1.0] for fired in passing.fired)
+        first_s = (passing.fired[0].shot.host_ns - passing.blocked_ns) * 1e-9
+        assert first_s == pytest.approx(small.line.start_delay_s, abs=1e-5)
+        assert [row for number, row in line.rows if number == board] == list(range(film.rows))
+        ignored = {(2, 1)} if board == 0 else set()
+        fates = {(fired.row, n): fate for fired in passing.fired for n, fate in enumerate(fired.fates)}
+        assert {cell for cell, fate in fates.items() if fate == "ignored"} == ignored
+        assert {fate for cell, fate in fates.items() if cell not in ignored} == {"dead"}
+    assert line.stage.strays == []
+
+
+def test_light_is_what_the_leds_did(line: Line, small: Scenario, filmed: tuple[Film, ...]) -> None:
+    """Half as long, on another channel, and not at all."""
+    line.host.arm(small, (Step(0b0001, 250), Step(0b0010, 500), Step(0, 0), RING_LIGHT))
+    passing = line.stage.let_pass(filmed[0])
+    line.host.wait(filmed[0].lasts_s + 0.3)
+    assert [fired.light[0] for fired in passing.fired[:4]] == [pytest.approx(0.5, abs=0.002), 0.0, 0.0, 1.0]
+    assert [bool(fired.note) for fired in passing.fired[:4]] == [False, True, True, False]
+    assert "LED channels (1,) were lit, not those of 'ring'" in passing.fired[1].note
+
+
+def test_after_a_reset_the_barrier_still_follows_the_board(
+    line: Line, small: Scenario, filmed: tuple[Film, ...]
+) -> None:
+    """The board leaves it at the cycle it would have: the next one is seen."""
+    line.host.arm(small, (RING_LIGHT,))
+    passing = line.stage.let_pass(filmed[0])
+    line.host.wait(0.5)
+    line.chip.tell("reset external")
+    line.host.wait(filmed[0].lasts_s)
+    fired = len(passing.fired)
+    assert fired < filmed[0].rows
+    line.host.arm(small, (RING_LIGHT,))
+    again = line.stage.let_pass(filmed[1])
+    line.host.wait(filmed[1].lasts_s + 0.3)
+    assert [shot.row for shot in again.fired] == list(range(filmed[1].rows))
+    assert max(abs(shot.off_us) for shot in again.fired) < 1.0
+    assert again.start_cycle - passing.start_cycle > filmed[0].lasts_s * HZ

@@ -1,0 +1,114 @@
+"""What goes wrong on the rig: `--fault NAME` or `--fault NAME:KEY=VALUE,…`, each told when and to whom."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+from vaoi_station.errors import InputError
+from vaoi_station.simulation import Scenario
+from vaoi_station.simulation.scenario import Bounce, StuckBoard
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong; which fields mean something depends on `kind`."""
+
+    kind: str
+    board: int = 1
+    """Boards and rows count from 0."""
+    row: int = 2
+    camera: int = 0
+    share: float = 0.0
+    at_s: float = 0.0
+    for_s: float = 0.0
+    who: str = "station"
+
+    def at(self, board: int, row: int) -> bool:
+        """Whether it begins with the pulse of this row."""
+        return (self.board, self.row) == (board, row)
+
+
+KINDS: dict[str, tuple[Fault, tuple[str, ...], str]] = {
+    "loss": (Fault("loss", share=0.01), ("share",), "share of the frames that packets are missing from"),
+    "kill": (
+        Fault("kill", for_s=3.0),
+        ("camera", "board", "row", "for_s"),
+        "a camera's process is killed before this row and starts again after a time",
+    ),
+    "ignored": (Fault("ignored"), ("camera", "board", "row"), "a camera does not answer a pulse"),
+    "noise": (Fault("noise", share=0.002), ("share",), "share of the bytes on the serial line with a bit turned over"),
+    "stall": (
+        Fault("stall", for_s=1.0),
+        ("who", "board", "row", "for_s"),
+        "SIGSTOP: station, acquisition, or a worker (worker 0, worker 1, …)",
+    ),
+    "reset": (Fault("reset"), ("board", "row"), "the controller is reset"),
+    "stuck": (Fault("stuck"), ("board", "row"), "the board stops with the pulse of this row and stays"),
+    "bounce": (
+        Fault("bounce", at_s=0.004, for_s=0.001),
+        ("board", "at_s", "for_s"),
+        "the barrier shows the opposite for a moment",
+    ),
+}
+"""Name → the fault as it is without any key, the keys it takes, what it is."""
+
+
+def parse_fault(text: str) -> Fault:
+    """One fault as written on the command line.
+
+    Raises:
+        InputError: an unknown name or key, or a value that is no number.
+    """
+    name, _, rest = text.partition(":")
+    if name not in KINDS:
+        raise InputError.field("vaoi rig", "--fault", name, f"one of {', '.join(KINDS)}")
+    fault, keys, _ = KINDS[name]
+    types = {f.name: type(getattr(fault, f.name)) for f in fields(Fault)}
+    changes: dict[str, float | int | str] = {}
+    for part in filter(None, rest.split(",")):
+        key, _, value = part.partition("=")
+        if key not in keys:
+            raise InputError.field("vaoi rig", f"--fault {name}", part, f"KEY=VALUE, KEY one of {', '.join(keys)}")
+        try:
+            changes[key] = types[key](value)
+        except ValueError:
+            limit = "a whole number" if types[key] is int else "a number"
+            raise InputError.field("vaoi rig", f"--fault {name}: {key}", value, limit) from None
+    fault = replace(fault, **changes)  # type: ignore[arg-type]  # of the fields' own types
+    _check(fault)
+    return fault
+
+
+def check_faults(faults: Sequence[Fault], cameras: int, boards: int) -> None:
+    """InputError for a fault of a board or a camera that is not there."""
+    for fault in faults:
+        _, keys, _ = KINDS[fault.kind]
+        for key, count in (("camera", cameras), ("board", boards)):
+            if key in keys and not 0 <= getattr(fault, key) < count:
+                limit = f"from 0 to {count - 1}"
+                raise InputError.field("vaoi rig", f"--fault {fault.kind}: {key}", getattr(fault, key), limit)
+
+
+def befallen(scenario: Scenario, faults: Sequence[Fault]) -> Scenario:
+    """The scenario with what goes wrong on the belt and at the barrier: the twin plays that."""
+    known = scenario.faults
+    stuck = tuple(StuckBoard(board=f.board, row=f.row) for f in faults if f.kind == "stuck")
+    bounces = tuple(
+        Bounce(board=f.board, at_s=f.at_s, duration_s=f.for_s) for f in faults if f.kind == "bounce"
+    )  # fmt: skip
+    more = {"stuck": known.stuck + stuck, "bounces": known.bounces + bounces}
+    return scenario.model_copy(update={"faults": known.model_copy(update=more)})
+
+
+def _check(fault: Fault) -> None:
+    where = f"--fault {fault.kind}"
+    if not 0 <= fault.share <= 1:
+        raise InputError.field("vaoi rig", f"{where}: share", fault.share, "from 0 to 1")
+    if "for_s" in KINDS[fault.kind][1] and not 0 < fault.for_s <= 60:
+        raise InputError.field("vaoi rig", f"{where}: for_s", fault.for_s, "above 0, at most 60 s")
+    if fault.row < 0:
+        raise InputError.field("vaoi rig", f"{where}: row", fault.row, "at least 0")
+    words = fault.who.split()
+    if words not in (["station"], ["acquisition"]) and not (words[0] == "worker" and words[1:] in ([], [words[-1]])):
+        raise InputError.field("vaoi rig", f"{where}: who", fault.who, "station, acquisition, or worker N")

@@ -1,0 +1,206 @@
+"""The line under the cameras: boards pass the barrier, the chip fires, the cameras see what the twin shows then.
+
+    belt ──barrier edges──▶ chip ──edges of its pins──▶ shots ──pictures of the film──▶ cameras
+
+Everything is dated by the chip's cycles: a passage's barrier edges are planned in cycles, and the board's place in a
+frame follows from the cycle of its trigger. What was fired, and what became of it, is written down for the score.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from vaoi_station.rig.chip import HZ, Chip, Edge
+from vaoi_station.rig.films import Film
+from vaoi_station.rig.orders import DARK, Order
+from vaoi_station.rig.pins import Pins, Shot
+from vaoi_station.rig.wire import CameraWire
+
+LEAD_S = 0.05
+"""From the order to let a board pass to the passage's start: the emulator must have heard of it by then."""
+BOUND_S = 5e-6
+"""Film and chip agree so well about the time of a pulse; 0.02 px at 100 mm/s and 40 px/mm."""
+SAME_LIGHT = 0.005
+"""LED on-times are right to 0.2 us; what differs no more than this share is the film's light."""
+SOME_PACKETS = 0.05
+"""Of a frame that is hit by packet loss; with a hundred packets one frame in two hundred escapes unhurt."""
+
+Fate = Literal["sent", "ignored", "hit", "lost", "dead"]
+"""What became of a camera's frame: sent whole; trigger ignored; packets missing; all packets missing; no camera."""
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """How the station was told to light: LED channels of every light's name."""
+
+    channels: dict[str, tuple[int, ...]]
+    exposures_us: tuple[float, ...]
+    """Of every camera; LEDs outside an exposure are not seen."""
+
+    def brightness(self, shot: Shot, light: str, camera: int) -> float:
+        """Relative to the film's; 0 if other LEDs were lit than for this light: that picture nobody has."""
+        if shot.channels != self.channels.get(light):
+            return 0.0
+        share = min(shot.on_us / self.exposures_us[camera], 1.0)
+        return 1.0 if abs(share - 1) < SAME_LIGHT else share
+
+
+@dataclass
+class Fired:
+    """One pulse as it was."""
+
+    row: int | None
+    """Of the film; None: at a time the film does not have."""
+    shot: Shot
+    off_us: float
+    """Time of the pulse minus the film's."""
+    fates: list[Fate]
+    """Of every camera."""
+    light: list[float]
+    """Brightness for every camera, relative to the film's."""
+    note: str = ""
+    """Why it is dark, if it should not be."""
+
+
+@dataclass
+class Passing:
+    """One board's passage as it was."""
+
+    board: int
+    film: Film
+    start_cycle: int
+    blocked_ns: int
+    """CLOCK_MONOTONIC when it interrupted the barrier."""
+    fired: list[Fired] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Mischief:
+    """What the stage itself does wrong."""
+
+    loss: float = 0.0
+    """Share of the frames that are hit by packet loss."""
+    ignored: frozenset[tuple[int, int, int]] = frozenset()
+    """(board, row, camera) of pulses that a camera does not answer."""
+
+
+class Stage:
+    """Owns no process: chip and cameras are given, and live longer."""
+
+    def __init__(
+        self,
+        cameras: Sequence[CameraWire],
+        lamp: Lamp,
+        mischief: Mischief | None = None,
+        noticed: Callable[[int, int], None] = lambda _board, _row: None,
+        seed: int = 1,
+    ) -> None:
+        """`noticed` hears of board and row before the cameras are fired, in the chip's thread."""
+        self._cameras, self._lamp, self._mischief = cameras, lamp, mischief or Mischief()
+        self._noticed = noticed
+        self._dice = random.Random(seed)
+        self._pins = Pins()
+        self._change = threading.Lock()
+        self._passing: Passing | None = None
+        self._chip: Chip | None = None
+        self._boards = 0
+        self.strays: list[Shot] = []
+        """Pulses while no board passed."""
+
+    def use(self, chip: Chip) -> None:
+        """The chip whose edges will be heard."""
+        self._chip = chip
+
+    def hear(self, edge: Edge) -> None:
+        """An output of the chip has changed."""
+        shot = self._pins.edge(edge)
+        if shot is not None:
+            with self._change:
+                self._fire(shot)
+
+    def let_pass(self, film: Film) -> Passing:
+        """A board onto the belt; the one before must have passed."""
+        assert self._chip is not None
+        for camera in self._cameras:
+            camera.show(film.frames)
+        start = self._chip.cycle_at(time.monotonic_ns() + round(LEAD_S * 1e9))
+        blocked_s = next(t for t, blocked in film.sheet.edges if blocked)
+        passing = Passing(self._boards, film, start, self._chip.host_ns(start + round(blocked_s * HZ)))
+        with self._change:
+            self._passing, self._boards = passing, self._boards + 1
+        self._plan_edges(passing, start)
+        return passing
+
+    def chip_restarted(self) -> None:
+        """The chip was reset: its outputs are low, and it has forgotten the barrier's edges to come."""
+        assert self._chip is not None
+        self._pins = Pins()
+        if self._passing is not None:
+            self._plan_edges(self._passing, self._chip.cycle_at(time.monotonic_ns()))
+
+    def _plan_edges(self, passing: Passing, after_cycle: int) -> None:
+        assert self._chip is not None
+        for t, blocked in passing.film.sheet.edges:
+            cycle = passing.start_cycle + round(t * HZ)
+            if cycle >= after_cycle:
+                self._chip.tell(f"at {cycle} PB0 {int(blocked)}")
+
+    def _fire(self, shot: Shot) -> None:
+        passing = self._passing
+        if passing is None:
+            self.strays.append(shot)
+            return
+        row, off_s = _row(passing, shot)
+        if row is not None:
+            self._noticed(passing.board, row)
+        fired = Fired(row, shot, off_s * 1e6, [], [], _note(passing, row, self._lamp, shot))
+        stamp_ns = shot.host_ns + time.time_ns() - time.monotonic_ns()
+        for n in range(len(self._cameras)):
+            light = self._light(passing, shot, row, n)
+            fired.fates.append(self._fire_camera(passing, row, n, light, stamp_ns))
+            fired.light.append(light)
+        passing.fired.append(fired)
+
+    def _light(self, passing: Passing, shot: Shot, row: int | None, camera: int) -> float:
+        if row is None:
+            return 0.0
+        return self._lamp.brightness(shot, passing.film.sheet.lights[row], camera)
+
+    def _fire_camera(self, passing: Passing, row: int | None, camera: int, light: float, stamp_ns: int) -> Fate:
+        if (passing.board, row, camera) in self._mischief.ignored:
+            return "ignored"
+        fate, lost = self._fate(passing, row, camera)
+        picture = DARK if row is None else row * len(self._cameras) + camera
+        alive = self._cameras[camera].fire(Order(picture, stamp_ns, light, lost))
+        return fate if alive else "dead"
+
+    def _fate(self, passing: Passing, row: int | None, camera: int) -> tuple[Fate, float]:
+        """And the share of packets that are not sent."""
+        if (camera, row) in passing.film.sheet.lost:
+            return "lost", 1.0
+        return ("hit", SOME_PACKETS) if self._dice.random() < self._mischief.loss else ("sent", 0.0)
+
+
+def _note(passing: Passing, row: int | None, lamp: Lamp, shot: Shot) -> str:
+    if row is None:
+        return "fired at a time that the film does not have"
+    light = passing.film.sheet.lights[row]
+    if shot.channels != lamp.channels.get(light):
+        return f"LED channels {shot.channels} were lit, not those of {light!r}"
+    return ""
+
+
+def _row(passing: Passing, shot: Shot) -> tuple[int | None, float]:
+    """The film's row of a pulse, and how far it is from the film's time, s; None: the film has no such time."""
+    t = (shot.cycle - passing.start_cycle) / HZ
+    pulses = passing.film.sheet.pulses_s
+    if not pulses:
+        return None, 0.0
+    row = min(range(len(pulses)), key=lambda j: abs(pulses[j] - t))
+    off_s = t - pulses[row]
+    return (row if abs(off_s) <= BOUND_S else None), off_s
