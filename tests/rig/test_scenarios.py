@@ -41,16 +41,18 @@ def shot(channels: tuple[int, ...], on_us: float) -> Shot:
 def test_every_light_has_a_channel() -> None:
     lamp = lamp_of(scenario_of(("ring", "low", "ring")))
     assert lamp.channels == {"ring": (0,), "low": (1,)}
-    assert lamp.brightness(shot((1,), 250.1), "low", 0) == 1.0
-    assert lamp.brightness(shot((0,), 250.0), "low", 0) == 0.0
+    assert lamp.light_of(shot((1,), 250.1)) == "low"
+    assert lamp.brightness(shot((1,), 250.1), 0) == 1.0
+    assert lamp.light_of(shot((0, 1), 250.0)) is None
+    assert lamp.brightness(shot((0, 1), 250.0), 0) == 0.0
     with pytest.raises(InputError, match="at most 4 different ones"):
         lamp_of(scenario_of(("a", "b", "c", "d", "e")))
 
 
 def test_a_camera_sees_the_light_within_its_own_exposure() -> None:
     lamp = lamp_of(scenario_of(("ring",), (250.0, 1000.0)))
-    assert lamp.brightness(shot((0,), 1000.0), "ring", 0) == 1.0
-    assert lamp.brightness(shot((0,), 500.0), "ring", 1) == 0.5
+    assert lamp.brightness(shot((0,), 1000.0), 0) == 1.0
+    assert lamp.brightness(shot((0,), 500.0), 1) == 0.5
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import pytest
 from tests.rig.host import Host
 from vaoi_station.acquisition.controller.protocol.messages import Step
 from vaoi_station.rig.chip import HZ, Chip
+from vaoi_station.rig.darkroom import View
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.scenarios import lamp_of
 from vaoi_station.rig.stage import Mischief, Stage
@@ -28,6 +29,8 @@ class Line:
     host: Host
     rows: list[tuple[int, int]]
     """Board and row, as they were noticed."""
+    views: list[View]
+    """What was asked for that no film has."""
 
 
 @pytest.fixture
@@ -35,11 +38,12 @@ def line(small: Scenario, built: Path, tmp_path: Path) -> Iterator[Line]:
     rows: list[tuple[int, int]] = []
     wires = [CameraWire("127.0.0.2", "A"), CameraWire("127.0.0.3", "B")]
     mischief = Mischief(ignored=frozenset({(0, 2, 1)}))
-    stage = Stage(wires, lamp_of(small), mischief, lambda board, row: rows.append((board, row)))
+    views: list[View] = []
+    stage = Stage(wires, lamp_of(small), mischief, lambda board, row: rows.append((board, row)), views.append)
     with Chip(built, tmp_path / "trigger", stage.hear, stage.chip_restarted) as chip:
         stage.use(chip)
         with Host(chip.terminal) as host:
-            yield Line(stage, chip, host, rows)
+            yield Line(stage, chip, host, rows, views)
 
 
 def test_every_pulse_comes_when_its_frames_were_rendered_for(
@@ -69,8 +73,26 @@ def test_light_is_what_the_leds_did(line: Line, small: Scenario, filmed: tuple[F
     passing = line.stage.let_pass(filmed[0])
     line.host.wait(filmed[0].lasts_s + 0.3)
     assert [fired.light[0] for fired in passing.fired[:4]] == [pytest.approx(0.5, abs=0.002), 0.0, 0.0, 1.0]
-    assert [bool(fired.note) for fired in passing.fired[:4]] == [False, True, True, False]
+    assert [bool(fired.note) for fired in passing.fired[:4]] == [False, True, False, False]
     assert "LED channels (1,) were lit, not those of 'ring'" in passing.fired[1].note
+
+
+def test_what_no_film_has_is_rendered_when_it_is_asked_for(
+    line: Line, small: Scenario, filmed: tuple[Film, ...]
+) -> None:
+    """Pulses 1 ms later than the film's, and one while nothing passes."""
+    late = small.line.model_copy(update={"start_delay_s": small.line.start_delay_s + 0.001})
+    line.host.arm(small.model_copy(update={"line": late}), (RING_LIGHT,))
+    passing = line.stage.let_pass(filmed[0])
+    line.host.wait(filmed[0].lasts_s + 0.3)
+    times_s = [t + 0.001 for t in filmed[0].sheet.pulses_s]
+    fired = [fired for fired in passing.fired if fired.row is None]
+    assert len(fired) == len(passing.fired) > 0
+    assert {fate for each in fired for fate in each.fates} == {"late"}
+    assert {view.board for view in line.views} == {0}
+    assert {view.light for view in line.views} == {"ring"}
+    asked_s = sorted(view.time_s for view in line.views)
+    assert asked_s == pytest.approx(times_s[: len(asked_s)], abs=1e-6)
 
 
 def test_after_a_reset_the_barrier_still_follows_the_board(

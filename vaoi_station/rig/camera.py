@@ -4,7 +4,8 @@
 
 GVCP and GVSP are real, the port is the standard's: one camera per address. stdin, one order per line:
 
-    film PATH                          raw frames one behind the other, each as large as the client's payload
+    film PATH                          raw frames one behind the other, each as large as the client's payload;
+                                       for the triggers from now on
     fire PICTURE STAMP LIGHT LOST      the trigger line rises: send this picture of the film (-1: darkness)
 
 STAMP is the start of the exposure by the camera's clock in ns (CLOCK_REALTIME, as the fake has it; 0: now), LIGHT the
@@ -48,7 +49,7 @@ class VirtualCamera:
             DeviceError: this machine has no such address, or another program serves GVCP there.
         """
         self._aravis, self._library = _aravis()
-        self._tell, self._orders = tell, deque[Order]()
+        self._tell, self._orders = tell, deque[tuple[Order, _Film]]()
         self._speaking = threading.Lock()
         self._film = _Film()
         self._server = self._serve(address, serial)
@@ -92,7 +93,7 @@ class VirtualCamera:
         if not self._armed():
             self.say(f"ignored {order.picture}")
             return
-        self._orders.append(order)
+        self._orders.append((order, self._film))
         self._pull()
 
     def _pull(self) -> None:
@@ -111,12 +112,12 @@ class VirtualCamera:
 
     def _paint(self, buffer: int, _: Any, _exposure_us: int, _gain: int, pixel_format: int) -> None:
         """In the server's thread, before the frame's first packet."""
-        order = self._orders.popleft() if self._orders else Order(DARK)  # running freely
+        order, film = self._orders.popleft() if self._orders else (Order(DARK), self._film)  # running freely
         unused = ctypes.c_size_t()  # nothing has been "received" yet
         address = self._library.arv_buffer_get_data(buffer, ctypes.byref(unused))
         size = self._fake.get_payload()
         target = np.ctypeslib.as_array((ctypes.c_ubyte * size).from_address(address))
-        target[:] = self._film.picture(order.picture, order.light, size, pixel_format)
+        target[:] = film.picture(order.picture, order.light, size, pixel_format)
         self._server.set_property("gvsp-lost-ratio", order.lost)
         if order.stamp_ns:
             self._library.arv_buffer_set_timestamp(buffer, order.stamp_ns)

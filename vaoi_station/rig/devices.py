@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from vaoi_station.rig.chip import Chip, build
+from vaoi_station.rig.darkroom import Darkroom
 from vaoi_station.rig.faults import Fault
 from vaoi_station.rig.films import Film, films
 from vaoi_station.rig.network import Loopback, addresses
@@ -56,7 +57,10 @@ class Devices:
                 camera.begin()
             for camera in self.cameras:
                 camera.wait()
-            self.stage = Stage(self.cameras, lamp_of(self._scenario), self._mischief, self._noticed)
+            darkroom = Darkroom(self._scenario, self._folder / "late")
+            parts.callback(darkroom.close)
+            lamp = lamp_of(self._scenario)
+            self.stage = Stage(self.cameras, lamp, self._mischief, self._noticed, darkroom.develop)
             self.chip = parts.enter_context(Chip(built, self.terminal, self.stage.hear, self.stage.chip_restarted))
             self.stage.use(self.chip)
             self._parts = parts.pop_all()

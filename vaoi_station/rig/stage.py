@@ -8,14 +8,18 @@ frame follows from the cycle of its trigger. What was fired, and what became of 
 
 from __future__ import annotations
 
+import contextlib
 import random
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
+from vaoi_station.errors import InternalError
 from vaoi_station.rig.chip import HZ, Chip, Edge
+from vaoi_station.rig.darkroom import View
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.orders import DARK, Order
 from vaoi_station.rig.pins import Pins, Shot
@@ -30,8 +34,12 @@ SAME_LIGHT = 0.005
 SOME_PACKETS = 0.05
 """Of a frame that is hit by packet loss; with a hundred packets one frame in two hundred escapes unhurt."""
 
-Fate = Literal["sent", "ignored", "hit", "lost", "dead"]
-"""What became of a camera's frame: sent whole; trigger ignored; packets missing; all packets missing; no camera."""
+OVER_S = 0.5
+"""So long after the film's end nothing of its board is fired any more."""
+
+Fate = Literal["sent", "ignored", "hit", "lost", "dead", "late"]
+"""What became of a camera's frame: sent whole; trigger ignored; packets missing; all packets missing; no camera;
+rendered on demand."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +50,13 @@ class Lamp:
     exposures_us: tuple[float, ...]
     """Of every camera; LEDs outside an exposure are not seen."""
 
-    def brightness(self, shot: Shot, light: str, camera: int) -> float:
-        """Relative to the film's; 0 if other LEDs were lit than for this light: that picture nobody has."""
-        if shot.channels != self.channels.get(light):
+    def light_of(self, shot: Shot) -> str | None:
+        """Name of the light that was lit; None: none, or LEDs that belong to no one light."""
+        return next((name for name, channels in self.channels.items() if channels == shot.channels), None)
+
+    def brightness(self, shot: Shot, camera: int) -> float:
+        """Relative to a light that is as long as the camera's exposure."""
+        if self.light_of(shot) is None:
             return 0.0
         share = min(shot.on_us / self.exposures_us[camera], 1.0)
         return 1.0 if abs(share - 1) < SAME_LIGHT else share
@@ -64,7 +76,7 @@ class Fired:
     light: list[float]
     """Brightness for every camera, relative to the film's."""
     note: str = ""
-    """Why it is dark, if it should not be."""
+    """Why the film does not have it; empty: it does."""
 
 
 @dataclass
@@ -98,10 +110,21 @@ class Stage:
         lamp: Lamp,
         mischief: Mischief | None = None,
         noticed: Callable[[int, int], None] = lambda _board, _row: None,
+        unforeseen: Callable[[View], Path | None] = lambda _: None,
         seed: int = 1,
     ) -> None:
-        """`noticed` hears of board and row before the cameras are fired, in the chip's thread."""
+        """Nothing passes yet.
+
+        Args:
+            cameras: the wires to them.
+            lamp: which LEDs make which light.
+            mischief: what shall go wrong here.
+            noticed: hears of board and row before the cameras are fired, in the chip's thread.
+            unforeseen: renders what no film has; None: it stays dark.
+            seed: chooses the frames that are hit by packet loss.
+        """
         self._cameras, self._lamp, self._mischief = cameras, lamp, mischief or Mischief()
+        self._unforeseen = unforeseen
         self._noticed = noticed
         self._dice = random.Random(seed)
         self._pins = Pins()
@@ -109,6 +132,7 @@ class Stage:
         self._passing: Passing | None = None
         self._chip: Chip | None = None
         self._boards = 0
+        self._over_ns = 0
         self.strays: list[Shot] = []
         """Pulses while no board passed."""
 
@@ -133,6 +157,7 @@ class Stage:
         passing = Passing(self._boards, film, start, self._chip.host_ns(start + round(blocked_s * HZ)))
         with self._change:
             self._passing, self._boards = passing, self._boards + 1
+            self._over_ns = self._chip.host_ns(start + round((film.lasts_s + OVER_S) * HZ))
         self._plan_edges(passing, start)
         return passing
 
@@ -152,47 +177,71 @@ class Stage:
 
     def _fire(self, shot: Shot) -> None:
         passing = self._passing
-        if passing is None:
+        row, off_s = _row(passing, shot) if passing is not None else (None, 0.0)
+        if passing is None or shot.host_ns > self._over_ns:
             self.strays.append(shot)
+            self._later(View(None), shot)
             return
-        row, off_s = _row(passing, shot)
         if row is not None:
             self._noticed(passing.board, row)
-        fired = Fired(row, shot, off_s * 1e6, [], [], _note(passing, row, self._lamp, shot))
-        stamp_ns = shot.host_ns + time.time_ns() - time.monotonic_ns()
+        note = self._note(passing, row, shot)
+        fired = Fired(row, shot, off_s * 1e6, [], [], note)
+        stamp_ns = _stamp_ns(shot)
         for n in range(len(self._cameras)):
-            light = self._light(passing, shot, row, n)
-            fired.fates.append(self._fire_camera(passing, row, n, light, stamp_ns))
+            light = self._lamp.brightness(shot, n)
             fired.light.append(light)
+            if note:
+                fired.fates.append("late")
+            else:
+                assert row is not None
+                fired.fates.append(self._fire_camera(passing, row, n, light, stamp_ns))
         passing.fired.append(fired)
+        if note:
+            t = (shot.cycle - passing.start_cycle) / HZ
+            light_name = self._lamp.light_of(shot) or passing.film.sheet.lights[0]
+            self._later(View(passing.film.sheet.board, t, light_name, len(passing.fired)), shot)
 
-    def _light(self, passing: Passing, shot: Shot, row: int | None, camera: int) -> float:
+    def _note(self, passing: Passing, row: int | None, shot: Shot) -> str:
+        """Why the film does not have what is to be seen."""
         if row is None:
-            return 0.0
-        return self._lamp.brightness(shot, passing.film.sheet.lights[row], camera)
+            return "fired at a time that the film does not have"
+        light = passing.film.sheet.lights[row]
+        if self._lamp.light_of(shot) not in (light, None) or (shot.channels and self._lamp.light_of(shot) is None):
+            return f"LED channels {shot.channels} were lit, not those of {light!r}"
+        return ""
 
-    def _fire_camera(self, passing: Passing, row: int | None, camera: int, light: float, stamp_ns: int) -> Fate:
+    def _fire_camera(self, passing: Passing, row: int, camera: int, light: float, stamp_ns: int) -> Fate:
         if (passing.board, row, camera) in self._mischief.ignored:
             return "ignored"
         fate, lost = self._fate(passing, row, camera)
-        picture = DARK if row is None else row * len(self._cameras) + camera
-        alive = self._cameras[camera].fire(Order(picture, stamp_ns, light, lost))
+        alive = self._cameras[camera].fire(Order(row * len(self._cameras) + camera, stamp_ns, light, lost))
         return fate if alive else "dead"
 
-    def _fate(self, passing: Passing, row: int | None, camera: int) -> tuple[Fate, float]:
+    def _fate(self, passing: Passing, row: int, camera: int) -> tuple[Fate, float]:
         """And the share of packets that are not sent."""
         if (camera, row) in passing.film.sheet.lost:
             return "lost", 1.0
         return ("hit", SOME_PACKETS) if self._dice.random() < self._mischief.loss else ("sent", 0.0)
 
+    def _later(self, view: View, shot: Shot) -> None:
+        """Rendered aside; the cameras send it when it is there, with the time it is of."""
 
-def _note(passing: Passing, row: int | None, lamp: Lamp, shot: Shot) -> str:
-    if row is None:
-        return "fired at a time that the film does not have"
-    light = passing.film.sheet.lights[row]
-    if shot.channels != lamp.channels.get(light):
-        return f"LED channels {shot.channels} were lit, not those of {light!r}"
-    return ""
+        def send() -> None:
+            with contextlib.suppress(InternalError):  # the rig is being taken down
+                pictures = self._unforeseen(view)
+                self._send_all(pictures, shot)
+
+        threading.Thread(target=send, name="late frames", daemon=True).start()
+
+    def _send_all(self, pictures: Path | None, shot: Shot) -> None:
+        for n, camera in enumerate(self._cameras):
+            order = Order(n if pictures else DARK, _stamp_ns(shot), self._lamp.brightness(shot, n))
+            camera.fire(order, pictures)
+
+
+def _stamp_ns(shot: Shot) -> int:
+    """The cameras' clocks are this computer's wall clock."""
+    return shot.host_ns + time.time_ns() - time.monotonic_ns()
 
 
 def _row(passing: Passing, shot: Shot) -> tuple[int | None, float]:

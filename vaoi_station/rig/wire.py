@@ -31,6 +31,7 @@ class CameraWire:
         self._process: subprocess.Popen[str] | None = None
         self._reader: threading.Thread | None = None
         self._film: Path | None = None
+        self._speaking = threading.Lock()
 
     @property
     def pid(self) -> int | None:
@@ -70,9 +71,16 @@ class CameraWire:
         self._film = film
         self._say(f"film {film}")
 
-    def fire(self, order: Order) -> bool:
-        """The trigger line rises; False if there is nobody at its end."""
-        return self._say(order.line())
+    def fire(self, order: Order, film: Path | None = None) -> bool:
+        """The trigger line rises; False if there is nobody at its end.
+
+        Args:
+            order: picture, time, light, loss.
+            film: where this one picture is, if not in the film that is shown.
+        """
+        if film is None:
+            return self._say(order.line())
+        return self._say(f"film {film}", order.line(), *([f"film {self._film}"] if self._film else []))
 
     def kill(self) -> None:
         """Pull its plug."""
@@ -105,16 +113,17 @@ class CameraWire:
     def __exit__(self, *_: object) -> None:
         self.end()
 
-    def _say(self, line: str) -> bool:
-        process = self._process
-        if process is None or process.stdin is None:
-            return False
-        try:
-            process.stdin.write(line + "\n")
-            process.stdin.flush()
-        except (BrokenPipeError, ValueError):  # killed meanwhile
-            return False
-        return True
+    def _say(self, *lines: str) -> bool:
+        with self._speaking:
+            process = self._process
+            if process is None or process.stdin is None:
+                return False
+            try:
+                process.stdin.write("".join(f"{line}\n" for line in lines))
+                process.stdin.flush()
+            except (BrokenPipeError, ValueError):  # killed meanwhile
+                return False
+            return True
 
     def _read(self, lines: IO[str]) -> None:
         with lines:
