@@ -19,17 +19,18 @@ MOTION = Motion(np.array([0.0, 0.3, -0.8]), np.array([[0.0, 0.0], [1.0, -8.0], [
 @pytest.fixture
 def adjusted() -> Adjusted:
     g = np.random.default_rng(4)
-    blocks = np.zeros((9, 9))
+    blocks = np.zeros((3, 3, 3))
     for j in (1, 2):
         spread = g.normal(0, 1, (3, 3)) * ([1e-4], [2e-3], [3e-3])
-        blocks[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] = spread @ spread.T
+        blocks[j] = spread @ spread.T
     none, pairs = np.zeros(0), np.zeros((0, 2))
     return Adjusted(MOTION, None, none, np.zeros((2, 0)), blocks, none, pairs, none, pairs, 0.01, 1.0)
 
 
 def drawn(adjusted: Adjusted, count: int) -> list[Motion]:
     """Motions as they might be."""
-    rows = np.random.default_rng(5).multivariate_normal(np.zeros(9), adjusted.covariance, count).reshape(count, 3, 3)
+    g = np.random.default_rng(5)
+    rows = np.stack([g.multivariate_normal(np.zeros(3), c, count) for c in adjusted.covariance], 1)
     return [replace(MOTION, angle=MOTION.angle + r[:, 0], shift=MOTION.shift + r[:, 1:]) for r in rows]
 
 

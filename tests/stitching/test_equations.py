@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.equations import accumulate, eliminate, misfits, weigh
+from vaoi_station.stitching.envelope import Envelope, add
+from vaoi_station.stitching.equations import Coupling, accumulate, eliminate, heights_moved, misfits, weigh
 
 Array = NDArray[np.float64]
 ROWS, LINKS, BASIS, PARTS = 4, 60, 3, 5
@@ -93,13 +94,15 @@ def test_normal_equations_are_those_of_the_linearised_misfits(scene: Scene) -> N
     matrices = root @ root.swapaxes(1, 2)
     weight = np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], -1)
     residual, lean = found(scene, unknowns)
-    normal, right = np.zeros((size, size)), np.zeros(size)
-    coupling, height_normal, height_right = np.zeros((PARTS, size)), np.ones(PARTS), np.zeros(PARTS)
     s = scene
+    tied = Coupling.of(s.component, s.p, s.q, PARTS, BASIS)
+    envelope = Envelope.of(np.full(ROWS, ROWS - 1), BASIS)
+    values, right = np.zeros(envelope.entries), np.zeros(size)
+    coupling, height_normal, height_right = np.zeros(tied.at[-1]), np.ones(PARTS), np.zeros(PARTS)
     angle = np.ascontiguousarray(unknowns[: 3 * ROWS : 3])
     accumulate(
         *(s.p, s.q, s.a, s.b, groups(s), angle, s.pivot, residual, lean, weight, s.basis, s.component),
-        *(normal, right, coupling, height_normal, height_right),
+        *(envelope.at, values, right, tied.row, tied.at, coupling, height_normal, height_right),
     )
     step = 1e-6
     eye = np.eye(total) * step
@@ -107,15 +110,28 @@ def test_normal_equations_are_those_of_the_linearised_misfits(scene: Scene) -> N
     whole = np.einsum("kic,kij,kjd->cd", j, matrices, j)
     pull = -np.einsum("kic,kij,kj->c", j, matrices, residual)
     scale = np.abs(whole).max()
-    assert normal == pytest.approx(whole[:size, :size], abs=1e-7 * scale)
-    assert coupling == pytest.approx(whole[size:, :size], abs=1e-7 * scale)
+    assert envelope.dense(values) == pytest.approx(whole[:size, :size], abs=1e-7 * scale)
+    for c in range(PARTS):
+        own = coupling[tied.at[c] : tied.at[c + 1]]
+        expected = np.append(whole[size + c, 3 * tied.row[c] : 3 * tied.last[c] + 3], whole[size + c, 3 * ROWS : size])
+        assert own == pytest.approx(expected, abs=1e-7 * scale)
+        assert np.count_nonzero(abs(whole[size + c, :size]) > 1e-6 * scale) <= len(own), "nothing is left out"
     assert height_normal - 1 == pytest.approx(np.diag(whole)[size:], abs=1e-7 * scale)
     assert np.concatenate([right, height_right]) == pytest.approx(pull, abs=1e-7 * np.abs(pull).max())
 
-    full = whole + np.diag(np.concatenate([np.ones(size), np.ones(PARTS)]))
-    normal += np.eye(size)
-    eliminate(coupling, height_normal, height_right, normal, right)
-    assert np.linalg.solve(normal, right) == pytest.approx(np.linalg.solve(full, pull)[:size], rel=1e-5)
+    full = np.linalg.solve(whole + np.eye(total), pull)
+    heights = (tied.row, tied.at, BASIS, coupling, height_normal, height_right)
+    add(np.arange(size)[None], np.eye(size)[None], np.zeros((1, size)), envelope.at, values, np.zeros(size))
+    eliminate(*heights, envelope.at, values, right)
+    delta = np.asarray(np.linalg.solve(envelope.dense(values), right), dtype=np.float64)
+    assert delta == pytest.approx(full[:size], rel=1e-5)
+    assert heights_moved(*heights, delta) == pytest.approx(full[size:], rel=1e-5)
+
+
+def test_a_part_without_links_is_tied_to_nothing(scene: Scene) -> None:
+    tied = Coupling.of(np.where(scene.component == 2, -1, scene.component), scene.p, scene.q, PARTS, BASIS)
+    assert tied.at[2] == tied.at[3]
+    assert (np.diff(tied.at)[[0, 1, 3, 4]] >= 3 + BASIS).all()
 
 
 def test_weights_are_those_of_noise_floor_and_size(scene: Scene) -> None:

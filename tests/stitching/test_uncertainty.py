@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.cad import board_frame
-from vaoi_station.stitching.motion import nominal_motion
+from vaoi_station.stitching.motion import Motion, nominal_motion
 from vaoi_station.stitching.problem import Adjusted
 from vaoi_station.stitching.scene import Scene
-from vaoi_station.stitching.uncertainty import MODEL_PX, predicted_sigma
+from vaoi_station.stitching.uncertainty import MODEL_PX, position_covariances, predicted_sigma
 
 ROWS = 3
 BOARD = {
@@ -24,8 +25,8 @@ BOARD = {
 
 def adjusted(shift_sigma_mm: list[float], angle_sigma: float = 0.0, c_sigma_mm: float = 0.0) -> Adjusted:
     """A solution of which only the covariance matters: rows independent, as said."""
-    variances = [v for s in shift_sigma_mm for v in (angle_sigma**2, s**2, s**2)]
-    covariance = np.diag([*variances, 0.0, 0.0, c_sigma_mm**2, c_sigma_mm**2])
+    of_c = (0.0, 0.0, c_sigma_mm**2, c_sigma_mm**2)
+    covariance = np.array([np.diag([angle_sigma**2, s**2, s**2, *of_c]) for s in shift_sigma_mm])
     motion = nominal_motion(np.arange(ROWS, dtype=np.float64), np.array([0.0, 8.0]), np.zeros(2))
     nothing, pairs = np.zeros(0), np.zeros((0, 2))
     c = np.array([1.0, 0.0, -8.0, -24.0])
@@ -75,3 +76,33 @@ def test_rows_that_show_no_part_count_by_their_motion_alone(scene: Scene, frame:
     sigma = predicted_sigma(blind, frame, adjusted([0.0, 0.01, 0.5]))
     assert sigma.rows_px[2] == pytest.approx(np.hypot(5.0, MODEL_PX))
     assert sigma.worst_px == pytest.approx(np.hypot(0.1, MODEL_PX))
+
+
+def test_covariances_are_those_of_the_misfit_by_differences() -> None:
+    """Row, C and surface all at once, against numpy and derivatives of a sighting's misfit by differences."""
+    g = np.random.default_rng(4)
+    angle, shift, pivot, c = g.normal(0, 0.1, 2), g.normal(0, 5, (2, 2)), np.array([3.0, -2.0]), g.normal(0, 1, 4)
+    flat, functions, place, lean = (
+        g.normal(0, 9, (3, 2)),
+        g.normal(0, 1, (3, 6)),
+        g.normal(0, 9, (4, 2)),
+        g.normal(0, 0.1, (4, 2)),
+    )
+    half = g.normal(0, 1, (2, 13, 13))
+    covariance = half @ half.swapaxes(1, 2)
+    row, point = np.array([0, 1, 1, 0]), np.array([2, 0, 1, 1])
+    found = position_covariances(row, point, place, lean, flat, functions, angle, pivot, covariance)
+
+    def misfit(k: int, unknowns: Any) -> Any:
+        motion = Motion(unknowns[None, 0], unknowns[None, 1:3], pivot)
+        first = np.zeros(1, dtype=np.int_)
+        board = motion.board(first, place[k : k + 1])
+        leaning = Motion(angle[row[k], None], shift[:1], pivot).turned(first, lean[k : k + 1])
+        return (board + leaning * (functions[point[k]] @ unknowns[7:]) - similar(unknowns[3:7], flat[point[k], None]))[
+            0
+        ]
+
+    for k in range(4):
+        at = np.concatenate([angle[row[k], None], shift[row[k]], c, np.zeros(6)])
+        j = np.stack([(misfit(k, at + d) - misfit(k, at - d)) / 2e-6 for d in 1e-6 * np.eye(13)], -1)
+        assert found[k] == pytest.approx(j @ covariance[row[k]] @ j.T, rel=1e-6)

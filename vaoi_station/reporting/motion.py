@@ -45,7 +45,7 @@ def deviation(f: Findings) -> Deviation:
     turn = np.array([along, (-along[1], along[0])])
     off = (-motion.shift - velocity * (times_s - times_s[0])[:, None]) @ turn.T
     m = len(times_s)
-    blocks = [f.adjusted.covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] for j in range(m)]
+    blocks = f.adjusted.covariance[:, :3, :3]
     places = np.array([np.diag(turn @ b[1:, 1:] @ turn.T) for b in blocks])
     yaw = np.array([b[0, 0] for b in blocks])
     sigma = np.sqrt(np.maximum(np.column_stack([places * 1e6, yaw * 1e6]), 0))

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.blocks import Block, belt_blocks, summed
-from vaoi_station.stitching.equations import accumulate, eliminate, misfits, weigh
+from vaoi_station.stitching.blocks import belt_steps
+from vaoi_station.stitching.envelope import Envelope, add, factor, hold_first_row, inverse, of_rows, solve
+from vaoi_station.stitching.equations import Coupling, accumulate, eliminate, heights_moved, misfits, weigh
 from vaoi_station.stitching.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion
 from vaoi_station.stitching.observations import Ints, Observations
 from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem
@@ -48,6 +49,10 @@ _MARK_OWN_PX, _MARK_SHARED_PX = 0.002, 0.004
 of the same fiducial (its artwork, the light on it), which does not average out."""
 _SCALE_SIGMA = 3e-4
 """How far a board may be shrunk or stretched against its CAD data (1 σ, relative)."""
+
+
+Equations = tuple[Ints, Floats, Floats]
+"""Columns (k, f) of the unknowns, and whitened a (k, r, f) and b (k, r): a·δ + b ≈ 0."""
 
 
 def adjust(problem: Problem, start: Motion, similarity: Floats | None = None) -> Adjusted:
@@ -93,22 +98,28 @@ class _Solver:
         self.component = np.where(problem.component < 0, -1, problem.component + self.n_parts * self.kind)
         self.heights = np.zeros(self.n_components)
         self.floor_px = np.array([0.05, 0.05])
-        self.size = 3 * self.m + (4 if problem.fiducials else 0) + self.f
-        self.tail = np.arange(self.size - self.f, self.size)
-        k = len(problem.links)
+        o, k = problem.links, len(problem.links)
+        self.tail = np.arange(3 * self.m, 3 * self.m + (4 if problem.fiducials else 0) + self.f)
+        self.coupling = Coupling.of(self.component, o.p, o.q, self.n_components, self.f)
+        self.envelope = _envelope(o, self.coupling, self.m, len(self.tail))
+        self.factor = np.zeros(0)
         self.residual, self.lean = np.zeros((k, 2)), np.zeros((k, 2))
         self.sigma, self.robust, self.weight = np.zeros(k), np.zeros(k), np.zeros((k, 3))
         self.tied = _tied_steps(problem.links, self.m)
-        self.normal = np.eye(self.size)
+        self.bare = [np.flatnonzero((problem.component < 0) & (self.kind == kind)) for kind in (0, 1)]
+        """Links on the bare board: from row to row, and between cameras."""
         self.steps = 0
 
     def step(self) -> float:
         """One reweighted Gauss-Newton step; returns the largest change of a shift in mm."""
         self.steps += 1
-        normal, right = summed([*self._belt(), *self._fiducials(), *self._surface()], self.size)
-        coupling = np.zeros((self.n_components, self.size))
+        envelope, tied = self.envelope, self.coupling
+        values, right = np.zeros(envelope.entries), np.zeros(envelope.size)
+        coupling = np.zeros(int(tied.at[-1]))
         height_normal = np.full(self.n_components, 1 / _HEIGHT_SIGMA_MM**2)
         height_right = -self.heights / _HEIGHT_SIGMA_MM**2
+        for equations in (self._belt(), *self._fiducials(), self._surface()):
+            add(*equations, envelope.at, values, right)
         self._look_at_links()
         self._update_floor()
         self._weigh_links()
@@ -116,16 +127,18 @@ class _Solver:
         accumulate(
             *(o.p, o.q, o.a_mm, o.b_mm, o.group, self.motion.angle, self.motion.pivot),
             *(self.residual, self.lean, self.weight, self.basis, self.component),
-            *(normal, right, coupling, height_normal, height_right),
+            *(envelope.at, values, right),
+            *(tied.row, tied.at),
+            *(coupling, height_normal, height_right),
         )
-        coupling[:, :3] = 0  # row 0 is held
-        eliminate(coupling, height_normal, height_right, normal, right)
-        normal[:3, :] = normal[:, :3] = 0
-        normal[:3, :3], right[:3] = np.eye(3), 0
-        self.normal = normal
-        delta = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        heights = (tied.row, tied.at, self.f, coupling, height_normal, height_right)
+        eliminate(*heights, envelope.at, values, right)
+        hold_first_row(envelope.first, envelope.at, values, right)
+        factor(envelope.first, envelope.at, values)
+        delta = solve(envelope.first, envelope.at, values, right)
+        self.factor = values
         self._move(delta)
-        self.heights = self.heights + (height_right - coupling @ delta) / height_normal
+        self.heights = self.heights + heights_moved(*heights, delta)
         return float(np.abs(delta[: 3 * self.m].reshape(-1, 3)[:, 1:]).max())
 
     def _move(self, delta: Floats) -> None:
@@ -133,7 +146,7 @@ class _Solver:
         self.motion = replace(self.motion, angle=self.motion.angle + rows[:, 0], shift=self.motion.shift + rows[:, 1:])
         if self.c is not None:
             self.c = self.c + delta[3 * self.m : 3 * self.m + 4]
-        self.beta = self.beta + delta[self.tail]
+        self.beta = self.beta + delta[len(delta) - self.f :]
 
     def _look_at_links(self) -> None:
         """Misfit (k, 2) mm of every link, and its change per mm of height (k, 2)."""
@@ -161,34 +174,30 @@ class _Solver:
         """
         if self.steps > _SETTLED:
             return
-        o, bare = self.p.links, self.p.component < 0
-        for kind in (0, 1):
-            at = np.flatnonzero(bare & (self.kind == kind))
+        o = self.p.links
+        for kind, at in enumerate(self.bare):
             if len(at) >= 20:
-                noise = o.noise_mm2[at] * (o.px_per_mm[at] ** 2)[:, None, None]
-                residual = self.residual[at] * o.px_per_mm[at, None]
-                self.floor_px[kind] = excess(residual, noise, *_FLOOR_PX)
+                self.floor_px[kind] = excess(self.residual, o.noise_mm2, o.px_per_mm, at, *_FLOOR_PX)
         if self.p.surface is not None:
             scatter = self.floor_px[1]
             self.floor_px[1] = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
 
-    def _belt(self) -> list[Block]:
+    def _belt(self) -> Equations:
         """The conveyor at its mean speed, as measured: rows nobody sees stay where it puts them."""
-        if self.m < 2:
-            return []
-        dt = np.diff(self.p.times_s)
-        steps = -np.diff(self.motion.shift, axis=0)[self.tied] / dt[self.tied, None]
-        prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
-        velocity = (steps.sum(0) + prior * self.p.velocity_mm_s) / (len(steps) + prior)
-        return belt_blocks(self.motion, self.p.times_s, velocity)
+        velocity = self.p.velocity_mm_s
+        if self.m > 1:
+            dt = np.diff(self.p.times_s)
+            steps = -np.diff(self.motion.shift, axis=0)[self.tied] / dt[self.tied, None]
+            prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
+            velocity = (steps.sum(0) + prior * velocity) / (len(steps) + prior)
+        return belt_steps(self.motion, self.p.times_s, velocity)
 
-    def _surface(self) -> list[Block]:
-        if self.p.surface is None:
-            return []
-        sigma = self.p.surface.sigma_mm
-        return [Block(self.tail, np.diag(1 / sigma), self.beta / sigma)]
+    def _surface(self) -> Equations:
+        """That a board is hardly lifted, tilted and bent."""
+        sigma = self.p.surface.sigma_mm if self.p.surface else np.ones(0)
+        return self.tail[None, len(self.tail) - self.f :], np.diag(1 / sigma)[None], (self.beta / sigma)[None]
 
-    def _fiducials(self) -> list[Block]:
+    def _fiducials(self) -> list[Equations]:
         """Sightings of fiducials, and the scale that CAD data and calibration agree on."""
         s = self.p.fiducials
         if s is None or self.c is None:
@@ -202,21 +211,14 @@ class _Solver:
             chi, sigma = np.where(many, chi / scale, chi), np.where(many, sigma * scale, sigma)
         robust = np.where(many & (chi > _CUT), 0.0, huber_weights(chi, _KNEE))
         weight = (np.sqrt(robust) / sigma)[:, None]
-        tail = np.arange(3 * self.m, self.size)
-        a, b = weight[:, :, None] * j, weight * residual
-        blocks = [
-            Block(
-                np.concatenate([np.arange(3 * s.row[at[0]], 3 * s.row[at[0]] + 3), tail]),
-                a[at].reshape(-1, a.shape[2]),
-                b[at].ravel(),
-            )
-            for at in _runs_of_equal(s.row)
-        ]
+        columns = np.concatenate(
+            [3 * s.row[:, None] + np.arange(3), np.broadcast_to(self.tail, (len(s.row), len(self.tail)))], 1
+        )
         scale = float(np.hypot(*self.c[:2]))
         sigma_scale = _SCALE_SIGMA * self.p.nominal_scale
-        gradient = self.c[None, :2] / scale / sigma_scale
-        off = np.array([(scale - self.p.nominal_scale) / sigma_scale])
-        return [*blocks, Block(np.arange(3 * self.m, 3 * self.m + 2), gradient, off)]
+        gradient = self.c[None, None, :2] / scale / sigma_scale
+        off = np.array([[(scale - self.p.nominal_scale) / sigma_scale]])
+        return [(columns, weight[:, :, None] * j, weight * residual), (self.tail[None, :2], gradient, off)]
 
     def _fiducial_terms(self, s: FiducialPoints) -> tuple[Floats, Floats]:
         """Misfit (s, 2) mm of the sightings, and its Jacobian for row, C and surface (s, 2, 3 + 4 + f)."""
@@ -231,8 +233,9 @@ class _Solver:
 
     def result(self) -> Adjusted:
         o, s = self.p.links, self.p.fiducials
-        covariance = np.asarray(np.linalg.inv(self.normal), dtype=np.float64)
-        covariance[:3] = covariance[:, :3] = 0
+        envelope = self.envelope
+        covariance = of_rows(envelope, inverse(envelope.first, envelope.at, envelope.rows, self.factor))
+        covariance[0, :3] = covariance[0, :, :3] = 0
         self._look_at_links()
         self._weigh_links()
         px = self.residual * o.px_per_mm[:, None]
@@ -279,12 +282,12 @@ def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
     return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)
 
 
-def _runs_of_equal(values: Ints) -> list[Ints]:
-    """Positions of equal values, one array per value."""
-    if not len(values):
-        return []
-    order = np.argsort(values, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
+def _envelope(links: Observations, coupling: Coupling, rows: int, others: int) -> Envelope:
+    """Rows share what the belt says of two that follow one another, links, and the components that they see."""
+    furthest = np.minimum(np.arange(rows) + 1, rows - 1)
+    np.maximum.at(furthest, np.minimum(links.p, links.q), np.maximum(links.p, links.q))
+    np.maximum.at(furthest, coupling.row, coupling.last)
+    return Envelope.of(furthest, others)
 
 
 def _tied_steps(links: Observations, rows: int) -> NDArray[np.bool_]:

@@ -61,6 +61,11 @@ def whitened(root: Floats, values: Floats) -> Floats:
 
 def belt_blocks(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> list[Block]:
     """The belt's motion as a measurement of every step between rows: along, across and turn."""
+    return [Block(*step) for step in zip(*belt_steps(motion, times_s, velocity_mm_s), strict=True)]
+
+
+def belt_steps(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> tuple[Ints, Floats, Floats]:
+    """The same as arrays: columns (m − 1, 6), a (m − 1, 3, 6) and b (m − 1, 3)."""
     m = len(motion.angle)
     dt = np.diff(times_s)
     speed = max(float(np.hypot(*velocity_mm_s)), 1e-9)
@@ -72,4 +77,4 @@ def belt_blocks(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> list[
     step = np.zeros((3, 3))
     step[:2, 1:], step[2, 0] = frame, 1
     both = np.concatenate([-step, step], 1)
-    return [Block(np.arange(3 * j, 3 * j + 6), both / sigma[j, :, None], misfit[j]) for j in range(m - 1)]
+    return 3 * np.arange(m - 1)[:, None] + np.arange(6), both / sigma[:, :, None], misfit

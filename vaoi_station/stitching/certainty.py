@@ -27,8 +27,7 @@ def row_covariances(adjusted: Adjusted) -> Floats:
     turn = np.zeros((m, 3, 3))
     turn[:, 0, 0] = -1
     turn[:, 1, 1], turn[:, 1, 2], turn[:, 2, 1], turn[:, 2, 2] = -c, -s, s, -c
-    blocks = adjusted.covariance[: 3 * m, : 3 * m].reshape(m, 3, m, 3)[np.arange(m), :, np.arange(m)]
-    return np.asarray(turn @ blocks @ turn.swapaxes(1, 2))
+    return np.asarray(turn @ adjusted.covariance[:, :3, :3] @ turn.swapaxes(1, 2))
 
 
 def matrix_sigmas(cameras: Sequence[Camera], pivot_mm: Floats, rows: Floats) -> Floats:

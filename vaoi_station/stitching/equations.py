@@ -5,23 +5,47 @@ A link says that ground point a of row p and ground point b of row q are the sam
     r = board(q, b) − board(p, a) + l·h,    l = R(φ_q)·l_b − R(φ_p)·l_a,
 
 l being how far it moves per mm of height and h the height of what it lies on: surface plus component. Unknowns are
-(φ, sx, sy) of every row, in the columns 3·row …, and the coefficients of the surface in the last ones;
-heights of components have normal equations of their own, each tied only to its own links, and are
-eliminated (`eliminate`).
+(φ, sx, sy) of every row, in the columns 3·row …, and the coefficients of the surface in the last ones; the normal
+matrix is kept in its envelope (`envelope.py`). Heights of components have normal equations of their own, each tied
+only to the rows that see it and to the surface (`Coupling`), and are eliminated (`eliminate`).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
 Ints = NDArray[np.int_]
-Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Which unknowns the heights of c components are tied to: rows that follow one another, then the surface."""
+
+    row: Ints
+    """(c,) the first row."""
+    last: Ints
+    """(c,) the last row; −1 without links."""
+    at: Ints
+    """(c + 1,) where the entries of each begin: (φ, sx, sy) of its rows, then the surface's coefficients."""
+
+    @staticmethod
+    def of(component: Ints, p: Ints, q: Ints, count: int, surface: int) -> Coupling:
+        """By the component (k,) of every link, or −1, and by its rows p ≤ q."""
+        first, last = np.full(count, np.iinfo(np.int_).max), np.full(count, -1)
+        on = component >= 0
+        np.minimum.at(first, component[on], np.minimum(p[on], q[on]))
+        np.maximum.at(last, component[on], np.maximum(p[on], q[on]))
+        seen = last >= 0
+        first = np.where(seen, first, 0)
+        widths = np.where(seen, 3 * (last - first + 1) + surface, 0)
+        return Coupling(first, last, np.append(0, np.cumsum(widths)))
 
 
 @compiled
@@ -131,8 +155,11 @@ def accumulate(
     weight: Floats,
     basis: Floats,
     component: Ints,
-    normal: Floats,
+    at: Ints,
+    values: Floats,
     right: Floats,
+    tied_row: Ints,
+    tied_at: Ints,
     coupling: Floats,
     height_normal: Floats,
     height_right: Floats,
@@ -145,68 +172,142 @@ def accumulate(
         weight: (k, 3) as of `weigh`.
         basis: (k, f) values of the surface's basis functions; f may be 0.
         component: (k,) number of the height a link tells of, or −1.
-        normal: in and out, (size, size).
-        right: in and out, (size,).
-        coupling: in and out, (c, size) between heights and the other unknowns.
+        at: of the envelope.
+        values: in and out, of the envelope.
+        right: in and out, (n,).
+        tied_row: `row` of the `Coupling`.
+        tied_at: `at` of the same.
+        coupling: in and out, its entries.
         height_normal: in and out, (c,).
         height_right: in and out, (c,).
     """
     cos, sin = np.cos(angle), np.sin(angle)
     f, size = basis.shape[1], len(right)
     width = 6 + f
-    gx, gy, columns = np.zeros(width), np.zeros(width), np.zeros(width, np.int64)
+    columns = np.zeros(width, np.int64)
     square, product = np.zeros((width, width)), np.zeros(width)
-    gx[1], gy[2], gx[4], gy[5] = -1.0, -1.0, 1.0, 1.0
     columns[6:] = np.arange(size - f, size)
     for n in range(len(p)):
         i, j = p[n], q[n]
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
-        gx[0], gy[0] = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
-        gx[3], gy[3] = -sin[j] * bx - cos[j] * by, cos[j] * bx - sin[j] * by
-        for k in range(f):
-            gx[6 + k], gy[6 + k] = lean[n, 0] * basis[n, k], lean[n, 1] * basis[n, k]
+        # the misfit's change with φ_p and φ_q; with the shifts it is −1 and 1
+        px, py = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
+        qx, qy = -sin[j] * bx - cos[j] * by, cos[j] * bx - sin[j] * by
+        lx, ly = lean[n, 0], lean[n, 1]
         xx, xy, yy = weight[n, 0], weight[n, 1], weight[n, 2]
-        rx = xx * residual[n, 0] + xy * residual[n, 1]
-        ry = xy * residual[n, 0] + yy * residual[n, 1]
-        for k in range(width):
-            wx, wy = xx * gx[k] + xy * gy[k], xy * gx[k] + yy * gy[k]
-            product[k] += gx[k] * rx + gy[k] * ry
+        rx, ry = xx * residual[n, 0] + xy * residual[n, 1], xy * residual[n, 0] + yy * residual[n, 1]
+        wpx, wpy, wqx, wqy = xx * px + xy * py, xy * px + yy * py, xx * qx + xy * qy, xy * qx + yy * qy
+        wlx, wly = xx * lx + xy * ly, xy * lx + yy * ly
+        pl, ql, ll, lr = px * wlx + py * wly, qx * wlx + qy * wly, lx * wlx + ly * wly, lx * rx + ly * ry
+        product[0] += px * rx + py * ry
+        product[3] += qx * rx + qy * ry
+        product[4] += rx
+        product[5] += ry
+        square[0, 0] += px * wpx + py * wpy
+        square[3, 0] += qx * wpx + qy * wpy
+        square[4, 0] += wpx
+        square[5, 0] += wpy
+        square[3, 3] += qx * wqx + qy * wqy
+        square[4, 3] += wqx
+        square[5, 3] += wqy
+        square[4, 4] += xx
+        square[5, 4] += xy
+        square[5, 5] += yy
+        for k in range(f):
+            by_k = basis[n, k]
+            product[6 + k] += lr * by_k
+            square[6 + k, 0] += pl * by_k
+            square[6 + k, 3] += ql * by_k
+            square[6 + k, 4] += wlx * by_k
+            square[6 + k, 5] += wly * by_k
             for m in range(k + 1):
-                square[k, m] += wx * gx[m] + wy * gy[m]
-        for k in range(3):
-            columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
+                square[6 + k, 6 + m] += ll * by_k * basis[n, m]
         c = component[n]
         if c >= 0:
-            lx, ly = lean[n, 0], lean[n, 1]
-            wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
-            height_normal[c] += wx * lx + wy * ly
-            height_right[c] -= lx * rx + ly * ry
-            for k in range(width):
-                coupling[c, columns[k]] += wx * gx[k] + wy * gy[k]
+            height_normal[c] += ll
+            height_right[c] -= lr
+            _couple(coupling, tied_at[c] + 3 * (i - tied_row[c]), pl, -wlx, -wly)
+            _couple(coupling, tied_at[c] + 3 * (j - tied_row[c]), ql, wlx, wly)
+            for k in range(f):
+                coupling[tied_at[c + 1] - f + k] += ll * basis[n, k]
         if n + 1 == len(p) or group[n + 1] != group[n]:
-            for k in range(width):
-                right[columns[k]] -= product[k]
-                product[k] = 0.0
-                for m in range(k):
-                    normal[columns[k], columns[m]] += square[k, m]
-                    normal[columns[m], columns[k]] += square[k, m]
-                    square[k, m] = 0.0
-                normal[columns[k], columns[k]] += square[k, k]
-                square[k, k] = 0.0
+            for k in range(3):
+                columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
+            _pour(columns, square, product, at, values, right)
+
+
+@inlined
+def _couple(coupling: Floats, at: int, angle: float, x: float, y: float) -> None:
+    coupling[at] += angle
+    coupling[at + 1] += x
+    coupling[at + 2] += y
+
+
+@inlined
+def _pour(columns: Ints, square: Floats, product: Floats, at: Ints, values: Floats, right: Floats) -> None:
+    """Add what a group of links gave, and begin anew.
+
+    What holds of row q's shift, in columns 4 and 5, holds of row p's, in columns 1 and 2, with the other sign.
+    """
+    width = len(columns)
+    for x in range(1, 3):
+        product[x] = -product[3 + x]
+        square[x, 0], square[3, x] = -square[3 + x, 0], -square[3 + x, 3]
+        for k in range(6, width):
+            square[k, x] = -square[k, 3 + x]
+    square[1, 1], square[2, 1], square[2, 2] = square[4, 4], square[5, 4], square[5, 5]
+    square[4, 1], square[4, 2], square[5, 1], square[5, 2] = -square[4, 4], -square[5, 4], -square[5, 4], -square[5, 5]
+    for k in range(width):
+        right[columns[k]] -= product[k]
+        product[k] = 0.0
+        for m in range(k + 1):
+            high, low = max(columns[k], columns[m]), min(columns[k], columns[m])
+            values[at[high] + low] += square[k, m] * (2 if high == low and k != m else 1)
+            square[k, m] = 0.0
 
 
 @compiled
-def eliminate(coupling: Floats, height_normal: Floats, height_right: Floats, normal: Floats, right: Floats) -> None:
-    """Take the heights out of the normal equations: each has a few columns only."""
-    columns = np.zeros(len(right), np.int64)
+def eliminate(
+    tied_row: Ints,
+    tied_at: Ints,
+    surface: int,
+    coupling: Floats,
+    height_normal: Floats,
+    height_right: Floats,
+    at: Ints,
+    values: Floats,
+    right: Floats,
+) -> None:
+    """Take the heights out of the normal equations; `surface` is how many coefficients that has."""
     for c in range(len(height_normal)):
-        count = 0
-        for k in range(len(right)):
-            if coupling[c, k] != 0:
-                columns[count] = k
-                count += 1
-        for a in range(count):
-            own = coupling[c, columns[a]] / height_normal[c]
-            right[columns[a]] -= own * height_right[c]
-            for b in range(count):
-                normal[columns[a], columns[b]] -= own * coupling[c, columns[b]]
+        begin, end = tied_at[c], tied_at[c + 1]
+        rows, others = end - begin - surface, len(right) - surface
+        for a in range(end - begin):
+            own = coupling[begin + a] / height_normal[c]
+            if own != 0:
+                i = 3 * tied_row[c] + a if a < rows else others + a - rows
+                right[i] -= own * height_right[c]
+                for b in range(a + 1):
+                    j = 3 * tied_row[c] + b if b < rows else others + b - rows
+                    values[at[i] + j] -= own * coupling[begin + b]
+
+
+@compiled
+def heights_moved(
+    tied_row: Ints,
+    tied_at: Ints,
+    surface: int,
+    coupling: Floats,
+    height_normal: Floats,
+    height_right: Floats,
+    delta: Floats,
+) -> Floats:
+    """By how much the heights (c,) change once all else has changed by delta (n,)."""
+    out = height_right.copy()
+    for c in range(len(out)):
+        begin, end = tied_at[c], tied_at[c + 1]
+        rows, others = end - begin - surface, len(delta) - surface
+        for a in range(end - begin):
+            out[c] -= coupling[begin + a] * delta[3 * tied_row[c] + a if a < rows else others + a - rows]
+        out[c] /= height_normal[c]
+    return out

@@ -78,7 +78,7 @@ class Adjusted:
     """(2, number of components): as links from row to row have it, and as those between cameras have it; NaN where too
     few tell, or where the part is so tall that its links were left out."""
     covariance: Floats
-    """Of the unknowns: rows 1 … m−1 (φ, sx, sy), then C, then the surface."""
+    """(m, u, u) of each row's (φ, sx, sy) together with C and the surface; those of row 0, which is held, are 0."""
     link_sigma: Floats
     """(k,) residual of each link in standard deviations."""
     link_px: Floats

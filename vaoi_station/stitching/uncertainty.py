@@ -6,18 +6,21 @@ that of the misfit a sighting of it would have.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment import similar, similar_jacobian
+from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.certainty import longest
 from vaoi_station.stitching.evidence import FrameKey
+from vaoi_station.stitching.footprints import places_within
 from vaoi_station.stitching.observations import Ints
 from vaoi_station.stitching.problem import Adjusted
 from vaoi_station.stitching.scene import Scene
@@ -76,8 +79,8 @@ class Sigma:
 
 def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:
     """Covariance of component positions in every image (of the board's corners, if it has no components)."""
-    m = len(adjusted.motion.angle)
-    motion = [_motion_sigma(scene.cameras, adjusted, j) for j in range(m)]
+    resolution = float(np.mean([camera.px_per_mm for camera in scene.cameras]))
+    motion = np.hypot(longest(adjusted.covariance[:, 1:3, 1:3]) * resolution, MODEL_PX).tolist()
     if frame is None or adjusted.similarity is None:
         none = np.zeros(0, dtype=np.int_)
         return Sigma(tuple(motion), None, (), none, np.zeros((0, 2), dtype=np.int_), np.zeros((0, 2, 2)))
@@ -87,7 +90,7 @@ def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Si
     places = _Places(frame, adjusted, cad)
     views = [places.seen_by(number, camera, scene.present) for number, camera in enumerate(scene.cameras)]
     part, seen_in, covariance = (np.concatenate([v[n] for v in views]) for n in range(3))
-    rows = np.zeros(m)
+    rows = np.zeros(len(motion))
     np.maximum.at(rows, seen_in[:, 1], longest(covariance))
     worst = float(rows.max(initial=0)) or None
     by_row = tuple(float(v) or w for v, w in zip(rows, motion, strict=True))
@@ -100,7 +103,7 @@ def surface_sigma_mm(frame: Frame, adjusted: Adjusted, cad: Floats) -> Floats:
     if not f:
         return np.zeros(len(cad))
     b = basis(frame.board_type, cad)
-    return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", b, adjusted.covariance[-f:, -f:], b)))
+    return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", b, adjusted.covariance[0, -f:, -f:], b)))
 
 
 class _Places:
@@ -109,43 +112,71 @@ class _Places:
     def __init__(self, frame: Frame, adjusted: Adjusted, cad: Floats) -> None:
         """`cad` (n, 2)."""
         assert adjusted.similarity is not None
-        self._motion, m = adjusted.motion, len(adjusted.motion.angle)
-        board = similar(adjusted.similarity, frame.flat(cad))
-        self._ground = np.stack([self._motion.row_from_tester(j)(board) for j in range(m)])
-        self._by_similarity = -similar_jacobian(frame.flat(cad))
-        more = np.arange(3 * m, adjusted.covariance.shape[0])
-        self._basis = basis(frame.board_type, cad) if len(more) > self._by_similarity.shape[2] else None
-        at = [np.concatenate([np.arange(3 * j, 3 * j + 3), more]) for j in range(m)]
-        self._covariance = np.stack([adjusted.covariance[np.ix_(k, k)] for k in at])
-        """(m, u, u) of the unknowns that a point in a row hangs on."""
+        self._motion, self._flat = adjusted.motion, frame.flat(cad)
+        self._board = similar(adjusted.similarity, self._flat)
+        self._rows = np.array([self._motion.row_from_tester(j).matrix for j in range(len(adjusted.motion.angle))])
+        self._basis = basis(frame.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0))
+        self._covariance = adjusted.covariance
 
     def seen_by(self, number: int, camera: Camera, present: Sequence[FrameKey]) -> tuple[Ints, Ints, Floats]:
         """Points (k,) in view of a camera, camera and row (k, 2), and covariances (k, 2, 2) px² in the image."""
         rows = np.array([row for i, row in present if i == number], dtype=np.int_)
-        low, high = camera.view_mm()
-        x, y = self._ground[rows, :, 0], self._ground[rows, :, 1]
-        at, point = np.nonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
-        seen = camera.sees(camera.project(self._ground[rows[at], point]))
-        row, point = rows[at[seen]], point[seen]
-        j = self._jacobian(camera, row, point)
-        covariance = j @ self._covariance[row] @ j.swapaxes(1, 2)
+        row, point, place = places_within(self._rows[rows], self._board, *camera.view_mm())
+        seen = camera.sees(camera.project(place))
+        row, point, place = rows[row[seen]], point[seen], place[seen]
+        motion = self._motion
+        covariance = position_covariances(
+            *(row, point, place, camera.parallax(place), self._flat, self._basis),
+            *(motion.angle, motion.pivot, self._covariance),
+        )
         covariance = covariance * camera.px_per_mm**2 + MODEL_PX**2 * np.eye(2)
         return point, np.column_stack([np.full(len(row), number), row]), covariance
 
-    def _jacobian(self, camera: Camera, row: Ints, point: Ints) -> Floats:
-        """Derivative (k, 2, u) of the misfit a sighting of a point in a row would have."""
-        ground = self._ground[row, point]
-        arm = self._motion.turned(row, ground - self._motion.pivot)
-        one, nil = np.ones(len(arm)), np.zeros(len(arm))
-        by_row = np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)
-        parts = [by_row, self._by_similarity[point]]
-        if self._basis is not None:
-            lean = self._motion.turned(row, camera.parallax(ground))
-            parts.append(lean[:, :, None] * self._basis[point][:, None, :])
-        return np.concatenate(parts, 2)
 
+@compiled
+def position_covariances(
+    row: Ints,
+    point: Ints,
+    place: Floats,
+    lean: Floats,
+    flat: Floats,
+    basis: Floats,
+    angle: Floats,
+    pivot: Floats,
+    covariance: Floats,
+) -> Floats:
+    """Covariance (k, 2, 2) mm² of the misfit that a sighting of a point in a row would have.
 
-def _motion_sigma(cameras: Sequence[Camera], adjusted: Adjusted, row: int) -> float:
-    at = slice(3 * row + 1, 3 * row + 3)
-    resolution = float(np.mean([camera.px_per_mm for camera in cameras]))
-    return float(np.hypot(longest(adjusted.covariance[None, at, at])[0] * resolution, MODEL_PX))
+    Args:
+        row: (k,).
+        point: (k,) its number.
+        place: (k, 2) where it is on the conveyor's plane in that row, mm.
+        lean: (k, 2) by how much it lies elsewhere per mm of height.
+        flat: (n, 2) CAD coordinates of the points.
+        basis: (n, f) values of the surface's basis functions there.
+        angle: (m,) of the rows, rad.
+        pivot: (2,) mm.
+        covariance: (m, u, u) of (φ, sx, sy) of each row, C and the surface; u = 7 + f.
+    """
+    f = basis.shape[1]
+    u = 7 + f
+    j, out = np.zeros((2, u)), np.empty((len(row), 2, 2))
+    j[0, 1] = j[1, 2] = 1.0
+    j[0, 5] = j[1, 6] = -1.0
+    for k in range(len(row)):
+        cos, sin, n = math.cos(angle[row[k]]), math.sin(angle[row[k]]), point[k]
+        x, y = place[k, 0] - pivot[0], place[k, 1] - pivot[1]
+        j[0, 0], j[1, 0] = -sin * x - cos * y, cos * x - sin * y
+        j[0, 3], j[0, 4], j[1, 3], j[1, 4] = -flat[n, 0], flat[n, 1], -flat[n, 1], -flat[n, 0]
+        lx, ly = cos * lean[k, 0] - sin * lean[k, 1], sin * lean[k, 0] + cos * lean[k, 1]
+        for i in range(f):
+            j[0, 7 + i], j[1, 7 + i] = lx * basis[n, i], ly * basis[n, i]
+        xx, xy, yy = 0.0, 0.0, 0.0
+        for a in range(u):
+            wx, wy = 0.0, 0.0
+            for b in range(u):
+                wx += covariance[row[k], a, b] * j[0, b]
+                wy += covariance[row[k], a, b] * j[1, b]
+            xx, xy, yy = xx + j[0, a] * wx, xy + j[0, a] * wy, yy + j[1, a] * wy
+        out[k, 0, 0], out[k, 0, 1], out[k, 1, 0], out[k, 1, 1] = xx, xy, xy, yy
+    return out
