@@ -14,6 +14,7 @@ from vaoi_station.cli.calibrate import calibrate
 from vaoi_station.cli.calibration_board import calibration_board
 from vaoi_station.cli.cut import cut
 from vaoi_station.cli.demo import demo
+from vaoi_station.cli.doctor import doctor
 from vaoi_station.cli.plan import plan
 from vaoi_station.cli.recalibrate import recalibrate
 from vaoi_station.cli.record import record
@@ -67,6 +68,7 @@ app.command()(cut)
 app.command()(bench)
 app.command()(demo)
 app.command()(view)
+app.command()(doctor)
 
 
 def main() -> None:

@@ -1,0 +1,132 @@
+"""A station that could start, and ways to look at it as somebody else."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.doctor.finding import Finding, Level
+from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.patient import Patient
+from vaoi_station.files import write_board_type, write_calibration
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+
+NOBODY = 65534
+STATION = """
+name = "doctor-test"
+calibration = "calibration.json"
+board_types = "board-types"
+data = "data"
+workers = 1
+
+[line]
+conveyor_mm_s = [0.0, 100.0]
+barrier_mm = -40.0
+start_delay_s = 0.32
+trigger_period_s = 0.11
+tail_s = 0.48
+longest_board_mm = 60.0
+
+[[cameras]]
+name = "left"
+width = 640
+height = 480
+exposure_us = 250.0
+
+[[cameras]]
+name = "right"
+width = 640
+height = 480
+exposure_us = 250.0
+
+[simulation]
+scenario = "scenario.toml"
+
+[ring]
+directory = "shm"
+
+[api]
+port = {port}
+"""
+
+
+@pytest.fixture(scope="session")
+def twin() -> Twin:
+    return Twin(read_scenario(scenario_path("small")))
+
+
+@pytest.fixture
+def station_toml(twin: Twin, tmp_path: Path, free_port: int) -> Path:
+    """station.toml of a station on the small scenario, with all it names."""
+    (tmp_path / "shm").mkdir()
+    write_calibration(tmp_path / "calibration.json", twin.calibration)
+    write_board_type(tmp_path / "board-types" / "small.json", twin.board_type)
+    (tmp_path / "scenario.toml").write_bytes(Path(scenario_path("small")).read_bytes())
+    path = tmp_path / "station.toml"
+    path.write_text(STATION.replace("{port}", str(free_port)))
+    return path
+
+
+@pytest.fixture
+def free_port() -> int:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@pytest.fixture
+def config(station_toml: Path) -> StationConfig:
+    return read_config(station_toml)
+
+
+@pytest.fixture
+def patient(config: StationConfig) -> Patient:
+    return Patient(config, Machine(), None)
+
+
+def changed(config: StationConfig, section: str, **fields: Any) -> StationConfig:
+    """The same configuration with other values in one table."""
+    part = getattr(config, section).model_copy(update=fields)
+    return config.model_copy(update={section: part})
+
+
+def only(findings: Any) -> Finding:
+    """The one finding of a check."""
+    (finding,) = findings
+    assert isinstance(finding, Finding)
+    return finding
+
+
+def is_bad(finding: Finding, level: Level, *words: str) -> None:
+    """It has this level, says these words, and what to do."""
+    assert finding.level is level, finding
+    for word in words:
+        assert word in finding.message, finding
+    assert finding.action
+
+
+@contextmanager
+def nobody() -> Iterator[None]:
+    """Be somebody without any rights for a while; makes a difference for root only."""
+    if os.geteuid() != 0:
+        yield
+        return
+    groups = os.getgroups()
+    os.setgroups([])
+    os.setegid(NOBODY)
+    os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.setegid(0)
+        os.setgroups(groups)

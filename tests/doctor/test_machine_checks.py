@@ -1,0 +1,182 @@
+"""Interpreter, clocks, kernel parameters, and a station that runs."""
+
+from __future__ import annotations
+
+import http.server
+import os
+import socket
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.doctor.conftest import is_bad, nobody, only
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.config import ApiConfig, CameraConfig, StationConfig
+from vaoi_station.doctor import cameras, controller, network, running, software, timekeeping
+from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.patient import Patient, Running
+
+
+@pytest.mark.parametrize(
+    ("version", "bits", "level"),
+    [((3, 10), 64, Level.FAULT), ((3, 11), 64, Level.OK), ((3, 13), 64, Level.OK), ((3, 14), 64, Level.FAULT),
+     ((3, 12), 32, Level.FAULT)],
+)  # fmt: skip
+def test_pythons(version: tuple[int, int], bits: int, level: Level) -> None:
+    assert software.judge_python(version, bits, "x", "/usr/bin/python3").level is level
+
+
+def test_the_range_of_pythons_is_that_of_the_package() -> None:
+    project = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    oldest, untried = (".".join(map(str, v)) for v in (software.OLDEST, software.FIRST_UNTRIED))
+    assert f'requires-python = ">={oldest},<{untried}"' in project
+
+
+def test_a_library_that_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)  # Python's own way to say: not there
+    is_bad(only(software.libraries(Machine())), Level.FAULT, "numba cannot be imported")
+
+
+def test_no_place_for_compiled_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o500)
+    assert software.judge_cache(str(tmp_path), locked, locked).level is Level.OK
+    for given in (str(locked / "cache"), None):
+        with nobody():
+            finding = software.judge_cache(given, locked / "package", locked / "home")
+        is_bad(finding, Level.WARNING, "every start compiles")
+
+
+def test_clocks() -> None:
+    assert timekeeping.judge_wall_clock(0, 1500).figures == {"synchronised": True, "max_error_ms": 1.5}
+    is_bad(timekeeping.judge_wall_clock(timekeeping.TIME_ERROR, 16_000_000), Level.WARNING, "nobody keeps")
+    assert timekeeping.judge_wall_clock(-1, 0).level is Level.NOT_APPLICABLE
+    assert timekeeping.judge_monotonic(1e-9, "tsc").level is Level.OK
+    is_bad(timekeeping.judge_monotonic(4e-3, "tsc"), Level.WARNING, "4000 µs")
+    is_bad(timekeeping.judge_monotonic(1e-9, "hpet"), Level.WARNING, "hpet")
+
+
+def test_the_kernel_is_asked_where_it_keeps_its_clock(tmp_path: Path) -> None:
+    directory = tmp_path / "sys/devices/system/clocksource/clocksource0"
+    directory.mkdir(parents=True)
+    (directory / "current_clocksource").write_text("acpi_pm\n")
+    is_bad(only(timekeeping.monotonic_clock(Machine(tmp_path))), Level.WARNING, "acpi_pm")
+
+
+# ── the network's memory ──
+
+
+def real(config: StationConfig) -> StationConfig:
+    """With cameras of which only the configuration is real."""
+    cameras = [
+        CameraConfig.model_validate(
+            camera.model_dump() | {"backend": "aravis", "width": 1392, "height": 1040}
+        )
+        for camera in config.cameras
+    ]  # fmt: skip
+    return config.model_copy(update={"cameras": tuple(cameras)})
+
+
+@pytest.mark.parametrize(("granted", "level"), [("212992", Level.WARNING), ("33554432", Level.OK), ("", Level.FAULT)])
+def test_socket_buffers(config: StationConfig, tmp_path: Path, granted: str, level: Level) -> None:
+    kernel = tmp_path / "proc/sys/net/core"
+    kernel.mkdir(parents=True)
+    (kernel / "rmem_max").write_text(granted + "\n")
+    finding = only(network.socket_buffers(Patient(real(config), Machine(tmp_path), None)))
+    assert finding.level is level
+    if level is Level.WARNING:
+        assert finding.figures == {"rmem_max_bytes": 212992, "needed_bytes": 10 * 1392 * 1040}
+        assert "net.core.rmem_max=16777216" in finding.action
+
+
+# ── a station that runs ──
+
+
+@pytest.fixture
+def owned(config: StationConfig) -> Any:
+    with Ring.create(ring_path(config), RingLayout.of(config)):
+        yield config
+
+
+class Answering:
+    """A web server that answers everything alike."""
+
+    def __init__(self, status: int, body: bytes) -> None:
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                self.send_response(status)
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.port: int = self.server.server_address[1]
+
+    def __enter__(self) -> Answering:
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.server.shutdown()
+        self.server.server_close()
+
+
+def at_port(config: StationConfig, port: int) -> StationConfig:
+    return config.model_copy(update={"api": ApiConfig(port=port)})
+
+
+def test_an_owner_that_does_not_answer(owned: StationConfig) -> None:
+    found = running.find(owned)
+    assert found is not None
+    held = Patient(owned, Machine(), found)
+    is_bad(only(running.station(held)), Level.WARNING, f"process {os.getpid()} uses", "ConnectionRefused")
+    is_bad(only(cameras.cameras(held)), Level.WARNING, "left alone")
+    is_bad(only(controller.controller(held)), Level.WARNING, "left alone")
+
+
+@pytest.mark.parametrize(
+    ("status", "body"), [(200, b"hello"), (404, b'{"state": "idle"}'), (200, b"[]"), (200, b'{"status": "ok"}')]
+)
+def test_an_answer_that_is_no_stations(owned: StationConfig, status: int, body: bytes) -> None:
+    with Answering(status, body) as stranger:
+        found = running.find(at_port(owned, stranger.port))
+    assert found is not None
+    assert found.silence.startswith(("ValueError", "JSONDecodeError"))
+
+
+def test_a_port_that_another_program_has(config: StationConfig) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        is_bad(only(running.station(Patient(at_port(config, port), Machine(), None))), Level.FAULT, f":{port}")
+    assert only(running.station(Patient(at_port(config, port), Machine(), None))).level is Level.OK
+
+
+def test_what_a_station_complains_of_is_passed_on(config: StationConfig) -> None:
+    reason = {"code": "camera-absent", "message": "camera left: there is no camera.", "action": "Check its cable."}
+    snapshot = {
+        "state": "faulted",
+        "reasons": [reason],
+        "warnings": [{"code": "calibration-drift", "message": "camera right was knocked.", "action": "Calibrate."}],
+        "cameras": [
+            {"name": "left", "connected": False, "message": "not open yet"},
+            {"name": "right", "connected": True, "message": "", "delivered": 7, "incomplete": 1},
+        ],
+        "controller": "armed",
+    }
+    held = Patient(config, Machine(), Running(4711, snapshot))
+    state, fault, warning = running.station(held)
+    assert state.level is Level.OK
+    is_bad(fault, Level.FAULT, "there is no camera")
+    is_bad(warning, Level.WARNING, "was knocked")
+    left, right = cameras.cameras(held)
+    is_bad(left, Level.FAULT, "is not connected: not open yet")
+    assert (right.level, right.figures["delivered"]) == (Level.OK, 7)
+    assert only(controller.controller(held)).message == "armed"

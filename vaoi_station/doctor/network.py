@@ -1,0 +1,46 @@
+"""What the kernel holds of the cameras' packets while nobody looks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
+from vaoi_station.doctor.machine import shown_bytes
+from vaoi_station.doctor.patient import Patient
+
+STALL_S = 1.0
+"""The kernel shall hold what a camera sends while the station does not get to run for so long."""
+
+
+def stall_bytes(config: StationConfig, camera: CameraConfig) -> int:
+    """What a camera sends in that time, two frames at least."""
+    return max(2, math.ceil(STALL_S / config.line.trigger_period_s)) * camera.frame_bytes
+
+
+def socket_buffers(patient: Patient) -> Iterator[Finding]:
+    """net.core.rmem_max, which silently cuts what a socket asks for."""
+    if not patient.real_cameras:
+        yield not_applicable("no camera is on the network")
+        return
+    yield judge_buffers(
+        patient.machine.sysctl("net.core.rmem_max"),
+        max(stall_bytes(patient.config, camera) for camera in patient.real_cameras),
+    )
+
+
+def judge_buffers(granted: int | None, needed: int) -> Finding:
+    """Enough for a second of stall?"""
+    figures: Figures = {"rmem_max_bytes": granted, "needed_bytes": needed}
+    if granted is None:
+        return fault("net.core.rmem_max cannot be read.", "sysctl net.core.rmem_max", figures=figures)
+    if granted < needed:
+        return warning(
+            f"net.core.rmem_max is {shown_bytes(granted)}, but a camera sends {shown_bytes(needed)} in a second: "
+            "a stall of the machine loses frames.",
+            f"sysctl -w net.core.rmem_max={2 ** math.ceil(math.log2(needed))}; for good: "
+            "install -m 644 deploy/60-vaoi.conf /etc/sysctl.d/",
+            figures=figures,
+        )
+    return ok(f"net.core.rmem_max is {shown_bytes(granted)}, {shown_bytes(needed)} are needed", figures=figures)

@@ -1,0 +1,33 @@
+"""The report for people: a line per finding, its remedy below it."""
+
+from __future__ import annotations
+
+from vaoi_station.doctor.finding import Finding, Level, Report
+
+_SIGNS = {Level.OK: "ok", Level.WARNING: "WARNING", Level.FAULT: "FAULT", Level.NOT_APPLICABLE: "-"}
+
+
+def as_text(report: Report) -> str:
+    """The report as text."""
+    width = max(len(finding.check) for finding in report.findings)
+    lines = [line for finding in report.findings for line in _lines(finding, width)]
+    return "\n".join([*lines, "", _summary(report)]) + "\n"
+
+
+def _lines(finding: Finding, width: int) -> list[str]:
+    subject = f"{finding.subject}: " if finding.subject else ""
+    lines = [f"{_SIGNS[finding.level]:<8} {finding.check:<{width}}  {subject}{finding.message}"]
+    if finding.action:
+        lines.append(f"{'':<8} {'':<{width}}  → {finding.action}")
+    return lines
+
+
+def _summary(report: Report) -> str:
+    counts = report.counts
+    parts = [_counted(counts[Level.FAULT], "fault"), _counted(counts[Level.WARNING], "warning")]
+    parts += [f"{counts[Level.OK]} ok", f"{counts[Level.NOT_APPLICABLE]} without object"]
+    return f"station {report.station!r}: {', '.join(parts)}" if report.station else ", ".join(parts)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
