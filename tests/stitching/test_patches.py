@@ -8,7 +8,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.patches import REACH_PX, Matches, fits, match, middles
+from vaoi_station.stitching.patches import REACH_PX, Matches, fitting, match, middles
 from vaoi_station.stitching.refine import MARGIN_PX
 
 SIZE = (360, 300)
@@ -101,7 +101,7 @@ def test_a_prediction_wrong_by_a_few_pixels_is_mended(workshop: Any, off: tuple[
 def test_a_prediction_out_of_reach_never_gives_a_confident_wrong_place(workshop: Any, off: float) -> None:
     assert off > REACH_PX
     shift, at = (2.0, 1.6), places()
-    at = at[fits(SIZE[::-1], middles(at) + np.round(shift) + (off, 0))]
+    at, _ = fitting(SIZE[::-1], SIZE[::-1], at, middles(at) + np.round(shift) + (off, 0))
     found = match(*shifted(workshop, shift), at, middles(at) + np.round(shift) + (off, 0))
     wrong = np.hypot(*errors(found, at, shift).T) > 0.2
     assert not (found.found & wrong & (found.score > 0.8)).any()
@@ -139,10 +139,11 @@ def test_information_falls_with_noise(workshop: Any) -> None:
     assert sharp[0] > 2 * sharp[1] > 8 * sharp[2]
 
 
-@given(st.floats(-50, 400), st.floats(-50, 400))
-def test_patches_that_fit_lie_inside(x: float, y: float) -> None:
-    inside = fits(SIZE[::-1], np.array([[x, y]]))[0]
-    assert inside == (MARGIN_PX <= x <= SIZE[0] - MARGIN_PX - 1 and MARGIN_PX <= y <= SIZE[1] - MARGIN_PX - 1)
+@given(st.integers(-50, 400), st.integers(-50, 400), st.floats(-50, 400), st.floats(-50, 400))
+def test_patches_that_fit_lie_inside_both_images(x: int, y: int, u: float, v: float) -> None:
+    kept, _ = fitting(SIZE[::-1], SIZE[::-1], np.array([[x, y]]), np.array([[u, v]]))
+    low, (right, bottom) = MARGIN_PX, np.array(SIZE) - MARGIN_PX - 1
+    assert len(kept) == all(low <= p <= right and low <= q <= bottom for p, q in ((x + 0.5, y + 0.5), (u, v)))
 
 
 def test_patches_at_the_very_border_are_matched_like_others(workshop: Any) -> None:

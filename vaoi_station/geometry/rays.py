@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
@@ -49,6 +51,30 @@ def ground(
         x, y = (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w
         share = height[i if len(height) > 1 else 0] * inverse
         out[i, 0], out[i, 1] = x + (x0 - x) * share, y + (y0 - y) * share
+
+
+@compiled
+def carry(
+    raw: Floats,
+    ground_from_a: Floats,
+    radial_a: Floats,
+    lens_a: Lensing,
+    shift_mm: Floats,
+    b_from_ground: Floats,
+    radial_b: Floats,
+    lens_b: Lensing,
+) -> Floats:
+    """Raw pixels (k, 2) in camera b of points of the plane seen at raw pixels (k, 2) of camera a, shifted by (2,) mm."""
+    out, m, n = np.empty((len(raw), 2)), ground_from_a, b_from_ground
+    for i in range(len(raw)):
+        u, v = _undistorted(raw[i, 0], raw[i, 1], radial_a, lens_a)
+        w = m[2, 0] * u + m[2, 1] * v + m[2, 2]
+        x = (m[0, 0] * u + m[0, 1] * v + m[0, 2]) / w + shift_mm[0]
+        y = (m[1, 0] * u + m[1, 1] * v + m[1, 2]) / w + shift_mm[1]
+        w = n[2, 0] * x + n[2, 1] * y + n[2, 2]
+        u, v = (n[0, 0] * x + n[0, 1] * y + n[0, 2]) / w, (n[1, 0] * x + n[1, 1] * y + n[1, 2]) / w
+        out[i, 0], out[i, 1] = _distorted(u, v, radial_b, lens_b)
+    return out
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,9 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.coarse import NoFit, find_shift
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.stitching.overlap import overlap_box, predict
-from vaoi_station.stitching.patches import fits, match, middles
-from vaoi_station.stitching.prepare import Prepared
+from vaoi_station.stitching.patches import fitting, match, middles
+from vaoi_station.stitching.places import best_places
+from vaoi_station.stitching.prepare import Prepared, frozen, reduced
 from vaoi_station.stitching.refine import MARGIN_PX
 
 _POINTS = 80
@@ -52,7 +54,7 @@ def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b
     if isinstance(coarse, Failure):
         return Links.none(task, coarse.reason)
     count = _POINTS if task.b is not None and task.b[1] - task.a[1] == 1 else _POINTS_APART
-    return _fine(task, a, b, camera_a, camera_b, shift_mm, coarse.px, count)
+    return _fine(task, a, b, camera_a, camera_b, shift_mm, box, coarse.px, count)
 
 
 def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera) -> Links:
@@ -62,17 +64,19 @@ def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, came
     links are marked `unmatched` if there is texture but little of it in both, so that the verdict can tell.
     """
     still = np.zeros(2)
-    links = _fine(task, a, b, camera_a, camera_b, still, still)
     box = overlap_box(camera_a, camera_b, still)
+    if box is None:
+        return Links.none(task, "the frames do not overlap")
+    links = _fine(task, a, b, camera_a, camera_b, still, box, still)
     found = len(links.a_px)
     if found >= _BEYOND_DOUBT or found >= max(_ENOUGH, _MOST * links.tried):
         return links
-    if box is None or min(box[2] - box[0], box[3] - box[1]) <= 2 * MARGIN_PX:
+    if min(box[2] - box[0], box[3] - box[1]) <= 2 * MARGIN_PX:
         return links  # no room for a patch: that two cameras hardly overlap tells nothing of them
     coarse = find_shift(a, b, box, _offset(box, camera_a, camera_b, still), np.full(2, _MOVED_MM * camera_a.px_per_mm))
     if isinstance(coarse, Failure):
         return replace(links, unmatched=len(links.a_px) < _ENOUGH and isinstance(coarse, NoFit))
-    moved = _fine(task, a, b, camera_a, camera_b, still, coarse.px)
+    moved = _fine(task, a, b, camera_a, camera_b, still, box, coarse.px)
     best = moved if len(moved.a_px) > len(links.a_px) else links
     return replace(best, unmatched=len(best.a_px) < _ENOUGH)
 
@@ -91,7 +95,7 @@ def link_reference(task: Task, a: Prepared, b: Prepared, camera: Camera) -> Link
     coarse = find_shift(a, b, box, np.zeros(2), reach)
     if isinstance(coarse, Failure):
         return Links.none(task, coarse.reason)
-    return _fine(task, a, b, camera, camera, np.zeros(2), coarse.px)
+    return _fine(task, a, b, camera, camera, np.zeros(2), box, coarse.px)
 
 
 def _fine(
@@ -101,36 +105,32 @@ def _fine(
     camera_a: Camera,
     camera_b: Camera,
     shift_mm: Floats,
+    box: tuple[int, int, int, int],
     correction_px: Floats,
     count: int = _POINTS,
 ) -> Links:
-    box = overlap_box(camera_a, camera_b, shift_mm)
-    if box is None:
-        return Links.none(task, "the frames do not overlap")
+    """Links within an overlap, where b lies by a correction beside its prediction."""
     places = choose_places(a, _reduced(box, a.grey.shape, correction_px), count)
-    a_px = middles(places)
-    guess = predict(a_px, camera_a, camera_b, shift_mm) + correction_px
-    inside = fits(b.grey.shape, guess) & fits(a.grey.shape, a_px)
-    places, a_px, guess = places[inside], a_px[inside], guess[inside]
-    if not len(a_px):
+    guess = predict(middles(places), camera_a, camera_b, shift_mm) + correction_px
+    places, guess = fitting(a.grey.shape, b.grey.shape, places, guess)
+    if not len(places):
         return Links.none(task, "no textured place in the overlap")
     m = match(a.grey, b.grey, places, guess)
-    sigma = np.sqrt(1 / np.maximum(np.linalg.eigvalsh(m.information)[:, 0], 1e-9))
-    good = m.found & (m.score >= _LEAST_SCORE) & (sigma <= _WORST_SIGMA_PX)
+    good = m.found & (m.score >= _LEAST_SCORE) & (m.sigma_px <= _WORST_SIGMA_PX)
     if not good.any():
-        return Links.none(task, f"none of {len(a_px)} places was found again with correlation ≥ {_LEAST_SCORE}")
+        return Links.none(task, f"none of {len(places)} places was found again with correlation ≥ {_LEAST_SCORE}")
     return Links(
         task,
-        a_px[good],
+        middles(places[good]),
         m.b_px[good],
         m.information[good],
         m.score[good],
         coarse_px=(float(correction_px[0]), float(correction_px[1])),
-        tried=len(a_px),
+        tried=len(places),
     )
 
 
-def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POINTS) -> NDArray[np.int_]:
+def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POINTS) -> NDArray[np.int64]:
     """The best-textured place of each cell of a grid laid over a box of the frame, (k, 2) whole pixels."""
     grain = (
         _GRAIN_PX if a.factor >= _GRAIN_PX and min(box[2] - box[0], box[3] - box[1]) >= _AMPLE_PX else _GRAIN_PX // 2
@@ -138,26 +138,11 @@ def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POI
     x0, y0, x1, y1 = (-(-v // grain) for v in box[:2] + (box[2] - grain + 1, box[3] - grain + 1))
     w, h = x1 - x0, y1 - y0
     if w < 1 or h < 1:
-        return np.zeros((0, 2), dtype=np.int_)
-    cell = max(int(np.sqrt(w * h / count)), _LEAST_CELL_PX // grain)
+        return np.zeros((0, 2), dtype=np.int64)
+    cell = max(int(math.sqrt(w * h / count)), _LEAST_CELL_PX // grain)
     nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
-    sx, sy = max(w // nx, 1), max(h // ny, 1)
-    cut = a.corners(grain, x0, y0, x0 + nx * sx, y0 + ny * sy)
-    ny, nx = cut.shape[0] // sy, cut.shape[1] // sx
-    cells = cut[: ny * sy, : nx * sx].reshape(ny, sy, nx, sx).swapaxes(1, 2).reshape(ny * nx, sy * sx)
-    best = cells.argmax(1)
-    value = cells[np.arange(len(cells)), best]
-    n = np.arange(len(cells))
-    x = x0 + (n % nx) * sx + best % sx
-    y = y0 + (n // nx) * sy + best // sx
-    keep = value > _least_corner(value)
-    return np.asarray(np.stack([x, y], -1)[keep] * grain + grain // 2, dtype=np.int_)
-
-
-def _least_corner(values: NDArray[np.float32]) -> float:
-    """Places far weaker than the good ones are noise or bare belt."""
-    good = len(values) * 9 // 10
-    return max(0.003 * float(np.partition(values, good)[good]), 1e-5)
+    best = best_places(frozen(reduced(a, grain)), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
+    return np.asarray(best * grain + grain // 2)
 
 
 def _reduced(

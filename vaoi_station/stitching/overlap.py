@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from vaoi_station.geometry import Camera
@@ -10,7 +12,14 @@ from vaoi_station.geometry.transforms import Floats
 
 def predict(a_px: Floats, a: Camera, b: Camera, shift_mm: Floats) -> Floats:
     """Raw pixels in frame b of points of the plane seen at raw pixels (k, 2) of frame a, after a shift on the belt."""
-    return b.project(a.ground(a_px) + shift_mm)
+    from vaoi_station.geometry.rays import carry
+
+    shift = np.asarray(shift_mm, dtype=np.float64)
+    return carry(a_px, a.row_from_image.matrix, *_lens(a), shift, b.image_from_row.matrix, *_lens(b))
+
+
+def _lens(camera: Camera) -> tuple[Floats, tuple[float, float, float, float, float]]:
+    return camera.lens.coefficients, camera.lens.shape
 
 
 def overlap_box(a: Camera, b: Camera, shift_mm: Floats, margin_px: float = 0.0) -> tuple[int, int, int, int] | None:
@@ -20,15 +29,13 @@ def overlap_box(a: Camera, b: Camera, shift_mm: Floats, margin_px: float = 0.0) 
     rotations of a camera array within a pixel or two.
     """
     w, h = b.width_px - 1.0, b.height_px - 1.0
-    corners = np.array([[0, 0], [w, 0], [w, h], [0, h]])
-    back = predict(corners, b, a, -np.asarray(shift_mm))
-    x0 = max(back[[0, 3], 0].max(), 0.0) + margin_px
-    y0 = max(back[[0, 1], 1].max(), 0.0) + margin_px
-    x1 = min(back[[1, 2], 0].min(), a.width_px - 1.0) - margin_px
-    y1 = min(back[[2, 3], 1].min(), a.height_px - 1.0) - margin_px
+    back = predict(np.array([(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)]), b, a, -np.asarray(shift_mm))
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = back.tolist()
+    x0, y0 = max(ax, dx, 0.0) + margin_px, max(ay, by, 0.0) + margin_px
+    x1, y1 = min(bx, cx, a.width_px - 1.0) - margin_px, min(cy, dy, a.height_px - 1.0) - margin_px
     if x1 - x0 < 2 or y1 - y0 < 2:
         return None
-    return int(np.ceil(x0)), int(np.ceil(y0)), int(x1) + 1, int(y1) + 1
+    return math.ceil(x0), math.ceil(y0), int(x1) + 1, int(y1) + 1
 
 
 def overlap_share(camera: Camera, shift_mm: Floats) -> float:

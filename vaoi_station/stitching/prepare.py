@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 _COARSE_WIDTH_PX = 150
 """The coarsest copy is at least this wide."""
-_CORNER_PX = 2
-"""How far around a pixel its structure tensor looks."""
 
 
 class Prepared:
@@ -32,9 +30,7 @@ class Prepared:
         A function is compiled anew for arrays that may be written, and the two may round differently: a frame in
         the ring and the same frame out of a file must give the same evidence.
         """
-        view = np.ascontiguousarray(to_eight_bit(to_grey(self._pixels))).view()
-        view.flags.writeable = False
-        return view
+        return frozen(to_eight_bit(to_grey(self._pixels)))
 
     @cached_property
     def quarter(self) -> NDArray[np.uint8]:
@@ -61,13 +57,6 @@ class Prepared:
         """Half the size of `coarse`."""
         return np.asarray(halved(self.coarse))
 
-    def corners(self, grain: int, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float32]:
-        """How well places are fixed both ways: smaller eigenvalue of the structure tensor, per `grain` px."""
-        left, top = max(x0 - _CORNER_PX, 0), max(y0 - _CORNER_PX, 0)
-        part = reduced(self, grain)[top : y1 + _CORNER_PX, left : x1 + _CORNER_PX]
-        found = cv2.cornerMinEigenVal(part, 3, ksize=3)
-        return np.asarray(found[y0 - top : y1 - top, x0 - left : x1 - left], dtype=np.float32)
-
 
 def reduced(frame: Prepared, factor: int) -> NDArray[np.uint8]:
     """The frame reduced by a power of two, block means; of the copies there are, the nearest is halved on."""
@@ -89,6 +78,13 @@ def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
     bits = max(int(grey.max()).bit_length(), 8)
     bits = next(b for b in (8, 10, 12, 14, 16) if b >= bits)
     return np.asarray(grey >> (bits - 8), dtype=np.uint8)
+
+
+def frozen(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A contiguous, read-only view: of those a function is compiled for one kind of array only."""
+    view = np.ascontiguousarray(image).view()
+    view.flags.writeable = False
+    return view
 
 
 def halved(image: NDArray[Any]) -> NDArray[Any]:
