@@ -64,7 +64,7 @@ def carry(
     radial_b: Floats,
     lens_b: Lensing,
 ) -> Floats:
-    """Raw pixels (k, 2) in camera b of points of the plane seen at raw pixels (k, 2) of camera a, shifted by (2,) mm."""
+    """Raw pixels (k, 2) in camera b of points of the plane seen at raw pixels (k, 2) of a, after a shift (2,)."""
     out, m, n = np.empty((len(raw), 2)), ground_from_a, b_from_ground
     for i in range(len(raw)):
         u, v = _undistorted(raw[i, 0], raw[i, 1], radial_a, lens_a)
