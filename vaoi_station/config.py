@@ -14,11 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
 from vaoi_station.model import CameraHead, Finite, Positive, Whole
+from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormatName
 
 MethodName = Literal["auto", "fiducials", "features", "reference"]
 """Ways to stitch; `stitching.method` says what each looks at."""
 NotNegative = Annotated[Finite, Field(ge=0)]
-
+Pixels = Annotated[Whole, Field(ge=0)]
 
 CAMERAS_OF = {"simulated": "simulated", "replay": "replay", "serial": "aravis"}
 """Backend of the controller → that of its cameras: they stand for one world."""
@@ -109,7 +110,22 @@ class CameraConfig(Section):
     exposure_us: Positive
     readout_us: NotNegative = 0.0
     """How long after an exposure the next one may begin; 0: it exposes while it reads out."""
-    pixel_format: Literal["Mono8", "Mono16"] = "Mono8"
+    pixel_format: PixelFormatName = "Mono8"
+    serial: str | None = None
+    """An Aravis camera's serial number."""
+    address: str | None = None
+    """In place of it: its IP address or host name, which finds it without a search."""
+    offset_px: tuple[Pixels, Pixels] = (0, 0)
+    """Column and row of the sensor where the frame begins."""
+    gain_db: Finite = 0.0
+    trigger_line: str | None = None
+    """The camera's input the trigger is wired to; None: the one usual for its make."""
+    packet_bytes: Annotated[Whole, Field(ge=576, le=65535)] | None = None
+    """Largest packet; None: what the interface takes, 9000 at most."""
+    link_mbit_s: Positive | None = None
+    """Of the port whose cameras share one cable; None: what the interface says."""
+    features: dict[str, bool | Whole | Finite | str] = {}
+    """Further settings by their GenICam names, written in this order before the trigger's."""
     nominal_center_mm: tuple[Finite, Finite] | None = None
     """Where it is meant to look, by the mechanical design; calibration needs it to a few mm."""
     nominal_px_per_mm: Positive | None = None
@@ -128,7 +144,18 @@ class CameraConfig(Section):
     @property
     def frame_bytes(self) -> int:
         """Size of one frame in the ring."""
-        return self.width * self.height * (1 if self.pixel_format == "Mono8" else 2)
+        return PIXEL_FORMATS[self.pixel_format].nbytes(self.width, self.height)
+
+    @model_validator(mode="after")
+    def _one_of_a_kind(self) -> Self:
+        if self.backend == "aravis":
+            if (self.serial is None) == (self.address is None):
+                raise ValueError(f"camera {self.name!r} needs a serial or an address, and not both")
+        elif self.serial is not None or self.address is not None:
+            raise ValueError(f"camera {self.name!r} has backend {self.backend!r}, which has no serial and no address")
+        elif not PIXEL_FORMATS[self.pixel_format].in_place:
+            raise ValueError(f"camera {self.name!r} has backend {self.backend!r}, which sends Mono8 or Mono16 only")
+        return self
 
 
 class LightConfig(Section):
@@ -233,6 +260,10 @@ class StationConfig(Section):
         names = [c.name for c in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"cameras have the names {names}; they must differ")
+        for key in ("serial", "address"):
+            given = [v for c in self.cameras if (v := getattr(c, key)) is not None]
+            if twice := sorted({v for v in given if given.count(v) > 1}):
+                raise ValueError(f"several cameras have the {key} {', '.join(twice)}; each is one camera's")
         wanted = CAMERAS_OF[self.controller.backend]
         if wrong := sorted({c.backend for c in self.cameras} - {wanted}):
             raise ValueError(

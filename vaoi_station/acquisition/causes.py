@@ -6,7 +6,10 @@ it sends, so a gap in its ids is a loss on the way, and a missing frame without 
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 WRAP = 65535
@@ -46,3 +49,32 @@ def contradictions(ids: Mapping[int, int], strays: Sequence[int]) -> dict[int, s
         if step <= 0 or step - extra > pulses:
             notes[after] = f"its frame id is {ids[after]}, {pulses} pulse(s) before it was {ids[before]}"
     return notes
+
+
+@dataclass
+class _Outage:
+    since_s: float
+    until_s: float
+    why: str
+
+
+class Outages:
+    """When each camera was away (host time), for the rows it missed meanwhile."""
+
+    def __init__(self, keep: int = 20) -> None:
+        self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
+
+    def lost(self, camera: int, since_s: float, why: str) -> None:
+        """It has not been seen since."""
+        self._outages[camera].append(_Outage(since_s, math.inf, why))
+
+    def back(self, camera: int, at_s: float) -> None:
+        """It films again."""
+        for outage in self._outages[camera]:
+            outage.until_s = min(outage.until_s, at_s)
+
+    def at(self, camera: int, host_s: float) -> str:
+        """Why a camera was away at a time; empty if it was not."""
+        return next(
+            (f"the camera was lost: {o.why}" for o in self._outages[camera] if o.since_s <= host_s <= o.until_s), ""
+        )

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.acquisition.backends import open_devices
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, DeviceFault
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraDevice, CameraLost, DeviceFault
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
 from vaoi_station.acquisition.devices import Devices
@@ -135,6 +135,12 @@ class _Loop:
             self._inbox.put(_Disarmed())
         elif isinstance(item, _Disarmed):
             self._session.disarmed(now_s)
+        elif isinstance(item, CameraLost):
+            self._session.lost(item)
+            self._send(trouble(item.error))
+        elif isinstance(item, CameraBack):
+            self._clocks[1 + item.camera].add(item.reading)
+            self._session.back(item)
         elif isinstance(item, DeviceFault):
             self._send(trouble(item.error, item.device))
         elif isinstance(item, tuple):

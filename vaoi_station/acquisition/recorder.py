@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import Arrival
-from vaoi_station.acquisition.causes import contradictions, explain_missing
+from vaoi_station.acquisition.causes import Outages, contradictions, explain_missing
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.elimination import eliminate
@@ -86,6 +86,8 @@ class Recorder:
             exposures_us: of every camera, where the controller does not tell them pulse by pulse.
         """
         self.limits = limits or Limits()
+        self.outages = Outages()
+        """When cameras were away, by what they told."""
         self._controller_clock = controller_clock
         self._camera_clocks = camera_clocks
         self._home = home
@@ -300,6 +302,8 @@ class Recorder:
                     cause = explain_missing(row, ids, strays)
                     if row not in sheet.pulses:
                         cause = "the controller's report of this pulse was lost"
+                    elif outage := self.outages.at(camera, sheet.pulses[row].host_s):
+                        cause = outage
                     record = FrameRecord(camera=camera, row=row, verdict=Verdict.MISSING, cause=cause)
                     sheet.frames[camera, row] = record
                     out.append(Settled(sheet.run, record))

@@ -14,10 +14,10 @@ from vaoi_station.acquisition.cameras.replay import ReplayCamera
 from vaoi_station.acquisition.controller.replay import RecordedRow, ReplayController
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.devices import Devices, Feedback
-from vaoi_station.acquisition.ring_layout import DTYPES
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording
+from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 DECODED = 4
 """Recordings whose frames are kept in memory."""
@@ -96,7 +96,7 @@ def _decode(recording: Recording, formats: tuple[str, ...]) -> Pixels:
             image = recording.frame(n, row)
             if image is None:
                 continue
-            if image.ndim != 2 or image.dtype != np.dtype(DTYPES[pixel_format]):
+            if image.ndim != 2 or image.dtype != PIXEL_FORMATS[pixel_format].dtype:
                 shown = f"{image.dtype.itemsize * 8} bit {'grey' if image.ndim == 2 else 'colour'}"
                 raise InputError(
                     f"{recording.frame_path(n, row)}: is {shown}, but camera {n} of the station is {pixel_format}.",

@@ -40,5 +40,6 @@ def run_finished(config: StationConfig, finished: Finished, now_s: float) -> Run
 
 def trouble(error: VaoiError, what: str = "") -> Trouble:
     """An error as a report; the operator always gets a sentence to act on."""
-    message = f"{what}: {error.message}" if what else error.message
+    named = not what or error.message.startswith(f"{what}:")
+    message = error.message if named else f"{what}: {error.message}"
     return Trouble(error.code, message, error.action or "Look at the station's log, then arm again.")

@@ -29,6 +29,7 @@ from vaoi_station.acquisition.ring_layout import (
 )
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, StateError
+from vaoi_station.pixel_formats import picture
 
 __all__ = ["Ring", "RingLayout", "ring_path", "sweep"]
 
@@ -111,10 +112,13 @@ class Ring:
         return self._bytes[start : start + self._shape(slot).nbytes]
 
     def frame(self, slot: int) -> NDArray[Any]:
-        """The pixels of one frame in place, (h, w) uint8 or uint16; writable where the ring is."""
+        """The picture in a slot, (h, w) or under a Bayer filter (h, w, 3), uint8 or uint16 at full scale.
+
+        Mono8 and Mono16 are seen in place, writable where the ring is; other formats are unpacked into a picture of
+        its own.
+        """
         shape = self._shape(slot)
-        pixels: NDArray[Any] = self.memory(slot).view(shape.dtype).reshape(shape.height, shape.width)
-        return pixels
+        return picture(self.memory(slot), shape.width, shape.height, shape.format)
 
     def claim(self, bay: int) -> int:
         """Give a bay to a coming run: a new generation, and all its pixels zero; returns the generation.

@@ -13,17 +13,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
+from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormat
 
 MAGIC = b"VAOIRING"
 LAYOUT_VERSION = 1
 PAGE_BYTES = 4096
-PIXEL_FORMATS = {"Mono8": 0x01080001, "Mono16": 0x01100007}
-"""Codes of GenICam's Pixel Format Naming Convention."""
-DTYPES: dict[str, DTypeLike] = {"Mono8": np.dtype("u1"), "Mono16": np.dtype("<u2")}
 
 BUILDING, IN_USE, CLOSED = 0, 1, 2
 """States of the file, in the header."""
@@ -63,14 +61,14 @@ class FrameShape:
             raise InputError.field("ring", "pixel_format", self.pixel_format, f"one of {', '.join(PIXEL_FORMATS)}")
 
     @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of one pixel."""
-        return np.dtype(DTYPES[self.pixel_format])
+    def format(self) -> PixelFormat:
+        """What the bytes of a frame mean."""
+        return PIXEL_FORMATS[self.pixel_format]
 
     @property
     def nbytes(self) -> int:
         """Size of one frame."""
-        return self.width * self.height * self.dtype.itemsize
+        return self.format.nbytes(self.width, self.height)
 
 
 @dataclass(frozen=True)
@@ -176,13 +174,13 @@ class RingLayout:
 
     def camera_records(self) -> NDArray[Any]:
         """The camera table (cameras,)."""
-        rows = [(f.width, f.height, PIXEL_FORMATS[f.pixel_format], f.dtype.itemsize) for f in self.frames]
+        rows = [(f.width, f.height, f.format.code, f.format.bytes_per_pixel) for f in self.frames]
         return np.array(rows, dtype=CAMERA_RECORD)
 
     @classmethod
     def read(cls, header: NDArray[Any], cameras: NDArray[Any]) -> RingLayout:
         """The layout a file says it has; `header` (1,) HEADER, `cameras` (n,) CAMERA_RECORD."""
-        names = {code: name for name, code in PIXEL_FORMATS.items()}
+        names = {known.code: name for name, known in PIXEL_FORMATS.items()}
         frames = tuple(
             FrameShape(int(c["width"]), int(c["height"]), names.get(int(c["pixel_format"]), hex(c["pixel_format"])))
             for c in cameras

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from vaoi_station.acquisition.cameras.interface import Arrival
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -159,6 +159,14 @@ class Session:
         """A camera has finished with a slot."""
         self._magazine.came_back(arrival.slot)
         self._tell(self._recorder.arrive(arrival, now_s), now_s)
+
+    def lost(self, news: CameraLost) -> None:
+        """A camera is away; what it misses has that cause."""
+        self._recorder.outages.lost(news.camera, news.since_s, news.error.message)
+
+    def back(self, news: CameraBack) -> None:
+        """A camera films again."""
+        self._recorder.outages.back(news.camera, news.at_s)
 
     def _begin_run(self, now_s: float) -> None:
         """The first pulse of a passage."""

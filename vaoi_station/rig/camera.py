@@ -28,6 +28,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.acquisition.cameras.aravis.library import aravis, shared_library
 from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.rig.description import wired
 from vaoi_station.rig.orders import DARK, Order
@@ -167,24 +168,14 @@ _FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32
 
 def _aravis() -> tuple[Any, ctypes.CDLL]:
     """Its binding, and the library itself: the binding of the fill pattern crashes before 0.9.1."""
-    try:
-        import gi
-
-        gi.require_version("Aravis", "0.8")
-        from gi.repository import Aravis
-    except (ImportError, ValueError) as error:
-        raise DeviceError(
-            f"Aravis cannot be used from {sys.executable}: {error}.",
-            action="Install the distribution's python3-gi and gir1.2-aravis-0.8 for this Python.",
-        ) from error
-    library = ctypes.CDLL("libaravis-0.8.so.0")
+    library = shared_library()
     library.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, _FILL, ctypes.c_void_p]
     library.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
     library.arv_buffer_get_data.restype = ctypes.c_void_p
     library.arv_buffer_set_timestamp.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
     library.arv_buffer_get_frame_id.argtypes = [ctypes.c_void_p]
     library.arv_buffer_get_frame_id.restype = ctypes.c_uint64
-    return Aravis, library
+    return aravis(), library
 
 
 def main(address: str, serial: str) -> int:

@@ -19,7 +19,7 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, DeviceFault, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, CameraNews, Slot
 from vaoi_station.acquisition.clocks import ClockReading
 
 
@@ -51,7 +51,7 @@ class DeliveringCamera:
         self._thread: threading.Thread | None = None
         self._delivered = self._incomplete = self._starved = 0
 
-    def start(self, arrivals: SimpleQueue[Arrival | DeviceFault]) -> None:
+    def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
         """Begin to deliver."""
         self._thread = threading.Thread(target=self._deliver, args=(arrivals,), name=f"camera-{self.number}")
         self._thread.start()
@@ -87,7 +87,7 @@ class DeliveringCamera:
         if self._thread is not None:
             self._thread.join()
 
-    def _deliver(self, arrivals: SimpleQueue[Arrival | DeviceFault]) -> None:
+    def _deliver(self, arrivals: SimpleQueue[CameraNews]) -> None:
         while (exposure := self._next()) is not None:
             with self._change:
                 slot = self._slots.popleft() if self._slots else None

@@ -55,6 +55,10 @@ class CameraHealth:
     temperature_c: float | None = None
     delivered: int = 0
     incomplete: int = 0
+    last_frame_s: float | None = None
+    """time.monotonic() when the last whole frame was handed over."""
+    counters: tuple[tuple[str, int], ...] = ()
+    """The driver's own, by name, for diagnosis."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +69,32 @@ class DeviceFault:
     error: VaoiError
 
 
+@dataclass(frozen=True)
+class CameraLost:
+    """A camera does not answer any more; its backend goes on looking for it."""
+
+    camera: int
+    since_s: float
+    """time.monotonic() since when it may have been away."""
+    error: VaoiError
+
+
+@dataclass(frozen=True)
+class CameraBack:
+    """A camera that was lost films again; its clock may have started anew."""
+
+    camera: int
+    at_s: float
+    reading: ClockReading
+
+
+CameraNews = Arrival | CameraLost | CameraBack | DeviceFault
+
+
 class CameraDevice(Protocol):
     """One camera of the array, opened and in trigger mode."""
 
-    def start(self, arrivals: SimpleQueue[Arrival | DeviceFault]) -> None:
+    def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
         """Begin to deliver; every finished slot is announced in `arrivals`."""
 
     def queue(self, slot: Slot) -> None:

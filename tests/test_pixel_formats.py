@@ -1,0 +1,90 @@
+"""Every format, against the words of the convention written down bit by bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormat, picture, samples
+
+FORMATS = st.sampled_from(list(PIXEL_FORMATS.values()))
+SIZES = st.tuples(st.integers(1, 9), st.integers(1, 7))
+
+
+def packed(values: list[int], pixel_format: PixelFormat) -> bytes:
+    """What a camera sends, built as one long number: a reference that shares nothing with the code."""
+    bits = pixel_format.bits
+    if pixel_format.packing == "packed":  # two samples in three bytes: high A, low B | low A, high B
+        text = bytearray()
+        for k in range(0, len(values), 2):
+            a, b = values[k], values[k + 1] if k + 1 < len(values) else 0
+            low = bits - 8
+            text += bytes([a >> low, (b % 2**low) << 4 | a % 2**low, b >> low])
+        return bytes(text[: pixel_format.nbytes(len(values), 1)])
+    step = {"bytes": 8, "words": 16, "p": bits}[pixel_format.packing]
+    number = sum(value << k * step for k, value in enumerate(values))
+    return number.to_bytes(pixel_format.nbytes(len(values), 1), "little")
+
+
+@given(FORMATS, SIZES, st.data())
+def test_samples_come_out_as_they_went_in(
+    pixel_format: PixelFormat, size: tuple[int, int], data: st.DataObject
+) -> None:
+    width, height = size
+    count = width * height
+    values = data.draw(st.lists(st.integers(0, 2**pixel_format.bits - 1), min_size=count, max_size=count))
+    frame = np.frombuffer(packed(values, pixel_format), np.uint8)
+    assert len(frame) == pixel_format.nbytes(width, height)
+    assert samples(frame, count, pixel_format).tolist() == values
+    if not pixel_format.mosaic:
+        seen = picture(frame, width, height, pixel_format)
+        assert seen.shape == (height, width)
+        assert seen.ravel().tolist() == [
+            value << 16 - pixel_format.bits if seen.itemsize == 2 else value for value in values
+        ]
+
+
+@pytest.mark.parametrize("name", ["Mono8", "Mono16"])
+def test_plain_formats_are_seen_in_place(name: str) -> None:
+    frame = np.zeros(PIXEL_FORMATS[name].nbytes(5, 4), np.uint8)
+    picture(frame, 5, 4, PIXEL_FORMATS[name])[2, 3] = 7
+    assert frame.sum() == 7
+    frame.flags.writeable = False
+    assert not picture(frame, 5, 4, PIXEL_FORMATS[name]).flags.writeable
+
+
+@pytest.mark.parametrize("name", [name for name, known in PIXEL_FORMATS.items() if not known.in_place])
+def test_other_formats_leave_the_frame_alone(name: str) -> None:
+    frame = np.random.default_rng(1).integers(0, 256, PIXEL_FORMATS[name].nbytes(6, 4), dtype=np.uint8)
+    before = frame.copy()
+    frame.flags.writeable = False
+    seen = picture(frame, 6, 4, PIXEL_FORMATS[name])
+    seen += 1
+    assert (frame == before).all()
+
+
+@pytest.mark.parametrize("name", [name for name, known in PIXEL_FORMATS.items() if known.mosaic])
+def test_a_red_scene_under_a_bayer_filter_is_red(name: str) -> None:
+    """Only the pixels behind red filters see it; their places are in the name: RG is red, green, then green, blue."""
+    pixel_format = PIXEL_FORMATS[name]
+    first = {"RG": (0, 0), "GR": (0, 1), "GB": (1, 0), "BG": (1, 1)}[pixel_format.mosaic]
+    white = 2**pixel_format.bits - 1
+    mosaic = np.zeros((8, 12), int)
+    mosaic[first[0] :: 2, first[1] :: 2] = white
+    frame = np.frombuffer(packed(mosaic.ravel().tolist(), pixel_format), np.uint8)
+    seen = picture(frame, 12, 8, pixel_format)
+    assert seen.shape == (8, 12, 3)
+    full = white << 16 - pixel_format.bits if pixel_format.bits > 8 else white
+    assert (seen[2:-2, 2:-2] == (0, 0, full)).all()
+
+
+def test_the_numbers_say_how_many_bits_a_pixel_takes() -> None:
+    assert len({known.code for known in PIXEL_FORMATS.values()}) == len(PIXEL_FORMATS)
+    for known in PIXEL_FORMATS.values():
+        bits = {"bytes": 8, "words": 16, "packed": 12, "p": known.bits}[known.packing]
+        assert known.bits_per_pixel == bits
+        assert known.nbytes(1392, 1040) == 1392 * 1040 * bits // 8
+    assert PIXEL_FORMATS["Mono12p"].nbytes(3, 1) == 5
+    assert [PIXEL_FORMATS[name].bytes_per_pixel for name in ("Mono8", "Mono12", "Mono12p")] == [1, 2, 0]

@@ -1,0 +1,5 @@
+"""GigE Vision and USB3 Vision cameras by Aravis: frames go straight from the network into slots of the ring."""
+
+from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
+
+__all__ = ["open_aravis_cameras"]

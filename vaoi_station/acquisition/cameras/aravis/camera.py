@@ -1,0 +1,232 @@
+"""A camera of the array, whatever becomes of its connection: one supervisor opens it again, from scratch.
+
+The supervisor asks a GigE camera four times a second whether it is there. When the camera is gone, the slots it held
+wait here; when it is back it is opened anew, gets our settings, and the slots again. Cameras are opened one at a time.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from queue import SimpleQueue
+
+from vaoi_station.acquisition.cameras.aravis import probe
+from vaoi_station.acquisition.cameras.aravis.connection import Connection, Share
+from vaoi_station.acquisition.cameras.aravis.discovery import OPENING, absent, by_serial, search
+from vaoi_station.acquisition.cameras.aravis.stream import Told
+from vaoi_station.acquisition.cameras.interface import (
+    Arrival,
+    CameraBack,
+    CameraHealth,
+    CameraLost,
+    CameraNews,
+    Slot,
+)
+from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.errors import DeviceError, InputError, VaoiError
+
+LOOK_S = 0.25
+"""Between two looks at whether the camera is there."""
+TEMPERATURE_S = 5.0
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
+"""Between attempts to open a camera that is lost."""
+
+
+@dataclass
+class _Counts:
+    delivered: int = 0
+    incomplete: int = 0
+    losses: int = 0
+    last_frame_s: float | None = None
+    temperature_c: float | None = None
+
+
+class AravisCamera:
+    """A `CameraDevice` on a `Connection` that comes and goes."""
+
+    def __init__(self, number: int, connection: Connection, share: Share) -> None:
+        """Take over an open and configured connection, and let the camera wait for its trigger.
+
+        Raises:
+            DeviceError: its stream cannot be made; the connection is closed then.
+        """
+        self.number, self.config = number, connection.config
+        self._share = share
+        self._identity = connection.identity
+        self._is_gige = connection.is_gige
+        self._epoch_ns = time.time_ns()
+        """Seconds of the camera's clock count from here: a float holds them to the nanosecond."""
+        self._lock = threading.Lock()
+        """Of the connection, and of the slots that wait for one."""
+        self._connection: Connection | None = connection
+        self._waiting: list[Slot] = []
+        self._arrivals: SimpleQueue[CameraNews] = SimpleQueue()
+        self._counts = _Counts()
+        self._trouble: VaoiError | None = None
+        self._suspicion: DeviceError | None = None
+        self._seen_s = time.monotonic()
+        """When it last answered."""
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
+        try:
+            connection.start(self._told, share)
+        except BaseException:  # whatever ended it, tidy up; it is raised again
+            connection.close()
+            raise
+
+    def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
+        """Announce what becomes of slots, and losses of the camera."""
+        self._arrivals = arrivals
+        self._thread.start()
+
+    def queue(self, slot: Slot) -> None:
+        """Give a slot to the stream, or keep it until the camera is back."""
+        with self._lock:
+            if self._connection is None:
+                self._waiting.append(slot)
+            else:
+                self._connection.stream.queue(slot)
+
+    def take_back(self) -> list[int]:
+        """Withdraw the slots that were not used; none of them is written any more."""
+        with self._lock:
+            unused, self._waiting = self._waiting, []
+            if self._connection is not None:
+                unused = unused + self._connection.stream.take_back()
+            return [slot.number for slot in unused]
+
+    def read_clock(self) -> ClockReading:
+        """Ask the camera for its time; DeviceError at once while it is lost."""
+        connection = self._connection
+        if connection is None:
+            raise self._trouble or absent(self.config, self._identity.address, "it was lost")
+        try:
+            return connection.read_clock(self._epoch_ns)
+        except DeviceError as error:
+            self._suspicion = error
+            raise
+
+    def health(self) -> CameraHealth:
+        """State, counts, temperature."""
+        connection, counts = self._connection, self._counts
+        lost = self._trouble.message if connection is None and self._trouble else ""
+        counters = connection.stream.counters() if connection is not None else {}
+        return CameraHealth(
+            connected=connection is not None,
+            message=lost or (connection.warning(self._share) if connection is not None else ""),
+            temperature_c=counts.temperature_c if connection is not None else None,
+            delivered=counts.delivered,
+            incomplete=counts.incomplete,
+            last_frame_s=counts.last_frame_s,
+            counters=tuple(sorted({**counters, "n_losses": counts.losses}.items())),
+        )
+
+    def close(self) -> None:
+        """End the supervisor, stop the camera, let go of it."""
+        self._closing.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        with self._lock:
+            connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+
+    def _told(self, told: Told) -> None:
+        """A slot came back with something in it."""
+        if told.whole:
+            self._counts.delivered += 1
+            self._counts.last_frame_s = told.host_time_s
+        else:
+            self._counts.incomplete += 1
+        time_s = None if told.time_ns is None else (told.time_ns - self._epoch_ns) * 1e-9
+        self._arrivals.put(
+            Arrival(self.number, told.slot.number, told.whole, told.frame_id, time_s, told.host_time_s, told.fault)
+        )
+
+    def _supervise(self) -> None:
+        pause_s, warm_s = FIRST_PAUSE_S, 0.0
+        while not self._closing.wait(LOOK_S if self._connection else pause_s):
+            if self._connection is None:
+                pause_s = FIRST_PAUSE_S if self._open_again() else min(2 * pause_s, LONGEST_PAUSE_S)
+                continue
+            try:
+                self._look(self._connection)
+                if time.monotonic() >= warm_s:
+                    self._counts.temperature_c = self._connection.temperature_c()
+                    warm_s = time.monotonic() + TEMPERATURE_S
+            except DeviceError as error:
+                self._lose(error)
+
+    def _look(self, connection: Connection) -> None:
+        """DeviceError if the camera is gone, or no longer ours."""
+        asked_s = time.monotonic()
+        if self._is_gige and not probe.answers(self._identity.address):
+            raise absent(self.config, self._identity.address, "it does not answer any more")
+        if not connection.is_ours():
+            raise DeviceError(
+                f"camera {self.config.name}: another program has taken it over.",
+                action="Close that program; the camera is then opened by itself.",
+                code="camera-in-use",
+            )
+        suspicion, self._suspicion = self._suspicion, None
+        if suspicion is not None:
+            raise suspicion
+        self._seen_s = asked_s
+
+    def _lose(self, error: DeviceError) -> None:
+        """Keep the slots, tell everybody, tidy up what is left of the connection."""
+        self._trouble = error
+        with self._lock:
+            connection, self._connection = self._connection, None
+            assert connection is not None
+            self._waiting = connection.stream.close() + self._waiting
+        self._counts.losses += 1
+        self._arrivals.put(CameraLost(self.number, self._seen_s, error))
+        connection.close(gone=True)
+
+    def _open_again(self) -> bool:
+        """One attempt; whether the camera is back."""
+        try:
+            with OPENING:
+                connection, reading = self._connect()
+        except VaoiError as error:
+            self._trouble = error
+            return False
+        with self._lock:
+            self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))  # its clock before its frames
+            waiting, self._waiting = self._waiting, []
+            for slot in waiting:
+                connection.stream.queue(slot)
+            self._connection = connection
+        self._seen_s = time.monotonic()
+        return True
+
+    def _connect(self) -> tuple[Connection, ClockReading]:
+        connection = Connection(self.config, self._place())
+        try:
+            if connection.identity.serial != self._identity.serial:
+                raise InputError.field(
+                    f"camera {self.config.name}",
+                    "serial number of the camera that came back",
+                    connection.identity.serial,
+                    f"{self._identity.serial!r}",
+                    "Restart the station, and calibrate anew, if the camera was exchanged.",
+                )
+            connection.configure(self._share)
+            reading = connection.read_clock(self._epoch_ns)
+            connection.start(self._told, self._share)
+        except BaseException:  # whatever ended it, tidy up; it is raised again
+            connection.close()
+            raise
+        self._identity = connection.identity
+        return connection, reading
+
+    def _place(self) -> str:
+        """Where it was, or where its serial number answers now."""
+        if self._is_gige and probe.answers(self._identity.address, tries=1):
+            return self._identity.address
+        if self.config.serial is None:
+            raise absent(self.config, self._identity.address, "it does not answer")
+        found = by_serial(self.config, search())
+        return found.address if self._is_gige else found.device_id

@@ -1,0 +1,75 @@
+"""The camera's own clock, which dates its frames, compared with this computer's.
+
+A camera is asked to latch its time and tells the value afterwards: between question and answer the true moment is known
+to half the round trip. Aravis' fake camera has no latch and dates frames by this computer's wall clock, as a camera
+does that follows a time server on this computer; then both clocks are here, and can be read one after the other.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.errors import DeviceError
+
+LATCHES = (
+    ("TimestampLatch", "TimestampLatchValue"),
+    ("GevTimestampControlLatch", "GevTimestampValue"),
+)
+"""Command and value of SFNC 2 (in ns), and of GigE Vision 1 (in ticks)."""
+FAKE_VENDOR = "Aravis"
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """Reads one camera's clock; ns since an epoch that is the camera's affair."""
+
+    read_ns: Callable[[], int]
+    wired: bool = True
+    """Whether a reading goes over the wire, and so has a round trip."""
+
+    def read(self, epoch_ns: int) -> ClockReading:
+        """One comparison; `device_s` counts from the epoch. GLib's error if the camera does not answer."""
+        asked_s = time.monotonic()
+        device_ns = self.read_ns()
+        answered_s = time.monotonic()
+        return ClockReading((device_ns - epoch_ns) * 1e-9, (asked_s + answered_s) / 2, (answered_s - asked_s) / 2)
+
+
+def clock_of(camera: Any, name: str) -> CameraClock:
+    """How this camera's clock is read.
+
+    Raises:
+        DeviceError: it has no clock that can be read, so no frame could be proven to be of a pulse.
+    """
+    device = camera.get_device()
+    for command, value in LATCHES:
+        if device.is_feature_available(command) and device.is_feature_available(value):
+            return CameraClock(_latch(device, command, value, _ns_per_tick(camera, command)))
+    if (camera.get_vendor_name() or "") == FAKE_VENDOR:
+        return CameraClock(time.time_ns, wired=False)
+    raise DeviceError(
+        f"camera {name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
+        action="Use a camera that has; without it frames cannot be matched with pulses.",
+        code="clock-unknown",
+    )
+
+
+def _latch(device: Any, command: str, value: str, ns_per_tick: float) -> Callable[[], int]:
+    def read_ns() -> int:
+        device.execute_command(command)
+        ticks: int = device.get_integer_feature_value(value)
+        return ticks if ns_per_tick == 1 else round(ticks * ns_per_tick)
+
+    return read_ns
+
+
+def _ns_per_tick(camera: Any, command: str) -> float:
+    """Frames come with nanoseconds, as Aravis knows the tick; so must readings."""
+    if command != "GevTimestampControlLatch":
+        return 1.0
+    hertz = camera.get_device().get_timestamp_tick_frequency()
+    return 1e9 / hertz if hertz else 1.0

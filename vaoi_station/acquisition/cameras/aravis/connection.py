@@ -1,0 +1,239 @@
+"""One connection to one camera, from opening to loss; nothing of it is used again.
+
+Aravis lets one thread at a time use a device, so everything that asks the camera goes through one lock; the stream has
+its own thread and needs none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from vaoi_station.acquisition.cameras.aravis import network, settings
+from vaoi_station.acquisition.cameras.aravis.clock import clock_of
+from vaoi_station.acquisition.cameras.aravis.discovery import open_device
+from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
+from vaoi_station.acquisition.cameras.aravis.settings import Setting
+from vaoi_station.acquisition.cameras.aravis.stream import Kind, SlotStream, Told
+from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.config import CameraConfig
+from vaoi_station.errors import DeviceError
+from vaoi_station.pixel_formats import PIXEL_FORMATS
+
+SOUND_FOR_USB = (0, 8, 30)
+"""Older versions of Aravis wait for USB3 cameras in a busy loop, or mistake their states."""
+RETENTION_US = 200_000
+"""How long Aravis waits for the rest of a frame."""
+_TRAFFIC = ("n_received_packets", "n_transferred_bytes", "n_completed_buffers")
+"""Counters that move when a camera sends, the first that a stream has."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who answered."""
+
+    vendor: str
+    model: str
+    serial: str
+    address: str
+    """IP address, or device id of a USB camera."""
+    interface: str
+    """Port of this computer; empty for USB."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """A camera's part of its port."""
+
+    cameras: int = 1
+    """That share the port, itself included."""
+    link_mbit_s: float | None = None
+    socket_bytes: int = 0
+    """Wanted of the kernel for its packets."""
+
+
+class Connection:
+    """An open camera; `configure`, then `start`, then `close`."""
+
+    def __init__(self, config: CameraConfig, where: str) -> None:
+        """Open it.
+
+        Raises:
+            DeviceError: absent, or in use by somebody else.
+        """
+        self.config = config
+        self._camera: Any = open_device(config, where)
+        self._lock = threading.Lock()
+        self._stream: SlotStream | None = None
+        self.is_gige = bool(self._camera.is_gv_device())
+        self.packet_bytes = 0
+        self.granted_bytes = 0
+        """What the kernel holds of its packets while nobody reads them."""
+        with self._asking("does not say who it is"):
+            self.identity = self._identity(where)
+            self._clock = clock_of(self._camera, config.name)
+            self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
+
+    def configure(self, share: Share) -> None:
+        """All settings, read back; for GigE the packets too.
+
+        Raises:
+            DeviceError: refused or ignored settings, a frame of another size than the slots of the ring.
+        """
+        with self._asking("does not take its settings"):
+            settings.apply(self._camera, self.config)
+            if self.is_gige:
+                self._configure_packets(share)
+            payload = self._camera.get_payload()
+        if payload != self.config.frame_bytes:
+            raise DeviceError(
+                f"camera {self.config.name}: sends frames of {payload} bytes, but {self.config.width}×"
+                f"{self.config.height} px {self.config.pixel_format} are {self.config.frame_bytes}.",
+                action="Turn chunk data and line padding off ([cameras.features]), or correct width, height, format.",
+                code="frame-size",
+            )
+
+    def start(self, told: Callable[[Told], None], share: Share) -> None:
+        """Make the stream and let the camera wait for its trigger; `told` of every slot that comes back.
+
+        Raises:
+            DeviceError: the stream cannot be made.
+        """
+        with self._asking("cannot be started"):
+            stream = self._camera.create_stream(None, None)
+            if self.is_gige:
+                stream.set_property("frame-retention", RETENTION_US)
+                self.granted_bytes = network.widen_receive_buffer(stream.get_port(), share.socket_bytes)
+            kind = Kind(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
+            self._stream = SlotStream(stream, kind, told, f"camera-{self.config.name}")
+            self._camera.start_acquisition()
+
+    @property
+    def stream(self) -> SlotStream:
+        """Where slots are queued, once started."""
+        assert self._stream is not None
+        return self._stream
+
+    def traffic(self) -> int:
+        """A number that grows when the camera sends anything."""
+        counters = self.stream.counters()
+        return next((counters[name] for name in _TRAFFIC if name in counters), 0)
+
+    def read_clock(self, epoch_ns: int) -> ClockReading:
+        """Camera against host; seconds since the epoch. DeviceError if it does not answer."""
+        if not self._clock.wired:
+            return self._clock.read(epoch_ns)
+        with self._asking("does not tell its time"):
+            return self._clock.read(epoch_ns)
+
+    def temperature_c(self) -> float | None:
+        """None where there is no thermometer."""
+        if not self._thermometer:
+            return None
+        with self._asking("does not tell its temperature"):
+            return float(self._camera.get_device().get_float_feature_value("DeviceTemperature"))
+
+    def is_ours(self) -> bool:
+        """Whether we still control the camera."""
+        return not self.is_gige or bool(self._camera.get_device().is_controller())
+
+    def warning(self, share: Share) -> str:
+        """What does not forbid to film, but will lose frames on a bad day; empty if all is well."""
+        if not self.is_gige:
+            found = version()
+            return "" if found >= SOUND_FOR_USB else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
+        if self.granted_bytes >= share.socket_bytes:
+            return ""
+        return (
+            f"The kernel holds {self.granted_bytes / 1e6:.1f} MB of its packets, {share.socket_bytes / 1e6:.1f} MB are "
+            "wanted: raise net.core.rmem_max."
+        )
+
+    def close(self, *, gone: bool = False) -> None:
+        """Stop the camera, unless it is gone, and let go of everything: no slot is written any more."""
+        if self._stream is not None:
+            self._stream.close()
+        with self._lock:
+            if self._stream is not None and not gone:
+                with contextlib.suppress(glib_error()):  # a camera that does not answer cannot be stopped
+                    self._camera.stop_acquisition()
+            self._stream = self._camera = None
+        gc.collect()  # Aravis' threads and sockets end with the last reference
+
+    def _configure_packets(self, share: Share) -> None:
+        camera, name = self._camera, self.config.name
+        camera.gv_set_stream_options(aravis().GvStreamOption.PACKET_SOCKET_DISABLED)
+        low, high = camera.get_integer_bounds("GevSCPSPacketSize")
+        step = max(1, camera.get_integer_increment("GevSCPSPacketSize"))
+        limits = network.PacketLimits(low, high, step)
+        size = network.packet_bytes(self.config.packet_bytes, network.mtu_to(self.identity.address), limits)
+        settings.write_and_compare(
+            name,
+            Setting("GevSCPSPacketSize", size, lambda: camera.gv_set_packet_size(size), camera.gv_get_packet_size),
+        )
+        self.packet_bytes = size
+        delay = network.packet_delay_ns(size, share.cameras, share.link_mbit_s)
+        if delay or camera.is_feature_available("GevSCPD"):
+            tick_ns = 1e9 / (camera.get_device().get_timestamp_tick_frequency() or 1e9)
+            settings.write_and_compare(
+                name,
+                Setting(
+                    "GevSCPD (ns)",
+                    delay,
+                    lambda: camera.gv_set_packet_delay(delay),
+                    camera.gv_get_packet_delay,
+                    tick_ns,
+                ),
+            )
+
+    def _identity(self, where: str) -> Identity:
+        camera = self._camera
+        address, interface = where, ""
+        if self.is_gige:
+            device = camera.get_device()
+            address = device.get_device_address().get_address().to_string()
+            interface = network.interface_of(device.get_interface_address().get_address().to_string())
+        return Identity(
+            vendor=camera.get_vendor_name() or "",
+            model=camera.get_model_name() or "",
+            serial=camera.get_device_serial_number() or "",
+            address=address,
+            interface=interface,
+        )
+
+    @contextlib.contextmanager
+    def _asking(self, trouble: str) -> Iterator[None]:
+        """The camera is asked by one thread at a time; its refusals become errors that name it."""
+        with self._lock:
+            if self._camera is None:
+                raise DeviceError(f"camera {self.config.name}: is closed.", code="camera-lost")
+            try:
+                yield
+            except glib_error() as error:
+                raise DeviceError(
+                    f"camera {self.config.name}: {trouble} ({settings.reason(error)}).",
+                    action="Check its cable and power; it is opened again by itself.",
+                    code="camera-lost",
+                ) from error
+
+
+def prove_silence(connections: list[Connection], settle_s: float = 0.15, watch_s: float = 0.4) -> None:
+    """After the acquisition has been started and before the first pulse nothing may come; DeviceError names who sends.
+
+    A trigger that was latched before may still yield one frame at once; it is let pass.
+    """
+    time.sleep(settle_s)
+    before = [connection.traffic() for connection in connections]
+    time.sleep(watch_s)
+    for connection, count in zip(connections, before, strict=True):
+        if connection.traffic() != count:
+            raise DeviceError(
+                f"camera {connection.config.name}: sends frames although no trigger was fired.",
+                action="Check what its trigger input is wired to, and that nothing else triggers it.",
+                code="camera-free-running",
+            )

@@ -1,0 +1,102 @@
+"""Which device is meant: by its address, or by its serial number among all that answer; never the first one found."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from vaoi_station.acquisition.cameras.aravis import probe
+from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
+from vaoi_station.acquisition.cameras.aravis.settings import reason
+from vaoi_station.config import CameraConfig
+from vaoi_station.errors import DeviceError, InputError
+
+OPENING = threading.Lock()
+"""Devices are looked for and opened one at a time: Aravis' list of devices is one for the process."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A device that answered."""
+
+    device_id: str
+    serial: str
+    address: str
+    """IP address of a GigE camera; of a USB camera a name that Aravis gives it."""
+    protocol: str
+
+
+def search() -> tuple[Found, ...]:
+    """All devices that answer now; takes about a second."""
+    library = aravis()
+    library.update_device_list()
+    return tuple(
+        Found(
+            library.get_device_id(k),
+            library.get_device_serial_nbr(k) or "",
+            library.get_device_address(k) or "",
+            library.get_device_protocol(k) or "",
+        )
+        for k in range(library.get_n_devices())
+    )
+
+
+def by_serial(config: CameraConfig, found: Sequence[Found]) -> Found:
+    """The device with the camera's serial number.
+
+    Raises:
+        DeviceError: none has it; the message tells those that answer.
+        InputError: several have it.
+    """
+    matching = [device for device in found if device.serial == config.serial]
+    if not matching:
+        there = ", ".join(sorted(f"{d.serial} at {d.address}" for d in found)) or "none"
+        raise DeviceError(
+            f"camera {config.name}: no camera with serial number {config.serial!r} answers; those that do: {there}.",
+            action="Check its cable, its power and its serial number in station.toml.",
+            code="camera-absent",
+        )
+    if len(matching) > 1:
+        places = ", ".join(sorted(d.address for d in matching))
+        raise InputError(
+            f"camera {config.name}: {len(matching)} cameras have the serial number {config.serial!r} ({places}).",
+            action="Give their addresses in station.toml instead of the serial number.",
+            code="camera-ambiguous",
+        )
+    return matching[0]
+
+
+def open_device(config: CameraConfig, address: str) -> Any:
+    """The `Aravis.Camera` at an address (or, of USB, with a device id), controlled by us.
+
+    Raises:
+        DeviceError: it is absent, or somebody else controls it.
+    """
+    try:
+        camera = aravis().Camera.new(address)
+    except glib_error() as error:
+        raise absent(config, address, reason(error)) from error
+    if camera.is_gv_device() and not camera.get_device().is_controller():
+        raise DeviceError(
+            f"camera {config.name}: another program controls the camera at {address}.",
+            action="Close that program (a viewer of the maker, another station); the camera is then opened by itself.",
+            code="camera-in-use",
+        )
+    return camera
+
+
+def require_answer(config: CameraConfig, address: str) -> None:
+    """DeviceError if nobody answers at an IP address: much sooner than Aravis would find out."""
+    if not probe.answers(address):
+        raise absent(config, address, "it does not answer")
+
+
+def absent(config: CameraConfig, address: str, why: str) -> DeviceError:
+    """There is no camera, or no longer."""
+    return DeviceError(
+        f"camera {config.name}: there is no camera at {address} ({why}).",
+        action="Check its cable, its power and its address in station.toml.",
+        code="camera-absent",
+    )

@@ -1,0 +1,98 @@
+"""All cameras of a station: found, opened, configured for the ports they share, proven to wait for their trigger."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+
+from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
+from vaoi_station.acquisition.cameras.aravis.connection import Connection, Share, prove_silence
+from vaoi_station.acquisition.cameras.aravis.discovery import OPENING, by_serial, require_answer, search
+from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.errors import InputError
+
+STALL_S = 1.0
+"""The kernel shall hold what cameras send while this process does not get to run for so long."""
+
+
+def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
+    """Open every camera of a station.
+
+    Raises:
+        DeviceError: Aravis or a camera is absent, in use, ignores a setting, or sends without a trigger.
+        InputError: a serial number is not unique.
+    """
+    connections: list[Connection] = []
+    cameras: list[AravisCamera] = []
+    with OPENING:
+        try:
+            for camera, where in zip(config.cameras, _places(config.cameras), strict=True):
+                connections.append(Connection(camera, where))
+            _check_distinct(connections)
+            shares = _shares(config, connections)
+            for connection, share in zip(connections, shares, strict=True):
+                connection.configure(share)
+            _check_budgets(config, connections, shares)
+            for number, (connection, share) in enumerate(zip(connections, shares, strict=True)):
+                cameras.append(AravisCamera(number, connection, share))
+            prove_silence(connections)
+        except BaseException:  # whatever ended it, tidy up; it is raised again
+            for opened in cameras:
+                opened.close()
+            for unused in connections[len(cameras) :]:
+                unused.close()
+            raise
+    return tuple(cameras)
+
+
+def _places(cameras: Sequence[CameraConfig]) -> list[str]:
+    """Addresses or device ids, in the order of the cameras; one search for all serial numbers."""
+    found = search() if any(camera.serial for camera in cameras) else ()
+    places = []
+    for camera in cameras:
+        if camera.address is not None:
+            require_answer(camera, camera.address)
+            places.append(camera.address)
+        else:
+            device = by_serial(camera, found)
+            places.append(device.address if device.protocol == "GigEVision" else device.device_id)
+    return places
+
+
+def _check_distinct(connections: Sequence[Connection]) -> None:
+    """One serial number, one camera: calibrations hang on it."""
+    counts = Counter(connection.identity.serial for connection in connections)
+    for serial, count in counts.items():
+        if count > 1:
+            names = [c.config.name for c in connections if c.identity.serial == serial]
+            raise InputError(
+                f"cameras {', '.join(names)}: have the same serial number {serial!r}.",
+                action="Check their addresses in station.toml; one camera cannot stand at two places.",
+                code="camera-ambiguous",
+            )
+
+
+def _shares(config: StationConfig, connections: Sequence[Connection]) -> list[Share]:
+    """What each camera may use of its port."""
+    on_port = Counter(connection.identity.interface for connection in connections)
+    shares = []
+    for connection in connections:
+        camera, port = connection.config, connection.identity.interface
+        stall_frames = max(2, math.ceil(STALL_S / config.line.trigger_period_s))
+        link_mbit_s = camera.link_mbit_s or (network.link_mbit_s(port) if port else None)
+        shares.append(Share(on_port[port], link_mbit_s, stall_frames * camera.frame_bytes))
+    return shares
+
+
+def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[Share]) -> None:
+    """Every port must carry a row within a period."""
+    ports: defaultdict[str, list[int]] = defaultdict(list)
+    for k, connection in enumerate(connections):
+        if connection.is_gige:
+            ports[connection.identity.interface].append(k)
+    for port, members in ports.items():
+        payloads = [connections[k].config.frame_bytes for k in members]
+        packet = min(connections[k].packet_bytes for k in members)
+        network.check_budget(port, payloads, packet, shares[members[0]].link_mbit_s, config.line.trigger_period_s)

@@ -1,0 +1,216 @@
+"""What a camera is told before it films: every setting is written, read back and compared.
+
+A camera that ignores a setting is an error that names camera, feature, what was wanted and what it has; rows filmed
+with another exposure or in another region would be worse than none. Numbers may be rounded to what the sensor can do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
+from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
+from vaoi_station.config import CameraConfig
+from vaoi_station.errors import DeviceError
+
+EXPOSURE_TOLERANCE, EXPOSURE_TOLERANCE_US = 0.01, 20.0
+"""Exposures are whole lines of some sensors: off by so much of itself, or so many microseconds."""
+GAIN_TOLERANCE_DB = 0.3
+
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A feature, what it shall be, and how to write and read it."""
+
+    feature: str
+    wanted: Value | tuple[int, ...]
+    write: Callable[[], object]
+    read: Callable[[], Any]
+    tolerance: float = 0.0
+    passing: bool = False
+    """It is only on the way to a later setting of the same feature."""
+
+    def agrees(self, got: object) -> bool:
+        """Whether a value that was read back is what was wanted."""
+        if isinstance(self.wanted, bool | str | tuple):
+            return got == self.wanted
+        return isinstance(got, int | float) and math.isclose(got, self.wanted, rel_tol=1e-6, abs_tol=self.tolerance)
+
+
+def apply(camera: Any, config: CameraConfig) -> None:
+    """Write, read back and compare everything that makes the picture and its trigger; the packets' come later.
+
+    Raises:
+        DeviceError: the camera refuses or ignores a setting.
+    """
+    for part in (_picture, _further, _trigger):
+        settings = list(_translated(config.name, part(camera, config)))
+        for setting in settings:
+            write_and_compare(config.name, setting)
+        for setting in settings:  # a later one may have changed an earlier one
+            if not setting.passing:
+                compare(config.name, setting)
+
+
+def write_and_compare(name: str, setting: Setting) -> None:
+    """One setting, at once."""
+    try:
+        setting.write()
+    except glib_error() as error:
+        raise DeviceError(
+            f"camera {name}: refuses {setting.feature} = {setting.wanted!r} ({reason(error)}).",
+            action="Set what this camera can do in station.toml, or update its firmware.",
+            code="setting-refused",
+        ) from error
+    compare(name, setting)
+
+
+def compare(name: str, setting: Setting) -> None:
+    """What the camera has must be what was wanted."""
+    try:
+        got = setting.read()
+    except glib_error() as error:
+        raise DeviceError(
+            f"camera {name}: {setting.feature} cannot be read ({reason(error)}).", code="setting-unread"
+        ) from error
+    if not setting.agrees(got):
+        raise DeviceError(
+            f"camera {name}: ignores a setting: {setting.feature} was set to {setting.wanted!r}, but reads {got!r}.",
+            action="Set what this camera can do in station.toml, or update its firmware.",
+            code="setting-ignored",
+        )
+
+
+def reason(error: Exception) -> str:
+    """GLib's errors in a few words."""
+    return str(getattr(error, "message", error)).rstrip(".")
+
+
+def _translated(name: str, settings: Iterator[Setting]) -> Iterator[Setting]:
+    """Trouble while asking what a camera has is a DeviceError too."""
+    try:
+        yield from settings
+    except glib_error() as error:
+        raise DeviceError(f"camera {name}: does not tell its features ({reason(error)}).") from error
+
+
+def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
+    """Format, region, exposure, gain; whatever changes them by itself is off."""
+    x, y = config.offset_px
+    region = (x, y, config.width, config.height)
+    device = camera.get_device()
+    for feature in ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"):
+        if device.is_feature_available(feature):
+            yield _whole(device, feature, 1)
+    yield Setting(
+        "PixelFormat",
+        config.pixel_format,
+        lambda: camera.set_pixel_format_from_string(config.pixel_format),
+        camera.get_pixel_format_as_string,
+    )
+    yield Setting("Region", region, lambda: camera.set_region(*region), lambda: _region(camera))
+    for feature in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable"):
+        if device.is_feature_available(feature):
+            yield _boolean(device, feature, False) if feature == "GammaEnable" else _text(device, feature, "Off")
+    yield Setting(
+        "ExposureTime",
+        config.exposure_us,
+        lambda: camera.set_exposure_time(config.exposure_us),
+        camera.get_exposure_time,
+        max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * config.exposure_us),
+    )
+    if config.gain_db or camera.is_gain_available():
+        gain_db = config.gain_db
+        yield Setting("Gain", gain_db, lambda: camera.set_gain(gain_db), camera.get_gain, GAIN_TOLERANCE_DB)
+
+
+def _region(camera: Any) -> tuple[int, int, int, int]:
+    region = camera.get_region()
+    return region.x, region.y, region.width, region.height
+
+
+def _further(camera: Any, config: CameraConfig) -> Iterator[Setting]:
+    """What station.toml asks for by name, in its order."""
+    device = camera.get_device()
+    for feature, value in config.features.items():
+        yield feature_setting(device, feature, value)
+
+
+def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
+    """One frame per pulse on the wire, by the recipe of the make."""
+    device = camera.get_device()
+    recipe = recipe_for(camera.get_vendor_name() or "")
+    line = config.trigger_line or recipe.line
+    if device.is_feature_available("AcquisitionMode"):
+        yield _text(device, "AcquisitionMode", "Continuous")
+    if device.is_feature_available("AcquisitionFrameRateEnable"):
+        yield _boolean(device, "AcquisitionFrameRateEnable", False)
+    triggers = camera.dup_available_triggers()
+    ours = next((name for name in FRAME_TRIGGERS if name in triggers), None)
+    if ours is None:
+        raise DeviceError(
+            f"camera {config.name}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
+            action="Use a camera with a trigger input.",
+        )
+    for other in triggers:
+        if other != ours:
+            yield replace(_text(device, "TriggerSelector", other), passing=True)
+            yield replace(_text(device, "TriggerMode", "Off"), passing=True)
+    yield _text(device, "TriggerSelector", ours)
+    yield replace(_text(device, "TriggerMode", "Off" if recipe.off_while_changing else "On"), passing=True)
+    yield _text(device, "TriggerSource", line)
+    yield _text(device, "TriggerActivation", "RisingEdge")
+    for feature, value in recipe.extra:
+        if device.is_feature_available(feature) and device.is_enumeration_entry_available(feature, value):
+            yield _text(device, feature, value)
+    yield _text(device, "TriggerMode", "On")
+
+
+def feature_setting(device: Any, feature: str, value: Value) -> Setting:
+    """A setting by its GenICam name; the type of the value is that of the feature."""
+    if isinstance(value, bool):
+        return _boolean(device, feature, value)
+    if isinstance(value, str):
+        return _text(device, feature, value)
+    node = device.get_feature(feature)
+    if isinstance(value, int) and not isinstance(node, aravis().GcFloat):
+        return _whole(device, feature, value)
+    return Setting(
+        feature,
+        float(value),
+        lambda: device.set_float_feature_value(feature, float(value)),
+        lambda: device.get_float_feature_value(feature),
+        0.01 * abs(value),
+    )
+
+
+def _whole(device: Any, feature: str, value: int) -> Setting:
+    return Setting(
+        feature,
+        value,
+        lambda: device.set_integer_feature_value(feature, value),
+        lambda: device.get_integer_feature_value(feature),
+    )
+
+
+def _boolean(device: Any, feature: str, value: bool) -> Setting:
+    return Setting(
+        feature,
+        value,
+        lambda: device.set_boolean_feature_value(feature, value),
+        lambda: device.get_boolean_feature_value(feature),
+    )
+
+
+def _text(device: Any, feature: str, value: str) -> Setting:
+    return Setting(
+        feature,
+        value,
+        lambda: device.set_string_feature_value(feature, value),
+        lambda: device.get_string_feature_value(feature),
+    )

@@ -1,0 +1,147 @@
+"""The buffers of a stream are slots of the ring: Aravis' receive thread writes packets where the stitcher reads pixels.
+
+A slot is in one of two hands. `queue` gives its address to the stream; it comes back by `told` when a frame has
+ended in it, whole or not, or by `take_back` unused. Aravis has no call that takes a queued buffer out of a stream, but
+stopping the receive thread and letting go of all buffers does: the thread has ended when the call returns, so no slot
+that came back is ever written again, and each buffer's status says whether it was used. The thread is started anew
+at once; its socket stays open all the while, so that packets wait in the kernel (both calls: 40 µs, measured).
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from vaoi_station.acquisition.cameras.aravis.library import aravis
+from vaoi_station.acquisition.cameras.interface import Slot
+
+POP_US = 50_000
+"""The pulling thread looks at least so often whether it is to end."""
+UNDER_WAY_S = 0.25
+"""A frame that is being received is given so long to end before buffers are taken back; more than Aravis waits."""
+
+FAULTS = {
+    "timeout": "parts of the frame did not come in time",
+    "missing-packets": "packets of the frame were lost on the way",
+    "wrong-packet-id": "packets of the frame were out of order",
+    "size-mismatch": "the frame is larger than configured",
+    "aborted": "receiving the frame was broken off",
+    "filling": "receiving the frame was broken off",
+}
+"""By the nickname of Aravis' status; newer versions may have more."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What every whole frame must be."""
+
+    width: int
+    height: int
+    code: int
+    """Number of the pixel format."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What became of one slot. Without `whole`, frame id and time stamp are None: they may be an older frame's."""
+
+    slot: Slot
+    whole: bool
+    frame_id: int | None
+    time_ns: int | None
+    """By the camera's clock."""
+    host_time_s: float
+    fault: str = ""
+
+
+class SlotStream:
+    """The buffers of one stream, and the thread that pulls them out when they are filled."""
+
+    def __init__(self, stream: Any, kind: Kind, told: Callable[[Told], None], name: str) -> None:
+        """Pull at once; `told` is called in the pulling thread, or in that of `take_back` and `close`."""
+        self._stream: Any = stream
+        self._kind, self._told = kind, told
+        self._filling = aravis().BufferStatus.FILLING
+        self._lock = threading.Lock()
+        self._out: dict[int, tuple[Any, Slot]] = {}
+        """C pointer of a buffer → the buffer, its slot; all that the stream has."""
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._pull, name=f"{name}-frames")
+        self._thread.start()
+
+    def queue(self, slot: Slot) -> None:
+        """Give a slot's memory to the stream; frames fill slots in the order they were queued."""
+        buffer = aravis().Buffer.new(slot.memory.nbytes, slot.memory.ctypes.data)
+        with self._lock:
+            self._out[hash(buffer)] = (buffer, slot)  # the hash of a GObject is its C pointer
+            self._stream.push_buffer(buffer)
+
+    def take_back(self) -> list[Slot]:
+        """Withdraw what was not used. A frame that is being received is waited for, and told of like any other."""
+        self._wait_for_frames_under_way()
+        with self._lock:
+            self._stream.stop_thread(True)
+            out, self._out = self._out, {}
+            self._stream.start_thread()
+        unused = []
+        for buffer, slot in out.values():
+            if buffer.get_status() == aravis().BufferStatus.CLEARED:
+                unused.append(slot)
+            else:
+                self._told(self._judge(buffer, slot))
+        return unused
+
+    def close(self) -> list[Slot]:
+        """End the pulling thread, let go of the stream: nothing is written any more. The slots that were not used."""
+        if self._ending.is_set():
+            return []
+        self._ending.set()
+        self._thread.join()
+        unused = self.take_back()
+        self._stream = None  # it ends its own thread when the last reference goes
+        return unused
+
+    def counters(self) -> dict[str, int]:
+        """The stream's own counters by name; what they count is Aravis' affair."""
+        stream = self._stream
+        if stream is None:
+            return {}
+        names = (stream.get_info_name(k) for k in range(stream.get_n_infos()))
+        return {name: stream.get_info_uint64_by_name(name) for name in names if name.startswith("n_")}
+
+    def _pull(self) -> None:
+        while not self._ending.is_set():
+            buffer = self._stream.timeout_pop_buffer(POP_US)  # without the interpreter's lock
+            if buffer is None:
+                continue
+            with self._lock:
+                _, slot = self._out.pop(hash(buffer), (None, None))
+            if slot is not None:  # else it has just been taken back, and told of
+                self._told(self._judge(buffer, slot))
+
+    def _judge(self, buffer: Any, slot: Slot) -> Told:
+        host_time_s = time.monotonic()
+        status = buffer.get_status()
+        if status != aravis().BufferStatus.SUCCESS:
+            fault = FAULTS.get(status.value_nick, f"Aravis calls the frame {status.value_nick!r}")
+            return Told(slot, False, None, None, host_time_s, fault)
+        kind = Kind(buffer.get_image_width(), buffer.get_image_height(), buffer.get_image_pixel_format())
+        if kind != self._kind:
+            return Told(slot, False, None, None, host_time_s, f"the frame is {_shown(kind)}, not {_shown(self._kind)}")
+        return Told(slot, True, buffer.get_frame_id(), buffer.get_timestamp(), host_time_s)
+
+    def _wait_for_frames_under_way(self) -> None:
+        deadline_s = time.monotonic() + UNDER_WAY_S
+        while time.monotonic() < deadline_s:
+            with self._lock:
+                buffers = [buffer for buffer, _ in self._out.values()]
+            if not any(buffer.get_status() == self._filling for buffer in buffers):
+                return
+            time.sleep(0.002)
+
+
+def _shown(kind: Kind) -> str:
+    return f"{kind.width}×{kind.height} px in format {kind.code:#010x}"
