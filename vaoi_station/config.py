@@ -170,7 +170,7 @@ class ControllerConfig(Section):
 
     backend: Literal["simulated", "replay", "serial"] = "simulated"
     port: str = "/dev/vaoi-trigger"
-    """Its serial port, by a name that stays: deploy/99-vaoi.rules makes this one."""
+    """Its serial port, by a name that stays: deploy/71-vaoi-controller.rules makes this one."""
     baud: Annotated[Whole, Field(ge=9600, le=2_000_000)] = 250_000
     trigger_us: Positive = 100.0
     """Width of the cameras' trigger."""

@@ -18,7 +18,7 @@
 
 #define SLICE_NS 500000L
 #define NS_PER_S 1000000000LL
-/* Behind the clock, the chip runs no further than this before commands and bytes have their turn. */
+/* Behind the clock, the chip runs no further than this before its bytes are handed on. */
 #define AT_ONCE (HZ / 200)
 
 static const char *link_path;
@@ -94,12 +94,25 @@ static void flush_out(void)
     out_count = 0;
 }
 
-static void take_in(void)
+/* Up to the time it is now; in steps, so that what the chip says is not held back. */
+static int run_to_present(void)
 {
-    uint8_t bytes[256];
-    ssize_t count;
-    while (master >= 0 && (count = read(master, bytes, sizeof bytes)) > 0)
-        if (now_ns() >= held_until_ns) send_to_chip(bytes, (size_t)count);
+    avr_cycle_count_t present = (avr_cycle_count_t)((now_ns() - cycle_0_ns) * (long long)(HZ / 1000000) / 1000);
+    while (now_ns() >= held_until_ns && avr->cycle < present) {
+        if (!run(present - avr->cycle < AT_ONCE ? present - avr->cycle : AT_ONCE)) return 0;
+        flush_out();
+    }
+    return 1;
+}
+
+/* Bytes reach the chip when it has come to the time at which they were there, never before. */
+static int go_on(void)
+{
+    uint8_t bytes[4096];
+    ssize_t count = master < 0 ? 0 : read(master, bytes, sizeof bytes);
+    int held = now_ns() < held_until_ns, alive = run_to_present();
+    if (count > 0 && !held) send_to_chip(bytes, (size_t)count);
+    return alive;
 }
 
 void terminal_hold(unsigned ms)
@@ -148,13 +161,6 @@ static void wait_a_little(void)
     ppoll(events, nobody ? 1 : 2, &(struct timespec){0, SLICE_NS}, NULL);
 }
 
-static int run_to_present(void)
-{
-    long long due = (now_ns() - cycle_0_ns) * (long long)(HZ / 1000000) / 1000 - (long long)avr->cycle;
-    if (due <= 0) return 1;
-    return run(due < (long long)AT_ONCE ? (avr_cycle_count_t)due : AT_ONCE);
-}
-
 int terminal_serve(const char *link, void (*answer)(const char *line))
 {
     int alive = 1;
@@ -166,11 +172,10 @@ int terminal_serve(const char *link, void (*answer)(const char *line))
     tell_clock();
     fflush(stdout);
     while (take_commands(answer)) {
-        take_in();
-        if (alive && !(alive = run_to_present())) printf("crashed %llu\n", (unsigned long long)avr->cycle);
+        if (alive && !(alive = go_on())) printf("crashed %llu\n", (unsigned long long)avr->cycle);
         flush_out();
         fflush(stdout);
-        if (!alive || cycle_0_ns + cycles_ns(avr->cycle) >= now_ns() - SLICE_NS) wait_a_little();
+        wait_a_little();
     }
     unplug();
     return 0;

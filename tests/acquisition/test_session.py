@@ -10,7 +10,13 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import Arrival, Slot
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
-from vaoi_station.acquisition.controller.interface import BarrierBlocked, PulseFired, RunEnded, TriggerPlan
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    PulseFired,
+    PulseSkipped,
+    RunEnded,
+    TriggerPlan,
+)
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.messages import (
     Armed,
@@ -24,7 +30,7 @@ from vaoi_station.acquisition.messages import (
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.acquisition.session import Session
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import Verdict
 
 
@@ -113,6 +119,31 @@ def test_arming_is_refused_while_a_clock_is_unknown(stage: Stage) -> None:
     with pytest.raises(DeviceError, match="camera c1: its clock is known to"):
         stage.session.arm(stage.plan)
     assert stage.controller.plans == []
+
+
+def test_a_period_too_short_for_exposure_and_read_out_is_refused_with_the_numbers(stage: Stage) -> None:
+    slow = stage.session._config.cameras[0].model_copy(update={"exposure_us": 60_000.0, "readout_us": 45_000.0})
+    stage.session._config = stage.session._config.model_copy(update={"cameras": (slow,)})
+    with pytest.raises(InputError, match=r"period_s is 0\.1, but must be at least 0\.105: camera 'c0'"):
+        stage.session.arm(replace(stage.plan, period_s=0.1))
+    assert stage.controller.plans == []
+    stage.session.arm(replace(stage.plan, period_s=0.105))
+
+
+def test_rows_the_controller_left_out_are_missing_for_that_reason(stage: Stage) -> None:
+    """The first one before any pulse was fired."""
+    stage.session.grant(Grant("a", 0))
+    stage.session.arm(stage.plan)
+    stage.session.heard(BarrierBlocked(0, 1.0), 1.0)
+    stage.session.heard(PulseSkipped(1, 1.1, 0, "hot"), 1.1)
+    stage.pulse(1.2, 1)
+    stage.frames(1.2, 1)
+    stage.session.heard(PulseSkipped(3, 1.3, 2, "late"), 1.3)
+    stage.session.heard(RunEnded(4, 1.4, 3, "clear"), 1.4)
+    stage.session.tick(9.0)
+    (finished,) = stage.of(RunFinished)
+    causes = {(f.camera, f.row): f.cause for f in finished.frames if f.verdict is not Verdict.OK}
+    assert causes == {(0, 0): "hot", (1, 0): "hot", (0, 2): "late", (1, 2): "late"}
 
 
 def test_a_controller_that_refuses_leaves_the_station_disarmed_and_memory_returnable(stage: Stage) -> None:

@@ -51,6 +51,12 @@ class PacedChip:
         """Something blocks the barrier for so long; returns the cycle at which it begins."""
         return self.do(f"board {round(ms * HZ / 1000)}")
 
+    def rest(self, ms: float) -> None:
+        """Until the chip's time has gone on by so much."""
+        until = self.do("pin PD2 0") + ms * HZ / 1000
+        while self.do("pin PD2 0") < until:
+            pass
+
     def host_s(self, cycle: int) -> float:
         """time.monotonic() of a cycle."""
         at, ns = max(c for c in self._clock if c[0] <= cycle)

@@ -20,7 +20,7 @@ from typing import Any
 
 from vaoi_station.acquisition.backends import open_devices
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraDevice, CameraLost, DeviceFault
-from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.messages import Arm, Disarm, FireOne, Grant, Health, Ready, Report, Shutdown
@@ -143,6 +143,8 @@ class _Loop:
             self._session.back(item)
         elif isinstance(item, DeviceFault):
             self._send(trouble(item.error, item.device))
+        elif isinstance(item, ClockReading):
+            self._clocks[0].add(item)
         elif isinstance(item, tuple):
             clock, reading = item
             clock.add(reading)

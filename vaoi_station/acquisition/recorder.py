@@ -301,7 +301,7 @@ class Recorder:
                 if row not in have:
                     cause = explain_missing(row, ids, strays)
                     if row not in sheet.pulses:
-                        cause = "the controller's report of this pulse was lost"
+                        cause = sheet.skipped.get(row, "the controller's report of this pulse was lost")
                     elif outage := self.outages.at(camera, sheet.pulses[row].host_s):
                         cause = outage
                     record = FrameRecord(camera=camera, row=row, verdict=Verdict.MISSING, cause=cause)

@@ -26,6 +26,8 @@ class RunSheet:
     bay: int | None
     period_s: float
     pulses: dict[int, KnownPulse] = field(default_factory=dict)
+    skipped: dict[int, str] = field(default_factory=dict)
+    """Row → why the controller did not fire it."""
     frames: dict[tuple[int, int], FrameRecord] = field(default_factory=dict)
     """(camera, row) → its verdict; final once set."""
     taken: set[tuple[int, int]] = field(default_factory=set)
@@ -59,8 +61,8 @@ class RunSheet:
         return row, host_s - self.pulses[row].host_s
 
     def open_rows(self, camera: int) -> list[int]:
-        """Rows of a camera that have no frame yet (or never got one)."""
-        return [r for r in range(self.rows) if (camera, r) not in self.taken]
+        """Rows of a camera that were fired and have no frame yet (or never got one)."""
+        return [r for r in range(self.rows) if (camera, r) not in self.taken and r not in self.skipped]
 
     def lights(self) -> tuple[str, ...] | None:
         """Light pattern of every row; None where none has a name."""

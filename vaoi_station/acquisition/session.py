@@ -15,6 +15,7 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
     PulseFired,
+    PulseSkipped,
     RunEnded,
     TriggerPlan,
 )
@@ -38,9 +39,12 @@ from vaoi_station.acquisition.run_sheet import RunSheet
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import Verdict
+from vaoi_station.optics.timing import spare_time_us
 
-CLOCK_LIMIT_S = 0.5e-3
-"""Clocks must be known this well before the station is armed."""
+CLOCK_LIMIT_S = 2e-3
+"""Clocks must be known this well before the station is armed ..."""
+CLOCK_SHARE = 1 / 10
+"""... and to this share of the period: which pulse a frame belongs to is decided by time."""
 SILENCE_S = 10.0
 """A controller that has not ended a run so long after its longest duration has fallen silent."""
 
@@ -71,6 +75,8 @@ class Session:
         self._run: RunSheet | None = None
         """The run whose pulses are being fired."""
         self._silent_s = float("inf")
+        self._skipped: dict[int, str] = {}
+        """Rows of a passage that were not fired, before the first one that was."""
         self._edge_s = 0.0
         self._disarming = False
 
@@ -100,8 +106,9 @@ class Session:
         if plan.max_rows > self._ring.layout.slots_per_camera:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
             raise InputError.field("trigger plan", "max_rows", plan.max_rows, limit)
+        _require_time(plan, self._config)
         for clock in self._clocks:
-            clock.require(CLOCK_LIMIT_S)
+            clock.require(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
         if plan != self._plan:
             if self._run is not None:
                 raise StateError("a board is passing; the plan cannot change now.", action="Arm again in a moment.")
@@ -141,6 +148,7 @@ class Session:
         self._recorder.heard(event.time_s)
         if isinstance(event, BarrierBlocked):
             self._edge_s = min(self._clocks[0].host_s(event.time_s), now_s)
+            self._skipped = {}
             self._swap()
         elif isinstance(event, PulseFired):
             if self._run is None or event.index <= max(self._run.pulses, default=-1):
@@ -149,6 +157,8 @@ class Session:
             if self._run is not None and self._run.run is not None:
                 self._send(PulseSeen(self._run.run, pulse))
             self._tell(outcomes, now_s)
+        elif isinstance(event, PulseSkipped):
+            (self._skipped if self._run is None else self._run.skipped)[event.index] = event.why
         elif isinstance(event, RunEnded):
             if self._run is None:
                 self._send(BoardMissed(self._edge_s, f"no pulse was fired; the run ended with {event.reason!r}"))
@@ -185,6 +195,7 @@ class Session:
             self._devices.feedback.memory(False)
             self._run = self._recorder.begin(grant.run, grant.bay, period_s)
             self._send(RunStarted(grant.run, grant.bay, self._edge_s))
+        self._run.skipped, self._skipped = self._skipped, {}
 
     def _end_run(self, pulses: int, reason: str, now_s: float) -> None:
         assert self._run is not None
@@ -247,3 +258,15 @@ class Session:
         self._next = None
         self._grants.clear()
         self._send(Disarmed(tuple(unused)))
+
+
+def _require_time(plan: TriggerPlan, config: StationConfig) -> None:
+    """InputError for a period in which a camera cannot expose and read out."""
+    for camera in config.cameras:
+        if spare_time_us(plan.period_s * 1e6, camera.exposure_us, camera.readout_us) < 0:
+            needed_s = (camera.exposure_us + camera.readout_us) * 1e-6
+            limit = (
+                f"at least {needed_s:g}: camera {camera.name!r} exposes for {camera.exposure_us:g} µs "
+                f"and is read out in {camera.readout_us:g} µs"
+            )
+            raise InputError.field("trigger plan", "period_s", plan.period_s, limit)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from queue import SimpleQueue
 
-from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
-from vaoi_station.acquisition.controller.interface import ControllerEvent, TriggerPlan
+from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import crystal
 from vaoi_station.acquisition.devices import Devices
@@ -23,7 +21,7 @@ class _ControllerWithLine(SimulatedController):
 
     line: SimulatedLine
 
-    def start(self, events: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
+    def start(self, events: EventQueue) -> None:
         super().start(events)
         self.line.start(self, events)
 

@@ -11,14 +11,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from queue import SimpleQueue
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
-from vaoi_station.acquisition.controller.interface import ControllerEvent, PulseFired, TriggerPlan
+from vaoi_station.acquisition.controller.interface import EventQueue, PulseFired, TriggerPlan
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.simulated_board import SimulatedBoard, to_bytes
@@ -56,7 +55,7 @@ class SimulatedLine:
         self._armed = self._passing = self._closing = False
         self._thread: threading.Thread | None = None
 
-    def start(self, controller: SimulatedController, faults: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
+    def start(self, controller: SimulatedController, faults: EventQueue) -> None:
         """Begin to prepare boards."""
         self._controller, self._faults = controller, faults
         self._thread = threading.Thread(target=self._work, name="line")

@@ -77,20 +77,36 @@ class PulseFired(ControllerEvent):
 
 
 @dataclass(frozen=True)
+class PulseSkipped(ControllerEvent):
+    """A row was due and not fired; `time_s` is when it was due."""
+
+    index: int
+    why: str
+
+
+@dataclass(frozen=True)
 class RunEnded(ControllerEvent):
     """The last pulse of a run has been fired."""
 
     pulses: int
+    """Rows of the run, those skipped included."""
     reason: str
-    """"clear" (board left, tail over), "max-rows" (the board did not leave in time), "disarmed", or "single"
-    (asked for by `fire_one`)."""
+    """"clear" (board left, tail over), "max-rows" (the board did not leave in time), "disarmed", "single"
+    (asked for by `fire_one`), or what befell the controller."""
+
+
+EventQueue = SimpleQueue[ControllerEvent | DeviceFault | ClockReading]
+"""What a controller reports to; a `ClockReading` is one of its own clock."""
 
 
 class Controller(Protocol):
     """The trigger controller; it stays armed for one passage after another until disarmed."""
 
-    def start(self, events: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
-        """Begin to report events."""
+    def start(self, events: EventQueue) -> None:
+        """Begin to report events.
+
+        Where its clock has jumped, readings of it come before the first event of the new time.
+        """
 
     def arm(self, plan: TriggerPlan) -> None:
         """From now on every passage of the barrier is a run with this plan."""

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
-from queue import SimpleQueue
 from typing import Protocol
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
@@ -20,6 +19,7 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierClear,
     ControllerEvent,
+    EventQueue,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -79,7 +79,7 @@ class ReplayController:
         self._last_end_s = 0.0
         self._thread: threading.Thread | None = None
 
-    def start(self, events: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
+    def start(self, events: EventQueue) -> None:
         """Begin to report events."""
         self._events = events
         self._thread = threading.Thread(target=self._play_all, name="controller")

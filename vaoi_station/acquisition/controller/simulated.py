@@ -6,13 +6,12 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from itertools import count
-from queue import SimpleQueue
 
-from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
+    EventQueue,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -53,7 +52,7 @@ class SimulatedController:
         self._runs = 0
         self._thread: threading.Thread | None = None
 
-    def start(self, events: SimpleQueue[ControllerEvent | DeviceFault]) -> None:
+    def start(self, events: EventQueue) -> None:
         """Begin to report events."""
         self._events = events
         self._thread = threading.Thread(target=self._work, name="controller")

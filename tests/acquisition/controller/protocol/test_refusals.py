@@ -20,20 +20,27 @@ IDENT = Ident.unpack(bytes.fromhex(next(f["payload"] for f in VECTORS["frames"] 
 
 
 def test_our_own_controller_is_welcome() -> None:
-    check_ident(IDENT)
-    check_ident(replace(IDENT, minor=9))
+    assert check_ident(IDENT.pack()) == IDENT
+    assert check_ident(replace(IDENT, minor=9).pack() + b"further fields").minor == 9
 
 
 def test_another_major_version_is_refused_with_the_remedy() -> None:
     with pytest.raises(DeviceError, match=r"speaks protocol 2\.0, this station 1\.0") as caught:
-        check_ident(replace(IDENT, major=2))
+        check_ident(b"\2\0 and whatever that version says")
     assert caught.value.code == "protocol-version"
     assert "flash" in caught.value.action
 
 
 def test_a_foreign_device_is_named() -> None:
     with pytest.raises(DeviceError, match="calls itself b'printer'"):
-        check_ident(replace(IDENT, board=b"printer\0"))
+        check_ident(replace(IDENT, board=b"printer\0").pack())
+
+
+def test_old_firmware_is_refused_with_the_remedy() -> None:
+    with pytest.raises(DeviceError, match=r"has firmware 0\.9\.3 with protocol 1\.0, but needs 1\.0\.0") as caught:
+        check_ident(replace(IDENT, firmware_major=0, firmware_minor=9, firmware_patch=3).pack())
+    assert caught.value.code == "firmware-too-old"
+    assert "flash" in caught.value.action
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from vaoi_station.acquisition.controller.protocol.event_order import EventOrder
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.messages import (
     REPLY,
+    VERSION,
     Event,
     Ident,
     Nak,
@@ -98,6 +99,8 @@ class Link:
         self.retries = 0
         self.strays = 0
         """Messages that answer nothing."""
+        self.messages = 0
+        """Messages of any kind: signs of life."""
         self.boots: int | None = None
         self.status: Status | None = None
         """The newest one."""
@@ -116,9 +119,24 @@ class Link:
         """Frames from the controller that were thrown away."""
         return self._reader.bad
 
+    @property
+    def up_to_date(self) -> bool:
+        """Whether every event that is known to have happened has been told."""
+        return not self._doubtful and self._order.missing() is None
+
     def ask(self, request: Request) -> None:
         """Queue a request; its outcome will be among the news."""
         self._queue.append(_Asked(request, own=False))
+
+    def abandon(self) -> None:
+        """The line is gone: what was asked is not asked again, and nobody will hear of it."""
+        self._queue.clear()
+        self._asked = None
+
+    def skip_history(self) -> None:
+        """The events up to the newest status were somebody else's; they are not told."""
+        if self.status is not None:
+            self._order.skip_to(self.status.events_next)
 
     def send(self, now_s: float) -> bytes:
         """What is to be sent now: the next request, the one under way once more, or nothing."""
@@ -160,6 +178,7 @@ class Link:
         return None
 
     def _take(self, message: Message, now_s: float) -> list[News]:
+        self.messages += 1
         if message.type == Type.EVENT:
             return self._take_event(message)
         asked = self._asked
@@ -202,7 +221,7 @@ class Link:
             self._doubtful = False
             news += self._boot(self.status.boots)
             self._order.announce(self.status.events_next)
-        elif asked.request.type == Type.IDENT:
+        elif asked.request.type == Type.IDENT and payload[:1] == bytes([VERSION[0]]):
             news += self._boot(Ident.unpack(payload).boots)
         elif asked.request.type == Type.READ_EVENT and asked.own:
             news += [Happened(e) for e in self._order.take(Event.unpack(payload))]

@@ -116,6 +116,8 @@ S = TypeVar("S", bound="_Wire")
 @dataclass(frozen=True)
 class _Wire:
     LAYOUT: ClassVar[Struct]
+    GROWS: ClassVar[bool] = False
+    """Whether a higher minor version may have further fields behind these."""
 
     def pack(self) -> bytes:
         """As it is sent."""
@@ -124,9 +126,9 @@ class _Wire:
     @classmethod
     def unpack(cls: type[S], payload: bytes) -> S:
         """ValueError if the size is another."""
-        if len(payload) != cls.LAYOUT.size:
+        if len(payload) < cls.LAYOUT.size or (len(payload) > cls.LAYOUT.size and not cls.GROWS):
             raise ValueError(f"{cls.__name__} has {cls.LAYOUT.size} bytes, not {len(payload)}")
-        values: tuple[Any, ...] = cls.LAYOUT.unpack(payload)
+        values: tuple[Any, ...] = cls.LAYOUT.unpack_from(payload)
         return cls(*values)
 
 
@@ -161,6 +163,7 @@ class Ident(_Wire):
     """Who it is and what it can do."""
 
     LAYOUT = Struct("<8BII8s8sHH4HHBB")
+    GROWS = True
     major: int
     minor: int
     firmware_major: int
@@ -189,6 +192,7 @@ class Status(_Wire):
     """How it is; the reply to BEAT too."""
 
     LAYOUT = Struct("<4BHH6I6H")
+    GROWS = True
     state: int
     fault: int
     reset_cause: int

@@ -6,6 +6,8 @@ from vaoi_station.acquisition.controller.protocol.messages import VERSION, Ident
 from vaoi_station.errors import DeviceError
 
 BOARD = b"m328p16"
+OLDEST_FIRMWARE = (1, 0, 0)
+_FLASH = "Write the firmware that came with this station: make -C hw/firmware flash."
 _FIELDS = (
     "pacing",
     "steps",
@@ -21,8 +23,19 @@ _FIELDS = (
 _FIRST_STEP = 16
 
 
-def check_ident(ident: Ident) -> None:
-    """DeviceError if this is no controller of ours, or speaks another protocol."""
+def check_ident(payload: bytes) -> Ident:
+    """Who it is, from its answer to IDENT; DeviceError if it is none of ours, or none that this station can use.
+
+    The first two bytes are the protocol's version in every version of it.
+    """
+    if payload[:1] != bytes([VERSION[0]]):
+        spoken = ".".join(str(number) for number in payload[:2])
+        raise DeviceError(
+            f"The controller speaks protocol {spoken}, this station {VERSION[0]}.{VERSION[1]}.",
+            action=_FLASH,
+            code="protocol-version",
+        )
+    ident = Ident.unpack(payload)
     board = ident.board.rstrip(b"\0")
     if board != BOARD:
         raise DeviceError(
@@ -30,12 +43,19 @@ def check_ident(ident: Ident) -> None:
             action="Check which device the port leads to.",
             code="foreign-device",
         )
-    if ident.major != VERSION[0]:
+    firmware = (ident.firmware_major, ident.firmware_minor, ident.firmware_patch)
+    if firmware < OLDEST_FIRMWARE or ident.minor < VERSION[1]:
         raise DeviceError(
-            f"The controller speaks protocol {ident.major}.{ident.minor}, this station {VERSION[0]}.{VERSION[1]}.",
-            action="Write the firmware that came with this station: make -C hw/firmware flash.",
-            code="protocol-version",
+            f"The controller has firmware {_dotted(firmware)} with protocol {ident.major}.{ident.minor}, but needs "
+            f"{_dotted(OLDEST_FIRMWARE)} with {VERSION[0]}.{VERSION[1]} at least.",
+            action=_FLASH,
+            code="firmware-too-old",
         )
+    return ident
+
+
+def _dotted(version: tuple[int, ...]) -> str:
+    return ".".join(str(number) for number in version)
 
 
 def sentence(nak: Nak) -> str:

@@ -1,0 +1,387 @@
+"""The station's end of the line and the real firmware, with a terminal between them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from queue import SimpleQueue
+from typing import TypeVar
+
+import pytest
+
+from tests.hw.paced import HZ, PATIENCE_S, PacedChip
+from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    BarrierBounce,
+    BarrierClear,
+    ControllerEvent,
+    EventQueue,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.acquisition.controller.serial import SerialController
+from vaoi_station.config import ControllerConfig, LightConfig
+from vaoi_station.errors import DeviceError, InputError, StateError
+
+PLAN = TriggerPlan(start_delay_s=0.03, period_s=0.02, tail_s=0.03, max_rows=20, debounce_s=0.005)
+LIGHTS = {"top": LightConfig(channels=(0, 1), on_us=300.0), "low": LightConfig(channels=(2,), on_us=200.0)}
+READING_S = 0.5
+"""As the acquisition process reads clocks."""
+
+E = TypeVar("E")
+
+
+class Host:
+    """A controller and what it tells, in order; its clock is modelled as the acquisition process does."""
+
+    def __init__(self, chip: PacedChip) -> None:
+        self.chip = chip
+        self.clock = ClockModel("controller")
+        self.seen: list[object] = []
+        self._events: EventQueue = SimpleQueue()
+        self.controller = SerialController(
+            ControllerConfig(backend="serial", port=str(chip.link), lights=LIGHTS, order=("top", "low", "top"))
+        )
+        self.controller.start(self._events)
+        for _ in range(8):
+            self.clock.add(self.controller.read_clock())
+
+    def next(self, kind: type[E]) -> E:
+        """The next of this kind; all others before it are kept in `seen`."""
+        while True:
+            item = self._events.get(timeout=PATIENCE_S)
+            self.seen.append(item)
+            if isinstance(item, ClockReading):
+                self.clock.add(item)
+            if isinstance(item, kind):
+                return item
+
+    def run(self, ms: float = 100) -> list[PulseFired]:
+        """A board that passes; its pulses, when its run has ended."""
+        self.seen.clear()
+        self.chip.board(ms)
+        assert self.next(RunEnded).reason == "clear"
+        return self.pulses()
+
+    def pulses(self) -> list[PulseFired]:
+        return [item for item in self.seen if isinstance(item, PulseFired)]
+
+    def trouble(self) -> set[str]:
+        """Codes of the faults that were told."""
+        return {item.error.code for item in self.seen if isinstance(item, DeviceFault)}
+
+    def wait_ready(self) -> None:
+        """Until something can be asked of the controller again."""
+        begun = self.chip.do("pin PD2 0")
+        while True:
+            try:
+                self.clock.add(self.controller.read_clock())
+                return
+            except DeviceError:
+                assert self.chip.do("pin PD2 0") - begun < PATIENCE_S * HZ
+
+
+@pytest.fixture
+def host(paced: PacedChip) -> Iterator[Host]:
+    host = Host(paced)
+    yield host
+    host.controller.close()
+
+
+def test_a_board_passes(host: Host) -> None:
+    """Rows, lights and numbers; and times that the side channel bears out within the clock's own bound."""
+    host.controller.arm(PLAN)
+    for _ in range(4):
+        host.chip.do("pin PD2 0")
+        host.clock.add(host.controller.read_clock())
+    host.seen.clear()
+    rises = len(host.chip.rises("PB1"))
+    edge = host.chip.board(100)
+    end = host.next(RunEnded)
+    events = [item for item in host.seen if isinstance(item, ControllerEvent)]
+    blocked, pulses = events[0], host.pulses()
+    assert isinstance(blocked, BarrierBlocked)
+    assert [p.index for p in pulses] == list(range(6))
+    assert [p.light for p in pulses] == ["top", "low", "top"] * 2
+    assert (end.pulses, end.reason) == (6, "clear")
+    assert sum(isinstance(e, BarrierClear) for e in events) == 1
+    assert [b.number - a.number for a, b in pairwise(events)] == [1] * (len(events) - 1)
+    assert pulses[0].time_s - blocked.time_s == pytest.approx(PLAN.start_delay_s, abs=1e-6)
+    cycles = host.chip.rises("PB1")[rises:]
+    assert len(cycles) == len(pulses)
+    for time_s, cycle in [(blocked.time_s, edge), *((p.time_s, c) for p, c in zip(pulses, cycles, strict=True))]:
+        assert abs(host.clock.host_s(time_s) - host.chip.host_s(cycle)) <= host.clock.bound_s(time_s)
+
+
+def test_boards_one_after_another_until_it_is_disarmed(host: Host) -> None:
+    host.controller.arm(PLAN)
+    assert [len(host.run()) for _ in range(3)] == [6, 6, 6]
+    host.chip.do("pin PB0 1")
+    host.next(PulseFired)
+    host.controller.disarm()
+    assert host.next(RunEnded).reason == "disarmed"
+    host.chip.do("pin PB0 0")
+    host.chip.rest(20)
+    before = len(host.chip.rises("PB1"))
+    host.seen.clear()
+    host.chip.board(100)
+    host.chip.rest(250)
+    assert len(host.chip.rises("PB1")) == before
+    assert host.seen == []
+
+
+def test_single_pulses(host: Host) -> None:
+    for _ in range(3):
+        host.controller.fire_one()
+        pulse = host.next(PulseFired)  # only then is the next one possible
+        assert (pulse.index, pulse.light) == (0, "top")
+        assert host.next(RunEnded).reason == "single"
+    assert len(host.chip.rises("PB1")) == 3
+    host.controller.arm(PLAN)
+    with pytest.raises(StateError, match="armed"):
+        host.controller.fire_one()
+    assert len(host.run()) == 6
+
+
+def test_leds_that_are_hot_are_no_fault_of_the_device(paced: PacedChip) -> None:
+    """1 ms of light needs 16 ms to cool down; pulses can be asked for faster than that."""
+    config = ControllerConfig(
+        backend="serial", port=str(paced.link), lights={"top": LightConfig(channels=(0,), on_us=1000.0)}
+    )
+    controller = SerialController(config)
+    said = set()
+    try:
+        for _ in range(100):
+            try:
+                controller.fire_one()
+            except StateError as refusal:
+                said.add(refusal.message)
+        controller.read_clock()
+    finally:
+        controller.close()
+    assert "the LEDs have not cooled down." in said
+    assert said <= {"the LEDs have not cooled down.", "the pulse before is still under way."}
+
+
+def test_bounces_and_a_board_that_sticks(host: Host) -> None:
+    host.controller.arm(PLAN)
+    host.chip.board(2)
+    bounce = host.next(BarrierBounce)
+    assert bounce.duration_s == pytest.approx(0.002, abs=1e-4)
+    host.chip.do("pin PB0 1")
+    end = host.next(RunEnded)
+    assert (end.pulses, end.reason) == (PLAN.max_rows, "max-rows")
+    host.chip.do("pin PB0 0")
+    host.chip.rest(20)
+    assert len(host.run()) == 6
+
+
+def test_a_reset_in_the_middle_of_a_run(host: Host) -> None:
+    """What was fired is kept and named; the next board is filmed as ever, at times that are right."""
+    host.controller.arm(PLAN)
+    host.run()
+    host.chip.do("pin PB0 1")
+    while host.next(PulseFired).index != 2:
+        pass
+    host.chip.do("reset external 800")
+    end = host.next(RunEnded)
+    assert end.reason == "the controller was reset"
+    assert end.pulses >= 3
+    fault = host.next(DeviceFault)
+    assert fault.error.code == "controller-reset"
+    assert "its reset line was pulled" in str(fault.error)
+    assert "the run under way was ended" in str(fault.error)
+    host.chip.do("pin PB0 0")
+    host.chip.rest(20)
+    host.wait_ready()
+    pulses = host.run()
+    assert len(pulses) == 6
+    assert host.clock.restarts == 1
+    for pulse, cycle in zip(pulses, host.chip.rises("PB1")[-6:], strict=True):
+        assert abs(host.clock.host_s(pulse.time_s) - host.chip.host_s(cycle)) <= host.clock.bound_s(pulse.time_s)
+
+
+def test_a_hung_controller_is_reset_by_its_watchdog(host: Host) -> None:
+    host.controller.arm(PLAN)
+    host.chip.do("hang")
+    assert "by its watchdog" in str(host.next(DeviceFault).error)
+    host.wait_ready()
+    assert len(host.run()) == 6
+
+
+@pytest.mark.parametrize("while_away_ms", [300, 4000])
+def test_a_port_that_goes_and_comes_back(host: Host, while_away_ms: int) -> None:
+    """For less than the heartbeat's patience the controller simply goes on; for longer it puts everything out."""
+    host.controller.arm(PLAN)
+    host.run()
+    host.chip.do("unplug")
+    assert host.next(DeviceFault).error.code == "port-lost"
+    with pytest.raises(DeviceError, match="serial port"):
+        host.controller.arm(PLAN)
+    with pytest.raises(DeviceError, match="serial port"):
+        host.controller.read_clock()
+    host.chip.board(100)
+    host.chip.rest(while_away_ms)
+    host.chip.do("plug")
+    host.wait_ready()
+    host.seen.clear()
+    assert host.next(RunEnded).reason == "clear"  # of the board that passed meanwhile: its events were read again
+    assert [p.index for p in host.pulses()] == list(range(6))
+    assert len(host.run()) == 6
+    assert ("controller-safe" in host.trouble()) == (while_away_ms > 3000)
+    assert host.clock.restarts == 0
+
+
+def test_disarmed_while_it_is_away(host: Host) -> None:
+    host.controller.arm(PLAN)
+    host.chip.do("unplug")
+    host.next(DeviceFault)
+    host.controller.disarm()
+    host.chip.do("plug")
+    host.wait_ready()
+    host.controller.fire_one()
+    assert host.next(RunEnded).reason == "single"
+
+
+def test_noise_costs_time_and_nothing_else(host: Host) -> None:
+    host.chip.do("noise 0.005 0.005 5")
+    for _ in range(3):
+        host.controller.arm(PLAN)
+        rises = len(host.chip.rises("PB1"))
+        pulses = host.run()
+        assert [p.index for p in pulses] == list(range(6))
+        assert len(host.chip.rises("PB1")) == rises + 6
+        host.controller.disarm()
+    host.chip.do("noise 0 0")
+    assert "0 bad frames, 0 repeats" not in host.controller.health()
+
+
+def test_a_host_that_was_stopped(paced: PacedChip) -> None:
+    """SIGSTOP for longer than the heartbeat's patience: outputs off, told, and armed again."""
+    root = Path(__file__).resolve().parents[2]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.hw.serial_host", str(paced.link)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=root,
+        env=os.environ | {"PYTHONPATH": str(root)},
+    )
+    assert process.stdout is not None
+    try:
+        lines = iter(process.stdout)
+        assert next(lines) == "armed\n"
+        paced.board(60_000)
+        while "PulseFired" not in next(lines):
+            pass
+        process.send_signal(signal.SIGSTOP)
+        stopped = paced.do("pin PB0 1")
+        paced.rest(4000)
+        assert max(paced.rises("PB1")) < stopped + 3.5 * HZ
+        paced.do("pin PB0 0")
+        process.send_signal(signal.SIGCONT)
+        told = ""
+        while "DeviceFault" not in told:
+            told = next(lines)
+        assert "had not heard of this computer" in told
+        while "PulseFired" not in told:
+            told = next(lines)
+            if told == "nothing new\n":
+                paced.board(100)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def test_another_process_with_the_same_port_is_told_so(host: Host) -> None:
+    with pytest.raises(DeviceError, match="is in use by another program") as refused:
+        SerialController(ControllerConfig(backend="serial", port=str(host.chip.link)))
+    assert refused.value.code == "port-in-use"
+    host.controller.arm(PLAN)
+    assert len(host.run()) == 6
+
+
+def test_what_a_process_before_left_is_history(paced: PacedChip) -> None:
+    """It died armed: its events are not told again, and no board is filmed for it."""
+    first = Host(paced)
+    first.controller.arm(PLAN)
+    first.run()
+    paced.do("pin PB0 1")
+    first.next(PulseFired)
+    first.controller._closing.set()  # it is gone without a word to the controller
+    first.controller._wake()
+    assert first.controller._thread is not None
+    first.controller._thread.join()
+    first.controller._hang_up()
+    second = Host(paced)
+    try:
+        paced.do("pin PB0 0")
+        paced.rest(20)
+        second.controller.arm(PLAN)
+        assert len(second.run()) == 6
+        assert not second.trouble()
+    finally:
+        second.controller.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"period_s": 0.004, "lights": ("low",)}, r"period_s is 0\.004, but must be at least 0\.005, a limit"),
+        ({"period_s": 600.0}, r"period_s is 600\.0, but must be at most 536\.871, a limit"),
+        ({"start_delay_s": 0.008}, r"start_delay_s is 0\.008, but must be at least 0\.009, a limit"),
+        ({"tail_s": 0.0}, r"tail_s is 0\.0, but must be at least 0\.009, a limit"),
+        ({"max_rows": 70000}, r"max_rows is 65535, but must be at most 65534"),
+        ({"debounce_s": 2.0, "start_delay_s": 3.0, "tail_s": 3.0}, r"debounce_s is 2\.0, but must be at most 1, a"),
+        ({"lights": ("top",) * 17}, r"controller\.order is .*, but must be at most 16 lights"),
+        ({"lights": ("blue",)}, r"lights is 'blue', but must be one of \['top', 'low'\]"),
+    ],
+)  # fmt: skip
+def test_plans_that_the_firmware_cannot_carry_out(host: Host, change: dict[str, object], complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        host.controller.arm(replace(PLAN, **change))  # type: ignore[arg-type]
+    host.controller.arm(PLAN)
+    assert len(host.run()) == 6
+
+
+@pytest.mark.parametrize(
+    ("light", "complaint"),
+    [
+        (LightConfig(channels=(0, 2), on_us=600.0), r"on_us is 600\.0, but must be 50 … 500 \(the lo.* channel 2"),
+        (LightConfig(channels=(0,), on_us=1001.0), r"must be 50 … 1000 \(the longest pulse of channel 0"),
+        (LightConfig(channels=(0,), on_us=20.0), r"on_us is 20\.0, but must be 50 … 1000 \(the shortest"),
+        (LightConfig(channels=(4,), on_us=100.0), r"top\.channels is 4, but must be below 4, the number"),
+    ],
+)  # fmt: skip
+def test_lights_beyond_the_limits_of_the_firmware(paced: PacedChip, light: LightConfig, complaint: str) -> None:
+    controller = SerialController(ControllerConfig(backend="serial", port=str(paced.link), lights={"top": light}))
+    try:
+        with pytest.raises(InputError, match=complaint):
+            controller.arm(PLAN)
+        with pytest.raises(InputError, match=complaint):
+            controller.fire_one()
+    finally:
+        controller.close()
+
+
+def test_light_for_more_than_its_share_of_the_time(host: Host) -> None:
+    with pytest.raises(InputError, match=r"on_us is 300\.0, but must be 50 … 250 \(1/16 of the period of 0\.004 s"):
+        host.controller.arm(replace(PLAN, period_s=0.004, lights=("top",)))
+
+
+def test_a_thousand_times(host: Host) -> None:
+    for _ in range(1000):
+        host.controller.arm(PLAN)
+        host.controller.disarm()
+    host.controller.arm(PLAN)
+    assert len(host.run()) == 6
+    assert not host.trouble()

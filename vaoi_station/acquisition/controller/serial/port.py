@@ -1,0 +1,102 @@
+"""A serial port that one thread reads: exclusive, woken from outside, closed without resetting the board behind it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import termios
+
+import serial
+
+from vaoi_station.errors import DeviceError
+
+WRITE_S = 1.0
+"""A port that does not take a few bytes within this time is gone."""
+_CONTROL_FLAGS = 2
+
+
+class Port:
+    """Open from the start; OSError from any method means that the device is gone."""
+
+    def __init__(self, name: str, baud: int) -> None:
+        """DeviceError says why it cannot be opened, and what to do."""
+        try:
+            self._serial = serial.Serial(name, baud, exclusive=True)
+            _keep_dtr(self._serial.fileno())
+        except (OSError, ValueError, termios.error) as error:
+            raise _refusal(name, error) from error
+        self._woken, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self.received = 0
+        """Bytes so far."""
+
+    def read(self, wait_s: float) -> bytes:
+        """What has come; nothing after `wait_s`, or when somebody calls `wake`."""
+        ready, _, _ = select.select([self._serial.fileno(), self._woken], [], [], wait_s)
+        if self._woken in ready:
+            os.read(self._woken, 4096)
+        if self._serial.fileno() not in ready:
+            return b""
+        data = os.read(self._serial.fileno(), 4096)
+        if not data:
+            raise OSError(errno.EIO, "the device has hung up")
+        self.received += len(data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of it.
+
+        pyserial's own would take a computer that was stopped meanwhile for a line that is stuck.
+        """
+        while data:
+            _, ready, _ = select.select([], [self._serial.fileno()], [], WRITE_S)
+            if not ready:
+                raise OSError(errno.ETIMEDOUT, "the device takes no bytes")
+            data = data[os.write(self._serial.fileno(), data) :]
+
+    def wake(self) -> None:
+        """End a `read` that waits, or the next one; from any thread."""
+        with contextlib.suppress(OSError):  # full: it wakes anyway; closed: nobody sleeps
+            os.write(self._waker, b"\0")
+
+    def close(self) -> None:
+        """Give the port back."""
+        for handle in (self._woken, self._waker):
+            os.close(handle)
+        with contextlib.suppress(OSError, termios.error):  # it may be gone already
+            self._serial.close()
+
+
+def _keep_dtr(handle: int) -> None:
+    """Boards like the Arduino Nano are reset by an edge of DTR: it is up while the port is open, and stays up."""
+    flags = termios.tcgetattr(handle)
+    flags[_CONTROL_FLAGS] &= ~termios.HUPCL
+    termios.tcsetattr(handle, termios.TCSANOW, flags)
+
+
+def _refusal(name: str, error: Exception) -> DeviceError:
+    number = getattr(error, "errno", None)
+    if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
+        return DeviceError(
+            f"There is no serial port {name}.",
+            action="Plug the controller in; deploy/71-vaoi-controller.rules gives it the name /dev/vaoi-trigger.",
+            code="port-absent",
+        )
+    if number in (errno.EACCES, errno.EPERM):
+        return DeviceError(
+            f"The serial port {name} may not be opened by this user.",
+            action="Add the user to the group of the port (ls -l shows it; often dialout), and start again.",
+            code="port-forbidden",
+        )
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return DeviceError(
+            f"The serial port {name} is in use by another program.",
+            action=f"End that program (fuser -v {name} names it).",
+            code="port-in-use",
+        )
+    return DeviceError(
+        f"{name} cannot be used as a serial port: {error}.",
+        action="Check `port` and `baud` under [controller] in station.toml.",
+        code="port-unusable",
+    )

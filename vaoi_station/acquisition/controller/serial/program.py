@@ -1,0 +1,133 @@
+"""What the station wants of the controller, as its firmware takes it: a timing, and a program of lights.
+
+What the firmware could not carry out is refused with the numbers of `station.toml`; what it refuses all the same
+is translated back into them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.protocol.messages import (
+    TICK_S,
+    Ident,
+    Nak,
+    Reason,
+    Step,
+    Timing,
+    Type,
+    config_crc,
+)
+from vaoi_station.config import ControllerConfig
+from vaoi_station.errors import InputError
+
+DARK = Step(0, 0)
+_WHERE = "station.toml"
+_PLAN = "trigger plan"
+_FIELDS = {
+    2: (_PLAN, "max_rows", 1),
+    3: (_PLAN, "start_delay_s", TICK_S),
+    4: (_PLAN, "period_s", TICK_S),
+    5: (_PLAN, "tail_s", TICK_S),
+    6: (_PLAN, "period_s", TICK_S),
+    7: (_PLAN, "debounce_s", TICK_S),
+    8: (_WHERE, "controller.min_gap_s", TICK_S),
+    9: (_WHERE, "controller.trigger_us", TICK_S * 1e6),
+}
+"""Field of a refused COMMIT → where it comes from, its name there, and the size of its unit."""
+_FIRST_STEP = 16
+_MOST = {2: 0xFFFF, 9: 0xFFFF}
+
+
+@dataclass(frozen=True)
+class Program:
+    """A configuration of the firmware, and the names of its steps."""
+
+    timing: Timing
+    steps: tuple[Step, ...]
+    lights: tuple[str, ...]
+
+    @property
+    def crc(self) -> int:
+        """By which the firmware names it."""
+        return config_crc(self.timing, self.steps)
+
+    def light(self, row: int) -> str:
+        """Name of a row's light; empty if lights have none."""
+        return self.lights[row % len(self.lights)] if self.lights else ""
+
+
+def program_of(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> Program:
+    """InputError for lights that do not exist, or that this firmware's limits forbid.
+
+    What the firmware holds to be out of range it refuses itself: a value too large to be sent is sent as the largest.
+    """
+    lights = tuple(plan.lights) or config.lights_in_turn
+    if len(lights) > ident.program_steps:
+        limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
+        raise InputError.field(_WHERE, "controller.order", lights, limit)
+    steps = tuple(light_step(name, config, ident, plan.period_s) for name in lights) or (DARK,)
+    values = (
+        0,
+        len(steps),
+        plan.max_rows,
+        _ticks(plan.start_delay_s),
+        _ticks(plan.period_s),
+        _ticks(plan.tail_s),
+        _ticks(plan.period_s),
+        _ticks(plan.debounce_s),
+        _ticks(config.min_gap_s),
+        _ticks(config.trigger_us * 1e-6),
+    )
+    return Program(Timing(*(min(v, _MOST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values))), steps, lights)
+
+
+def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None) -> Step:
+    """A light within the limits of the firmware; with a period, also within the share of time that LEDs may be on."""
+    if name not in config.lights:
+        raise InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
+    light = config.lights[name]
+    key = f"controller.lights.{name}"
+    if beyond := [c for c in light.channels if c >= ident.channels]:
+        limit = f"below {ident.channels}, the number of LED channels"
+        raise InputError.field(_WHERE, f"{key}.channels", beyond[0], limit)
+    longest = _longest(ident)
+    channel = min(light.channels, key=lambda c: longest[c])
+    limits = {longest[channel]: f"the longest pulse of channel {channel} in its firmware"}
+    if period_s is not None:
+        share = 1 << ident.led_duty_shift
+        limits[_ticks(period_s) >> ident.led_duty_shift] = f"1/{share} of the period of {period_s} s"
+    width, most = _ticks(light.on_us * 1e-6), min(limits)
+    if not ident.led_shortest <= width <= most:
+        why = limits[most] if width > most else "the shortest pulse of its firmware"
+        low, high = ident.led_shortest * TICK_S * 1e6, most * TICK_S * 1e6
+        raise InputError.field(_WHERE, f"{key}.on_us", light.on_us, f"{low:g} … {high:g} ({why})")
+    return Step(sum({1 << c for c in light.channels}), width)
+
+
+def explain(nak: Nak, program: Program) -> InputError | None:
+    """A refused COMMIT in the words of `station.toml`; None for a refusal that none of its values caused."""
+    if nak.request != Type.COMMIT:
+        return None
+    if nak.reason == Reason.RANGE and nak.field in _FIELDS:
+        where, key, unit = _FIELDS[nak.field]
+        sent = astuple(program.timing)[nak.field]
+        bound = "at least" if sent < nak.limit else "at most"
+        return InputError.field(
+            where, key, round(sent * unit, 7), f"{bound} {nak.limit * unit:g}, a limit of the controller's firmware"
+        )
+    if nak.reason == Reason.LED_LIMIT and nak.field >= _FIRST_STEP and program.lights:
+        name = program.light(nak.field - _FIRST_STEP)
+        limit = f"{nak.limit * TICK_S * 1e6:g} µs at most, a limit of the controller's firmware"
+        return InputError.field(_WHERE, f"controller.lights.{name}", "too much for its LEDs", limit)
+    return None
+
+
+def _longest(ident: Ident) -> Sequence[int]:
+    return (ident.led_longest_0, ident.led_longest_1, ident.led_longest_2, ident.led_longest_3)
+
+
+def _ticks(time_s: float) -> int:
+    return min(round(time_s / TICK_S), 0xFFFFFFFF)

@@ -1,0 +1,145 @@
+"""Events of the firmware → events of the controller's interface, numbered by the host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+
+from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    BarrierBounce,
+    BarrierClear,
+    ControllerEvent,
+    PulseFired,
+    PulseSkipped,
+    RunEnded,
+)
+from vaoi_station.acquisition.controller.protocol.messages import (
+    ROW_NONE,
+    TICK_S,
+    Event,
+    Fault,
+    Kind,
+    RunEnd,
+    Suppressed,
+)
+from vaoi_station.errors import DeviceError
+
+_ENDS: dict[int, str] = {
+    RunEnd.CLEAR: "clear",
+    RunEnd.MAX_ROWS: "max-rows",
+    RunEnd.DISARMED: "disarmed",
+    RunEnd.SAFE: "the controller went into its safe state",
+}
+_SKIPPED: dict[int, str] = {
+    Suppressed.LATE: "the controller did not fire it: it could not be prepared in time",
+    Suppressed.LED_BUDGET: "the controller did not fire it: the LEDs had not cooled down",
+    Suppressed.TOO_FAST: "the controller did not fire it: the board was faster than the cameras can follow",
+}
+_FAULTS: dict[int, tuple[str, str]] = {
+    Fault.HEARTBEAT: (
+        "The controller had not heard of this computer for too long and has put everything out; "
+        "boards that passed meanwhile were not filmed.",
+        "Nothing, if this computer or the cable had been stopped; it goes on by itself.",
+    ),
+    Fault.COMMANDED: ("The controller was told to put everything out.", "Arm again."),
+    Fault.GUARD: (
+        "The controller's guard had to put out an LED that was on for too long.",
+        "Check the LED drivers and their wiring, then arm again.",
+    ),
+}
+
+
+class Teller:
+    """Knows whether a run is under way, and which rows it has had."""
+
+    def __init__(self) -> None:
+        self._put: Callable[[ControllerEvent | DeviceFault], None] | None = None
+        self._numbers = count()
+        self._light: Callable[[int], str] = lambda _row: ""
+        self._single_light = ""
+        self._running = False
+        self._rows = 0
+        self._time_s = 0.0
+
+    @property
+    def running(self) -> bool:
+        """Whether a run has begun and not ended."""
+        return self._running
+
+    def start(self, put: Callable[[ControllerEvent | DeviceFault], None]) -> None:
+        """Events before this were history."""
+        self._put = put
+
+    def name_lights(self, light: Callable[[int], str], single: str) -> None:
+        """What rows and single pulses are lit by, from now on."""
+        self._light, self._single_light = light, single
+
+    def tell(self, event: Event, time_s: float) -> None:
+        """The next event of the firmware."""
+        if event.kind == Kind.BOOT:
+            return
+        self._time_s = time_s
+        if event.kind == Kind.BARRIER:
+            self._barrier(event, time_s)
+        elif event.kind == Kind.PULSE:
+            self._pulse(event, time_s)
+        elif event.kind == Kind.SUPPRESSED:
+            self._suppressed(event, time_s)
+        elif event.kind == Kind.RUN_END and self._running:
+            self._end(time_s, event.index + event.value, _ENDS.get(event.detail, "the controller ended it"))
+        elif event.kind == Kind.FAULT and event.detail in _FAULTS:
+            message, action = _FAULTS[event.detail]
+            self.complain(DeviceError(message, action=action, code="controller-safe"))
+
+    def end(self, reason: str) -> bool:
+        """Nothing more will be heard of the run under way; False if there is none."""
+        if not self._running:
+            return False
+        self._end(self._time_s, self._rows, reason)
+        return True
+
+    def complain(self, error: DeviceError) -> None:
+        """The controller is in trouble."""
+        if self._put is not None:
+            self._put(DeviceFault("controller", error))
+
+    def _barrier(self, event: Event, time_s: float) -> None:
+        if event.detail:
+            self.end("the controller's report of its end was lost")
+            self._running, self._rows = True, 0
+            self._tell(BarrierBlocked(next(self._numbers), time_s))
+        elif self._running:
+            self._tell(BarrierClear(next(self._numbers), time_s))
+
+    def _pulse(self, event: Event, time_s: float) -> None:
+        if event.index == ROW_NONE:
+            self._tell(PulseFired(next(self._numbers), time_s, 0, self._single_light))
+            self._tell(RunEnded(next(self._numbers), time_s, 1, "single"))
+            return
+        self._running, self._rows = True, event.index + 1
+        self._tell(PulseFired(next(self._numbers), time_s, event.index, self._light(event.index)))
+
+    def _suppressed(self, event: Event, time_s: float) -> None:
+        if event.detail == Suppressed.BOUNCE:
+            self._tell(BarrierBounce(next(self._numbers), time_s, event.value * TICK_S))
+        elif event.detail == Suppressed.GAP:
+            self.complain(
+                DeviceError(
+                    f"A board came {event.value * TICK_S:.3f} s after the one before had left, and was not filmed.",
+                    action="Keep boards apart, or lower min_gap_s under [controller] in station.toml.",
+                    code="board-too-soon",
+                )
+            )
+        elif event.detail in _SKIPPED:
+            self._rows = event.index + 1
+            self._tell(PulseSkipped(next(self._numbers), time_s, event.index, _SKIPPED[event.detail]))
+
+    def _end(self, time_s: float, rows: int, reason: str) -> None:
+        self._running = False
+        self._tell(RunEnded(next(self._numbers), time_s, rows, reason))
+
+    def _tell(self, event: ControllerEvent) -> None:
+        if self._put is not None:
+            self._put(event)
