@@ -16,6 +16,7 @@ from typing import TypeVar
 import pytest
 
 from tests.hw.paced import HZ, PATIENCE_S, PacedChip
+from vaoi_station.acquisition.backends import open_devices
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
@@ -29,7 +30,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.controller.serial import SerialController
-from vaoi_station.config import ControllerConfig, LightConfig
+from vaoi_station.config import ControllerConfig, LightConfig, Line, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 
 PLAN = TriggerPlan(start_delay_s=0.03, period_s=0.02, tail_s=0.03, max_rows=20, debounce_s=0.005)
@@ -308,6 +309,32 @@ def test_another_process_with_the_same_port_is_told_so(host: Host) -> None:
     assert refused.value.code == "port-in-use"
     host.controller.arm(PLAN)
     assert len(host.run()) == 6
+
+
+def test_cameras_that_are_absent_leave_the_port_free(paced: PacedChip) -> None:
+    """Whether or not Aravis is installed."""
+    config = StationConfig.model_validate(
+        {
+            "calibration": "calibration.json",
+            "board_types": "types",
+            "data": "data",
+            "line": Line(
+                conveyor_mm_s=(0.0, 100.0), barrier_mm=0.0, start_delay_s=0.1, trigger_period_s=0.1, tail_s=0.1,
+                longest_board_mm=100.0,
+            ),
+            "cameras": [
+                {
+                    "name": "left", "backend": "aravis", "address": "127.0.0.99", "width": 64, "height": 64,
+                    "exposure_us": 100.0,
+                }
+            ],
+            "controller": {"backend": "serial", "port": str(paced.link)},
+        }
+    )  # fmt: skip
+    with pytest.raises(DeviceError) as refused:
+        open_devices(config)
+    assert refused.value.action
+    SerialController(ControllerConfig(backend="serial", port=str(paced.link))).close()
 
 
 def test_what_a_process_before_left_is_history(paced: PacedChip) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.errors import InputError
 
 
 def open_devices(config: StationConfig) -> Devices:
@@ -21,12 +21,16 @@ def open_devices(config: StationConfig) -> Devices:
 
 
 def _open_hardware(config: StationConfig) -> Devices:
-    """Real cameras and a real controller."""
-    raise DeviceError(
-        f"the controller at {config.controller.port} and {len(config.cameras)} cameras were found in station.toml, "
-        "but this version opens no real devices.",
-        action="Use the backends simulated or replay.",
-    )
+    """Real cameras and a real controller; it says at once what is wrong, and so comes first."""
+    from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
+    from vaoi_station.acquisition.controller.serial import open_serial_controller
+
+    controller = open_serial_controller(config)
+    try:
+        return Devices(open_aravis_cameras(config), controller)
+    except BaseException:  # whatever ended it, give the port back; it is raised again
+        controller.close()
+        raise
 
 
 def check_backends(config: StationConfig) -> None:

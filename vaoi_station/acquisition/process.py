@@ -143,10 +143,8 @@ class _Loop:
             self._session.back(item)
         elif isinstance(item, DeviceFault):
             self._send(trouble(item.error, item.device))
-        elif isinstance(item, ClockReading):
-            self._clocks[0].add(item)
-        elif isinstance(item, tuple):
-            clock, reading = item
+        elif isinstance(item, tuple | ClockReading):
+            clock, reading = (self._clocks[0], item) if isinstance(item, ClockReading) else item
             clock.add(reading)
         else:
             raise InternalError(f"the acquisition process was told {item!r}, which it does not know.")
