@@ -345,10 +345,9 @@ def test_what_a_process_before_left_is_history(paced: PacedChip) -> None:
     paced.do("pin PB0 1")
     first.next(PulseFired)
     first.controller._closing.set()  # it is gone without a word to the controller
-    first.controller._wake()
     assert first.controller._thread is not None
     first.controller._thread.join()
-    first.controller._hang_up()
+    first.controller._release()
     second = Host(paced)
     try:
         paced.do("pin PB0 0")

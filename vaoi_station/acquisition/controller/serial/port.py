@@ -17,25 +17,47 @@ WRITE_S = 1.0
 _CONTROL_FLAGS = 2
 
 
+class Alarm:
+    """Ends the `read` of whichever port is open, or the next one."""
+
+    def __init__(self) -> None:
+        self.handle, self._bell = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def ring(self) -> None:
+        """From any thread."""
+        with contextlib.suppress(BlockingIOError):  # it rings already
+            os.write(self._bell, b"\0")
+
+    def stop(self) -> None:
+        """It has been heard."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self.handle, 4096)
+
+    def close(self) -> None:
+        """Nobody rings any more."""
+        os.close(self.handle)
+        os.close(self._bell)
+
+
 class Port:
     """Open from the start; OSError from any method means that the device is gone."""
 
-    def __init__(self, name: str, baud: int) -> None:
+    def __init__(self, name: str, baud: int, alarm: Alarm) -> None:
         """DeviceError says why it cannot be opened, and what to do."""
         try:
             self._serial = serial.Serial(name, baud, exclusive=True)
             _keep_dtr(self._serial.fileno())
         except (OSError, ValueError, termios.error) as error:
             raise _refusal(name, error) from error
-        self._woken, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._alarm = alarm
         self.received = 0
         """Bytes so far."""
 
     def read(self, wait_s: float) -> bytes:
-        """What has come; nothing after `wait_s`, or when somebody calls `wake`."""
-        ready, _, _ = select.select([self._serial.fileno(), self._woken], [], [], wait_s)
-        if self._woken in ready:
-            os.read(self._woken, 4096)
+        """What has come; nothing after `wait_s`, or when the alarm rings."""
+        ready, _, _ = select.select([self._serial.fileno(), self._alarm.handle], [], [], wait_s)
+        if self._alarm.handle in ready:
+            self._alarm.stop()
         if self._serial.fileno() not in ready:
             return b""
         data = os.read(self._serial.fileno(), 4096)
@@ -55,15 +77,8 @@ class Port:
                 raise OSError(errno.ETIMEDOUT, "the device takes no bytes")
             data = data[os.write(self._serial.fileno(), data) :]
 
-    def wake(self) -> None:
-        """End a `read` that waits, or the next one; from any thread."""
-        with contextlib.suppress(OSError):  # full: it wakes anyway; closed: nobody sleeps
-            os.write(self._waker, b"\0")
-
     def close(self) -> None:
         """Give the port back."""
-        for handle in (self._woken, self._waker):
-            os.close(handle)
         with contextlib.suppress(OSError, termios.error):  # it may be gone already
             self._serial.close()
 
