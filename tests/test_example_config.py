@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from pydantic import BaseModel
 
 from vaoi_station.acquisition.backends import check_backends
+from vaoi_station.acquisition.ring_layout import RingLayout
 from vaoi_station.config import StationConfig, read_config
+from vaoi_station.optics import make_plan
+from vaoi_station.optics.paper import PAPER
 from vaoi_station.simulation import scenario_path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,6 +22,27 @@ def test_the_example_is_a_station_of_the_shipped_scenario() -> None:
     assert config.simulation is not None
     shipped = config.simulation.model_copy(update={"scenario": scenario_path("demo")})
     check_backends(config.model_copy(update={"simulation": shipped}))
+
+
+def test_the_papers_array_is_the_one_that_is_planned() -> None:
+    """Pitch, view, rate and memory of deploy/station-paper.toml are those of `vaoi plan --example paper`."""
+    config = read_config(ROOT / "deploy" / "station-paper.toml")
+    plan = make_plan(PAPER)
+    assert len(config.cameras) == plan.array.cameras
+    centers = [camera.nominal_center_mm or (0.0, 0.0) for camera in config.cameras]
+    assert [x for x, _ in centers] == pytest.approx([k * plan.array.camera_pitch_mm for k in range(12)], abs=0.05)
+    assert {(c.width, c.height, c.nominal_px_per_mm) for c in config.cameras} == {
+        (PAPER.sensor_px_h, PAPER.sensor_px_v, PAPER.resolution_px_per_mm)
+    }
+    lowest_hz = PAPER.speed_mm_s * PAPER.resolution_px_per_mm * PAPER.multiplicity_v / PAPER.sensor_px_v
+    assert 1 / config.line.trigger_period_s == pytest.approx(lowest_hz, rel=1e-3)
+    light = config.controller.lights["bars"]
+    assert light.on_us == plan.motion.exposure_us
+    assert all(camera.exposure_us > light.on_us for camera in config.cameras)
+    half_view_mm = plan.array.field_height_mm / 2
+    assert -half_view_mm < config.line.barrier_mm + config.line.start_delay_s * PAPER.speed_mm_s < 0
+    assert config.line.barrier_mm + config.line.tail_s * PAPER.speed_mm_s > half_view_mm
+    assert f"{RingLayout.of(config).file_bytes / 1e9:.1f} GB" in (ROOT / "deploy" / "station-paper.toml").read_text()
 
 
 def keys_of(model: type[BaseModel]) -> set[str]:

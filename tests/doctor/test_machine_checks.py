@@ -13,9 +13,10 @@ from typing import Any
 import pytest
 
 from tests.doctor.conftest import is_bad, nobody, only
+from vaoi_station.acquisition.cameras.aravis import library
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import ApiConfig, CameraConfig, StationConfig
-from vaoi_station.doctor import cameras, controller, network, running, software, timekeeping
+from vaoi_station.doctor import aravis, cameras, controller, network, running, software, timekeeping, usb
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.doctor.patient import Patient, Running
@@ -75,9 +76,9 @@ def real(config: StationConfig) -> StationConfig:
     """With cameras of which only the configuration is real."""
     cameras = [
         CameraConfig.model_validate(
-            camera.model_dump() | {"backend": "aravis", "width": 1392, "height": 1040}
+            camera.model_dump() | {"backend": "aravis", "address": f"10.0.0.{k}", "width": 1392, "height": 1040}
         )
-        for camera in config.cameras
+        for k, camera in enumerate(config.cameras)
     ]  # fmt: skip
     return config.model_copy(update={"cameras": tuple(cameras)})
 
@@ -92,6 +93,58 @@ def test_socket_buffers(config: StationConfig, tmp_path: Path, granted: str, lev
     if level is Level.WARNING:
         assert finding.figures == {"rmem_max_bytes": 212992, "needed_bytes": 10 * 1392 * 1040}
         assert "net.core.rmem_max=16777216" in finding.action
+
+
+# ── cameras' library and USB ──
+
+
+def by_serial(config: StationConfig) -> StationConfig:
+    cameras = [
+        camera.model_copy(update={"backend": "aravis", "serial": f"S{k}"}) for k, camera in enumerate(config.cameras)
+    ]
+    return config.model_copy(update={"cameras": tuple(cameras)})
+
+
+def test_without_pygobject(config: StationConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gi", None)
+    library.aravis.cache_clear()
+    try:
+        finding = only(aravis.aravis(Patient(real(config), Machine(), None)))
+    finally:
+        library.aravis.cache_clear()
+    is_bad(finding, Level.FAULT, "cannot be used from Python")
+    assert "apt install" in finding.action
+
+
+@pytest.mark.parametrize(
+    ("version", "perhaps_usb", "level"),
+    [((0, 8, 26), 0, Level.OK), ((0, 8, 26), 1, Level.WARNING), ((0, 8, 30), 1, Level.OK), ((0, 9, 1), 2, Level.OK)],
+)
+def test_versions_of_aravis(version: tuple[int, int, int], perhaps_usb: int, level: Level) -> None:
+    finding = aravis.judge_version(version, "3.42.2", perhaps_usb)
+    assert finding.level is level
+    if level is Level.WARNING:
+        is_bad(finding, level, "unreliable with USB3")
+
+
+@pytest.mark.parametrize(
+    ("granted", "level"),
+    [("15", Level.FAULT), ("16", Level.OK), ("0", Level.OK), (None, Level.NOT_APPLICABLE)],
+)
+def test_usb_memory(config: StationConfig, tmp_path: Path, granted: str | None, level: Level) -> None:
+    """Two cameras, 8 MB each; 0 stands for no limit."""
+    if granted is not None:
+        parameter = tmp_path / usb.PARAMETER
+        parameter.parent.mkdir(parents=True)
+        parameter.write_text(granted + "\n")
+    finding = only(usb.memory(Patient(by_serial(config), Machine(tmp_path), None)))
+    assert finding.level is level
+    if level is Level.FAULT:
+        is_bad(finding, level, "usbfs_memory_mb is 15, 2 cameras on USB need 16")
+
+
+def test_cameras_with_addresses_need_no_usb(config: StationConfig) -> None:
+    assert only(usb.memory(Patient(real(config), Machine(), None))).level is Level.NOT_APPLICABLE
 
 
 # ── a station that runs ──

@@ -11,7 +11,19 @@ from typing import TypeVar
 
 from vaoi_station import __version__
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.doctor import cameras, controller, documents, memory, network, running, software, storage, timekeeping
+from vaoi_station.doctor import (
+    aravis,
+    cameras,
+    controller,
+    documents,
+    memory,
+    network,
+    running,
+    software,
+    storage,
+    timekeeping,
+    usb,
+)
 from vaoi_station.doctor.finding import Finding, Report, fault, not_applicable, ok
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.doctor.patient import Patient
@@ -34,7 +46,9 @@ CHECKS: tuple[tuple[str, Callable[[Patient], Iterable[Finding]]], ...] = (
     ("disk", storage.data),
     ("shared memory", memory.ring_space),
     ("memory lock", memory.lock_limit),
+    ("aravis", aravis.aravis),
     ("socket buffers", network.socket_buffers),
+    ("USB memory", usb.memory),
     ("cameras", cameras.cameras),
     ("controller", controller.controller),
 )

@@ -5,18 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.acquisition.cameras.aravis.opening import socket_bytes
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import shown_bytes
 from vaoi_station.doctor.patient import Patient
-
-STALL_S = 1.0
-"""The kernel shall hold what a camera sends while the station does not get to run for so long."""
-
-
-def stall_bytes(config: StationConfig, camera: CameraConfig) -> int:
-    """What a camera sends in that time, two frames at least."""
-    return max(2, math.ceil(STALL_S / config.line.trigger_period_s)) * camera.frame_bytes
 
 
 def socket_buffers(patient: Patient) -> Iterator[Finding]:
@@ -26,7 +18,7 @@ def socket_buffers(patient: Patient) -> Iterator[Finding]:
         return
     yield judge_buffers(
         patient.machine.sysctl("net.core.rmem_max"),
-        max(stall_bytes(patient.config, camera) for camera in patient.real_cameras),
+        max(socket_bytes(camera, patient.config.line.trigger_period_s) for camera in patient.real_cameras),
     )
 
 

@@ -47,6 +47,11 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
     return tuple(cameras)
 
 
+def socket_bytes(camera: CameraConfig, period_s: float) -> int:
+    """What the kernel shall hold of a camera's packets: all of `STALL_S`, two frames at least."""
+    return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
+
+
 def _places(cameras: Sequence[CameraConfig]) -> list[str]:
     """Addresses or device ids, in the order of the cameras; one search for all serial numbers."""
     found = search() if any(camera.serial for camera in cameras) else ()
@@ -80,9 +85,8 @@ def _shares(config: StationConfig, connections: Sequence[Connection]) -> list[Sh
     shares = []
     for connection in connections:
         camera, port = connection.config, connection.identity.interface
-        stall_frames = max(2, math.ceil(STALL_S / config.line.trigger_period_s))
         link_mbit_s = camera.link_mbit_s or (network.link_mbit_s(port) if port else None)
-        shares.append(Share(on_port[port], link_mbit_s, stall_frames * camera.frame_bytes))
+        shares.append(Share(on_port[port], link_mbit_s, socket_bytes(camera, config.line.trigger_period_s)))
     return shares
 
 
