@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import signal
 import threading
@@ -19,7 +20,7 @@ from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.model import BoardType, Calibration
 from vaoi_station.rendering import views_of
 from vaoi_station.runs import workers as module
-from vaoi_station.runs.jobs import Answer, Job, LinkJob, OpenRun, RenderJob, RunContext
+from vaoi_station.runs.jobs import Answer, ConcludeJob, Job, LinkJob, OpenRun, RenderJob, RunContext
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.workers import WorkerPool
 from vaoi_station.stitching.evidence import Links, Task
@@ -206,6 +207,53 @@ def test_an_idle_worker_gives_signs_of_life_and_one_that_hangs_is_replaced(
     assert any("Worker 1 ended with code -9" in sentence for sentence in plant.lost)
     plant.all_idle()
     assert plant.pid(1) != victim
+
+
+def conclusion(plant: Plant, head: Any, jobs: list[LinkJob], answers: list[Answer]) -> ConcludeJob:
+    slots = {(camera, row): plant.ring.slot(0, camera, row) for camera in range(2) for row in range(3)}
+    linked = {job.tasks[0]: answer.value[0] for job, answer in zip(jobs, answers, strict=True)}
+    return ConcludeJob(plant.context, head, slots, linked)
+
+
+def numbers(answer: Answer) -> Any:
+    """What was concluded, but for the time it took."""
+    assert answer.error is None, answer.error
+    document = json.loads(answer.value.document)
+    del document["quality"]["timings_ms"]
+    return document
+
+
+def test_the_worker_that_concludes_has_gathered_what_others_found(plant: Plant, make_head: Any) -> None:
+    plant.all_idle()
+    jobs = [plant.link(camera, row) for row in range(2) for camera in (0, 1)]
+    answers = [plant.submit(job).get() for job in jobs]
+    tasks = {job.tasks[0] for job in jobs}
+    plant.until(lambda: plant.pool._workers[1].evidence.get("r1") == tasks)
+    plant.all_idle()
+    job = conclusion(plant, make_head(3), jobs, answers)
+    assert job.without(plant.pool._workers[1].evidence["r1"]).linked == {}
+    gathered = numbers(plant.submit(job).get())
+    assert len(gathered["quality"]["unlinked"]) == 4, "one picture everywhere: nothing moves, but each was looked at"
+    os.kill(plant.pid(1), signal.SIGKILL)
+    plant.until(lambda: len(plant.lost) == 1)
+    plant.all_idle()
+    assert not plant.pool._workers[1].evidence, "what it had has gone with it"
+    assert numbers(plant.submit(job).get()) == gathered
+    plant.pool.close_run("r1")
+    assert not any(worker.evidence for worker in plant.pool._workers)
+
+
+def test_a_conclusion_whose_worker_is_away_is_made_by_another(plant: Plant, make_head: Any) -> None:
+    plant.all_idle()
+    jobs = [plant.link(camera) for camera in (0, 1)]
+    answers = [plant.submit(job).get() for job in jobs]
+    plant.all_idle()
+    os.kill(plant.pid(1), signal.SIGSTOP)
+    job = conclusion(plant, make_head(3), jobs, answers)
+    pending = plant.submit(job)
+    assert "the conclusion of run r1" in plant.pool.status()[1].doing
+    os.kill(plant.pid(1), signal.SIGKILL)
+    assert numbers(pending.get()) == numbers(plant.submit(job).get())
 
 
 def test_pixels_of_a_later_board_are_not_mistaken_for_this_ones(

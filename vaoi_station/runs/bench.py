@@ -28,6 +28,7 @@ from vaoi_station.runs.jobs import (
     CloseRun,
     Concluded,
     ConcludeJob,
+    GatherJob,
     Hello,
     Job,
     Linked,
@@ -37,7 +38,7 @@ from vaoi_station.runs.jobs import (
     RenderJob,
 )
 from vaoi_station.runs.shapes import ImageFormat
-from vaoi_station.stitching.evidence import FrameKey, Task
+from vaoi_station.stitching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.work import Desk
 
 T = TypeVar("T")
@@ -49,6 +50,8 @@ _log = logging.getLogger(__name__)
 class _OpenedRun:
     desk: Desk
     slots: dict[FrameKey, int] = field(default_factory=dict)
+    evidence: dict[Task, Evidence] = field(default_factory=dict)
+    """What was found here, and what was gathered from other workers."""
 
 
 class Bench:
@@ -119,6 +122,8 @@ class Bench:
         match job:
             case LinkJob():
                 return self._link(job)
+            case GatherJob():
+                return self._gather(job)
             case ConcludeJob():
                 return self._conclude(job)
             case RenderJob():
@@ -131,19 +136,23 @@ class Bench:
     def _link(self, job: LinkJob) -> tuple[Linked, ...]:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
-        return self._guarded(
-            job.context.bay, job.context.generation, lambda: tuple(_timed(opened.desk, task) for task in job.tasks)
+        found = self._guarded(
+            job.context.bay, job.context.generation, lambda: [_timed(opened.desk, task) for task in job.tasks]
         )
+        opened.evidence.update((task, evidence) for task, (evidence, _) in zip(job.tasks, found, strict=True))
+        return tuple(Linked.of(evidence, worker_s) for evidence, worker_s in found)
+
+    def _gather(self, job: GatherJob | ConcludeJob) -> None:
+        self._runs[job.run].evidence.update((task, linked.evidence) for task, linked in job.linked.items())
 
     def _conclude(self, job: ConcludeJob) -> Concluded:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
+        self._gather(job)
         stitch = self._guarded(
             job.context.bay,
             job.context.generation,
-            lambda: opened.desk.conclude(
-                job.head.row_times_s(), tuple(job.slots), [linked.evidence for linked in job.linked]
-            ),
+            lambda: opened.desk.conclude(job.head.row_times_s(), tuple(job.slots), opened.evidence.values()),
         )
         return Concluded(stitch, stitch_text(stitch))
 
@@ -160,10 +169,9 @@ class Bench:
         return seen
 
 
-def _timed(desk: Desk, task: Task) -> Linked:
+def _timed(desk: Desk, task: Task) -> tuple[Evidence, float]:
     began_s = time.monotonic()
-    evidence = desk.perform(task)
-    return Linked.of(evidence, time.monotonic() - began_s)
+    return desk.perform(task), time.monotonic() - began_s
 
 
 def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,9 @@ class Priority(IntEnum):
 
     CONCLUDE = 0
     LINK = 1
-    RENDER = 2
-    CHECK = 3
+    GATHER = 2
+    RENDER = 3
+    CHECK = 4
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,25 @@ class LinkJob:
 
 
 @dataclass(frozen=True)
+class GatherJob:
+    """Evidence that another worker found, for the one that will conclude the run: it is there before it is needed."""
+
+    context: RunContext
+    linked: Mapping[Task, Linked]
+
+    priority = Priority.GATHER
+    affinity: int | None = None
+
+    @property
+    def run(self) -> str:
+        """The run it belongs to."""
+        return self.context.run
+
+    def __str__(self) -> str:
+        return f"the gathering of evidence of run {self.run}"
+
+
+@dataclass(frozen=True)
 class ConcludeJob:
     """All evidence of a run to one result; frames are needed for a second look at fiducials."""
 
@@ -73,7 +93,8 @@ class ConcludeJob:
     head: RecordingHead
     slots: Mapping[FrameKey, int]
     """The good frames."""
-    linked: tuple[Linked, ...]
+    linked: Mapping[Task, Linked]
+    """All evidence; what the worker has already need not be sent to it."""
 
     priority = Priority.CONCLUDE
     affinity: int | None = None
@@ -82,6 +103,10 @@ class ConcludeJob:
     def run(self) -> str:
         """The run it belongs to."""
         return self.context.run
+
+    def without(self, there: Collection[Task]) -> ConcludeJob:
+        """For a worker that has the evidence of some tasks."""
+        return replace(self, linked={task: linked for task, linked in self.linked.items() if task not in there})
 
     def __str__(self) -> str:
         return f"the conclusion of run {self.run}"
@@ -125,7 +150,7 @@ class CheckJob:
         return f"the check of the cameras by run {self.run}"
 
 
-Job = LinkJob | ConcludeJob | RenderJob | CheckJob
+Job = LinkJob | GatherJob | ConcludeJob | RenderJob | CheckJob
 
 
 @dataclass(frozen=True)

@@ -144,9 +144,9 @@ class Progress:
         return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical)
 
     @property
-    def canonical(self) -> tuple[Linked, ...]:
+    def canonical(self) -> dict[Task, Linked]:
         """What the canonical tasks gave, in their order."""
-        return tuple(self.linked[task] for task in self.needed if task in self.linked)
+        return {task: self.linked[task] for task in self.needed if task in self.linked}
 
     def concluded(self, answer: Answer, now_s: float) -> None:
         """The result is there, or cannot be had."""

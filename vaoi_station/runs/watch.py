@@ -58,7 +58,7 @@ class CalibrationWatch:
         stitch, film = progress.stitch, progress.film
         if stitch is None or film is None or len(self._names) < 2:
             return
-        evidence = tuple(thinned(linked.evidence) for linked in progress.canonical)
+        evidence = tuple(thinned(linked.evidence) for linked in progress.canonical.values())
         job = CheckJob(
             run=progress.run,
             time=utc(),

@@ -13,16 +13,26 @@ import logging
 import multiprocessing
 import threading
 import time
-from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InternalError, StateError
-from vaoi_station.runs.jobs import Answer, CloseRun, ConcludeJob, Hello, Job, LinkJob, OpenRun, Ping, Priority
+from vaoi_station.runs.jobs import (
+    Answer,
+    CloseRun,
+    ConcludeJob,
+    GatherJob,
+    Hello,
+    Job,
+    LinkJob,
+    OpenRun,
+    Ping,
+    Priority,
+)
+from vaoi_station.runs.queues import Done, Queued, Queues, Worker
 from vaoi_station.runs.shapes import ProcessStatus
 from vaoi_station.runs.worker_process import work
 
@@ -39,42 +49,6 @@ LIVES = 2
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Before a worker that died while it was starting is started again."""
 
-Done = Callable[[Answer], None]
-
-
-@dataclass(eq=False)
-class _Queued:
-    job: Job
-    done: Done
-    deaths: int = 0
-
-
-@dataclass
-class _Worker:
-    index: int
-    process: BaseProcess | None = None
-    connection: Connection[Any, Any] | None = None
-    ready: bool = False
-    jobs: deque[_Queued] = field(default_factory=deque)
-    """In its hands: what it does, and perhaps what it does next."""
-    since_s: float = 0.0
-    opened: set[str] = field(default_factory=set)
-    restarts: int = 0
-    failed_starts: int = 0
-    start_at_s: float = 0.0
-    seen_s: float | None = None
-    asked_s: float | None = None
-    """When it was asked for a sign of life it has not given yet."""
-
-    @property
-    def idle(self) -> bool:
-        return self.ready and not self.jobs
-
-    @property
-    def job(self) -> _Queued | None:
-        """What it does."""
-        return self.jobs[0] if self.jobs else None
-
 
 class WorkerPool:
     """The workers; `submit` from any thread, answers come in the pool's own thread."""
@@ -83,9 +57,8 @@ class WorkerPool:
         self._ring_path = ring_path
         self._lost: Callable[[str], None] = lambda _: None
         self._spawn = multiprocessing.get_context("spawn")
-        self._workers = [_Worker(k) for k in range(count)]
-        self._runs: dict[str, OpenRun] = {}
-        self._queues: dict[Priority, deque[_Queued]] = {p: deque() for p in Priority}
+        self._workers = [Worker(k) for k in range(count)]
+        self._queues = Queues(self._workers)
         self._lock = threading.RLock()
         self._all_ready = threading.Condition(self._lock)
         self._wake_here, self._wake_there = multiprocessing.Pipe(duplex=False)
@@ -107,7 +80,7 @@ class WorkerPool:
         """Have a job done; `done` is called once, with a value or a reason."""
         with self._lock:
             if not self._stopping:
-                self._queues[job.priority].append(_Queued(job, done))
+                self._queues.add(Queued(job, done))
                 self._dispatch()
                 return
         done(_refused(StateError("The station is stopping; its workers take no more jobs.")))
@@ -115,15 +88,14 @@ class WorkerPool:
     def open_run(self, opening: OpenRun) -> None:
         """Jobs of a run are about to come."""
         with self._lock:
-            self._runs[opening.context.run] = opening
+            self._queues.runs[opening.context.run] = opening
 
     def close_run(self, run: str) -> None:
         """Nothing more of a run will be asked for: links that still wait are dropped, workers forget it."""
         with self._lock:
-            self._runs.pop(run, None)
-            links = self._queues[Priority.LINK]
-            self._queues[Priority.LINK] = deque(q for q in links if q.job.run != run)
+            self._queues.forget(run)
             for worker in self._workers:
+                worker.evidence.pop(run, None)
                 if run in worker.opened and worker.connection is not None:
                     worker.opened.discard(run)
                     _send(worker.connection, CloseRun(run))
@@ -174,7 +146,7 @@ class WorkerPool:
             for worker in self._workers:
                 if worker.process is None and worker.start_at_s <= now:
                     self._begin(worker)
-            sources: dict[Any, _Worker] = {}
+            sources: dict[Any, Worker] = {}
             for worker in self._workers:
                 if worker.process is not None:
                     sources[worker.connection] = sources[worker.process.sentinel] = worker
@@ -186,7 +158,7 @@ class WorkerPool:
             for worker in {w.index: w for w in sources.values()}.values():
                 self._look_after(worker)
 
-    def _begin(self, worker: _Worker) -> None:
+    def _begin(self, worker: Worker) -> None:
         here, there = self._spawn.Pipe()
         process = self._spawn.Process(
             target=work, args=(there, str(self._ring_path)), name=f"vaoi-worker-{worker.index}", daemon=True
@@ -196,7 +168,7 @@ class WorkerPool:
         with self._lock:
             worker.process, worker.connection, worker.since_s = process, here, time.monotonic()
 
-    def _listen(self, worker: _Worker) -> None:
+    def _listen(self, worker: Worker) -> None:
         """Take one message of a worker; an end of its pipe is left to its sentinel."""
         assert worker.connection is not None
         try:
@@ -209,6 +181,7 @@ class WorkerPool:
         with self._lock:
             if isinstance(message, Answer) and worker.jobs:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
+                self._queues.pass_on(worker, queued.job, message)
             if isinstance(message, Hello):
                 worker.ready, worker.failed_starts = True, 0
                 self._all_ready.notify_all()
@@ -216,7 +189,7 @@ class WorkerPool:
         if isinstance(message, Answer) and queued is not None:
             queued.done(message)
 
-    def _look_after(self, worker: _Worker) -> None:
+    def _look_after(self, worker: Worker) -> None:
         """Notice that a worker has died, and kill one that hangs."""
         if worker.process is None:
             return
@@ -230,7 +203,7 @@ class WorkerPool:
                 break
         self._bury(worker)
 
-    def _feel_pulse(self, worker: _Worker) -> None:
+    def _feel_pulse(self, worker: Worker) -> None:
         """Ask an idle worker for a sign of life; kill one that hangs."""
         now = time.monotonic()
         busy = worker.job is not None or not worker.ready
@@ -244,18 +217,19 @@ class WorkerPool:
             with self._lock:
                 _send(worker.connection, Ping())
 
-    def _bury(self, worker: _Worker) -> None:
+    def _bury(self, worker: Worker) -> None:
         assert worker.process is not None
         process, code = worker.process, worker.process.exitcode
         with self._lock:
             queued, was_ready = worker.job, worker.ready
             for waiting in reversed([*worker.jobs][1:]):
-                self._queues[waiting.job.priority].appendleft(waiting)
+                self._queues.put_back(waiting)
             worker.jobs.clear()
             _end(process, worker.connection)
             worker.process = worker.connection = None
             worker.ready, worker.asked_s = False, None
             worker.opened.clear()
+            worker.evidence.clear()
             worker.restarts += 1
             worker.failed_starts += not was_ready
             worker.start_at_s = time.monotonic() + (0.0 if was_ready else _pause_s(worker.failed_starts))
@@ -270,78 +244,45 @@ class WorkerPool:
             fault = f"{queued.job} took {LIVES} workers with it; the last ended with code {code}."
             queued.done(_refused(InternalError(fault, code="worker-lost")))
 
-    def _again(self, queued: _Queued) -> bool:
+    def _again(self, queued: Queued) -> bool:
         """Put a dead worker's job in front of the queue; True if it has had all its lives."""
         queued.deaths += 1
         if queued.deaths >= LIVES:
             return True
-        self._queues[queued.job.priority].appendleft(queued)
+        self._queues.put_back(queued)
         return False
 
     def _dispatch(self) -> None:
         """Give every idle worker the job that suits it best."""
         for worker in self._workers:
-            if worker.idle and (queued := self._choose(worker)) is not None:
+            if worker.idle and (queued := self._queues.choose(worker)) is not None:
                 self._hand(worker, queued)
-            if worker.ready and len(worker.jobs) == 1 and (queued := self._next_link(worker)) is not None:
+            if worker.ready and len(worker.jobs) == 1 and (queued := self._queues.next_link(worker)) is not None:
                 self._hand(worker, queued)
 
-    def _next_link(self, worker: _Worker) -> _Queued | None:
-        """Links of its own for a worker that does some; none where something more urgent waits for whoever is free.
-
-        Only what fits into the pipe: while a worker works it reads nothing, and were we to wait for it while it sends
-        an answer, neither would go on. So the run must have been opened there.
-        """
-        if worker.jobs[0].job.priority is not Priority.LINK or self._queues[Priority.CONCLUDE]:
-            return None
-        links = self._queues[Priority.LINK]
-        mine = next((q for q in links if self._home(q) == worker.index and q.job.run in worker.opened), None)
-        if mine is not None:
-            links.remove(mine)
-        return mine
-
-    def _choose(self, worker: _Worker) -> _Queued | None:
-        for queue in self._queues.values():
-            homes = [self._home(q) for q in queue]
-            waiting = Counter(homes)
-            mine = next((q for q, home in zip(queue, homes, strict=True) if home in (None, worker.index)), None)
-            chosen = mine or next((q for q, h in zip(queue, homes, strict=True) if self._may_take(h, waiting)), None)
-            if chosen is not None:
-                queue.remove(chosen)
-                return chosen
-        return None
-
-    def _home(self, queued: _Queued) -> int | None:
-        """The worker that has this job's frames prepared: each has a part of the array, side by side.
-
-        Only where two parts meet are frames prepared by both.
-        """
-        job, opening = queued.job, self._runs.get(queued.job.run)
-        if job.affinity is None or opening is None:
-            return None
-        return job.affinity * len(self._workers) // len(opening.setup.cameras)
-
-    def _may_take(self, home: int | None, waiting: Counter[int | None]) -> bool:
-        """Whether another worker than its own should do a job: its own is away, or has more than it can do next."""
-        return home is None or not self._workers[home].ready or waiting[home] > 1
-
-    def _hand(self, worker: _Worker, queued: _Queued) -> None:
+    def _hand(self, worker: Worker, queued: Queued) -> None:
         assert worker.connection is not None
         if not worker.jobs:
             worker.since_s = time.monotonic()
         worker.jobs.append(queued)
-        if isinstance(queued.job, LinkJob | ConcludeJob) and queued.job.run not in worker.opened:
-            worker.opened.add(queued.job.run)
-            _send(worker.connection, self._runs[queued.job.run])
-        _send(worker.connection, queued.job)
+        job = queued.job
+        if isinstance(job, LinkJob | GatherJob | ConcludeJob):
+            if job.run not in worker.opened:
+                worker.opened.add(job.run)
+                _send(worker.connection, self._queues.runs[job.run])
+            there = worker.evidence.setdefault(job.run, set())
+            if isinstance(job, GatherJob):
+                there.update(job.linked)
+            if isinstance(job, ConcludeJob):
+                self._queues.drop(Priority.GATHER, job.run)
+                job = job.without(there)
+        _send(worker.connection, job)
 
-    def _abandoned(self) -> list[_Queued]:
+    def _abandoned(self) -> list[Queued]:
         with self._lock:
-            left = [q for w in self._workers for q in w.jobs] + [q for s in self._queues.values() for q in s]
+            left = [q for w in self._workers for q in w.jobs] + self._queues.emptied()
             for worker in self._workers:
                 worker.jobs.clear()
-            for queue in self._queues.values():
-                queue.clear()
             return left
 
 
