@@ -75,6 +75,15 @@ class Camera:
 
         It is a little too large, for what lenses do between the points of the border that are looked at.
         """
+        if margin_px == 0 and heights_mm == (0.0, 0.0):
+            return self._view_mm
+        return self._seen_mm(margin_px, heights_mm)
+
+    @cached_property
+    def _view_mm(self) -> tuple[Floats, Floats]:
+        return self._seen_mm(0.0, (0.0, 0.0))
+
+    def _seen_mm(self, margin_px: float, heights_mm: tuple[float, float]) -> tuple[Floats, Floats]:
         x = np.linspace(margin_px, self.width_px - 1 - margin_px, _BORDER_POINTS)
         y = np.linspace(margin_px, self.height_px - 1 - margin_px, _BORDER_POINTS)
         border = [np.column_stack([x, np.full_like(x, end)]) for end in (y[0], y[-1])]

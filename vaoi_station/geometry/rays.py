@@ -36,7 +36,7 @@ def project(
         x, y = (place[i, 0] - share * x0) / (1 - share), (place[i, 1] - share * y0) / (1 - share)
         w = n[2, 0] * x + n[2, 1] * y + n[2, 2]
         u, v = (n[0, 0] * x + n[0, 1] * y + n[0, 2]) / w, (n[1, 0] * x + n[1, 1] * y + n[1, 2]) / w
-        out[i, 0], out[i, 1] = _distorted(u, v, radial, lens)
+        out[i, 0], out[i, 1] = distorted(u, v, radial, lens)
 
 
 @compiled
@@ -73,7 +73,7 @@ def carry(
         y = (m[1, 0] * u + m[1, 1] * v + m[1, 2]) / w + shift_mm[1]
         w = n[2, 0] * x + n[2, 1] * y + n[2, 2]
         u, v = (n[0, 0] * x + n[0, 1] * y + n[0, 2]) / w, (n[1, 0] * x + n[1, 1] * y + n[1, 2]) / w
-        out[i, 0], out[i, 1] = _distorted(u, v, radial_b, lens_b)
+        out[i, 0], out[i, 1] = distorted(u, v, radial_b, lens_b)
     return out
 
 
@@ -88,7 +88,7 @@ def undistort(raw: Floats, radial: Floats, lens: Lensing, out: Floats) -> None:
 def distort(points: Floats, radial: Floats, lens: Lensing, out: Floats) -> None:
     """Raw pixels (k, 2) of undistorted ones."""
     for i in range(len(points)):
-        out[i, 0], out[i, 1] = _distorted(points[i, 0], points[i, 1], radial, lens)
+        out[i, 0], out[i, 1] = distorted(points[i, 0], points[i, 1], radial, lens)
 
 
 @inlined
@@ -113,8 +113,8 @@ def _undistorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[flo
 
 
 @inlined
-def _distorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[float, float]:
-    """By Newton's method."""
+def distorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[float, float]:
+    """One raw pixel of an undistorted one, by Newton's method; for compiled functions."""
     if len(radial) == 0:
         return u, v
     x0, y0, radius, edge, furthest = lens

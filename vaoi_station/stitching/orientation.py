@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.motion import Motion
 from vaoi_station.stitching.scene import Scene
+from vaoi_station.stitching.shots import Shots
 
 _PIECE_MM = 4.0
 """Length over which an edge is averaged, so that texture cancels and the edge stays."""
@@ -25,7 +26,6 @@ _NEAR_MM, _FAR_MM = 0.12, 0.45
 """Where the two sides of an edge are compared."""
 _APART_MM = 0.4
 """Edges that lie closer together both ways tell nothing."""
-_MARGIN_MM = 1.0
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
 """By which factor, and to how many grey levels, one orientation must stand out; parts are the weaker evidence."""
@@ -77,16 +77,16 @@ def check(
         The first evidence that decides, the outline before the parts; the last one if none does; None
         if there is nothing to compare.
     """
-    best = None
-    for evidence, lines in (("outline", outline_polygons(board_type)), ("components", _parts(board_type))):
-        pieces = straight_pieces(lines, board_type.mm_per_unit)
+    best, shots = None, Shots.of(scene, motion)
+    for evidence, lines in (("outline", outline_polygons), ("components", _parts)):
+        pieces = straight_pieces(lines(board_type), board_type.mm_per_unit)
         if not len(pieces):
             continue
         apart = _apart(pieces, placed, turned)
         if apart.sum() < _LEAST_PIECES:
             continue  # it lies the same both ways
-        a = _steps(pieces[apart], placed, scene, motion)
-        b = _steps(pieces[apart], turned, scene, motion)
+        a = _steps(pieces[apart], placed, shots)
+        b = _steps(pieces[apart], turned, shots)
         if min(len(a), len(b)) < _LEAST_PIECES:
             continue
         best = Orientation(evidence, float(np.median(a)), float(np.median(b)))
@@ -111,7 +111,7 @@ class Outline:
 def outline_of(board_type: BoardType, placed: Floats, scene: Scene, motion: Motion) -> Outline | None:
     """How plainly the pictures show the board's outline where C puts it; None where too little of it is in view."""
     pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
-    steps = _steps(pieces, placed, scene, motion) if len(pieces) else np.zeros(0)
+    steps = _steps(pieces, placed, Shots.of(scene, motion)) if len(pieces) else np.zeros(0)
     return Outline(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
 
 
@@ -132,14 +132,13 @@ def _parts(board_type: BoardType) -> list[Floats]:
 
 def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
     """Straight pieces (k, 2, 2) of closed polygons, each a few mm long; shorter edges as they are."""
-    pieces = []
-    for polygon in polygons:
-        for a, b in zip(polygon, np.roll(polygon, -1, 0), strict=True):
-            n = max(int(np.hypot(*(b - a)) * mm_per_unit / _PIECE_MM), 1)
-            t = np.linspace(0, 1, n + 1)[:, None]
-            ends = a + t * (b - a)
-            pieces += [(ends[k], ends[k + 1]) for k in range(n)]
-    return np.array(pieces).reshape(-1, 2, 2)
+    if not polygons:
+        return np.zeros((0, 2, 2))
+    a, b = np.concatenate(polygons), np.concatenate([np.roll(p, -1, 0) for p in polygons])
+    count = np.maximum((np.hypot(*(b - a).T) * mm_per_unit / _PIECE_MM).astype(int), 1)
+    of, k = np.repeat(np.arange(len(a)), count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    ends = np.stack([k, k + 1], -1) / count[of, None]
+    return np.asarray(a[of, None] + ends[..., None] * (b - a)[of, None])
 
 
 def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
@@ -155,49 +154,44 @@ def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
     return np.asarray(nearest > _APART_MM)
 
 
-def _steps(pieces: Floats, cad_matrix: Floats, scene: Scene, motion: Motion) -> Floats:
+def _steps(pieces: Floats, cad_matrix: Floats, shots: Shots) -> Floats:
     """Contrast across every piece that some frame shows, in grey levels."""
     board = apply(cad_matrix, pieces)
-    points = _both_sides(board)
-    chosen = nearest_frame(board.mean(1), scene, motion)
-    out = np.full(len(pieces), np.nan)
-    for n in np.unique(chosen[chosen >= 0]):
-        number, row = scene.present[n]
-        camera, image, mine = scene.cameras[number], scene.prepared((number, row)).grey, np.flatnonzero(chosen == n)
-        px = camera.project(motion.row_from_tester(row)(points[mine]))
-        inside = camera.sees(px).all((1, 2))
-        if not inside.any():
-            continue
-        at = px[inside].astype(np.float32).reshape(-1, 1, 2)
-        value = cv2.remap(image, at, None, cv2.INTER_LINEAR).reshape(len(at) // points[0, 0].size, 2, -1)
-        out[mine[inside]] = np.abs(value[:, 0].mean(1) - value[:, 1].mean(1))
-    return np.asarray(out[np.isfinite(out)])
+    number = shots.nearest(board.mean(1))
+    px = shots.project(number, _both_sides(board))
+    step = shots.look(number, 1, lambda image, mine: _contrast(image, px[mine]))
+    return np.asarray(step[np.isfinite(step)])
+
+
+@compiled
+def _contrast(image: NDArray[np.uint8], px: Floats) -> Floats:
+    """Difference (k, 1) of the means over the first and the second half of places (k, s, 2); NaN if one is outside."""
+    h, w = image.shape
+    count = px.shape[1]
+    out = np.empty((len(px), 1))
+    for k in range(len(px)):
+        total = 0.0
+        for s in range(count):
+            x, y = px[k, s, 0], px[k, s, 1]
+            if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
+                total = np.nan
+                break
+            j, i = min(int(x), w - 2), min(int(y), h - 2)
+            u, v = x - j, y - i
+            above = image[i, j] * (1 - u) + image[i, j + 1] * u
+            below = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
+            grey = above * (1 - v) + below * v
+            total += grey if 2 * s < count else -grey
+        out[k, 0] = 2 * abs(total) / count
+    return out
 
 
 def _both_sides(board: Floats) -> Floats:
-    """Sample points (k, 2 sides, samples, 2) along straight pieces (k, 2, 2) of the board."""
+    """Sample points (k, s, 2) along straight pieces (k, 2, 2) of the board, one side after the other."""
     along = board[:, 1] - board[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     line = (board[:, :1] + t[None, :, None] * along[:, None])[:, None, None]
     off = np.array([[-1.0], [1.0]]) * np.linspace(_NEAR_MM, _FAR_MM, _DEPTHS)
     points = line + off[None, :, :, None, None] * normal[:, None, None, None]
-    return np.asarray(points.reshape(len(board), 2, -1, 2))
-
-
-def nearest_frame(middle: Floats, scene: Scene, motion: Motion) -> NDArray[np.int_]:
-    """For each board point (k, 2) the number of the frame that shows it closest to its middle; −1 for none."""
-    best, chosen = np.full(len(middle), np.inf), np.full(len(middle), -1)
-    places = {row: motion.row_from_tester(row)(middle) for row in {row for _, row in scene.present}}
-    boxes = [camera.view_mm() for camera in scene.cameras]
-    for n, (number, row) in enumerate(scene.present):
-        low, high = boxes[number]
-        near = np.flatnonzero(((places[row] >= low) & (places[row] <= high)).all(1))
-        if not len(near):
-            continue
-        camera = scene.cameras[number]
-        px = camera.project(places[row][near])
-        off = np.hypot(*(px - camera.center_px).T)
-        take = camera.sees(px, _MARGIN_MM * camera.px_per_mm) & (off < best[near])
-        best[near[take]], chosen[near[take]] = off[take], n
-    return chosen
+    return np.asarray(points.reshape(len(board), -1, 2))

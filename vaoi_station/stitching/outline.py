@@ -17,8 +17,9 @@ from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.motion import Motion
-from vaoi_station.stitching.orientation import nearest_frame, outline_polygons, straight_pieces
+from vaoi_station.stitching.orientation import outline_polygons, straight_pieces
 from vaoi_station.stitching.scene import Scene
+from vaoi_station.stitching.shots import Shots
 
 _STEP_MM, _REACH = 0.05, 70
 """Samples across a piece of the outline are so far apart, and so many are taken to either side."""
@@ -114,19 +115,15 @@ def _outward(board: Floats) -> Floats:
 
 def _profiles(board: Floats, normal: Floats, scene: Scene, motion: Motion) -> Floats:
     """Grey levels (k, samples) across every piece, averaged along it; NaN where no frame shows them."""
-    chosen = nearest_frame(board.mean(1), scene, motion)
-    out = np.full((len(board), 2 * _REACH + 1), np.nan)
-    reach = _REACH * _STEP_MM * normal
-    corners = np.stack([board[:, 0] - reach, board[:, 1] - reach, board[:, 0] + reach], 1)
-    for n in np.unique(chosen[chosen >= 0]):
-        number, row = scene.present[n]
-        mine = np.flatnonzero(chosen == n)
-        px = scene.cameras[number].project(motion.row_from_tester(row)(corners[mine].reshape(-1, 2))).reshape(-1, 3, 2)
-        along, across = (px[:, 1] - px[:, 0]) / _ALONG, (px[:, 2] - px[:, 0]) / (2 * _REACH)
-        out[mine] = _sampled(
-            scene.prepared((number, row)).grey, px[:, 0] + along / 2, along, across, _ALONG, 2 * _REACH + 1
-        )
-    return out
+    shots = Shots.of(scene, motion)
+    number = shots.nearest(board.mean(1))
+    reach, samples = _REACH * _STEP_MM * normal, 2 * _REACH + 1
+    px = shots.project(number, np.stack([board[:, 0] - reach, board[:, 1] - reach, board[:, 0] + reach], 1))
+    along, across = (px[:, 1] - px[:, 0]) / _ALONG, (px[:, 2] - px[:, 0]) / (samples - 1)
+    start = px[:, 0] + along / 2
+    return shots.look(
+        number, samples, lambda image, mine: _sampled(image, start[mine], along[mine], across[mine], _ALONG, samples)
+    )
 
 
 @compiled
@@ -142,18 +139,21 @@ def _sampled(
     out = np.empty((len(start), samples))
     height, width = image.shape
     for k in range(len(start)):
+        ax, ay = along[k, 0], along[k, 1]
         for s in range(samples):
-            total, x, y = 0.0, start[k, 0] + s * across[k, 0], start[k, 1] + s * across[k, 1]
-            for _ in range(count):
-                j, i = int(np.floor(x)), int(np.floor(y))
-                if i < 0 or j < 0 or i > height - 2 or j > width - 2:
-                    total = np.nan
-                    break
-                u, v = x - j, y - i
+            x, y = start[k, 0] + s * across[k, 0], start[k, 1] + s * across[k, 1]
+            last_x, last_y = x + (count - 1) * ax, y + (count - 1) * ay
+            if min(x, y, last_x, last_y) < 0 or max(x, last_x) >= width - 1 or max(y, last_y) >= height - 1:
+                out[k, s] = np.nan
+                continue
+            total = 0.0
+            for n in range(count):
+                px, py = x + n * ax, y + n * ay
+                j, i = int(px), int(py)
+                u, v = px - j, py - i
                 above = image[i, j] * (1 - u) + image[i, j + 1] * u
                 below = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
                 total += above * (1 - v) + below * v
-                x, y = x + along[k, 0], y + along[k, 1]
             out[k, s] = total / count
     return out
 
