@@ -1,0 +1,188 @@
+"""`vaoi doctor` and a real controller: the firmware on the emulated chip, behind a pseudo terminal."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import tty
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.doctor.conftest import is_bad, nobody, only
+from tests.hw.paced import PacedChip
+from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
+from vaoi_station.acquisition.controller.protocol.link import Link
+from vaoi_station.acquisition.controller.protocol.messages import REPLY, Request, Status, Type
+from vaoi_station.acquisition.controller.serial.line import Line
+from vaoi_station.acquisition.controller.serial.port import Alarm, Port
+from vaoi_station.config import StationConfig
+from vaoi_station.doctor.controller import LATENCY, controller, judge_clock, judge_latency
+from vaoi_station.doctor.finding import Finding, Level
+from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.patient import Patient
+
+RING = {"ring": {"channels": [0, 1], "on_us": 250.0}}
+
+
+def patient_of(port: Path, **settings: Any) -> Patient:
+    document = {
+        "calibration": "c.json",
+        "board_types": "types",
+        "data": "data",
+        "line": {
+            "conveyor_mm_s": [0.0, 100.0], "barrier_mm": -40.0, "start_delay_s": 0.32, "trigger_period_s": 0.125,
+            "tail_s": 0.48, "longest_board_mm": 60.0,
+        },
+        "cameras": [
+            {"name": "a", "backend": "aravis", "address": "127.0.0.2", "width": 64, "height": 48, "exposure_us": 250.0}
+        ],
+        "controller": {"backend": "serial", "port": str(port), **settings},
+    }  # fmt: skip
+    return Patient(StationConfig.model_validate(document), Machine(), None)
+
+
+def by_subject(findings: Iterable[Finding]) -> dict[str, Finding]:
+    return {finding.subject: finding for finding in findings}
+
+
+def asked(port: Path, request: Type) -> Status:
+    """Something is done to the controller by hand; how it is afterwards."""
+    with closing(Alarm()) as alarm, closing(Port(str(port), 250_000, alarm)) as opened:
+        line = Line(opened, Link(), lambda *_: None, str(port))
+        line.identify()
+        line.ask(Request(request))
+        return Status.unpack(line.ask(Request(Type.STATUS)).payload)
+
+
+def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:
+    before = asked(paced.link, Type.STATUS)
+    found = by_subject(controller(patient_of(paced.link, lights=RING)))
+    after = asked(paced.link, Type.STATUS)
+    assert list(found) == ["port", "firmware", "limits", "state", "clock"]
+    assert {finding.level for finding in found.values()} == {Level.OK}, found
+    assert found["firmware"].figures["firmware"] == "1.0.0"
+    assert found["limits"].figures["channel_2_longest_us"] == 500.0
+    for name in ("state", "boots", "config_crc", "events_first", "events_next", "run", "row", "events_lost"):
+        assert getattr(after, name) == getattr(before, name), name
+
+
+def test_the_barrier_is_told_as_it_is(paced: PacedChip) -> None:
+    assert asked(paced.link, Type.STATUS).blocked == 0
+    paced.do("pin PB0 1")
+    paced.rest(20)
+    assert by_subject(controller(patient_of(paced.link)))["state"].figures["barrier"] == "interrupted"
+
+
+def test_a_light_beyond_the_firmwares_limits(paced: PacedChip) -> None:
+    lights = {"flash": {"channels": [2], "on_us": 800.0}}
+    limits = by_subject(controller(patient_of(paced.link, lights=lights)))["limits"]
+    is_bad(limits, Level.FAULT, "controller.lights.flash.on_us is 800", "500")
+
+
+def test_a_controller_that_made_itself_safe(paced: PacedChip) -> None:
+    asked(paced.link, Type.SAFE)
+    is_bad(by_subject(controller(patient_of(paced.link)))["state"], Level.WARNING, "safe (commanded)")
+
+
+def test_no_port(tmp_path: Path) -> None:
+    is_bad(only(controller(patient_of(tmp_path / "gone"))), Level.FAULT, "there is no", "gone")
+
+
+def test_a_port_that_is_no_device(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    is_bad(only(controller(patient_of(tmp_path / "file"))), Level.FAULT, "is no device")
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, Path]]:
+    """A pseudo terminal: our end, and the name of the other one."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    yield ours, Path(os.ttyname(theirs))
+    os.close(ours)
+    os.close(theirs)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="platform: only root has a terminal that others may not use")
+def test_a_port_of_somebody_else(terminal: tuple[int, Path]) -> None:
+    terminal[1].chmod(0o600)
+    with nobody():
+        finding = only(controller(patient_of(terminal[1])))
+    is_bad(finding, Level.FAULT, "may not be read and written by this user")
+    assert finding.action.startswith("usermod -aG")
+
+
+def test_a_port_that_another_program_uses(terminal: tuple[int, Path]) -> None:
+    hold = "import sys; held = open(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(terminal[1])], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        finding = only(controller(patient_of(terminal[1])))
+        holder.communicate("")
+    is_bad(finding, Level.FAULT, "is in use by", f"process {holder.pid}")
+
+
+class Stranger:
+    """Whatever is at the other end of a terminal: answers every message by a payload of its own."""
+
+    def __init__(self, terminal: int, payload: bytes | None) -> None:
+        self._terminal, self._payload = terminal, payload
+        threading.Thread(target=self._talk, daemon=True).start()
+
+    def _talk(self) -> None:
+        reader = FrameReader()
+        while True:
+            try:
+                data = os.read(self._terminal, 256)
+            except OSError:  # the test is over
+                return
+            if self._payload is None:
+                os.write(self._terminal, b"ready>\r\n")
+                continue
+            for message in reader.feed(data):
+                os.write(self._terminal, encode(Message(message.type | REPLY, message.sequence, self._payload)))
+
+
+@pytest.mark.parametrize(
+    ("payload", "said"),
+    [
+        (None, "no message of the trigger controller's protocol"),
+        (bytes([9, 3]) + bytes(46), "speaks protocol 9.3, this station 1.0"),
+        (bytes([1, 0, 1, 0, 0, 4, 16, 1]) + bytes(16) + b"coffee\0\0" + bytes(16), "calls itself b'coffee'"),
+    ],
+)
+def test_a_device_that_is_not_ours(terminal: tuple[int, Path], payload: bytes | None, said: str) -> None:
+    Stranger(terminal[0], payload)
+    found = by_subject(controller(patient_of(terminal[1])))
+    assert found["port"].level is Level.OK
+    is_bad(found["firmware"], Level.FAULT, said)
+    assert set(found) == {"port", "firmware"}
+
+
+def test_a_bridge_that_keeps_bytes_back(tmp_path: Path) -> None:
+    latency = tmp_path / LATENCY.format(name="ttyUSB0")
+    latency.parent.mkdir(parents=True)
+    latency.write_text("16\n")
+    is_bad(only(judge_latency(Path("/nowhere/ttyUSB0"), Machine(tmp_path))), Level.WARNING, "16 ms")
+    latency.write_text("1\n")
+    assert list(judge_latency(Path("/nowhere/ttyUSB0"), Machine(tmp_path))) == []
+
+
+def test_a_clock_that_is_known_badly() -> None:
+    """At most 2 ms, and a tenth of the period, as when a station is armed."""
+
+    def judged(bound_s: float, period_s: float) -> Finding:
+        return judge_clock([ClockReading(float(k), 100.0 + k, bound_s) for k in range(10)], period_s)
+
+    assert judged(1e-3, 0.125).level is Level.OK
+    is_bad(judged(3e-3, 0.125), Level.FAULT, "± 3.00 ms", "must be to ± 2 ms")
+    is_bad(judged(1e-3, 0.006), Level.FAULT, "must be to ± 0.6 ms")
