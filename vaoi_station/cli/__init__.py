@@ -19,6 +19,7 @@ from vaoi_station.cli.plan import plan
 from vaoi_station.cli.recalibrate import recalibrate
 from vaoi_station.cli.record import record
 from vaoi_station.cli.report import report
+from vaoi_station.cli.rig import rig
 from vaoi_station.cli.serve import serve
 from vaoi_station.cli.simulate import simulate
 from vaoi_station.cli.stitch import stitch
@@ -69,6 +70,7 @@ app.command()(bench)
 app.command()(demo)
 app.command()(view)
 app.command()(doctor)
+app.add_typer(rig, name="rig")
 
 
 def main() -> None:

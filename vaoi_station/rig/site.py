@@ -1,0 +1,64 @@
+"""A station for the rig, as files: the station.toml a real line would have, with nothing of the rig but addresses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from vaoi_station.acquisition.ring import RingLayout
+from vaoi_station.config import CameraConfig, ControllerConfig, LightConfig, RingConfig, StationConfig
+from vaoi_station.demo.site import as_toml, ring_directory
+from vaoi_station.files import write_board_type, write_calibration
+from vaoi_station.files.documents import write_bytes
+from vaoi_station.rig.films import Film
+from vaoi_station.rig.scenarios import lamp_of
+from vaoi_station.simulation import Scenario
+from vaoi_station.simulation.timetable import line_of
+
+
+def build_site(
+    scenario: Scenario, film: Film, folder: Path, *, name: str, addresses: Sequence[str], port: Path, workers: int
+) -> Path:
+    """Calibration, board type and station.toml in an empty folder; the station's data will be there too."""
+    write_calibration(folder / "calibration.json", film.calibration)
+    write_board_type(folder / "board-types" / f"{film.board_type.name}.json", film.board_type)
+    lamp = lamp_of(scenario)
+    config = StationConfig(
+        name=name,
+        calibration=folder / "calibration.json",
+        board_types=folder / "board-types",
+        data=folder / "data",
+        workers=workers,
+        line=line_of(scenario),
+        cameras=_cameras(scenario, addresses),
+        controller=ControllerConfig(
+            backend="serial",
+            port=str(port),
+            lights={
+                light: LightConfig(channels=channels, on_us=max(lamp.exposures_us))
+                for light, channels in lamp.channels.items()
+            },
+            order=scenario.line.lights,
+        ),
+    )
+    room = ring_directory(RingLayout.of(config).file_bytes, folder)
+    config = config.model_copy(update={"ring": RingConfig(directory=room)})
+    path = folder / "station.toml"
+    write_bytes(path, as_toml(config).encode())
+    return path
+
+
+def _cameras(scenario: Scenario, addresses: Sequence[str]) -> tuple[CameraConfig, ...]:
+    array = scenario.array
+    return tuple(
+        CameraConfig(
+            name=f"camera {n}",
+            backend="aravis",
+            address=address,
+            width=array.width_px,
+            height=array.height_px,
+            exposure_us=array.exposure_us(n),
+            pixel_format="Mono8" if array.bits == 8 else "Mono16",
+        )
+        for n, address in enumerate(addresses)
+    )

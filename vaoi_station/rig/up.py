@@ -1,0 +1,58 @@
+"""`vaoi rig up`: devices for a station that somebody starts beside them; boards keep passing until Ctrl-C."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from vaoi_station.rig.conveyor import Conveyor
+from vaoi_station.rig.devices import Devices, film_boards
+from vaoi_station.rig.faults import Fault, befallen, check_faults
+from vaoi_station.rig.network import isolated
+from vaoi_station.rig.sabotage import Saboteur, mischief_of
+from vaoi_station.rig.scenarios import least_interval_s
+from vaoi_station.rig.site import build_site
+from vaoi_station.simulation import Scenario
+
+
+def keep_up(
+    scenario: Scenario,
+    faults: tuple[Fault, ...],
+    folder: Path,
+    films: Path,
+    different: int,
+    tell: Callable[[str], None],
+) -> NoReturn:
+    """Ends by KeyboardInterrupt, with everything put away but the folder.
+
+    Args:
+        scenario: of the twin.
+        faults: those that name a board befall it once, others last.
+        folder: new or empty; station.toml, the controller's port and the station's data will be there.
+        films: where films are kept.
+        different: boards that are filmed, and pass in turn.
+        tell: takes one line.
+    """
+    check_faults(faults, scenario.array.cameras, different)
+    plagued = befallen(scenario, faults)
+    boards = film_boards(plagued, faults, different, different, films, tell)
+    saboteur = Saboteur(faults)
+    with Devices(plagued, folder, mischief_of(faults), saboteur.noticed) as devices:
+        saboteur.use(devices, dict)
+        config = build_site(
+            plagued, boards[0], folder, name="rig", addresses=devices.addresses, port=devices.terminal, workers=2
+        )
+        tell(f"{len(devices.cameras)} cameras at {devices.addresses[0]} …, the controller at {devices.terminal}.")
+        before = f"nsenter -t {os.getpid()} --net --user --preserve-credentials " if isolated() else ""
+        tell(f"Start the station: {before}vaoi serve --config {config}")
+        tell("Boards pass, whether somebody films them or not. Ctrl-C ends it.")
+        interval_s = least_interval_s(scenario, boards)
+        while True:
+            with Conveyor(devices.stage, boards, interval_s) as conveyor:
+                while not conveyor.empty.wait(1.0):
+                    pass
+            threading.Event().wait(max(interval_s - math.fsum((boards[-1].lasts_s, 1.0)), 0.0))
