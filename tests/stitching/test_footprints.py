@@ -56,7 +56,7 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
     motion = [Euclidean.motion(0.001 * j, (0, 4.0 * j), System.ROW, System.TESTER) for j in range(3)]
     matrix = board_frame(kind, cameras[0]).matrix(C)
     surface = None if lift is None else Surface(lift_mm=lift)
-    views = footprint_views(Parts.of(kind), matrix, cameras, motion, surface)
+    views = footprint_views(Parts.of(kind), matrix, cameras, np.array([d.matrix for d in motion]), surface)
     assert list(views) == ["A", "B", "FAR"]
     for component in kind.components:
         place = matrix @ (*component.center, 1)
@@ -71,7 +71,7 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
 
 
 def test_no_parts_no_views(workshop: Any) -> None:
-    assert footprint_views(Parts.of(board([])), np.eye(3), [workshop.camera()], [], None) == {}
+    assert footprint_views(Parts.of(board([])), np.eye(3), [workshop.camera()], np.zeros((0, 3, 3)), None) == {}
 
 
 @pytest.mark.parametrize("seed", range(4))

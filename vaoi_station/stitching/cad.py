@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
@@ -253,11 +254,20 @@ def outside_share(frame: Frame, c: Floats, texture_mm: Floats) -> float:
     if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
         return 0.0
     low, high = board_type.extent()
-    a, b, x, y = c
-    cad = ((texture_mm - (x, y)) @ np.array([1, 1j])) / complex(a, b)
-    flat = np.stack([cad.real, cad.imag], -1) * (1.0, -1.0 if frame.mirrored else 1.0)
     margin = _TEXTURE_MARGIN_MM / board_type.mm_per_unit
-    return float(((flat < low - margin) | (flat > high + margin)).any(1).mean())
+    cad_from_board = np.linalg.inv(frame.matrix(c)).astype(np.float64)
+    return _outside(cad_from_board, texture_mm, low - margin, high + margin) / len(texture_mm)
+
+
+@compiled
+def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats) -> int:
+    """How many board points (k, 2) lie outside a box in CAD coordinates; cad_from_board (3, 3) is affine."""
+    count, m = 0, cad_from_board
+    for n in range(len(board_mm)):
+        x = m[0, 0] * board_mm[n, 0] + m[0, 1] * board_mm[n, 1] + m[0, 2]
+        y = m[1, 0] * board_mm[n, 0] + m[1, 1] * board_mm[n, 1] + m[1, 2]
+        count += x < low[0] or x > high[0] or y < low[1] or y > high[1]
+    return count
 
 
 def _misplaced(frame: Frame, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:

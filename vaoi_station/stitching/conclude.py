@@ -128,7 +128,9 @@ def _result(
         matrix = findings.frame.matrix(adjusted.similarity)
         if len(adjusted.surface_mm):
             surface = described(board_type, adjusted.surface_mm)
-        components = footprint_views(findings.frame.parts, matrix, findings.scene.cameras, d, surface)
+        components = footprint_views(
+            findings.frame.parts, matrix, findings.scene.cameras, motion.rows_from_tester, surface
+        )
     images = (
         tuple(
             _fixed(camera.image_from_row.matrix @ row.matrix) if findings.placed[j] else None for j, row in enumerate(d)

@@ -12,9 +12,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Euclidean, System
 from vaoi_station.geometry.transforms import Floats
+
+Ints = NDArray[np.int_]
 
 SPEED_TOLERANCE = 0.05
 """How far the belt's mean speed may be from the nominal one (1 σ, relative)."""
@@ -35,16 +39,20 @@ class Motion:
 
     def board(self, row: np.ndarray, ground_mm: Floats) -> Floats:
         """Board points (k, 2), in tester coordinates, of ground points (k, 2) seen in rows (k,)."""
-        return np.asarray(self.turned(row, ground_mm - self.pivot) + self.pivot + self.shift[row], dtype=np.float64)
+        return _moved(row, ground_mm, self.angle, self.pivot, self.pivot + self.shift)
 
     def turned(self, row: np.ndarray, arrow: Floats) -> Floats:
         """Directions (k, 2) turned as the board's coordinates are."""
-        c, s = np.cos(self.angle[row]), np.sin(self.angle[row])
-        return np.stack([c * arrow[:, 0] - s * arrow[:, 1], s * arrow[:, 0] + c * arrow[:, 1]], -1)
+        return _moved(row, arrow, self.angle, np.zeros(2), np.zeros_like(self.shift))
 
     def row_from_tester(self, row: int) -> Euclidean:
         """The paper's D_j."""
         return self._rows[row]
+
+    @cached_property
+    def rows_from_tester(self) -> Floats:
+        """All D_j, (m, 3, 3)."""
+        return np.array([row.matrix for row in self._rows])
 
     @cached_property
     def _rows(self) -> tuple[Euclidean, ...]:
@@ -77,3 +85,40 @@ def measured_velocity(motion: Motion, times_s: Floats, rows: np.ndarray) -> Floa
         return None
     first, last = int(rows.min()), int(rows.max())
     return np.asarray(-(motion.shift[last] - motion.shift[first]) / (times_s[last] - times_s[first]))
+
+
+@compiled
+def _moved(row: Ints, ground_mm: Floats, angle: Floats, pivot: Floats, to: Floats) -> Floats:
+    """Points (k, 2) turned about the pivot by the angle of their row, the pivot going where that row has it (m, 2)."""
+    out, cos, sin = np.empty((len(row), 2)), np.cos(angle), np.sin(angle)
+    for n in range(len(row)):
+        j, x, y = row[n], ground_mm[n, 0] - pivot[0], ground_mm[n, 1] - pivot[1]
+        out[n, 0], out[n, 1] = cos[j] * x - sin[j] * y + to[j, 0], sin[j] * x + cos[j] * y + to[j, 1]
+    return out
+
+
+@compiled
+def places_within(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
+    """Which points of the board come into a box, in which rows, and where they are then.
+
+    Args:
+        rows: (m, 3, 3) D_j.
+        board_mm: (k, 2) tester coordinates.
+        low: (2,) lowest corner of the box on the conveyor's plane.
+        high: (2,) highest corner.
+
+    Returns:
+        Row (v,) and number of the point (v,), row by row, and the place (v, 2) in row coordinates.
+    """
+    most = len(rows) * len(board_mm)
+    row, point, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 2))
+    count = 0
+    for j in range(len(rows)):
+        d = rows[j]
+        for n in range(len(board_mm)):
+            x = d[0, 0] * board_mm[n, 0] + d[0, 1] * board_mm[n, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[n, 0] + d[1, 1] * board_mm[n, 1] + d[1, 2]
+            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+                row[count], point[count], place[count, 0], place[count, 1] = j, n, x, y
+                count += 1
+    return row[:count].copy(), point[:count].copy(), place[:count].copy()

@@ -15,8 +15,8 @@ from vaoi_station.marks import Mark, locate, search
 from vaoi_station.marks.artwork import Shape
 from vaoi_station.marks.search import reduction
 from vaoi_station.model import BoardType, Fiducial
-from vaoi_station.stitching.evidence import Sightings, Task
-from vaoi_station.stitching.motion import Motion
+from vaoi_station.stitching.evidence import FrameKey, Sightings, Task
+from vaoi_station.stitching.motion import Motion, places_within
 from vaoi_station.stitching.prepare import Prepared, reduced
 from vaoi_station.stitching.scene import Scene
 
@@ -118,21 +118,39 @@ def look_again(
     kinds = mark_kinds(board_type)
     kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
     board = apply(cad_matrix, np.array([(f.x, f.y) for f in board_type.fiducials]))
-    out = []
-    for s in sightings:
-        number, row = s.task.a
-        camera = scene.cameras[number]
-        px = camera.project(motion.row_from_tester(row)(board))
+    expected = _in_view(board, scene, motion)
+    return [_looked_at(s, expected[s.task.a], kind, kinds, scene) if s.task.a in expected else s for s in sightings]
+
+
+def _in_view(board: Floats, scene: Scene, motion: Motion) -> dict[FrameKey, list[tuple[int, Floats]]]:
+    """Which board points (k, 2) each frame shows, and at which pixel (2,)."""
+    out: dict[FrameKey, list[tuple[int, Floats]]] = {}
+    for number, camera in enumerate(scene.cameras):
+        row, point, place = places_within(motion.rows_from_tester, board, *camera.view_mm())
+        px = camera.project(place)
         for n in np.flatnonzero(camera.sees(px)):
-            shape, size_mm = kinds[kind[n]]
-            size_px = size_mm * camera.px_per_mm
-            near = np.hypot(*(s.px - px[n]).T) < size_px / 3
-            start = s.px[near][s.score[near].argmax()] if near.any() else px[n]
-            mark = locate(scene.prepared(s.task.a).grey, start, shape, size_px)
-            if isinstance(mark, Mark):
-                s = _with(s, ~near, mark, kind[n])  # noqa: PLW2901  (the sightings of this frame, one better)
-        out.append(s)
+            out.setdefault((number, int(row[n])), []).append((int(point[n]), px[n]))
     return out
+
+
+def _looked_at(
+    s: Sightings,
+    expected: Sequence[tuple[int, Floats]],
+    kind: Sequence[int],
+    kinds: Sequence[tuple[Shape, float]],
+    scene: Scene,
+) -> Sightings:
+    """The sightings of one frame, with the fiducials expected there located anew."""
+    grey, px_per_mm = scene.prepared(s.task.a).grey, scene.cameras[s.task.a[0]].px_per_mm
+    for n, px in expected:
+        shape, size_mm = kinds[kind[n]]
+        size_px = size_mm * px_per_mm
+        near = np.hypot(*(s.px - px).T) < size_px / 3
+        start = s.px[near][s.score[near].argmax()] if near.any() else px
+        mark = locate(grey, start, shape, size_px)
+        if isinstance(mark, Mark):
+            s = _with(s, ~near, mark, kind[n])
+    return s
 
 
 def _with(s: Sightings, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Sightings:

@@ -16,16 +16,18 @@ def chained(nominal: Motion, links: Observations) -> Motion:
     Medians over all cameras: a frame full of tall parts or reflections is outvoted by its row.
     """
     shift = nominal.shift.copy()
-    step = links.a_mm - links.b_mm
-    for q in range(1, len(shift)):
-        onto = links.q == q
-        earlier = links.p[onto & (links.p < q)]
-        if len(earlier):
-            p = int(earlier.max())
-            use = onto & (links.p == p)
-            shift[q] = shift[p] + np.median(step[use], axis=0)
+    rows = len(shift)
+    by_pair = np.argsort(links.q * rows + links.p, kind="stable")
+    p, q = links.p[by_pair], links.q[by_pair]
+    for row in range(1, rows):
+        first, last = np.searchsorted(q, (row, row + 1))
+        last = first + np.searchsorted(p[first:last], row)  # those from earlier rows
+        if last > first:
+            latest = by_pair[first + np.searchsorted(p[first:last], p[last - 1]) : last]
+            step = links.a_mm[latest] - links.b_mm[latest]
+            shift[row] = shift[p[last - 1]] + np.median(step, axis=0)
         else:
-            shift[q] = shift[q - 1] + nominal.shift[q] - nominal.shift[q - 1]
+            shift[row] = shift[row - 1] + nominal.shift[row] - nominal.shift[row - 1]
     return replace(nominal, shift=shift)
 
 

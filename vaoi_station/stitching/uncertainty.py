@@ -20,7 +20,7 @@ from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.certainty import longest
 from vaoi_station.stitching.evidence import FrameKey
-from vaoi_station.stitching.footprints import places_within
+from vaoi_station.stitching.motion import places_within
 from vaoi_station.stitching.observations import Ints
 from vaoi_station.stitching.problem import Adjusted
 from vaoi_station.stitching.scene import Scene
@@ -114,14 +114,13 @@ class _Places:
         assert adjusted.similarity is not None
         self._motion, self._flat = adjusted.motion, frame.flat(cad)
         self._board = similar(adjusted.similarity, self._flat)
-        self._rows = np.array([self._motion.row_from_tester(j).matrix for j in range(len(adjusted.motion.angle))])
         self._basis = basis(frame.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0))
         self._covariance = adjusted.covariance
 
     def seen_by(self, number: int, camera: Camera, present: Sequence[FrameKey]) -> tuple[Ints, Ints, Floats]:
         """Points (k,) in view of a camera, camera and row (k, 2), and covariances (k, 2, 2) px² in the image."""
         rows = np.array([row for i, row in present if i == number], dtype=np.int_)
-        row, point, place = places_within(self._rows[rows], self._board, *camera.view_mm())
+        row, point, place = places_within(self._motion.rows_from_tester[rows], self._board, *camera.view_mm())
         seen = camera.sees(camera.project(place))
         row, point, place = rows[row[seen]], point[seen], place[seen]
         motion = self._motion
