@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 from vaoi_station.cli import app
 from vaoi_station.errors import StateError
 from vaoi_station.files import open_recording, write_calibration
+from vaoi_station.files.documents import write_json
 from vaoi_station.simulation import Twin, read_scenario
+from vaoi_station.simulation.calibration_board import layout
 
 SCENARIO = """
 [array]
@@ -83,3 +85,32 @@ def test_one_run_is_the_directory_itself_and_never_overwrites(config: Path, tmp_
     refused = CliRunner().invoke(app, arguments)
     assert isinstance(refused.exception, StateError)
     assert "exists already" in str(refused.exception)
+
+
+def test_a_board_at_rest_is_filmed_without_a_calibration_and_makes_the_first_one(config: Path, tmp_path: Path) -> None:
+    """The simulated cameras show the calibration board; what `vaoi calibrate` makes of it lets the station film."""
+    twin = Twin(read_scenario(tmp_path / "scenario.toml"))
+    keys = f"nominal_px_per_mm = {twin.scenario.array.px_per_mm}\nnominal_center_mm = [0.0, 0.0]\n"
+    config.write_text(config.read_text().replace("exposure_us = 250\n", f"exposure_us = 250\n{keys}"))
+    (tmp_path / "calibration.json").unlink()
+    out = tmp_path / "still"
+    refused = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out)])
+    assert "calibration.json: there is no such file" in str(refused.exception)
+    done = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out), "--still"])
+    assert done.exit_code == 0, done.output
+    assert "1 rows, 1 of 1 frames, ended by 'single'" in done.output
+    assert not (out / "calibration.json").exists()
+    write_json(out / "layout.json", layout(twin))
+    made = CliRunner().invoke(app, ["calibrate", str(out), "--out", str(tmp_path / "calibration.json")])
+    assert made.exit_code == 0, made.output
+    again = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(tmp_path / "run")])
+    assert again.exit_code == 0, again.output
+
+
+def test_several_pictures_at_rest_have_the_calibration_that_is_there(config: Path, tmp_path: Path) -> None:
+    arguments = ["record", "--config", str(config), "--out", str(tmp_path / "out"), "--runs", "2", "--still"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    for name in ("run-001", "run-002"):
+        assert open_recording(tmp_path / "out" / name).head.rows == 1
+        assert (tmp_path / "out" / name / "calibration.json").is_file()

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
+from typer.core import TyperGroup
+
+from hw.wiring.circuit import read_circuit
+from hw.wiring.figure import Firmware, shown
+from hw.wiring.light import currents, one_shots
+from vaoi_station.cli import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "hw").glob("*.md"))
@@ -45,3 +53,56 @@ def test_the_output_shown_is_what_the_command_prints(page: str, command: str, sh
         ["bash", "-ec", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout == shown, page
+
+
+BRING_UP = (ROOT / "hw" / "bring-up.md").read_text(encoding="utf-8")
+COMMANDS = [
+    words
+    for block in re.findall(r"^```sh\n(.*?)^```$", BRING_UP, re.MULTILINE | re.DOTALL)
+    for line in block.splitlines()
+    for command in line.split(" && ")
+    if (words := shlex.split(command, comments=True))
+]
+
+
+def of(program: str) -> list[list[str]]:
+    """The commands of the guide that call a program, by its arguments."""
+    plain = [words[3:] if words[:2] == ["sudo", "-u"] else words for words in COMMANDS]
+    return [words[1:] for words in plain if words[0] == program]
+
+
+@pytest.mark.parametrize("words", of("vaoi"), ids=" ".join)
+def test_the_guides_commands_exist_with_their_options(words: list[str]) -> None:
+    group = typer.main.get_command(app)
+    assert isinstance(group, TyperGroup)
+    command = group.commands[words[0]]
+    known = {name for parameter in command.params for name in parameter.opts}
+    assert {word for word in words[1:] if word.startswith("--")} <= known
+
+
+def test_the_guides_targets_are_those_of_the_makefile() -> None:
+    makefile = (ROOT / "hw" / "firmware" / "Makefile").read_text(encoding="utf-8")
+    calls = of("make")
+    assert len(calls) == 2
+    for directory, *targets in ([words[1], *words[2:]] for words in calls):
+        assert (ROOT / directory / "Makefile").is_file()
+        assert all("=" in t or re.search(rf"^{t}:", makefile, re.MULTILINE) for t in targets), targets
+
+
+def test_the_guides_files_are_there() -> None:
+    named = set(re.findall(r"deploy/[\w.-]+", BRING_UP))
+    assert len(named) >= 6
+    assert all((ROOT / name).is_file() for name in named), named
+
+
+def test_the_guides_figures_are_those_of_the_circuit() -> None:
+    circuit = read_circuit()
+    volts = [ampere * circuit.value("R37") for ampere in currents(circuit)]
+    assert f"{min(volts):.2f} … {max(volts):.2f} V" in BRING_UP
+    times = one_shots(circuit)
+    assert times[0] == times[1]
+    assert times[2] == times[3]
+    for low, high in (times[0], times[2]):
+        number, unit = shown(low, "s").split()
+        assert f"{number} … {shown(high, 's')}" in BRING_UP, (number, unit)
+    assert Firmware.read().longest_s[0] < times[0][0]

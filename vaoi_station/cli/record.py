@@ -8,14 +8,20 @@ from typing import Annotated
 
 import typer
 
+STILL_RATE_HZ = 1.0
+"""Of several pictures of a board at rest."""
+
 
 def record(
     config: Annotated[Path, typer.Option(help="station.toml: cameras, controller and line.")],
     out: Annotated[Path, typer.Option(help="The recording to write; with several runs, the directory of run-001 ….")],
     runs: Annotated[int, typer.Option(min=1, help="How many boards to film.")] = 1,
+    still: Annotated[
+        bool, typer.Option("--still", help="Fire once instead, whatever the barrier shows: a board at rest.")
+    ] = False,
 ) -> None:
     """Film boards with the configured devices and keep each as a recording."""
-    from vaoi_station.acquisition.filming import film
+    from vaoi_station.acquisition.filming import film, film_pulses
     from vaoi_station.acquisition.keeping import keep_run
     from vaoi_station.acquisition.messages import RunFinished
     from vaoi_station.acquisition.ring import Ring
@@ -24,7 +30,11 @@ def record(
     from vaoi_station.files import read_calibration
 
     station = read_config(config)
-    read_calibration(station.calibration, [c.head for c in station.cameras])
+    copies = {"calibration.json": station.calibration}
+    if still and not station.calibration.exists():
+        copies = {}  # how the first one is made
+    else:
+        read_calibration(station.calibration, [c.head for c in station.cameras])
     targets = [out] if runs == 1 else [out / f"run-{n:03d}" for n in range(1, runs + 1)]
     for target in targets:
         if target.exists():
@@ -33,7 +43,7 @@ def record(
 
     def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
         target = targets[len(kept)]
-        keep_run(target, finished, ring, generation, {"calibration.json": station.calibration})
+        keep_run(target, finished, ring, generation, copies)
         kept.append(target)
         cameras, rows = len(station.cameras), finished.head.rows
         whole = cameras * rows - len(finished.head.missing)
@@ -42,4 +52,10 @@ def record(
             if frame.cause:
                 print(f"  camera {frame.camera}, row {frame.row}: {frame.verdict}: {frame.cause}")
 
-    film(station, runs, keep, lambda sentence: print(sentence, file=sys.stderr))
+    def notice(sentence: str) -> None:
+        print(sentence, file=sys.stderr)
+
+    if still:
+        film_pulses(station, runs, STILL_RATE_HZ, keep, notice)
+    else:
+        film(station, runs, keep, notice)
