@@ -2,13 +2,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.stitching.coarse import CoarseShift, find_shift
+from vaoi_station.stitching.coarse import CoarseShift, best_peaks, correlations, find_shift
 from vaoi_station.stitching.prepare import Prepared
 
 SIZE = (640, 480)
@@ -82,3 +83,42 @@ def test_of_repeating_places_the_one_within_the_prior_is_taken(workshop: Any, sl
     found = find_shift(pins(0, 0), pins(slip[0], 144 + slip[1]), box((0, 144)), nominal, np.array([20.0, 20.0]))
     assert isinstance(found, CoarseShift)
     assert np.abs(found.px - slip).max() <= 2.0
+
+
+@pytest.mark.parametrize(("template", "window"), [((5, 9), (11, 30)), ((24, 87), (40, 95)), ((7, 6), (7, 6))])
+def test_correlations_are_those_of_opencv(template: tuple[int, int], window: tuple[int, int]) -> None:
+    g = np.random.default_rng(3)
+    t, w = (g.normal(0, 20, shape).astype(np.float32) for shape in (template, window))
+    w[:, : window[1] // 3] = 0
+    expected = np.nan_to_num(cv2.matchTemplate(w, t, cv2.TM_CCORR_NORMED), posinf=0.0, neginf=0.0)
+    empty = np.array(
+        [
+            [not w[y : y + template[0], x : x + template[1]].any() for x in range(expected.shape[1])]
+            for y in range(expected.shape[0])
+        ]
+    )
+    found = correlations(t, w)
+    assert not found[empty].any()
+    assert found[~empty] == pytest.approx(expected[~empty], abs=2e-6)
+
+
+def test_the_highest_maxima_are_told_once_each_and_between_samples() -> None:
+    y, x = np.mgrid[:30, :40].astype(float)
+    hills = [(1.0, 11.3, 8.6), (0.9, 30.0, 20.25), (0.5, 4.5, 25.0)]
+    surface = sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 18) for h, u, v in hills).astype(np.float32)
+    for most in (1, 2, 3, 5):
+        found = best_peaks(surface, most)
+        assert found == pytest.approx(np.array(hills[:most]), abs=0.05)
+    assert best_peaks(np.zeros((3, 4), np.float32), 2) == pytest.approx(np.zeros((1, 3)))
+
+
+def test_where_half_the_size_tells_several_places_full_size_decides(workshop: Any) -> None:
+    """A weave whose pattern repeats but for its finest strokes."""
+    x = np.arange(float(SIZE[0]))
+    fine = workshop.waves(9, finest=9.0, coarsest=16.0).levels(*SIZE) - 128
+    weave = 60 * np.cos(2 * np.pi * x / 60)
+    a = Prepared(workshop.digitised(128 + weave + 0.8 * fine))
+    b = Prepared(workshop.digitised(np.roll(128 + weave + 0.8 * fine, (340, 60), (0, 1))))
+    found = find_shift(a, b, (0, 0, 640, 140), np.array([0.0, 340.0]), np.array([70.0, 30.0]))
+    assert isinstance(found, CoarseShift)
+    assert found.px == pytest.approx([60, 0], abs=2)
