@@ -120,6 +120,14 @@ def test_trouble_excuses_its_own_camera_and_time(filmed: tuple[Film, ...]) -> No
     assert scored(filmed[0], None, lost, troubles=(everywhere,)).innocent == ()
 
 
+def test_rows_that_were_never_fired_need_a_word(filmed: tuple[Film, ...]) -> None:
+    board = scored(filmed[0]).model_copy(update={"rows": 4})
+    assert "only 4 of 6 rows were fired, and the station does not tell why" in failings(report_of(board), [], 1)[0]
+    told = board.model_copy(update={"reasons": ("After row 3 nothing more was filmed: the controller was reset.",)})
+    assert failings(report_of(told), [parse_fault("reset:board=0,row=4")], 1) == ()
+    assert "board 0, 4 of 6 rows: After row 3 nothing more was filmed" in as_text(report_of(told))
+
+
 def test_a_board_without_a_run(filmed: tuple[Film, ...]) -> None:
     board = score(Evidence(passing_of(filmed[0]), None, {}, None, [18.0, 18.0]), ())
     assert (board.run, board.unfilmed) == (None, 2 * filmed[0].rows)

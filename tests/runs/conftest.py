@@ -245,13 +245,13 @@ class Rig:
             self.peer.say(said.FrameSettled(grant.run, records[-1], time.monotonic()))
         return records
 
-    def finish(self, grant: said.Grant, records: list[FrameRecord]) -> None:
+    def finish(self, grant: said.Grant, records: list[FrameRecord], reason: str = "clear") -> None:
         """Every frame has its verdict."""
         rows = 1 + max(r.row for r in records)
         missing = tuple((r.camera, r.row) for r in records if r.verdict is not Verdict.OK)
         head = a_head(rows, missing)
         ordered = tuple(sorted(records, key=lambda r: (r.camera, r.row)))
-        self.peer.say(said.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), "clear"))
+        self.peer.say(said.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason))
 
     def board(self, grant: said.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:
         """A whole passage."""

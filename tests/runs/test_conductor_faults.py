@@ -36,6 +36,20 @@ def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
     assert rig.result_of(grant.run).board_id == "b 1"
 
 
+def test_a_run_that_was_cut_short_says_where_and_why(rig: Any) -> None:
+    """Whatever could be stitched of it: nobody has seen the rest of the board."""
+    grant = rig.arm()
+    rig.begin(grant)
+    records = [record for row in range(3) for record in rig.row(grant, row)]
+    rig.finish(grant, records, "the controller was reset")
+    run = rig.result_of(grant.run)
+    assert run.ended == "the controller was reset"
+    assert ("run-cut-short", "After row 2 nothing more was filmed: the controller was reset.") in [
+        (reason.code, reason.message) for reason in run.reasons
+    ]
+    assert run.state != "ready"
+
+
 def test_arming_before_the_cameras_are_open(make_rig: Callable[..., Any]) -> None:
     rig = make_rig()
     with pytest.raises(StateError, match="The station is starting") as refusal:

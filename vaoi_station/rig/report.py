@@ -42,6 +42,8 @@ class BoardScore(Part):
     cameras: int
     rows: int
     """Pulses that were fired."""
+    rows_due: int
+    """Pulses that the board should have had."""
     ok: int
     incomplete: int
     missing: int
@@ -71,7 +73,7 @@ class BoardScore(Part):
     @property
     def faultless(self) -> bool:
         """All of it was filmed, and stitched with a verdict of ok."""
-        return self.sound and self.status == "ok" and self.ok == self.rows * self.cameras and not self.unfilmed
+        return self.sound and self.status == "ok" and self.ok == self.rows_due * self.cameras
 
 
 class Recovery(Part):

@@ -72,6 +72,7 @@ def score(evidence: Evidence, troubles: Sequence[Trouble]) -> BoardScore:
         reasons=tuple(reason["message"] for reason in run["reasons"]) if run else (),
         cameras=passing.film.sheet.cameras,
         rows=len(passing.fired),
+        rows_due=passing.film.rows,
         ok=counts["ok"],
         incomplete=counts["incomplete"],
         missing=counts["missing"],

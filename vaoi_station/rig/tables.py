@@ -24,6 +24,7 @@ def _lines(report: RigReport) -> Iterator[str]:
     for board in report.boards:
         yield _FORM.format(*_row(board))
     yield from _affected(report)
+    yield from _reasons(report)
     for recovery in report.recoveries:
         after = "never" if recovery.ready_after_s is None else f"{recovery.ready_after_s:.1f} s later"
         yield f"{recovery.fault}: over at {recovery.back_s:.1f} s, the station was ready {after}"
@@ -55,6 +56,14 @@ def _row(board: BoardScore) -> tuple[str, ...]:
         f"{deviation.max_px:.3f}" if placed else "–",
         "–" if board.ready_after_last_frame_ms is None else f"{board.ready_after_last_frame_ms:.0f}",
     )
+
+
+def _reasons(report: RigReport) -> Iterator[str]:
+    """But for those that only list frames: these are told one by one."""
+    for board in report.boards:
+        words = [reason for reason in board.reasons if not reason.startswith("Frames (camera, row)")]
+        if words:
+            yield f"  board {board.board}, {board.rows} of {board.rows_due} rows: {' '.join(words)}"
 
 
 def _affected(report: RigReport) -> Iterator[str]:

@@ -50,8 +50,12 @@ def _of_board(board: BoardScore, hurt: set[int]) -> Iterator[str]:
         yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and nothing was done to it"
     for cell in board.unnamed:
         yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and no cause is told"
+    if board.rows < board.rows_due and not board.reasons:
+        yield f"{where}: only {board.rows} of {board.rows_due} rows were fired, and the station does not tell why"
     if board.board in hurt:
         return
+    if board.rows < board.rows_due:
+        yield f"{where}: only {board.rows} of {board.rows_due} rows were fired"
     if board.unfilmed:
         yield f"{where}: nothing is told of {board.unfilmed} frame(s) that were fired"
     wanted = ("ok", "degraded") if board.affected else ("ok",)

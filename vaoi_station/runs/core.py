@@ -21,7 +21,7 @@ from vaoi_station.runs.moments import RunIds, utc
 from vaoi_station.runs.order import Order, Orders
 from vaoi_station.runs.progress import Progress
 from vaoi_station.runs.reasons import Reasons
-from vaoi_station.runs.salvage import film_from_pieces
+from vaoi_station.runs.salvage import cut_short, film_from_pieces
 from vaoi_station.runs.shapes import Reason
 from vaoi_station.runs.state import STATION, RunState, RunStep, StationState, StationStep
 from vaoi_station.runs.watch import CalibrationWatch
@@ -223,6 +223,8 @@ class Core:
         if report.run not in self.book.active:
             return
         self.memory.use(report.run, "stitching")
+        if (reason := cut_short(report)) is not None:
+            self.book.active[report.run].blame(reason)
         self.book.filmed(report)
         if not self.book.filming:
             self._try(StationStep.BOARD_FILMED)

@@ -1,4 +1,4 @@
-"""The film of a run whose acquisition process died: what had arrived until then."""
+"""Runs whose second half never came: what is said of them, and the film if the acquisition process has died."""
 
 from __future__ import annotations
 
@@ -6,13 +6,27 @@ from vaoi_station.acquisition.messages import RunFinished
 from vaoi_station.config import StationConfig
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
 from vaoi_station.runs.progress import Progress
+from vaoi_station.runs.shapes import Reason
 
+_AS_PLANNED = frozenset({"clear", "max-rows", "single"})
+"""Ends of pulses that are no accident; see controller.RunEnded."""
 CAUSE = "the acquisition process ended before it arrived"
 
 
 def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
     """What a recording of this station says of its cameras."""
     return tuple(c.head for c in config.cameras)
+
+
+def cut_short(report: RunFinished) -> Reason | None:
+    """What is to be told of a run whose pulses ended while the board may have been passing; None for all others."""
+    if report.reason in _AS_PLANNED:
+        return None
+    return Reason(
+        code="run-cut-short",
+        message=f"After row {report.head.rows - 1} nothing more was filmed: {report.reason}.",
+        action="Film the board again if the pictures do not suffice.",
+    )
 
 
 def film_from_pieces(progress: Progress, config: StationConfig) -> RunFinished | None:
