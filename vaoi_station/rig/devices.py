@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 from vaoi_station.rig.chip import Chip, build
@@ -51,7 +52,10 @@ class Devices:
         with ExitStack() as parts:
             parts.enter_context(Loopback(self.addresses))
             built = build(self._folder / "firmware")
-            self.cameras = tuple(CameraWire(address, f"VAOI-{n:02d}") for n, address in enumerate(self.addresses))
+            self.cameras = tuple(
+                CameraWire(address, f"VAOI-{n:02d}", partial(self._answered, n))
+                for n, address in enumerate(self.addresses)
+            )
             for camera in self.cameras:
                 parts.callback(camera.end)
                 camera.begin()
@@ -68,6 +72,9 @@ class Devices:
 
     def __exit__(self, *_: object) -> None:
         self._parts.close()
+
+    def _answered(self, camera: int, word: str, picture: int, _: int) -> None:
+        self.stage.answered(camera, word, picture)
 
 
 def film_boards(

@@ -43,7 +43,7 @@ KINDS: dict[str, tuple[Fault, tuple[str, ...], str]] = {
         ("who", "board", "row", "for_s"),
         "SIGSTOP: station, acquisition, or a worker (worker 0, worker 1, …)",
     ),
-    "reset": (Fault("reset"), ("board", "row"), "the controller is reset"),
+    "reset": (Fault("reset", row=5), ("board", "row"), "the controller is reset"),
     "stuck": (Fault("stuck"), ("board", "row"), "the board stops with the pulse of this row and stays"),
     "bounce": (
         Fault("bounce", at_s=0.004, for_s=0.001),

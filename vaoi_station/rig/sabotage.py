@@ -17,8 +17,10 @@ from vaoi_station.rig.score import Trouble
 from vaoi_station.rig.stage import Mischief
 
 FOREVER_NS = 2**63
-_AFTER_NS = 300_000_000
-"""A process that was stopped catches up for so long."""
+"""Until the station is ready again, which is told by `mend`."""
+
+
+_AT_A_ROW = ("kill", "stall", "reset")
 
 
 def mischief_of(faults: Sequence[Fault]) -> Mischief:
@@ -47,7 +49,6 @@ class Saboteur:
         self._processes: Callable[[], Mapping[str, int]] = dict
         self._threads: list[threading.Thread] = []
         self._change = threading.Lock()
-        self._stopped: set[int] = set()
         self.troubles: list[Trouble] = []
         self.backs: list[Back] = []
         self.failed: list[str] = []
@@ -61,14 +62,17 @@ class Saboteur:
 
     def noticed(self, board: int, row: int) -> None:
         """The pulse of a row has been fired; no camera has heard of it."""
-        for fault in [f for f in self._faults if f.kind in ("kill", "stall", "reset") and f.at(board, row)]:
+        for fault in [f for f in self._faults if f.kind in _AT_A_ROW and f.at(board, row)]:
             self._faults.remove(fault)
             {"kill": self._kill, "stall": self._stall, "reset": self._reset}[fault.kind](fault)
 
     def over(self) -> None:
-        """Wait for what is under way, and let everything run on."""
+        """Wait for what is under way, and complain of what never happened."""
         for thread in self._threads:
             thread.join()
+        for fault in self._faults:
+            if fault.kind in _AT_A_ROW:
+                self.failed.append(f"{fault.kind} did not happen: board {fault.board} had no row {fault.row}")
 
     def _kill(self, fault: Fault) -> None:
         camera = self._at_work().cameras[fault.camera]
@@ -102,8 +106,7 @@ class Saboteur:
             with contextlib.suppress(ProcessLookupError):  # the station has given it up and started another
                 os.kill(pid, signal.SIGCONT)
             if name == "acquisition":
-                until_ns = time.monotonic_ns() + _AFTER_NS
-                self._remember(Trouble(began_ns, until_ns, None, "the acquisition process was stopped"))
+                self._remember(Trouble(began_ns, FOREVER_NS, None, "the acquisition process was stopped"))
             self._back(fault, began_ns)
 
         self._later(let_run)

@@ -118,7 +118,8 @@ def _reasons(passing: Passing, troubles: Sequence[Trouble]) -> dict[Cell, str]:
             if fate in _WORDS:
                 reasons[camera, row] = _WORDS[fate]
             elif touched:
-                reasons[camera, row] = touched[0]
+                unarmed = ", and the camera was not armed" if fate == "unarmed" else ""
+                reasons[camera, row] = f"{touched[0]}{unarmed}"
     return reasons
 
 

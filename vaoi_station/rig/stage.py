@@ -37,9 +37,9 @@ SOME_PACKETS = 0.05
 OVER_S = 0.5
 """So long after the film's end nothing of its board is fired any more."""
 
-Fate = Literal["sent", "ignored", "hit", "lost", "dead", "late"]
+Fate = Literal["sent", "ignored", "hit", "lost", "dead", "late", "unarmed"]
 """What became of a camera's frame: sent whole; trigger ignored; packets missing; all packets missing; no camera;
-rendered on demand."""
+rendered on demand; no frame, as no client had the camera armed."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,15 @@ class Stage:
         if shot is not None:
             with self._change:
                 self._fire(shot)
+
+    def answered(self, camera: int, word: str, picture: int) -> None:
+        """A camera says what it has done with an order."""
+        with self._change:
+            passing = self._passing
+            if word == "ignored" and passing is not None and picture >= 0:
+                for fired in passing.fired:
+                    if fired.row == picture // len(self._cameras):
+                        fired.fates[camera] = "unarmed"
 
     def let_pass(self, film: Film) -> Passing:
         """A board onto the belt; the one before must have passed."""
