@@ -120,8 +120,7 @@ def _opened(camera: CameraConfig) -> Iterator[Any]:
         require_answer(camera, camera.address)
         where = camera.address
     else:
-        found = by_serial(camera, search())
-        where = found.address if found.protocol == "GigEVision" else found.device_id
+        where = by_serial(camera, search()).where
     opened = open_device(camera, where)
     try:
         yield opened

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.cameras.aravis import network, probe
+from vaoi_station.acquisition.cameras.aravis import gvcp, network
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.errors import DeviceError, InputError
 
@@ -75,14 +75,22 @@ def test_a_socket_is_found_by_its_port_and_the_kernel_says_what_it_grants() -> N
 
 
 def test_only_the_answer_to_our_question_counts() -> None:
-    ours = probe.question(77)
-    assert ours == bytes.fromhex("42 01 0080 0004 004d 00000000")
-    assert probe.is_answer(bytes.fromhex("0000 0081 0004 004d 00010002"), 77)
-    assert probe.is_answer(bytes.fromhex("8006 0081 0000 004d"), 77), "who refuses is there"
-    assert not probe.is_answer(bytes.fromhex("0000 0081 0004 004e 00010002"), 77)
-    assert not probe.is_answer(bytes.fromhex("0000 0083 0004 004d 00010002"), 77)
-    assert not probe.is_answer(b"\x00\x00", 77)
+    assert gvcp.command(0x80, 77, bytes(4)) == bytes.fromhex("42 01 0080 0004 004d 00000000")
+    assert gvcp.is_answer(bytes.fromhex("0000 0081 0004 004d 00010002"), 0x80, 77)
+    assert gvcp.is_answer(bytes.fromhex("8006 0081 0000 004d"), 0x80, 77), "who refuses is there"
+    assert not gvcp.is_answer(bytes.fromhex("0000 0081 0004 004e 00010002"), 0x80, 77)
+    assert not gvcp.is_answer(bytes.fromhex("0000 0083 0004 004d 00010002"), 0x80, 77)
+    assert not gvcp.is_answer(b"\x00\x00", 0x80, 77)
+
+
+def test_a_serial_number_ends_with_a_zero_or_with_its_room() -> None:
+    registers = bytearray(8 + 248)
+    registers[8 + 0x24 : 8 + 0x28] = bytes([192, 168, 7, 31])
+    registers[8 + 0xD8 : 8 + 0xE8] = b"21433566\0garbage"
+    assert gvcp.present(bytes(registers)) == gvcp.Present("192.168.7.31", "21433566")
+    registers[8 + 0xD8 : 8 + 0xE8] = b"0123456789ABCDEF"
+    assert gvcp.present(bytes(registers)).serial == "0123456789ABCDEF"
 
 
 def test_where_nobody_listens_nobody_answers() -> None:
-    assert not probe.answers("127.0.0.1", timeout_s=0.01)
+    assert not gvcp.answers("127.0.0.1", timeout_s=0.01)

@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass
 from queue import SimpleQueue
 
-from vaoi_station.acquisition.cameras.aravis import probe
+from vaoi_station.acquisition.cameras.aravis import gvcp
 from vaoi_station.acquisition.cameras.aravis.connection import Connection, Share
 from vaoi_station.acquisition.cameras.aravis.discovery import OPENING, absent, by_serial, search
 from vaoi_station.acquisition.cameras.aravis.stream import Told
@@ -161,7 +161,7 @@ class AravisCamera:
     def _look(self, connection: Connection) -> None:
         """DeviceError if the camera is gone, or no longer ours."""
         asked_s = time.monotonic()
-        if self._is_gige and not probe.answers(self._identity.address):
+        if self._is_gige and not gvcp.answers(self._identity.address):
             raise absent(self.config, self._identity.address, "it does not answer any more")
         if not connection.is_ours():
             raise DeviceError(
@@ -224,9 +224,8 @@ class AravisCamera:
 
     def _place(self) -> str:
         """Where it was, or where its serial number answers now."""
-        if self._is_gige and probe.answers(self._identity.address, tries=1):
+        if self._is_gige and gvcp.answers(self._identity.address, tries=1):
             return self._identity.address
         if self.config.serial is None:
             raise absent(self.config, self._identity.address, "it does not answer")
-        found = by_serial(self.config, search())
-        return found.address if self._is_gige else found.device_id
+        return by_serial(self.config, search()).where

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from vaoi_station.acquisition.cameras.aravis import probe
+from vaoi_station.acquisition.cameras.aravis import gvcp
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
 from vaoi_station.acquisition.cameras.aravis.settings import reason
 from vaoi_station.config import CameraConfig
@@ -21,25 +21,20 @@ OPENING = threading.Lock()
 class Found:
     """A device that answered."""
 
-    device_id: str
     serial: str
-    address: str
-    """IP address of a GigE camera; of a USB camera a name that Aravis gives it."""
-    protocol: str
+    where: str
+    """IP address of a GigE camera, Aravis' device id of a USB camera: what opens it."""
 
 
 def search() -> tuple[Found, ...]:
-    """All devices that answer now; takes about a second."""
+    """All devices that answer now; takes about two seconds."""
     library = aravis()
     library.update_device_list()
-    return tuple(
-        Found(
-            library.get_device_id(k),
-            library.get_device_serial_nbr(k) or "",
-            library.get_device_address(k) or "",
-            library.get_device_protocol(k) or "",
-        )
-        for k in range(library.get_n_devices())
+    listed = range(library.get_n_devices())
+    usb = [k for k in listed if library.get_device_protocol(k) == "USB3Vision"]
+    return (
+        *(Found(present.serial, present.address) for present in gvcp.discover()),
+        *(Found(library.get_device_serial_nbr(k) or "", library.get_device_id(k)) for k in usb),
     )
 
 
@@ -52,14 +47,14 @@ def by_serial(config: CameraConfig, found: Sequence[Found]) -> Found:
     """
     matching = [device for device in found if device.serial == config.serial]
     if not matching:
-        there = ", ".join(sorted(f"{d.serial} at {d.address}" for d in found)) or "none"
+        there = ", ".join(f"{d.serial} at {d.where}" for d in found) or "none"
         raise DeviceError(
             f"camera {config.name}: no camera with serial number {config.serial!r} answers; those that do: {there}.",
             action="Check its cable, its power and its serial number in station.toml.",
             code="camera-absent",
         )
     if len(matching) > 1:
-        places = ", ".join(sorted(d.address for d in matching))
+        places = ", ".join(d.where for d in matching)
         raise InputError(
             f"camera {config.name}: {len(matching)} cameras have the serial number {config.serial!r} ({places}).",
             action="Give their addresses in station.toml instead of the serial number.",
@@ -89,7 +84,7 @@ def open_device(config: CameraConfig, address: str) -> Any:
 
 def require_answer(config: CameraConfig, address: str) -> None:
     """DeviceError if nobody answers at an IP address: much sooner than Aravis would find out."""
-    if not probe.answers(address):
+    if not gvcp.answers(address):
         raise absent(config, address, "it does not answer")
 
 

@@ -89,6 +89,16 @@ def mtu_to(address: str) -> int:
         return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)
 
 
+def local_addresses() -> tuple[str, ...]:
+    """IPv4 addresses of this computer's interfaces, one each."""
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
+        for _, name in socket.if_nameindex():
+            with contextlib.suppress(OSError):  # it has none
+                found.append(socket.inet_ntoa(_ask(asker, _SIOCGIFADDR, name)))
+    return tuple(found)
+
+
 def interface_of(local_address: str) -> str:
     """Name of the interface with an address (or, for loopback, its network); the address itself if there is none."""
     wanted = _number(socket.inet_aton(local_address))

@@ -61,8 +61,7 @@ def _places(cameras: Sequence[CameraConfig]) -> list[str]:
             require_answer(camera, camera.address)
             places.append(camera.address)
         else:
-            device = by_serial(camera, found)
-            places.append(device.address if device.protocol == "GigEVision" else device.device_id)
+            places.append(by_serial(camera, found).where)
     return places
 
 

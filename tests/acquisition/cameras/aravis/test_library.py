@@ -1,0 +1,61 @@
+"""PyGObject comes from the distribution, alone, and where there is none the rest of the station does without."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.acquisition.cameras.aravis import library
+from vaoi_station.errors import DeviceError
+
+LOAD = """
+import sys
+from vaoi_station.acquisition.cameras.aravis import library
+from vaoi_station.acquisition.cameras.aravis.library import aravis, version
+before = list(sys.path)
+assert aravis().Camera and aravis().GvFakeCamera
+assert version() >= (0, 8, 26)
+assert sys.path == before
+system = str(library.SYSTEM_PACKAGES)
+strangers = [name for name, module in sys.modules.items() if system in str(getattr(module, "__file__", ""))]
+assert strangers and all(name.split(".")[0] == "gi" for name in strangers), strangers
+"""
+
+
+@pytest.mark.aravis
+def test_only_gi_is_taken_from_the_distribution() -> None:
+    done = subprocess.run([sys.executable, "-W", "error", "-c", LOAD], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("files", "sentence"),
+    [
+        ((), "there is no PyGObject in"),
+        (("__init__.py",), "is for no Python"),
+        (("__init__.py", "_gi.cpython-399-x86_64-linux-gnu.so"), "is for cpython-399-x86_64-linux-gnu"),
+    ],
+)
+def test_what_is_absent_is_said_with_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: tuple[str, ...], sentence: str
+) -> None:
+    (tmp_path / "gi").mkdir()
+    for name in files:
+        (tmp_path / "gi" / name).touch()
+    monkeypatch.setattr(library, "SYSTEM_PACKAGES", tmp_path)
+    for name in [name for name in sys.modules if name.split(".")[0] == "gi"]:
+        monkeypatch.delitem(sys.modules, name)
+    library.aravis.cache_clear()
+    with pytest.raises(DeviceError, match=sentence) as caught:
+        library.aravis()
+    assert "apt install python3-gi gir1.2-aravis-0.8" in caught.value.action
+    assert caught.value.code == "aravis-absent"
+
+
+def test_the_backend_can_be_imported_without_it() -> None:
+    """Its modules load PyGObject when the first camera is opened, and not before."""
+    code = "import sys; import vaoi_station.acquisition.cameras.aravis; sys.exit('gi' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

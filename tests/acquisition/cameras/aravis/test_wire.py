@@ -1,0 +1,40 @@
+"""What needs a network of its own: the files in `wire/`, each in a process with a network namespace.
+
+Real GVCP and GVSP between Aravis' fake cameras and our backend; GigE Vision has one fixed port, so nobody else's
+cameras may be there.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.acquisition.cameras.aravis.library import aravis
+from vaoi_station.errors import DeviceError
+from vaoi_station.rig.network import INSIDE, isolation
+
+WIRE = Path(__file__).parent / "wire"
+ROOT = Path(__file__).parents[4]
+
+
+@pytest.mark.aravis
+@pytest.mark.parametrize("name", sorted(path.name for path in WIRE.glob("wire_*.py")))
+def test_in_a_network_of_its_own(name: str) -> None:
+    try:
+        aravis()
+    except DeviceError as refusal:
+        pytest.skip(f"platform: {refusal}")
+    command = [
+        *isolation(),
+        *(sys.executable, "-m", "pytest", "--quiet", "--no-header", "-p", "no:cacheprovider"),
+        *("-o", "python_files=wire_*.py", str(WIRE / name)),
+    ]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {INSIDE: "1"}, capture_output=True, text=True, check=False, timeout=280
+    )
+    if done.returncode:
+        pytest.fail(f"{' '.join(command)}\n{done.stdout}\n{done.stderr}", pytrace=False)

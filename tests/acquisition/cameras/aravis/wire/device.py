@@ -1,0 +1,110 @@
+"""The virtual rig's camera, with what a test may want to be wrong with it.
+
+    python device.py ADDRESS SERIAL [CHANGE …]
+
+Changes are made to the description that the camera serves, before it is served. Beside the rig's orders there is
+`width N`, by which the camera changes its region behind its client's back, and `tick` (see `latch`).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import sys
+import threading
+import time
+from functools import reduce
+
+from vaoi_station.acquisition.cameras.aravis.library import shared_library
+from vaoi_station.pixel_formats import PIXEL_FORMATS
+from vaoi_station.rig import camera
+from vaoi_station.rig.description import wired
+
+CLOCK_ADDRESS = 0x8000
+CLOCK_AHEAD_NS = 4_000_000_000_000
+"""Of a latched clock before the host's monotonic one."""
+
+
+def formats(text: str) -> str:
+    """All pixel formats, where the fake offers seven."""
+    entries = "".join(
+        f'<EnumEntry Name="{name}"><Value>{known.code}</Value></EnumEntry>'
+        for name, known in PIXEL_FORMATS.items()
+        if f'Name="{name}"' not in text
+    )
+    return re.sub(r'(<Enumeration Name="PixelFormat".*?)(<pValue>)', rf"\1{entries}\2", text, count=1, flags=re.DOTALL)
+
+
+def stubborn(text: str) -> str:
+    """Whatever exposure it is told, it exposes 5 ms."""
+    return re.sub(
+        r"<FormulaTo>FROM</FormulaTo>(?=\s*<FormulaFrom>TO</FormulaFrom>\s*<pValue>ExposureTimeAbsRegister)",
+        "<FormulaTo>FROM * 0 + 5000</FormulaTo>",
+        text,
+    )
+
+
+def free_running(text: str) -> str:
+    """It says that its trigger is on, and is off."""
+    head, mode, rest = re.split(
+        r'(<Enumeration Name="TriggerMode".*?</Enumeration>)', text, maxsplit=1, flags=re.DOTALL
+    )
+    swapped = mode.replace("<Value>0<", "<Value>2<").replace("<Value>1<", "<Value>0<").replace("<Value>2<", "<Value>1<")
+    return head + swapped + rest
+
+
+def latch(text: str) -> str:
+    """A clock that can be latched: the value runs on its own, a millisecond at most behind."""
+    return text.replace(
+        "</RegisterDescription>",
+        '<Command Name="TimestampLatch"><pValue>LatchRegister</pValue><CommandValue>1</CommandValue></Command>'
+        f'<IntReg Name="LatchRegister"><Address>{CLOCK_ADDRESS + 8}</Address><Length>4</Length>'
+        "<AccessMode>RW</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+        f'<IntReg Name="TimestampLatchValue"><Address>{CLOCK_ADDRESS}</Address><Length>8</Length>'
+        "<AccessMode>RO</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+        "</RegisterDescription>",
+    )
+
+
+CHANGES = {change.__name__: change for change in (formats, stubborn, free_running, latch)}
+
+
+class Device(camera.VirtualCamera):
+    """One camera with orders of its own."""
+
+    def obey(self, line: str) -> None:
+        if line.startswith("width "):
+            self._write("WIDTH", int(line.split()[1]))
+            self.say("done")
+        else:
+            super().obey(line)
+
+    def tick(self) -> None:
+        """Let the clock run."""
+        library = shared_library()
+        library.arv_fake_camera_write_memory.argtypes = [
+            ctypes.c_void_p,
+            ctypes.c_uint32,
+            ctypes.c_uint32,
+            ctypes.c_char_p,
+        ]
+        while True:
+            now = (time.monotonic_ns() + CLOCK_AHEAD_NS).to_bytes(8, "big")
+            library.arv_fake_camera_write_memory(hash(self._fake), CLOCK_ADDRESS, 8, now)
+            time.sleep(0.0005)
+
+
+def main(address: str, serial: str, *changes: str) -> None:
+    def changed(text: str) -> str:
+        return reduce(lambda so_far, name: CHANGES[name](so_far), changes, wired(text))
+
+    vars(camera)["wired"] = changed
+    device = Device(address, serial, sys.stdout)
+    if "latch" in changes:
+        threading.Thread(target=device.tick, daemon=True).start()
+    for line in sys.stdin:
+        device.obey(line)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,123 @@
+"""What the tests on the wire play with: a camera in a process of its own, and a station's cameras over a real ring."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
+from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraNews, Slot
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.config import StationConfig
+from vaoi_station.rig.network import addresses
+
+PATIENCE_S = 20.0
+WIDTH, HEIGHT = 96, 64
+
+News = TypeVar("News")
+
+
+class Device:
+    """A camera in a process of its own."""
+
+    def __init__(self, number: int, serial: str, changes: tuple[str, ...], film: Path) -> None:
+        self.address, self.serial = addresses(number + 1)[number], serial
+        self._changes, self._film = changes, film
+        self.plug()
+
+    def plug(self) -> None:
+        program = str(Path(__file__).with_name("device.py"))
+        self.process = subprocess.Popen(
+            [sys.executable, program, self.address, self.serial, *self._changes],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self.heard() == f"ready {self.address}"
+        if self._film.exists():
+            self.order(f"film {self._film}")
+
+    def order(self, line: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def heard(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().strip()
+
+    def show(self, *pictures: NDArray[np.uint8]) -> None:
+        """A film of these frames' bytes."""
+        self._film.write_bytes(b"".join(p.tobytes() for p in pictures))
+        self.order(f"film {self._film}")
+
+    def fire(self, picture: int = -1, lost: float = 0.0) -> int:
+        """One trigger; the id of the frame that was sent."""
+        self.order(f"fire {picture} 0 1 {lost}")
+        sent, number, frame_id = self.heard().split()
+        assert (sent, int(number)) == ("sent", picture)
+        return int(frame_id)
+
+    def unplug(self) -> None:
+        """From one moment to the next."""
+        self.process.kill()
+        self.process.communicate()
+
+
+class Stage:
+    """Opened cameras of a station, its ring, and what they announce."""
+
+    def __init__(self, config: StationConfig) -> None:
+        self.config = config
+        self.cameras: tuple[AravisCamera, ...] = open_aravis_cameras(config)
+        self.ring = Ring.create(ring_path(config), RingLayout.of(config))
+        self.news: SimpleQueue[CameraNews] = SimpleQueue()
+        for camera in self.cameras:
+            camera.start(self.news)
+
+    def load(self, bay: int = 0) -> None:
+        """All slots of a bay, as before a run."""
+        for number, camera in enumerate(self.cameras):
+            for k in range(self.ring.layout.slots_per_camera):
+                camera.queue(self.slot(self.ring.slot(bay, number, k)))
+
+    def slot(self, number: int) -> Slot:
+        return Slot(number, self.ring.memory(number))
+
+    def arrival(self) -> Arrival:
+        return self.until(Arrival)
+
+    def until(self, kind: type[News]) -> News:
+        """The next news of a kind; others are dropped."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            try:
+                news = self.news.get(timeout=left_s)
+            except Empty:
+                break
+            if isinstance(news, kind):
+                return news
+        raise AssertionError(f"no {kind.__name__} came")
+
+    def close(self) -> None:
+        for camera in self.cameras:
+            camera.close()
+        self.ring.close()
+
+
+def thread_names() -> list[str]:
+    """All threads of this process, those of Aravis included."""
+    return [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
+
+
+def noise(seed: int, nbytes: int = WIDTH * HEIGHT) -> NDArray[np.uint8]:
+    """The bytes of a frame like no other."""
+    return np.random.default_rng(seed).integers(0, 256, nbytes, dtype=np.uint8)

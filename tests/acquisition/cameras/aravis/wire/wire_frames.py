@@ -1,0 +1,194 @@
+"""Frames on their way from a camera's sensor to the reader of the ring."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, noise, thread_names
+from vaoi_station.acquisition.cameras.aravis.library import shared_library
+from vaoi_station.acquisition.ring import Ring
+from vaoi_station.config import StationConfig
+from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
+
+Plug = Callable[..., Device]
+Make = Callable[..., StationConfig]
+Open = Callable[[StationConfig], Stage]
+
+
+def test_aravis_writes_where_the_stitcher_reads(device: Plug, station: Make, opened: Open) -> None:
+    """The address of a queued buffer, by Aravis' own word, is the slot's; a reader's mapping then shows the frame."""
+    camera = device(0)
+    camera.show(noise(1), noise(2))
+    stage = opened(station(camera))
+    stage.load()
+    connection = stage.cameras[0]._connection
+    assert connection is not None
+    where = shared_library().arv_buffer_get_data
+    where.argtypes, where.restype = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)], ctypes.c_void_p
+    queued = connection.stream._out
+    assert len(queued) == stage.ring.layout.slots_per_camera
+    for pointer, (_, slot) in queued.items():
+        assert where(pointer, ctypes.byref(ctypes.c_size_t())) == stage.ring.memory(slot.number).ctypes.data
+    with Ring.attach(stage.ring.path) as reader:
+        for number in (1, 0):
+            camera.fire(number)
+            arrival = stage.arrival()
+            assert arrival.complete, arrival.fault
+            assert (reader.frame(arrival.slot).ravel() == noise(number + 1)).all()
+
+
+def test_every_frame_has_its_own_number_and_pixels_over_the_wrap(device: Plug, station: Make, opened: Open) -> None:
+    """The fake counts from 65400; 0 never occurs."""
+    camera = device(0)
+    pictures = [noise(seed) for seed in range(7)]
+    camera.show(*pictures)
+    stage = opened(station(camera))
+    stage.load()
+    ids = []
+    last_s = -1.0
+    for k in range(150):
+        sent = camera.fire(k % 7)
+        arrival = stage.arrival()
+        assert arrival.complete, arrival.fault
+        assert arrival.frame_id == sent
+        assert (stage.ring.memory(arrival.slot) == pictures[k % 7]).all()
+        assert arrival.time_s is not None
+        assert arrival.time_s > last_s
+        last_s = arrival.time_s
+        ids.append(sent)
+        stage.cameras[0].queue(stage.slot(arrival.slot))
+    assert 65535 in ids
+    assert ids[ids.index(65535) + 1] == 1
+    assert stage.cameras[0].health().delivered == 150
+
+
+def test_a_frame_that_lost_packets_is_incomplete_and_says_so(device: Plug, station: Make, opened: Open) -> None:
+    camera = device(0)
+    camera.show(noise(1), noise(2))
+    stage = opened(station(camera, packet_bytes=600))
+    stage.load()
+    camera.fire(0)
+    first = stage.arrival()
+    camera.fire(1, lost=0.4)
+    torn = stage.arrival()
+    camera.fire(0)
+    last = stage.arrival()
+    assert [first.complete, torn.complete, last.complete] == [True, False, True]
+    assert (torn.frame_id, torn.time_s) == (None, None), "they may be an older frame's"
+    assert torn.fault in ("parts of the frame did not come in time", "packets of the frame were lost on the way")
+    assert last.frame_id == (first.frame_id or 0) + 2
+    health = stage.cameras[0].health()
+    assert (health.delivered, health.incomplete) == (2, 1)
+    assert dict(health.counters)["n_missing_packets"] > 0
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Mono10", "Mono10Packed", "Mono10p", "Mono12", "Mono12Packed", "Mono12p", "Mono16", "BayerRG8", "BayerGB12p"],
+)
+def test_formats_cross_the_wire_as_they_are(device: Plug, station: Make, opened: Open, name: str) -> None:
+    known = PIXEL_FORMATS[name]
+    frame = noise(3, known.nbytes(WIDTH, HEIGHT))
+    camera = device(0, "formats")
+    camera.show(frame)
+    stage = opened(station(camera, pixel_format=name))
+    stage.load()
+    camera.fire(0)
+    arrival = stage.arrival()
+    assert arrival.complete, arrival.fault
+    assert (stage.ring.memory(arrival.slot) == frame).all()
+    assert (stage.ring.frame(arrival.slot) == picture(frame, WIDTH, HEIGHT, known)).all()
+
+
+def test_a_frame_of_another_size_than_configured_is_no_frame(device: Plug, station: Make, opened: Open) -> None:
+    """The camera changes its region behind our back."""
+    camera = device(0)
+    stage = opened(station(camera))
+    stage.load()
+    camera.order("width 64")
+    assert camera.heard() == "done"
+    camera.fire()
+    arrival = stage.arrival()
+    assert not arrival.complete
+    assert "64×64 px" in arrival.fault
+    assert "96×64 px" in arrival.fault
+
+
+def test_slots_that_were_taken_back_are_never_written_again(device: Plug, station: Make, opened: Open) -> None:
+    camera = device(0)
+    camera.show(noise(1))
+    stage = opened(station(camera))
+    count = stage.ring.layout.slots_per_camera
+    stage.load()
+    camera.fire(0)
+    used = stage.arrival().slot
+    assert sorted([used, *stage.cameras[0].take_back()]) == list(range(count))
+    assert stage.cameras[0].take_back() == []
+    for slot in range(count):
+        stage.ring.memory(slot)[:] = 170
+    before = dict(stage.cameras[0].health().counters)["n_underruns"]
+    camera.fire(0)
+    stage.load(bay=1)
+    camera.fire(0)
+    arrival = stage.arrival()
+    assert stage.ring.layout.place(arrival.slot)[0] == 1, "the frame between found no memory"
+    assert dict(stage.cameras[0].health().counters)["n_underruns"] > before
+    for slot in range(count):
+        assert (stage.ring.memory(slot) == 170).all()
+
+
+def test_slots_change_hands_hundreds_of_times_and_nothing_piles_up(device: Plug, station: Make, opened: Open) -> None:
+    """Each round is an arming: load, a pulse now and then, take back all the rest."""
+    camera = device(0)
+    camera.show(noise(1))
+    stage = opened(station(camera))
+    count = stage.ring.layout.slots_per_camera
+    sizes = []
+    for arming in range(600):
+        stage.load(arming % 2)
+        expected = stage.ring.slot(arming % 2, 0, 0)
+        used = []
+        if arming % 10 == 0:
+            camera.fire(0)
+            arrival = stage.arrival()
+            assert arrival.complete, arrival.fault
+            assert arrival.slot == expected, "slots are filled in the order they were queued"
+            used = [arrival.slot]
+        back = stage.cameras[0].take_back()
+        assert sorted(used + back) == [stage.ring.slot(arming % 2, 0, k) for k in range(count)]
+        if arming in (99, 599):
+            sizes.append((resident_kib(), len(list(Path("/proc/self/fd").iterdir())), len(thread_names())))
+    early, late = sizes
+    assert late[1:] == early[1:]
+    assert late[0] - early[0] < 1024, f"{late[0] - early[0]} KiB more after 500 armings"
+
+
+def resident_kib() -> int:
+    status = Path("/proc/self/status").read_text()
+    return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1])
+
+
+def test_a_camera_tells_its_time_and_temperature(device: Plug, station: Make, opened: Open) -> None:
+    camera = device(0)
+    stage = opened(station(camera))
+    stage.load()
+    first = stage.cameras[0].read_clock()
+    camera.fire()
+    arrival = stage.arrival()
+    second = stage.cameras[0].read_clock()
+    assert arrival.time_s is not None
+    assert first.device_s < arrival.time_s < second.device_s
+    assert first.bound_s < 1e-3
+    assert np.isclose(second.device_s - first.device_s, second.host_s - first.host_s, atol=1e-3)
+    for _ in range(200):
+        if stage.cameras[0].health().temperature_c is not None:
+            break
+        stage.cameras[0].queue(stage.slot(arrival.slot))
+        camera.fire()
+        stage.arrival()
+    assert stage.cameras[0].health().temperature_c == 41.5

@@ -1,0 +1,170 @@
+"""Which camera is opened, what it is told, and what is refused."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
+from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import DeviceError, InputError
+
+Plug = Callable[..., Device]
+Make = Callable[..., StationConfig]
+Open = Callable[[StationConfig], Stage]
+
+SOMEBODY = """
+import sys
+from vaoi_station.acquisition.cameras.aravis.library import aravis
+camera = aravis().Camera.new(sys.argv[1])
+print("mine", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def somebody() -> Iterator[Callable[[Device], None]]:
+    """Another program takes control of a camera."""
+    programs = []
+
+    def take(device: Device) -> None:
+        command = [sys.executable, "-c", SOMEBODY, device.address]
+        programs.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
+        assert programs[-1].stdout is not None
+        assert programs[-1].stdout.readline() == "mine\n"
+
+    yield take
+    for program in programs:
+        program.communicate()
+
+
+def by_serial(config: StationConfig, *serials: str) -> StationConfig:
+    content = config.model_dump()
+    for camera, serial in zip(content["cameras"], serials, strict=True):
+        camera |= {"address": None, "serial": serial}
+    return StationConfig.model_validate(content)
+
+
+def test_cameras_are_found_by_serial_number_whatever_their_order(device: Plug, station: Make, opened: Open) -> None:
+    one, two, _ = device(0), device(1), device(2)
+    stage = opened(by_serial(station(one, two), two.serial, one.serial))
+    stage.load()
+    two.fire()
+    assert stage.arrival().camera == 0
+    one.fire()
+    assert stage.arrival().camera == 1
+
+
+def test_settings_are_on_the_camera(device: Plug, station: Make, opened: Open) -> None:
+    """Read by the device's own registers' names, from the open camera."""
+    camera = device(0)
+    stage = opened(
+        station(
+            camera, exposure_us=1234.0, gain_db=3.0, offset_px=(8, 4), packet_bytes=1400, features={"TestRegister": 7}
+        )
+    )
+    connection = stage.cameras[0]._connection
+    assert connection is not None
+    seen = connection._camera.get_device()
+    read = {
+        name: seen.get_string_feature_value(name)
+        for name in ("TriggerMode", "TriggerSource", "TriggerActivation", "PixelFormat")
+    }
+    assert read == {
+        "TriggerMode": "On",
+        "TriggerSource": "Line0",
+        "TriggerActivation": "RisingEdge",
+        "PixelFormat": "Mono8",
+    }
+    numbers = ("Width", "Height", "OffsetX", "OffsetY", "GainRaw", "TestRegister")
+    assert [seen.get_integer_feature_value(name) for name in numbers] == [96, 64, 8, 4, 3, 7]
+    assert seen.get_float_feature_value("ExposureTimeAbs") == 1234.0
+    assert connection.packet_bytes == connection._camera.gv_get_packet_size() == 1400
+    assert connection.granted_bytes > 0
+
+
+def test_cameras_of_one_cable_leave_each_other_room(device: Plug, station: Make, opened: Open) -> None:
+    stage = opened(station(device(0), device(1), link_mbit_s=1000.0, packet_bytes=1500))
+    for camera in stage.cameras:
+        assert camera._connection is not None
+        assert camera._connection._camera.gv_get_packet_delay() == (1500 + 38) * 8
+
+
+def test_a_cable_that_is_too_slow_is_refused(device: Plug, station: Make) -> None:
+    config = station(device(0), device(1), link_mbit_s=0.5)
+    with pytest.raises(DeviceError, match=r"2 cameras on port lo need .* ms for a row at 0 Mbit/s"):
+        open_aravis_cameras(config)
+
+
+def test_nobody_at_the_address(device: Plug, station: Make) -> None:
+    gone = device(0)
+    gone.unplug()
+    with pytest.raises(DeviceError, match=r"camera c0: there is no camera at 127\.0\.0\.2") as caught:
+        open_aravis_cameras(station(gone))
+    assert caught.value.code == "camera-absent"
+
+
+def test_nobody_with_the_serial_number(device: Plug, station: Make) -> None:
+    there = device(0)
+    with pytest.raises(DeviceError, match=r"serial number 'OTHER' answers; those that do: WIRE0 at 127\.0\.0\.2"):
+        open_aravis_cameras(by_serial(station(there), "OTHER"))
+
+
+def test_two_cameras_with_one_serial_number(device: Plug, station: Make) -> None:
+    one, two = device(0, serial="SAME"), device(1, serial="SAME")
+    with pytest.raises(InputError, match=r"2 cameras have the serial number 'SAME' \(127\.0\.0\.2, 127\.0\.0\.3\)"):
+        open_aravis_cameras(by_serial(station(one), "SAME"))
+    with pytest.raises(InputError, match="cameras c0, c1: have the same serial number 'SAME'"):
+        open_aravis_cameras(station(one, two))
+
+
+def test_a_camera_that_somebody_else_controls(
+    device: Plug, station: Make, opened: Open, somebody: Callable[[Device], None]
+) -> None:
+    mine, theirs = device(0), device(1)
+    somebody(theirs)
+    with pytest.raises(DeviceError, match="camera c1: another program controls the camera") as caught:
+        open_aravis_cameras(station(mine, theirs))
+    assert caught.value.code == "camera-in-use"
+    opened(station(mine))  # what was opened before the refusal was let go of
+
+
+def test_a_camera_that_ignores_a_setting_is_named_with_the_values(device: Plug, station: Make) -> None:
+    with pytest.raises(
+        DeviceError, match=r"camera c0: ignores a setting: ExposureTime was set to 250\.0, but reads 5000"
+    ):
+        open_aravis_cameras(station(device(0, "stubborn")))
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"trigger_line": "Line7"}, "camera c0: refuses TriggerSource = 'Line7'"),
+        ({"features": {"Sharpness": 3}}, "camera c0: refuses Sharpness = 3"),
+        ({"pixel_format": "Mono12p"}, "camera c0: refuses PixelFormat = 'Mono12p'"),
+    ],
+)
+def test_what_a_camera_cannot_do_is_refused(
+    device: Plug, station: Make, changes: dict[str, object], sentence: str
+) -> None:
+    with pytest.raises(DeviceError, match=sentence):
+        open_aravis_cameras(station(device(0), **changes))
+
+
+def test_a_camera_that_runs_freely_is_found_out_before_the_first_pulse(device: Plug, station: Make) -> None:
+    """It says that its trigger is on."""
+    with pytest.raises(DeviceError, match="camera c1: sends frames although no trigger was fired"):
+        open_aravis_cameras(station(device(0), device(1, "free_running")))
+
+
+def test_a_clock_that_can_be_latched_is_asked(device: Plug, station: Make, opened: Open) -> None:
+    camera = opened(station(device(0, "latch"))).cameras[0]
+    readings = [camera.read_clock() for _ in range(20)]
+    offsets = [reading.device_s - reading.host_s for reading in readings]
+    slack_s = 5e-3 + max(reading.bound_s for reading in readings)
+    assert max(offsets) - min(offsets) < slack_s
+    assert min(reading.bound_s for reading in readings) > 1e-5, "it goes over the wire"

@@ -1,0 +1,110 @@
+"""Two questions of GigE Vision's control protocol that anybody may ask: are you there, and who is there?
+
+Aravis asks a camera five times half a second before it gives it up, and holds the camera's lock meanwhile; and of two
+cameras that call themselves the same it lists one. So we ask by datagrams of our own: READREG of the protocol's version
+(bootstrap register 0) needs no control of the camera, DISCOVERY goes to everybody.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import time
+from dataclasses import dataclass
+from itertools import count
+
+from vaoi_station.acquisition.cameras.aravis.network import CONTROL_PORT, local_addresses
+
+DISCOVERY_S = 1.0
+"""Cameras have so long to answer, by the standard."""
+_KEY, _ACKNOWLEDGE = 0x42, 0x01
+_DISCOVERY, _READ_REGISTER = 0x0002, 0x0080
+"""An answer's number is one more."""
+_VERSION_REGISTER = bytes(4)
+_HEADER = struct.Struct(">BBHHH")
+_ADDRESS_AT, _SERIAL_AT = 8 + 0x24, 8 + 0xD8
+"""In an answer to DISCOVERY, which holds the bootstrap registers from 0 on."""
+_ANSWER_BYTES = 8 + 0xF8
+_ids = count(1)
+
+
+@dataclass(frozen=True)
+class Present:
+    """A GigE camera that answered."""
+
+    address: str
+    serial: str
+
+
+def command(number: int, request_id: int, content: bytes = b"") -> bytes:
+    """A datagram that wants an answer."""
+    return _HEADER.pack(_KEY, _ACKNOWLEDGE, number, len(content), request_id) + content
+
+
+def is_answer(datagram: bytes, number: int, request_id: int) -> bool:
+    """Whether it acknowledges that command, be it by a refusal: who refuses is there."""
+    if len(datagram) < _HEADER.size:
+        return False
+    _, _, answered, _, to = _HEADER.unpack_from(datagram)
+    return bool(answered == number + 1 and to == request_id)
+
+
+def answers(address: str, timeout_s: float = 0.2, tries: int = 3) -> bool:
+    """Whether there is a camera at an address; asks at most `tries` times, `timeout_s` each."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
+        asker.settimeout(timeout_s)
+        try:
+            asker.connect((address, CONTROL_PORT))
+        except OSError:
+            return False
+        return any(_ask(asker) for _ in range(tries))
+
+
+def discover(wait_s: float = DISCOVERY_S) -> tuple[Present, ...]:
+    """All GigE cameras on the networks of this computer, by address."""
+    request_id = _next_id()
+    with contextlib.ExitStack() as stack:
+        askers = []
+        for local in local_addresses():
+            asker = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            asker.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            asker.setblocking(False)
+            with contextlib.suppress(OSError):  # an interface that is down
+                asker.bind((local, 0))
+                asker.sendto(command(_DISCOVERY, request_id), ("255.255.255.255", CONTROL_PORT))
+                askers.append(asker)
+        time.sleep(wait_s)
+        found = {camera for asker in askers for camera in _received(asker, request_id)}
+    return tuple(sorted(found, key=lambda camera: socket.inet_aton(camera.address)))
+
+
+def present(datagram: bytes) -> Present:
+    """What an answer to DISCOVERY says of its sender; its own address, as the datagram may come from another."""
+    serial = datagram[_SERIAL_AT : _SERIAL_AT + 16].split(b"\0")[0].decode("ascii", "replace")
+    return Present(socket.inet_ntoa(datagram[_ADDRESS_AT : _ADDRESS_AT + 4]), serial)
+
+
+def _received(asker: socket.socket, request_id: int) -> list[Present]:
+    received = []
+    with contextlib.suppress(BlockingIOError):  # that was all
+        while True:
+            datagram = asker.recv(1024)
+            if is_answer(datagram, _DISCOVERY, request_id) and len(datagram) >= _ANSWER_BYTES:
+                received.append(present(datagram))
+    return received
+
+
+def _ask(asker: socket.socket) -> bool:
+    request_id = _next_id()
+    try:
+        asker.send(command(_READ_REGISTER, request_id, _VERSION_REGISTER))
+        while not is_answer(asker.recv(1024), _READ_REGISTER, request_id):
+            pass  # an answer to an earlier question
+    except OSError:  # no answer in time, or nobody listens there
+        return False
+    return True
+
+
+def _next_id() -> int:
+    return next(_ids) % 0xFFFF + 1
