@@ -16,7 +16,7 @@ from tests.doctor.conftest import is_bad, nobody, only
 from vaoi_station.acquisition.cameras.aravis import library
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import ApiConfig, CameraConfig, StationConfig
-from vaoi_station.doctor import aravis, cameras, controller, network, running, software, timekeeping, usb
+from vaoi_station.doctor import aravis, cameras, controller, memory, network, running, software, timekeeping, usb
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.doctor.patient import Patient, Running
@@ -193,6 +193,26 @@ def test_an_owner_that_does_not_answer(owned: StationConfig) -> None:
     is_bad(only(running.station(held)), Level.WARNING, f"process {os.getpid()} uses", "ConnectionRefused")
     is_bad(only(cameras.cameras(held)), Level.WARNING, "left alone")
     is_bad(only(controller.controller(held)), Level.WARNING, "left alone")
+
+
+def test_a_station_of_another_user_is_no_stranger_at_the_port(config: StationConfig, tmp_path: Path) -> None:
+    """Its ring may not be read, but it answers."""
+    snapshot = b'{"state": "armed", "cameras": [], "controller": "serial: armed"}'
+    path = ring_path(config)
+    path.write_bytes(b"")
+    path.chmod(0)
+    for directory in [path.parent, *path.parent.parents][:-2]:
+        directory.chmod(directory.stat().st_mode | 0o011)
+    with Answering(200, snapshot) as station, nobody():
+        found = running.find(at_port(config, station.port))
+        held = Patient(at_port(config, station.port), Machine(), found)
+        finding = only(running.station(held))
+        lock = only(memory.lock_limit(held))
+    assert (finding.level, finding.message) == (
+        Level.OK,
+        "runs as a process of another user, state 'armed'; it is asked and left alone",
+    )
+    assert lock.level is Level.NOT_APPLICABLE
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
         return fault(error.message, error.action, subject=port, figures={"mtu": mtu})
     figures: Figures = {"mtu": mtu, "packet_bytes": packet, "link_mbit_s": link, "cameras": len(members)}
     speed = f"{link:g} Mbit/s" if link else "a link without a speed"
-    told = f"{len(members)} cameras, MTU {mtu}, packets of {packet} bytes, {speed}"
+    told = f"{len(members)} camera{'s' if len(members) > 1 else ''}, MTU {mtu}, packets of {packet} bytes, {speed}"
     if wished := [c for c, _ in members if c.packet_bytes and c.packet_bytes > packet]:
         action = f"ip link set dev {port} mtu {wished[0].packet_bytes}"
         return warning(
@@ -194,7 +194,7 @@ def of_running_station(patient: Patient) -> Iterator[Finding]:
     if not told:
         yield warning(
             "a process uses them that does not say how they are; they are left alone.",
-            f"ps -fp {patient.running.pid}; end it, and run vaoi doctor again",
+            f"{patient.running.look}; end it, and run vaoi doctor again",
         )
     yield from (_of_camera(camera) for camera in told)
 

@@ -85,7 +85,7 @@ def of_running_station(patient: Patient) -> Finding:
     if not patient.running.snapshot:
         return warning(
             "a process uses it that does not say how it is; it is left alone.",
-            f"ps -fp {patient.running.pid}; end it, and run vaoi doctor again",
+            f"{patient.running.look}; end it, and run vaoi doctor again",
         )
     return ok(str(patient.running.snapshot.get("controller") or "nothing is known of it yet"))
 
@@ -160,7 +160,8 @@ def judge_limits(ident: Ident, config: StationConfig) -> Finding:
         return fault(error.message, action, subject="limits", figures=figures)
     shown = ", ".join(f"{ticks * TICK_S * 1e6:g}" for ticks in longest[: ident.channels])
     told = f"longest pulses {shown} µs, lit at most 1/{1 << ident.led_duty_shift} of the time"
-    return ok(f"{told}; {len(config.controller.lights)} lights keep them", subject="limits", figures=figures)
+    lights = "the lights of station.toml keep them" if config.controller.lights else "no lights are configured"
+    return ok(f"{told}; {lights}", subject="limits", figures=figures)
 
 
 def judge_status(status: Status) -> Finding:

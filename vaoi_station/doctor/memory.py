@@ -6,7 +6,7 @@ import os
 import resource
 from collections.abc import Iterator
 
-from vaoi_station.doctor.finding import Figures, Finding, fault, ok, warning
+from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import is_directory, shown_bytes, writable
 from vaoi_station.doctor.patient import Patient
 
@@ -23,7 +23,7 @@ def ring_space(patient: Patient) -> Iterator[Finding]:
         )
         return
     if patient.running is not None:
-        yield ok(f"process {patient.running.pid} has its ring of {shown_bytes(needed)}", figures={"ring_bytes": needed})
+        yield ok(f"{patient.running.who} has its ring of {shown_bytes(needed)}", figures={"ring_bytes": needed})
         return
     if not writable(directory):
         yield fault(f"{directory} cannot be written to by this user.", "chmod 1777 /dev/shm, or set [ring] directory")
@@ -62,7 +62,9 @@ def _judge_room(patient: Patient, needed: int, free: int, available: int | None)
 def lock_limit(patient: Patient) -> Iterator[Finding]:
     """Is the ring locked in memory, if the station runs; may this user's programs lock one, if not?"""
     needed = patient.layout.file_bytes
-    if patient.running is not None:
+    if patient.running is not None and patient.running.pid is None:
+        yield not_applicable(f"{patient.running.who} has the ring, and does not show whether it is locked")
+    elif patient.running is not None and patient.running.pid is not None:
         yield judge_locked(patient.machine.locked_bytes(patient.running.pid), needed, patient.running.pid)
     elif patient.machine.may_lock_anything():
         yield ok("this user may lock as much as it wants (CAP_IPC_LOCK)")

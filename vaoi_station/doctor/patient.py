@@ -15,11 +15,22 @@ from vaoi_station.doctor.machine import Machine
 class Running:
     """The process that owns the station's memory now: the station, or `vaoi record` or `view` in its place."""
 
-    pid: int
+    pid: int | None
+    """None: it is another user's, and may not be looked at."""
     snapshot: dict[str, Any] = field(default_factory=dict)
     """Its answer to GET station; empty where it gave none."""
     silence: str = ""
     """Why it gave none."""
+
+    @property
+    def who(self) -> str:
+        """In a sentence."""
+        return "a process of another user" if self.pid is None else f"process {self.pid}"
+
+    @property
+    def look(self) -> str:
+        """How to find out what it is."""
+        return "sudo vaoi doctor …" if self.pid is None else f"ps -fp {self.pid}"
 
 
 @dataclass(frozen=True)

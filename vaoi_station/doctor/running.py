@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import socket
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,6 +13,7 @@ from vaoi_station.acquisition.ring import ring_path
 from vaoi_station.acquisition.ring_file import owner_of
 from vaoi_station.config import ApiConfig, StationConfig
 from vaoi_station.doctor.finding import Finding, fault, ok, warning
+from vaoi_station.doctor.machine import nearest
 from vaoi_station.doctor.patient import Patient, Running
 
 TIMEOUT_S = 3.0
@@ -21,13 +23,16 @@ _EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}  # noqa: S1
 
 def find(config: StationConfig) -> Running | None:
     """The owner of the station's ring, if it lives, and what it says."""
-    owner = owner_of(ring_path(config))
-    if owner is None or not owner[1]:
+    path = ring_path(config)
+    owner = owner_of(path)
+    hidden = owner is None and nearest(path) == path and not os.access(path, os.R_OK, effective_ids=True)
+    if not hidden and (owner is None or not owner[1]):
         return None
+    pid = owner[0] if owner else None
     try:
-        return Running(owner[0], snapshot=ask(config.api))
+        return Running(pid, snapshot=ask(config.api))
     except (OSError, http.client.HTTPException, ValueError) as error:
-        return Running(owner[0], silence=f"{type(error).__name__}: {error}")
+        return Running(pid, silence=f"{type(error).__name__}: {error}")
 
 
 def ask(api: ApiConfig) -> dict[str, Any]:
@@ -52,14 +57,14 @@ def station(patient: Patient) -> Iterator[Finding]:
         return
     if running.silence:
         yield warning(
-            f"process {running.pid} uses the station's memory, but no station answers at port {api.port} "
+            f"{running.who} uses the station's memory, but no station answers at port {api.port} "
             f"({running.silence}); it may be starting, or be vaoi record or vaoi view.",
-            f"ps -fp {running.pid}",
+            running.look,
         )
         return
     told = running.snapshot
     yield ok(
-        f"runs as process {running.pid}, state {told['state']!r}; it is asked and left alone",
+        f"runs as {running.who}, state {told['state']!r}; it is asked and left alone",
         figures={"state": str(told["state"])},
     )
     grave = fault if told["state"] == "faulted" else warning

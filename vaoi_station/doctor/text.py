@@ -25,7 +25,7 @@ def _lines(finding: Finding, width: int) -> list[str]:
 def _summary(report: Report) -> str:
     counts = report.counts
     parts = [_counted(counts[Level.FAULT], "fault"), _counted(counts[Level.WARNING], "warning")]
-    parts += [f"{counts[Level.OK]} ok", f"{counts[Level.NOT_APPLICABLE]} without object"]
+    parts += [f"{counts[Level.OK]} ok", f"{counts[Level.NOT_APPLICABLE]} not applicable"]
     return f"station {report.station!r}: {', '.join(parts)}" if report.station else ", ".join(parts)
 
 
