@@ -1,0 +1,141 @@
+"""`vaoi doctor` looks at cameras: what it finds, and that nothing of them is other than before."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
+from tests.doctor.conftest import is_bad, only
+from vaoi_station.config import StationConfig
+from vaoi_station.doctor.aravis import aravis
+from vaoi_station.doctor.cameras import cameras
+from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.patient import Patient
+
+Plug = Callable[..., Device]
+Make = Callable[..., StationConfig]
+MEMORY_BYTES, BLOCK_BYTES, CONTROL_PORT = 0x10000, 512, 3956
+
+
+def patient(config: StationConfig) -> Patient:
+    return Patient(config, Machine(), None)
+
+
+def memory_of(device: Device) -> bytes:
+    """All registers of a camera, read by GVCP without being its master."""
+    content = bytearray()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
+        asker.settimeout(5)
+        asker.connect((device.address, CONTROL_PORT))
+        for place in range(0, MEMORY_BYTES, BLOCK_BYTES):
+            number = place // BLOCK_BYTES + 1
+            asker.send(struct.pack(">BBHHHIHH", 0x42, 0x01, 0x0084, 8, number, place, 0, BLOCK_BYTES))
+            answer = asker.recv(1024)
+            assert struct.unpack(">HHHH", answer[:8])[1::2] == (0x0085, number)
+            content += answer[12:]
+    return bytes(content)
+
+
+@pytest.fixture
+def small_packets() -> Iterator[None]:
+    """The network as it comes: packets of 1500 bytes."""
+    before = Path("/sys/class/net/lo/mtu").read_text().strip()
+    subprocess.run(["ip", "link", "set", "lo", "mtu", "1500"], check=True)
+    yield
+    subprocess.run(["ip", "link", "set", "lo", "mtu", before], check=True)
+
+
+def test_cameras_that_are_fit_stay_as_they_are(device: Plug, station: Make) -> None:
+    plugged = [device(0), device(1)]
+    before = [memory_of(camera) for camera in plugged]
+    left, right, port = cameras(patient(station(*plugged)))
+    assert [memory_of(camera) for camera in plugged] == before
+    assert {finding.level for finding in (left, right, port)} == {Level.OK}
+    assert (left.subject, left.figures["serial"], left.figures["trigger_mode"]) == ("c0", "WIRE0", "Off")
+    assert (port.subject, port.figures["cameras"], port.figures["packet_bytes"]) == ("lo", 2, 9000)
+
+
+def test_the_station_opens_them_afterwards(device: Plug, station: Make, opened: Callable[..., Stage]) -> None:
+    config = station(device(0))
+    assert {finding.level for finding in cameras(patient(config))} == {Level.OK}
+    opened(config)
+
+
+def test_a_camera_that_is_not_there_hides_no_other(device: Plug, station: Make) -> None:
+    here, gone = device(0), device(1)
+    config = station(gone, here)
+    gone.unplug()
+    absent, there, _ = cameras(patient(config))
+    is_bad(absent, Level.FAULT, f"there is no camera at {gone.address}")
+    assert there.level is Level.OK
+
+
+def test_a_camera_that_somebody_uses(device: Plug, station: Make, tmp_path: Path) -> None:
+    camera = device(0)
+    use = "import sys; from vaoi_station.acquisition.cameras.aravis.library import aravis; "
+    use += "held = aravis().Camera.new(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", use, camera.address], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as somebody:
+        assert somebody.stdout is not None
+        assert somebody.stdout.readline() == "held\n"
+        finding = only(cameras(patient(station(camera))))
+        somebody.communicate("")
+    is_bad(finding, Level.FAULT, "another program controls the camera")
+
+
+def test_a_serial_number_that_nobody_has(device: Plug, station: Make) -> None:
+    config = station(device(0))
+    camera = config.cameras[0].model_copy(update={"address": None, "serial": "NONE"})
+    finding = only(cameras(patient(config.model_copy(update={"cameras": (camera,)}))))
+    is_bad(finding, Level.FAULT, "no camera with serial number 'NONE'", "WIRE0")
+
+
+def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
+    found = list(cameras(patient(station(device(0, serial="TWIN"), device(1, serial="TWIN")))))
+    is_bad(found[2], Level.FAULT, "c0, c1 have the same serial number 'TWIN'")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"trigger_line": "Line7"}, "has no trigger input Line7, but "),
+        ({"pixel_format": "Mono14"}, "has no pixel format Mono14, but "),
+        ({"exposure_us": 99_000_000.0, "readout_us": 0.0}, "cannot expose 9.9e+07 µs, only "),
+        ({"width": 4096, "height": 64}, "has 2048×2048 px, the frame ends at 4096, 64"),
+    ],
+)
+def test_what_a_camera_cannot_do(device: Plug, station: Make, changes: dict[str, object], said: str) -> None:
+    config = station(device(0))
+    camera = config.cameras[0].model_copy(update=changes)
+    findings = list(cameras(patient(config.model_copy(update={"cameras": (camera,)}))))
+    is_bad(findings[0], Level.FAULT, said)
+
+
+@pytest.mark.usefixtures("small_packets")
+def test_small_packets_are_told(device: Plug, station: Make) -> None:
+    *_, port = cameras(patient(station(device(0))))
+    is_bad(port, Level.WARNING, "MTU 1500", "packets of 1500 bytes")
+    *_, port = cameras(patient(station(device(0), packet_bytes=8000)))
+    is_bad(port, Level.WARNING, "c0 is to have 8000")
+    assert port.action == "ip link set dev lo mtu 8000"
+
+
+def test_a_port_that_cannot_carry_a_row(device: Plug, station: Make) -> None:
+    config = station(device(0), device(1), link_mbit_s=1.0)
+    *_, port = cameras(patient(config))
+    is_bad(port, Level.FAULT, "2 cameras on port lo need")
+
+
+def test_the_library_tells_its_version(station: Make, device: Plug) -> None:
+    finding = only(aravis(patient(station(device(0)))))
+    assert finding.level is Level.OK
+    assert str(finding.figures["aravis"]).startswith("0.8.")
