@@ -2,8 +2,8 @@
 
     python -m tests.doctor.on_the_rig DIRECTORY
 
-In a network of its own. Prints one JSON object: the three reports, and the processes of the station before and after the
-look.
+In a network of its own. Prints one JSON object: the three reports, and the processes of the station before and after
+the look.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def judge_firmware(ident: Ident) -> Finding:
     unit = None if ident.unit == 0xFFFFFFFF else ident.unit
     figures: Figures = {"firmware": version, "build": build, "boots": ident.boots, "unit": unit}
     named = "no number" if unit is None else f"unit {unit}"
-    told = f"firmware {version} ({build or 'no commit'}), protocol {ident.major}.{ident.minor}, {named}"
+    told = f"version {version} ({build or 'no commit'}), protocol {ident.major}.{ident.minor}, {named}"
     return ok(f"{told}, start number {ident.boots}", subject="firmware", figures=figures)
 
 
