@@ -63,7 +63,8 @@ class PacedChip:
         return ns * 1e-9 + (cycle - at) / HZ
 
     def rises(self, pin: str) -> list[int]:
-        """Cycles at which an output went up."""
+        """Cycles at which an output went up, until now: what comes before the answer to a command has been read."""
+        self.do("pin PD2 0")
         with self._change:
             return [cycle for cycle, name, level in self.edges if name == pin and level]
 
