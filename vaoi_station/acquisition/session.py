@@ -172,7 +172,7 @@ class Session:
 
     def lost(self, news: CameraLost) -> None:
         """A camera is away; what it misses has that cause."""
-        self._recorder.outages.lost(news.camera, news.since_s, news.error.message)
+        self._recorder.outages.lost(news.camera, news.since_s, news.why)
 
     def back(self, news: CameraBack) -> None:
         """A camera films again."""

@@ -76,6 +76,8 @@ class CameraLost:
     camera: int
     since_s: float
     """time.monotonic() since when it may have been away."""
+    why: str
+    """In a few words, for the causes of what it misses."""
     error: VaoiError
 
 

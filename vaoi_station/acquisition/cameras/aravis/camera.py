@@ -111,7 +111,7 @@ class AravisCamera:
         """State, counts, temperature."""
         connection, counts = self._connection, self._counts
         lost = self._trouble.message if connection is None and self._trouble else ""
-        counters = connection.stream.counters() if connection is not None else {}
+        counters = connection.counters() if connection is not None else {}
         return CameraHealth(
             connected=connection is not None,
             message=lost or (connection.warning(self._share) if connection is not None else ""),
@@ -130,7 +130,7 @@ class AravisCamera:
         with self._lock:
             connection, self._connection = self._connection, None
         if connection is not None:
-            connection.close()
+            connection.close(gone=self._is_gige and not gvcp.answers(self._identity.address, tries=1))
 
     def _told(self, told: Told) -> None:
         """A slot came back with something in it."""
@@ -182,7 +182,8 @@ class AravisCamera:
             assert connection is not None
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
-        self._arrivals.put(CameraLost(self.number, self._seen_s, error))
+        why = error.message.removeprefix(f"camera {self.config.name}: ").rstrip(".")
+        self._arrivals.put(CameraLost(self.number, self._seen_s, why, error))
         connection.close(gone=True)
 
     def _open_again(self) -> bool:

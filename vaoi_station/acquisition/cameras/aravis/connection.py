@@ -119,9 +119,14 @@ class Connection:
         assert self._stream is not None
         return self._stream
 
+    def counters(self) -> dict[str, int]:
+        """The stream's own counters by name; none once closed."""
+        stream = self._stream
+        return {} if stream is None else stream.counters()
+
     def traffic(self) -> int:
         """A number that grows when the camera sends anything."""
-        counters = self.stream.counters()
+        counters = self.counters()
         return next((counters[name] for name in _TRAFFIC if name in counters), 0)
 
     def read_clock(self, epoch_ns: int) -> ClockReading:
@@ -155,11 +160,22 @@ class Connection:
         )
 
     def close(self, *, gone: bool = False) -> None:
-        """Stop the camera, unless it is gone, and let go of everything: no slot is written any more."""
+        """Nothing is written to slots any more; then the camera is stopped and let go of.
+
+        Of a camera that is gone nobody waits for the second: Aravis asks it several times five half seconds whether it
+        would not stop.
+        """
         if self._stream is not None:
             self._stream.close()
+        if gone:
+            name = f"camera-{self.config.name}-remains"
+            threading.Thread(target=self._let_go, args=(False,), name=name, daemon=True).start()
+        else:
+            self._let_go(True)
+
+    def _let_go(self, stop: bool) -> None:
         with self._lock:
-            if self._stream is not None and not gone:
+            if stop and self._stream is not None:
                 with contextlib.suppress(glib_error()):  # a camera that does not answer cannot be stopped
                     self._camera.stop_acquisition()
             self._stream = self._camera = None

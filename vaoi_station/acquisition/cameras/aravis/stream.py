@@ -62,7 +62,7 @@ class SlotStream:
 
     def __init__(self, stream: Any, kind: Kind, told: Callable[[Told], None], name: str) -> None:
         """Pull at once; `told` is called in the pulling thread, or in that of `take_back` and `close`."""
-        self._stream: Any = stream
+        self._stream = stream
         self._kind, self._told = kind, told
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
@@ -95,20 +95,19 @@ class SlotStream:
         return unused
 
     def close(self) -> list[Slot]:
-        """End the pulling thread, let go of the stream: nothing is written any more. The slots that were not used."""
+        """End the pulling thread and take everything back: nothing is written any more. The slots that were not used.
+
+        The stream itself ends with the last reference; that asks the camera, and is not done here.
+        """
         if self._ending.is_set():
             return []
         self._ending.set()
         self._thread.join()
-        unused = self.take_back()
-        self._stream = None  # it ends its own thread when the last reference goes
-        return unused
+        return self.take_back()
 
     def counters(self) -> dict[str, int]:
         """The stream's own counters by name; what they count is Aravis' affair."""
         stream = self._stream
-        if stream is None:
-            return {}
         names = (stream.get_info_name(k) for k in range(stream.get_n_infos()))
         return {name: stream.get_info_uint64_by_name(name) for name in names if name.startswith("n_")}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, thread_names
+from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, thread_names, wait_for_remains
 from vaoi_station.config import StationConfig
 from vaoi_station.rig.network import Loopback, addresses
 
@@ -78,5 +78,6 @@ def opened() -> Iterator[Callable[[StationConfig], Stage]]:
         stage.close()
     stages.clear()
     gc.collect()
+    wait_for_remains()
     assert threading.enumerate() == [threading.main_thread()]
     assert "arv_gv_stream" not in thread_names()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -116,6 +117,13 @@ class Stage:
 def thread_names() -> list[str]:
     """All threads of this process, those of Aravis included."""
     return [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
+
+
+def wait_for_remains() -> None:
+    """Until what is left of dead cameras has been let go of; Aravis takes some seconds for each."""
+    for thread in threading.enumerate():
+        if thread.name.endswith("-remains"):
+            thread.join(30)
 
 
 def noise(seed: int, nbytes: int = WIDTH * HEIGHT) -> NDArray[np.uint8]:

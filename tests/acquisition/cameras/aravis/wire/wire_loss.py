@@ -1,0 +1,129 @@
+"""A camera dies and comes back: it is opened again from scratch, and nobody else notices."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.acquisition.cameras.aravis.wire.stage import Device, Stage, noise, thread_names, wait_for_remains
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import DeviceError
+
+Plug = Callable[..., Device]
+Make = Callable[..., StationConfig]
+Open = Callable[[StationConfig], Stage]
+
+
+def test_a_camera_that_is_killed_comes_back_and_the_others_lose_nothing(
+    device: Plug, station: Make, opened: Open
+) -> None:
+    """Pulses go on at both cameras all the while; what is filmed by whom is counted to the last frame."""
+    steady, mortal = device(0), device(1)
+    steady.show(noise(1))
+    mortal.show(noise(2))
+    stage = opened(station(steady, mortal, exposure_us=777.0))
+    stage.load()
+    before_s = time.monotonic()
+    mortal.unplug()
+    sent: list[int] = []
+    received: list[int | None] = []
+    news: list[CameraLost | CameraBack] = []
+
+    def pulse() -> None:
+        """One frame of the steady camera, there and back; the other one's news on the way."""
+        sent.append(steady.fire(0))
+        while True:
+            item = stage.news.get(timeout=20)
+            if isinstance(item, Arrival):
+                assert item.camera == 0
+                assert item.complete, item.fault
+                received.append(item.frame_id)
+                stage.cameras[0].queue(stage.slot(item.slot))
+                return
+            assert isinstance(item, CameraLost | CameraBack)
+            news.append(item)
+
+    while not news:
+        pulse()
+    lost_s = time.monotonic()
+    [lost] = news
+    assert isinstance(lost, CameraLost)
+    assert lost.camera == 1
+    assert before_s - 1 < lost.since_s < lost_s
+    assert lost_s - before_s < 3, "noticed long before Aravis would"
+    assert lost.error.message == "camera c1: there is no camera at 127.0.0.3 (it does not answer any more)."
+    health = stage.cameras[1].health()
+    assert not health.connected
+    assert "there is no camera at 127.0.0.3" in health.message
+    with pytest.raises(DeviceError, match="camera c1: there is no camera"):
+        stage.cameras[1].read_clock()
+    for _ in range(20):
+        pulse()
+
+    mortal.plug()
+    back_s = time.monotonic()
+    while len(news) == 1:
+        pulse()
+    assert isinstance(news[1], CameraBack)
+    assert time.monotonic() - back_s < 12
+    assert received == sent
+    mortal.fire(0)
+    arrival = stage.arrival()
+    assert (arrival.camera, arrival.complete) == (1, True), "it got its slots again"
+    assert (stage.ring.memory(arrival.slot) == noise(2)).all()
+    connection = stage.cameras[1]._connection
+    assert connection is not None
+    assert connection._camera.get_exposure_time() == 777.0
+    assert dict(stage.cameras[1].health().counters)["n_losses"] == 1
+
+
+def test_slots_of_a_lost_camera_can_be_taken_back_and_given_again(device: Plug, station: Make, opened: Open) -> None:
+    mortal = device(0)
+    stage = opened(station(mortal))
+    stage.load()
+    mortal.unplug()
+    stage.until(CameraLost)
+    count = stage.ring.layout.slots_per_camera
+    assert sorted(stage.cameras[0].take_back()) == list(range(count))
+    stage.load(bay=1)
+    mortal.plug()
+    stage.until(CameraBack)
+    mortal.fire()
+    assert stage.ring.layout.place(stage.arrival().slot)[0] == 1
+
+
+def test_another_camera_at_the_same_address_is_not_taken_for_it(device: Plug, station: Make, opened: Open) -> None:
+    """Its calibration is not that of the one before."""
+    mortal = device(0, serial="FIRST")
+    stage = opened(station(mortal))
+    mortal.unplug()
+    stage.until(CameraLost)
+    other = device(0, serial="SECOND")
+    deadline_s = time.monotonic() + 20
+    while "'SECOND'" not in stage.cameras[0].health().message:
+        assert time.monotonic() < deadline_s
+        threading.Event().wait(0.02)
+    assert not stage.cameras[0].health().connected
+    other.unplug()
+    mortal.plug()
+    stage.until(CameraBack)
+
+
+def test_a_camera_that_dies_again_and_again_leaves_nothing_behind(device: Plug, station: Make, opened: Open) -> None:
+    mortal = device(0)
+    stage = opened(station(mortal))
+    left = []
+    for _ in range(4):
+        mortal.unplug()
+        stage.until(CameraLost)
+        mortal.plug()
+        stage.until(CameraBack)
+        wait_for_remains()
+        names = sorted(name for name in thread_names() if name.startswith(("arv", "camera")))
+        left.append((names, len(list(Path("/proc/self/fd").iterdir()))))
+    assert all(these == left[0] for these in left), left
