@@ -60,3 +60,9 @@ def test_halving_leaves_an_odd_border_out() -> None:
     image = np.arange(35, dtype=np.uint8).reshape(5, 7)
     assert halved(image).shape == (2, 3)
     assert halved(image)[0, 0] == round((0 + 1 + 7 + 8) / 4)
+
+
+def test_a_quarter_has_the_means_of_blocks() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (43, 59), dtype=np.uint8)
+    means = image[:40, :56].reshape(10, 4, 14, 4).mean((1, 3))
+    np.testing.assert_array_equal(Prepared(image).quarter, np.floor(means + 0.5))

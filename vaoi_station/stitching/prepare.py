@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
+
 _COARSE_WIDTH_PX = 150
 """The coarsest copy is at least this wide."""
 
@@ -35,7 +37,7 @@ class Prepared:
     @cached_property
     def quarter(self) -> NDArray[np.uint8]:
         """A fourth of the size, block means."""
-        return halved(halved(self.grey))
+        return quartered(self.grey)
 
     @cached_property
     def factor(self) -> int:
@@ -78,6 +80,27 @@ def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
     bits = max(int(grey.max()).bit_length(), 8)
     bits = next(b for b in (8, 10, 12, 14, 16) if b >= bits)
     return np.asarray(grey >> (bits - 8), dtype=np.uint8)
+
+
+@compiled
+def quartered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Block means of 4×4; what is left over at the right and below is left out.
+
+    The frame comes out of memory here. It is read line by line in the order in which it lies there: several lines at a
+    time take twice as long, two halvings three times.
+    """
+    h, w = image.shape[0] // 4, image.shape[1] // 4
+    out, sums = np.empty((h, w), np.uint8), np.empty(4 * w, np.uint16)
+    for y in range(h):
+        sums[:] = 2  # four of them round to the nearest
+        for k in range(4):
+            line = image[4 * y + k, : 4 * w]
+            for x in range(4 * w):
+                sums[x] += np.uint16(line[x])
+        to = out[y]
+        for x in range(w):
+            to[x] = np.uint8(np.uint16(sums[4 * x] + sums[4 * x + 1] + sums[4 * x + 2] + sums[4 * x + 3]) >> 4)
+    return out
 
 
 def frozen(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
