@@ -51,6 +51,8 @@ class Firmware:
 
 def shown(value: float, unit: str) -> str:
     """A value with three digits and a prefix: 0.00183 A → 1.83 mA."""
+    if unit == "" and abs(value) < 1:
+        return f"{100 * value:.3g} %"
     if unit in {"", "°C", "Hz", "K"} or value == 0:
         return f"{value:.3g} {unit}".strip() if value < 1000 else f"{value:.0f} {unit}"
     scale, prefix = next(((s, p) for s, p in _PREFIXES if abs(value) >= s * 0.9995), _PREFIXES[-1])

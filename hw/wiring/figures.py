@@ -9,6 +9,7 @@ from hw.wiring.circuit import Circuit
 from hw.wiring.figure import Figure, Firmware
 from hw.wiring.light import bank_figures, current_figures, currents, heat_figures, one_shot_figures
 from hw.wiring.signals import input_figures, output_figures, trigger_figures
+from hw.wiring.transient import transient_figures
 
 
 def all_figures(circuit: Circuit, firmware: Firmware) -> dict[str, list[Figure]]:
@@ -19,6 +20,7 @@ def all_figures(circuit: Circuit, firmware: Firmware) -> dict[str, list[Figure]]
         "trigger": trigger_figures(circuit),
         "one-shots": one_shot_figures(circuit, firmware),
         "current": current_figures(circuit, firmware),
+        "transient": transient_figures(circuit),
         "bank": bank_figures(circuit, firmware),
         "heat": heat_figures(circuit, firmware),
         "power": power_figures(circuit, firmware),

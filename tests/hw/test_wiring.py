@@ -9,21 +9,24 @@ from pathlib import Path
 
 import pytest
 
+from hw.wiring import transient
 from hw.wiring.circuit import SOURCE, Circuit, Sheet, read_circuit
 from hw.wiring.drawing import lay_out, segments
 from hw.wiring.figure import LIMITS, Figure, Firmware
 from hw.wiring.figures import all_figures
 from hw.wiring.pages import PORTS, made, materials
+from hw.wiring.transient import corners, edges
 from vaoi_station.errors import InputError
 
 HW = SOURCE.parents[1]
 CIRCUIT = read_circuit()
 FIGURES = all_figures(CIRCUIT, Firmware.read())
+MADE = made(CIRCUIT)
 
 
-@pytest.mark.parametrize("path", made(CIRCUIT), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", MADE, ids=lambda path: path.name)
 def test_what_is_drawn_is_what_the_circuit_says(path: Path) -> None:
-    assert path.read_text(encoding="utf-8") == made(CIRCUIT)[path], "run: python -m hw.wiring"
+    assert path.read_text(encoding="utf-8") == MADE[path], "run: python -m hw.wiring"
 
 
 # ── pins ──
@@ -153,6 +156,26 @@ def test_the_bank_droops_as_charge_says() -> None:
     assert figure("bank", "droop in").value == pytest.approx(current * time / (2200e-6 * 0.8))
 
 
+def test_the_loop_settles_where_the_resistors_say() -> None:
+    for corner in corners(CIRCUIT):
+        assert edges(CIRCUIT, corner).settled_a == pytest.approx(figure("current", "pulse, nominal").value, rel=2e-3)
+
+
+def test_a_smaller_step_tells_the_same_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    worst = max(corners(CIRCUIT), key=lambda corner: corner.gate_f * corner.slope_a_v2)
+    coarse = edges(CIRCUIT, worst)
+    monkeypatch.setattr(transient, "STEP_S", transient.STEP_S / 4)
+    fine = edges(CIRCUIT, worst)
+    assert coarse.peak_a == pytest.approx(fine.peak_a, rel=2e-3)
+    assert coarse.rise_s == pytest.approx(fine.rise_s, rel=0.02)
+
+
+def test_too_small_a_capacitor_overshoots(tmp_path: Path) -> None:
+    source = tmp_path / "circuit.toml"
+    source.write_text(SOURCE.read_text(encoding="utf-8").replace("value = 470e-12", "value = 100e-12"))
+    assert not figure("transient", "peak", circuit=read_circuit(source)).ok
+
+
 def test_longer_pulses_in_the_firmware_break_the_one_shots_figures(tmp_path: Path) -> None:
     changed = tmp_path / "limits.h"
     changed.write_text(LIMITS.read_text(encoding="utf-8").replace("US(1000), US(1000)", "US(1400), US(1000)"))
@@ -170,7 +193,7 @@ def test_another_value_in_the_source_changes_drawing_bill_and_figures(tmp_path: 
     source.write_text(text.replace("value = 0.27", "value = 0.22").replace("0.27 Ω", "0.22 Ω"))
     changed = read_circuit(source)
     assert not figure("current", "pulse, most", circuit=changed).ok
-    differing = {path.name for path, content in made(changed).items() if content != made(CIRCUIT)[path]}
+    differing = {path.name for path, content in made(changed).items() if content != MADE[path]}
     assert differing == {"sink.svg", "bill-of-materials.csv", "wiring.md"}
 
 
