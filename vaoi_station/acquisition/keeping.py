@@ -53,6 +53,8 @@ def recording_head(finished: RunFinished) -> RecordingHead:
         for f in finished.frames
         if f.verdict is not Verdict.OK
     ]
+    if finished.proof is not None:
+        document["x_proof"] = finished.proof.model_dump(mode="json")
     return RecordingHead.model_validate(document)
 
 

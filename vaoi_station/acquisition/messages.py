@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.proof import TriggerProof
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead
 
 
@@ -116,6 +117,8 @@ class RunFinished:
     """Why the pulses ended: see controller.RunEnded."""
     strays: int = 0
     """Frames that belonged to no pulse."""
+    proof: TriggerProof | None = None
+    """That every frame belongs to its pulse; None if the acquisition process did not live to give it."""
 
 
 @dataclass(frozen=True)

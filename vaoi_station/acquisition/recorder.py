@@ -8,17 +8,23 @@ known in either order, and frames of one run may come while the next is filmed.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import Arrival
-from vaoi_station.acquisition.causes import Outages, contradictions, explain_missing
+from vaoi_station.acquisition.causes import Outages
 from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.conclusion import conclude
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.elimination import eliminate
-from vaoi_station.acquisition.run_sheet import KnownPulse, RunSheet
+from vaoi_station.acquisition.proof import TriggerProof
+from vaoi_station.acquisition.run_sheet import RunSheet
+from vaoi_station.acquisition.sightings import KnownPulse, Seen
 from vaoi_station.model import FrameRecord, Pulse, Verdict
 
+EXTRA = 256
+"""Frames of no pulse that are remembered, for the proof of the runs about their time."""
 REMEMBERED = 4
 """Sheets kept, so that a late frame of an earlier run is recognised as one."""
 
@@ -60,6 +66,7 @@ class Finished:
 
     sheet: RunSheet
     frames: tuple[FrameRecord, ...]
+    proof: TriggerProof
 
 
 Outcome = Settled | Stray | Finished
@@ -95,6 +102,8 @@ class Recorder:
         self._sheets: list[RunSheet] = []
         self._waiting: list[tuple[Arrival, float]] = []
         """Complete frames whose pulse is not known yet, with the host time of their exposure."""
+        self._extra: list[deque[Seen]] = [deque(maxlen=EXTRA) for _ in camera_clocks]
+        """Of every camera, the newest whole frames that belong to no pulse."""
         self._unnamed: list[Arrival] = []
         """Frames without a trustworthy time."""
         self._known_until_s = float("-inf")
@@ -175,6 +184,7 @@ class Recorder:
             if distance_s <= self._gate_s(self._sheets[n], arrival.camera):
                 return self._take(self._sheets[n], row, arrival, Verdict.OK, error_s)
         if host_s + self.limits.tolerance_s < self._known_until_s or self._aged(arrival, now_s):
+            self._note_extra(arrival, host_s)
             off = f"; the nearest is {min(near)[0] * 1e3:.1f} ms away" if near else ""
             return self._stray(arrival, f"no pulse was fired when it was exposed{off}")
         return None
@@ -192,6 +202,8 @@ class Recorder:
         """Give a frame to its (camera, row), unless that has one, or its run is over or nobody's."""
         key = (arrival.camera, row)
         if key in sheet.taken:
+            if error_s is not None:
+                self._note_extra(arrival, sheet.pulses[row].host_s + error_s)
             return self._stray(arrival, f"camera {key[0]} has a frame of row {row} already", sheet)
         sheet.taken.add(key)
         if sheet.run is None or sheet.bay is None:
@@ -200,7 +212,10 @@ class Recorder:
             return self._stray(arrival, f"it belongs to row {row} of run {sheet.run}, which is over")
         slot = self._home(arrival.slot, sheet.bay, arrival.camera)
         if slot is None:
-            return self._stray(arrival, f"there is no memory left in its run for row {row}", sheet)
+            sheet.refused[key] = f"there is no memory left in its run for row {row}"
+            return self._stray(arrival, sheet.refused[key], sheet)
+        if error_s is not None:
+            sheet.seen[arrival.camera].append(_seen(arrival, row, sheet.pulses[row].host_s + error_s))
         sheet.last_frame_host_s = max(sheet.last_frame_host_s or 0.0, arrival.host_time_s)
         sheet.frames[key] = FrameRecord(
             camera=arrival.camera,
@@ -216,6 +231,9 @@ class Recorder:
         )
         return Settled(sheet.run, sheet.frames[key])
 
+    def _note_extra(self, arrival: Arrival, host_s: float) -> None:
+        self._extra[arrival.camera].append(_seen(arrival, None, host_s))
+
     def _exposure_us(self, sheet: RunSheet, camera: int, row: int) -> float | None:
         told = sheet.pulses[row].exposures_us if row in sheet.pulses else ()
         known = told or self._exposures_us
@@ -225,8 +243,6 @@ class Recorder:
         counted = sheet or next(iter(self.open_runs[-1:]), None)
         if counted is not None:
             counted.strays += 1
-            if arrival.frame_id is not None:
-                counted.stray_ids[arrival.camera].append(arrival.frame_id)
         return Stray(arrival.camera, arrival.slot, why)
 
     def _try_finish(self, sheet: RunSheet, now_s: float) -> list[Outcome]:
@@ -287,25 +303,14 @@ class Recorder:
         return not self._told(arrival) and not self._aged(arrival, now_s)
 
     def _finish(self, sheet: RunSheet) -> list[Outcome]:
-        """Verdicts for what never came, and a word on frame ids that do not fit."""
+        """Verdicts for what never came, and the proof of what did."""
         assert sheet.run is not None
         sheet.finished = True
-        out: list[Outcome] = []
-        for camera in range(len(self._camera_clocks)):
-            have = {r: f for r in range(sheet.rows) if (f := sheet.frames.get((camera, r))) is not None}
-            ids = {r: f.frame_id for r, f in have.items() if f.frame_id is not None}
-            strays = sheet.stray_ids[camera]
-            for row, note in contradictions(ids, strays).items():
-                sheet.frames[camera, row] = have[row].model_copy(update={"cause": note})
-            for row in range(sheet.rows):
-                if row not in have:
-                    cause = explain_missing(row, ids, strays)
-                    if row not in sheet.pulses:
-                        cause = sheet.skipped.get(row, "the controller's report of this pulse was lost")
-                    elif outage := self.outages.at(camera, sheet.pulses[row].host_s):
-                        cause = outage
-                    record = FrameRecord(camera=camera, row=row, verdict=Verdict.MISSING, cause=cause)
-                    sheet.frames[camera, row] = record
-                    out.append(Settled(sheet.run, record))
+        missing, proof = conclude(sheet, self._extra, self.outages, self._controller_clock.bound_s())
         ordered = tuple(sheet.frames[key] for key in sorted(sheet.frames))
-        return [*out, Finished(sheet, ordered)]
+        return [*(Settled(sheet.run, record) for record in missing), Finished(sheet, ordered, proof)]
+
+
+def _seen(arrival: Arrival, row: int | None, host_s: float) -> Seen:
+    assert arrival.time_s is not None
+    return Seen(row, arrival.frame_id, arrival.time_s, host_s, arrival.host_time_s)

@@ -35,6 +35,7 @@ def run_finished(config: StationConfig, finished: Finished, now_s: float) -> Run
         last_frame_host_s=sheet.last_frame_host_s or last_pulse_s,
         reason=sheet.reason,
         strays=sheet.strays,
+        proof=finished.proof,
     )
 
 

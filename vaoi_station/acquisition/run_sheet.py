@@ -6,16 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from vaoi_station.model import FrameRecord, Pulse
-
-
-@dataclass(frozen=True)
-class KnownPulse:
-    """A pulse and the host time it was fired at."""
-
-    pulse: Pulse
-    host_s: float
-    exposures_us: tuple[float, ...] = ()
+from vaoi_station.acquisition.sightings import KnownPulse, Seen
+from vaoi_station.model import FrameRecord
 
 
 @dataclass
@@ -32,7 +24,10 @@ class RunSheet:
     """(camera, row) → its verdict; final once set."""
     taken: set[tuple[int, int]] = field(default_factory=set)
     """(camera, row) whose frame has arrived."""
-    stray_ids: defaultdict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
+    seen: defaultdict[int, list[Seen]] = field(default_factory=lambda: defaultdict(list))
+    """Camera → its whole frames."""
+    refused: dict[tuple[int, int], str] = field(default_factory=dict)
+    """(camera, row) whose frame came and could not be kept, and why."""
     strays: int = 0
     last_frame_host_s: float | None = None
     pulse_count: int | None = None

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Iterator
 from functools import cache
 
 import cv2
 import numpy as np
 
 from vaoi_station import __version__
+from vaoi_station.acquisition.proof import QUESTIONS
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch, Verdict
@@ -62,6 +64,7 @@ def detail_of(progress: Progress) -> RunDetail:
         frames=frames,
         ended=film.reason if film else "",
         strays=film.strays if film else 0,
+        proof=film.proof if film else None,
         software=versions(),
         calibration=order.calibration_digest,
     )
@@ -92,7 +95,23 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     for verdict, cause in sorted(causes):
         where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
         words.append(Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}."))
-    return (*words, *progress.faults, *progress.order.notes)
+    return (*words, *_trigger(progress), *progress.faults, *progress.order.notes)
+
+
+def _trigger(progress: Progress) -> Iterator[Reason]:
+    """What speaks against frames, and frames that nobody asked for; those that are missing have been told."""
+    proof = progress.film.proof if progress.film else None
+    for f in proof.findings if proof else ():
+        where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
+        if f.kind in QUESTIONS:
+            yield Reason(
+                code=f"trigger-{f.kind}",
+                message=f"{where}: {f.text}.",
+                action="Check the camera's trigger settings and its trigger line; do not rely on these frames.",
+            )
+        elif f.kind == "extra-frame":
+            action = "Check the trigger line for bounces and crosstalk."
+            yield Reason(code="trigger-extra-frame", message=f"{where}: {f.text}.", action=action)
 
 
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:

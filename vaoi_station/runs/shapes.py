@@ -10,6 +10,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from vaoi_station.acquisition.proof import TriggerProof
 from vaoi_station.config import MethodName
 from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.state import RunState, StationState
@@ -245,6 +246,8 @@ class RunDetail(RunSummary):
     """Why the pulses ended: "clear" (the board left), "max-rows", …; "" while filming."""
     strays: int
     """Frames that belonged to no pulse."""
+    proof: TriggerProof | None = None
+    """That every frame belongs to its pulse, or what speaks against it; None while filming."""
     software: Versions
     calibration: str
     """Digest of the calibration it was stitched with."""

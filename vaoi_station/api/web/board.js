@@ -70,6 +70,7 @@ export class Board {
       ...(run.job_id ? [[texts.facts.job, run.job_id]] : []),
       [texts.facts.run, run.id],
       [texts.facts.frames, texts.frames(ok, incomplete, missing, run.rows, run.cameras)],
+      ...(run.proof ? [[texts.facts.trigger, texts.trigger(run.proof)]] : []),
       [texts.facts.since, ""],
     ];
     const cells = lines.flatMap(([name, value]) => [

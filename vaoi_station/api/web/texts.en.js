@@ -28,13 +28,19 @@ export const texts = {
   },
   noBoard: "No board yet",
   noBoardHint: "Arm the station and let a board pass.",
-  facts: { board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames" },
+  facts: { board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger" },
   noId: "no id given",
   frames: (ok, incomplete, missing, rows, cameras) => {
     const all = ok + incomplete + missing;
     const lost = [incomplete && `${incomplete} incomplete`, missing && `${missing} missing`].filter(Boolean);
     const size = `${rows} rows × ${cameras} cameras`;
     return lost.length ? `${ok} of ${all} good (${lost.join(", ")}), ${size}` : `all ${all} good, ${size}`;
+  },
+  trigger: (proof) => {
+    const worst = Math.max(0, ...proof.cameras.map((c) => c.max_residual_us ?? 0));
+    if (proof.proven) return `every frame belongs to its pulse, to ${worst.toFixed(1)} µs`;
+    const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
+    return `not proven for camera ${cameras.join(", ")}`;
   },
   ago: (s) => {
     if (s < 60) return `${Math.max(0, Math.floor(s))} s ago`;

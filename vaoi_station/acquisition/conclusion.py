@@ -1,0 +1,88 @@
+"""The end of a run: a cause for everything that never came, and the proof of what did. Pure logic."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+
+from vaoi_station.acquisition.causes import Gap, Outages, explain_missing, gaps
+from vaoi_station.acquisition.proof import TriggerProof, prove, rows_in_question
+from vaoi_station.acquisition.run_sheet import RunSheet
+from vaoi_station.acquisition.sightings import Seen
+from vaoi_station.model import FrameRecord, Verdict
+
+AROUND = 1.5
+"""Frames that belong to no pulse count as a run's from so many periods before its first pulse to after its last."""
+
+
+def conclude(
+    sheet: RunSheet, extra: Sequence[Sequence[Seen]], outages: Outages, pulse_bound_s: float
+) -> tuple[list[FrameRecord], TriggerProof]:
+    """Completes `sheet.frames`; returns what is missing, and the proof.
+
+    Args:
+        sheet: a run whose frames have all come, or are waited for no longer.
+        extra: of every camera, whole frames that belong to no pulse, of this run or about its time.
+        outages: when cameras were away.
+        pulse_bound_s: how far the host time of a pulse may be off.
+    """
+    missing: list[FrameRecord] = []
+    seen, counted = [], []
+    for camera, strays in enumerate(extra):
+        frames = [*sheet.seen[camera], *_about(sheet, strays)]
+        seen.append([replace(f, epoch=outages.before(camera, f.host_s)) for f in frames])
+        counted.append(_gaps(sheet, camera, seen[-1]))
+        missing += _missing(sheet, camera, counted[-1], outages)
+    proof = prove(sheet.pulses, pulse_bound_s, seen, counted)
+    for record in missing:
+        sheet.frames[record.camera, record.row] = record
+    for camera in range(len(extra)):
+        _note(sheet, camera, proof)
+    return missing, proof
+
+
+def _about(sheet: RunSheet, strays: Sequence[Seen]) -> list[Seen]:
+    times_s = [pulse.host_s for pulse in sheet.pulses.values()]
+    around_s = AROUND * sheet.period_s
+    return [s for s in strays if min(times_s) - around_s <= s.host_s <= max(times_s) + around_s]
+
+
+def _gaps(sheet: RunSheet, camera: int, seen: Sequence[Seen]) -> list[Gap]:
+    """A camera that was lost and came back counts anew."""
+    fired = [row for row in range(sheet.rows) if row not in sheet.skipped]
+    ids: defaultdict[int, dict[int, int]] = defaultdict(dict)
+    for frame in seen:
+        if frame.row is not None and frame.frame_id is not None:
+            ids[frame.epoch][frame.row] = frame.frame_id
+    torn = {row for n, row in sheet.taken if n == camera} - {row for of_epoch in ids.values() for row in of_epoch}
+    found: list[Gap] = []
+    for epoch, of_epoch in sorted(ids.items()):
+        strays = [f.frame_id for f in seen if f.row is None and f.epoch == epoch and f.frame_id is not None]
+        found += gaps(fired, of_epoch, torn, strays)
+    return found
+
+
+def _missing(sheet: RunSheet, camera: int, between: Sequence[Gap], outages: Outages) -> list[FrameRecord]:
+    have = {f.row for f in sheet.seen[camera] if f.row is not None and f.frame_id is not None}
+    records = []
+    for row in range(sheet.rows):
+        if (camera, row) in sheet.frames:
+            continue
+        if row not in sheet.pulses:
+            cause = sheet.skipped.get(row, "the controller's report of this pulse was lost")
+        else:
+            cause = (
+                sheet.refused.get((camera, row))
+                or outages.at(camera, sheet.pulses[row].host_s)
+                or explain_missing(row, have, between)
+            )
+        records.append(FrameRecord(camera=camera, row=row, verdict=Verdict.MISSING, cause=cause))
+    return records
+
+
+def _note(sheet: RunSheet, camera: int, proof: TriggerProof) -> None:
+    """What speaks against a frame stands with it."""
+    whole = {row for n, row in sheet.frames if n == camera and sheet.frames[n, row].verdict is Verdict.OK}
+    for row, text in rows_in_question(proof, camera, whole).items():
+        sheet.frames[camera, row] = sheet.frames[camera, row].model_copy(update={"cause": text})
