@@ -38,7 +38,8 @@ def test_cameras_of_a_port_fill_it_and_no_more(payload: int, packet: int, camera
     """A packet and its gap take as long as one packet of each camera: all together are as fast as the wire."""
     on_wire_ns = (packet + network.ETHERNET_OVERHEAD) * 8000 / link
     gap_ns = network.packet_delay_ns(packet, cameras, link)
-    assert cameras * on_wire_ns <= on_wire_ns + gap_ns <= cameras * on_wire_ns + 1
+    rounding_ns = 1e-9 * cameras * on_wire_ns
+    assert -rounding_ns <= on_wire_ns + gap_ns - cameras * on_wire_ns <= 1 + rounding_ns
     packets = network.packets_per_frame(payload, packet)
     assert (packets - 1) * (packet - network.GVSP_OVERHEAD) < payload <= packets * (packet - network.GVSP_OVERHEAD)
     assert network.transfer_s(payload, packet, cameras, link) == pytest.approx(packets * cameras * on_wire_ns * 1e-9)
