@@ -46,7 +46,7 @@ def ground(
     """Places (k, 2) in mm of raw pixels (k, 2) at heights (k,), or (1,) for one height of all; n is N_i⁻¹."""
     x0, y0, inverse = eye
     for i in range(len(raw)):
-        u, v = _undistorted(raw[i, 0], raw[i, 1], radial, lens)
+        u, v = undistorted(raw[i, 0], raw[i, 1], radial, lens)
         w = n[2, 0] * u + n[2, 1] * v + n[2, 2]
         x, y = (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w
         share = height[i if len(height) > 1 else 0] * inverse
@@ -67,7 +67,7 @@ def carry(
     """Raw pixels (k, 2) in camera b of points of the plane seen at raw pixels (k, 2) of a, after a shift (2,)."""
     out, m, n = np.empty((len(raw), 2)), ground_from_a, b_from_ground
     for i in range(len(raw)):
-        u, v = _undistorted(raw[i, 0], raw[i, 1], radial_a, lens_a)
+        u, v = undistorted(raw[i, 0], raw[i, 1], radial_a, lens_a)
         w = m[2, 0] * u + m[2, 1] * v + m[2, 2]
         x = (m[0, 0] * u + m[0, 1] * v + m[0, 2]) / w + shift_mm[0]
         y = (m[1, 0] * u + m[1, 1] * v + m[1, 2]) / w + shift_mm[1]
@@ -81,7 +81,7 @@ def carry(
 def undistort(raw: Floats, radial: Floats, lens: Lensing, out: Floats) -> None:
     """Undistorted pixels (k, 2) of raw ones."""
     for i in range(len(raw)):
-        out[i, 0], out[i, 1] = _undistorted(raw[i, 0], raw[i, 1], radial, lens)
+        out[i, 0], out[i, 1] = undistorted(raw[i, 0], raw[i, 1], radial, lens)
 
 
 @compiled
@@ -103,7 +103,8 @@ def _polynomial(radial: Floats, rho2: float) -> tuple[float, float]:
 
 
 @inlined
-def _undistorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[float, float]:
+def undistorted(u: float, v: float, radial: Floats, lens: Lensing) -> tuple[float, float]:
+    """One point."""
     if len(radial) == 0:
         return u, v
     x0, y0, radius, _, _ = lens

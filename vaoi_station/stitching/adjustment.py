@@ -27,7 +27,9 @@ from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem
 from vaoi_station.stitching.scatter import excess
 
 _ITERATIONS = 15
-_CONVERGED_MM = 2e-6
+CONVERGED_MM = 2e-6
+_EVERY, _ROUGHLY_MM = 6, 3e-3
+"""A start is made with every so manieth link of a pair of frames, until a step moves no row by more."""
 _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
@@ -55,19 +57,28 @@ Equations = tuple[Ints, Floats, Floats]
 """Columns (k, f) of the unknowns, and whitened a (k, r, f) and b (k, r): a·δ + b ≈ 0."""
 
 
-def adjust(problem: Problem, start: Motion, similarity: Floats | None = None) -> Adjusted:
+def adjust(
+    problem: Problem, start: Motion, similarity: Floats | None = None, *, converged_mm: float = CONVERGED_MM
+) -> Adjusted:
     """Solve for all unknowns.
 
     Args:
         problem: observations and priors.
         start: motion to start from; right to a few px.
         similarity: C to start from, where fiducials are given.
+        converged_mm: a step that moves no row by more is the last one; what is left is a tenth of that.
     """
     solver = _Solver(problem, start, similarity)
-    for _ in range(_ITERATIONS):
-        if solver.step() < _CONVERGED_MM:
-            break
+    solver.run(converged_mm)
     return solver.result()
+
+
+def roughly(problem: Problem, start: Motion) -> Motion:
+    """The motion to a hundredth of a millimetre, from a few links of each pair of frames: what `adjust` starts from."""
+    few = np.flatnonzero(_rank(problem.links.group) % _EVERY == 0)
+    solver = _Solver(replace(problem, links=problem.links.of(few), component=problem.component[few]), start, None)
+    solver.run(_ROUGHLY_MM)
+    return solver.motion
 
 
 def _mark_sigma_mm(s: FiducialPoints) -> Floats:
@@ -109,6 +120,12 @@ class _Solver:
         self.bare = [np.flatnonzero((problem.component < 0) & (self.kind == kind)) for kind in (0, 1)]
         """Links on the bare board: from row to row, and between cameras."""
         self.steps = 0
+
+    def run(self, converged_mm: float) -> None:
+        """Step until a step moves no row by more."""
+        for _ in range(_ITERATIONS):
+            if self.step() < converged_mm:
+                break
 
     def step(self) -> float:
         """One reweighted Gauss-Newton step; returns the largest change of a shift in mm."""
@@ -288,6 +305,12 @@ def _envelope(links: Observations, coupling: Coupling, rows: int, others: int) -
     np.maximum.at(furthest, np.minimum(links.p, links.q), np.maximum(links.p, links.q))
     np.maximum.at(furthest, coupling.row, coupling.last)
     return Envelope.of(furthest, others)
+
+
+def _rank(group: Ints) -> Ints:
+    """(k,) the how manieth of its group each link is; groups stand together."""
+    begins = np.flatnonzero(np.diff(group, prepend=-1))
+    return np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
 
 
 def _tied_steps(links: Observations, rows: int) -> NDArray[np.bool_]:

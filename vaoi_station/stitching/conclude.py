@@ -18,7 +18,7 @@ from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
-from vaoi_station.stitching.adjustment import adjust
+from vaoi_station.stitching.adjustment import adjust, roughly
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.evidence import Evidence, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
@@ -35,6 +35,8 @@ from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import described
 from vaoi_station.stitching.verdict import Findings, judge, quality_of
 
+_MOTION_MM = 1e-4
+"""So far the motion from links alone has converged: it is told if no board is found, else all is adjusted once more."""
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping")
 
 
@@ -85,7 +87,7 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
     nominal = nominal_motion(times_s, velocity_mm_s, pivot)
     problem = Problem(times_s, velocity_mm_s, observed, np.full(len(observed), -1))
     if method.links:
-        moved = adjust(problem, chained(nominal, observed))
+        moved = adjust(problem, roughly(problem, chained(nominal, observed)), converged_mm=_MOTION_MM)
     else:
         by_marks = observe(mark_links(sightings, scene.cameras, nominal), scene.cameras)
         moved = adjust(
@@ -119,8 +121,7 @@ def _texture(links: Observations, moved: Adjusted) -> Floats:
 def _result(
     findings: Findings, method: str, status: Status, reasons: tuple[str, ...], quality: dict[str, Any]
 ) -> Stitch:
-    motion = findings.adjusted.motion
-    d = [motion.row_from_tester(j) for j in range(len(motion.angle))]
+    rows, placed = findings.adjusted.motion.rows_from_tester, findings.placed
     matrix = components = surface = None
     if findings.frame is not None and isinstance(findings.found, Mapping):
         board_type, adjusted = findings.frame.board_type, findings.found.adjusted
@@ -128,12 +129,10 @@ def _result(
         matrix = findings.frame.matrix(adjusted.similarity)
         if len(adjusted.surface_mm):
             surface = described(board_type, adjusted.surface_mm)
-        components = footprint_views(
-            findings.frame.parts, matrix, findings.scene.cameras, motion.rows_from_tester, surface
-        )
+        components = footprint_views(findings.frame.parts, matrix, findings.scene.cameras, rows, surface)
     images = (
         tuple(
-            _fixed(camera.image_from_row.matrix @ row.matrix) if findings.placed[j] else None for j, row in enumerate(d)
+            m if there else None for m, there in zip(_fixed(camera.image_from_row.matrix @ rows), placed, strict=True)
         )
         for camera in findings.scene.cameras
     )
@@ -142,7 +141,7 @@ def _result(
         method=method,
         image_matrices=tuple(images),
         cad_matrix=None if matrix is None else _fixed(matrix),
-        row_motion=tuple(row.matrix for row in d),
+        row_motion=tuple(_fixed(rows)),
         status=status,
         reasons=reasons,
         quality=quality,
@@ -151,7 +150,8 @@ def _result(
     )
 
 
-def _fixed(matrix: Floats) -> Floats:
-    """The same, read-only."""
-    matrix.setflags(write=False)
-    return matrix
+def _fixed(matrices: Floats) -> Floats:
+    """A copy that cannot be changed."""
+    out = matrices.copy()
+    out.setflags(write=False)
+    return out

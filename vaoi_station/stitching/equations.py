@@ -187,6 +187,8 @@ def accumulate(
     columns = np.zeros(width, np.int64)
     square, product = np.zeros((width, width)), np.zeros(width)
     columns[6:] = np.arange(size - f, size)
+    most = _longest(group)
+    at_lift, bases, count = np.empty((6, most)), np.empty((f, most)), 0
     for n in range(len(p)):
         i, j = p[n], q[n]
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
@@ -213,15 +215,11 @@ def accumulate(
         square[4, 4] += xx
         square[5, 4] += xy
         square[5, 5] += yy
+        at_lift[0, count], at_lift[1, count], at_lift[2, count], at_lift[3, count] = pl, ql, wlx, wly
+        at_lift[4, count], at_lift[5, count] = lr, ll
         for k in range(f):
-            by_k = basis[n, k]
-            product[6 + k] += lr * by_k
-            square[6 + k, 0] += pl * by_k
-            square[6 + k, 3] += ql * by_k
-            square[6 + k, 4] += wlx * by_k
-            square[6 + k, 5] += wly * by_k
-            for m in range(k + 1):
-                square[6 + k, 6 + m] += ll * by_k * basis[n, m]
+            bases[k, count] = basis[n, k]
+        count += 1
         c = component[n]
         if c >= 0:
             height_normal[c] += ll
@@ -233,7 +231,38 @@ def accumulate(
         if n + 1 == len(p) or group[n + 1] != group[n]:
             for k in range(3):
                 columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
+            _lift(at_lift, bases, count, square, product)
+            count = 0
             _pour(columns, square, product, at, values, right)
+
+
+@inlined
+def _longest(group: Ints) -> int:
+    """How many links the largest group has."""
+    most, begin = 0, 0
+    for n in range(len(group)):
+        if group[n] != group[begin]:
+            begin = n
+        most = max(most, n + 1 - begin)
+    return most
+
+
+@inlined
+def _lift(at_lift: Floats, bases: Floats, count: int, square: Floats, product: Floats) -> None:
+    """What a group's links say of the surface: sums over its links, which run in vector registers."""
+    for k in range(len(bases)):
+        p, q, x, y, r = 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(count):
+            b = bases[k, n]
+            p, q, r = p + at_lift[0, n] * b, q + at_lift[1, n] * b, r + at_lift[4, n] * b
+            x, y = x + at_lift[2, n] * b, y + at_lift[3, n] * b
+        product[6 + k] = r
+        square[6 + k, 0], square[6 + k, 3], square[6 + k, 4], square[6 + k, 5] = p, q, x, y
+        for m in range(k + 1):
+            total = 0.0
+            for n in range(count):
+                total += at_lift[5, n] * bases[k, n] * bases[m, n]
+            square[6 + k, 6 + m] = total
 
 
 @inlined

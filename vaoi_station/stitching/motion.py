@@ -47,21 +47,16 @@ class Motion:
 
     def row_from_tester(self, row: int) -> Euclidean:
         """The paper's D_j."""
-        return self._rows[row]
+        return Euclidean(self.rows_from_tester[row], System.ROW, System.TESTER)
 
     @cached_property
     def rows_from_tester(self) -> Floats:
         """All D_j, (m, 3, 3)."""
-        return np.array([row.matrix for row in self._rows])
-
-    @cached_property
-    def _rows(self) -> tuple[Euclidean, ...]:
-        c, s = np.cos(self.angle), np.sin(self.angle)
+        c, s, nil = np.cos(self.angle), np.sin(self.angle), np.zeros(len(self.angle))
         x, y = (self.pivot + self.shift).T
         px, py = self.pivot
-        shifts = np.stack([px - c * x - s * y, py + s * x - c * y], -1)
-        turned = zip(self.angle, shifts, strict=True)
-        return tuple(Euclidean.motion(-float(a), t, System.ROW, System.TESTER) for a, t in turned)
+        rows = [(c, s, px - c * x - s * y), (-s, c, py + s * x - c * y), (nil, nil, nil + 1)]
+        return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
 
     def in_gauge(self) -> Motion:
         """The same motion with D_0 the identity (the convention of results)."""

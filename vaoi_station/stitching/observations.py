@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.rays import undistorted
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.evidence import Links
 
@@ -41,6 +42,15 @@ class Observations:
     def __len__(self) -> int:
         return len(self.p)
 
+    def of(self, at: Ints) -> Observations:
+        """Those of these numbers, in that order."""
+        return Observations(
+            *(self.p[at], self.q[at], self.a_mm[at], self.b_mm[at], self.a_lean[at], self.b_lean[at]),
+            *(self.noise_mm2[at], self.px_per_mm[at]),
+            self.group[at],
+            self.groups,
+        )
+
 
 def observe(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
     """Bring the links of some pairs of frames to the ground."""
@@ -48,62 +58,75 @@ def observe(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
     if not used:
         none, pairs = np.zeros(0, dtype=np.int_), np.zeros((0, 2))
         return Observations(none, none, pairs, pairs, pairs, pairs, np.zeros((0, 2, 2)), np.zeros(0), none, ())
-    sizes = np.array([len(e.a_px) for e in used])
-    rows = [(e.task.a[1], (e.task.b or e.task.a)[1]) for e in used]
-    a, b, a_lean, b_lean, noise, resolution = _grounded(used, sizes, cameras)
+    ends = np.array([(*e.task.a, *(e.task.b or e.task.a), len(e.a_px)) for e in used])
+    camera_a, p, camera_b, q, _ = np.repeat(ends, ends[:, 4], axis=0).T
+    a, b, a_lean, b_lean, noise, resolution = _grounded(
+        np.concatenate([e.a_px for e in used]),
+        np.concatenate([e.b_px for e in used]),
+        np.concatenate([e.information for e in used]),
+        np.ascontiguousarray(camera_a),
+        np.ascontiguousarray(camera_b),
+        *_as_arrays(cameras),
+    )
+    group = np.repeat(np.arange(len(used)), ends[:, 4])
     return Observations(
-        np.repeat([p for p, _ in rows], sizes),
-        np.repeat([q for _, q in rows], sizes),
-        a,
-        b,
-        a_lean,
-        b_lean,
-        noise,
-        resolution,
-        np.repeat(np.arange(len(used)), sizes),
-        used,
+        np.ascontiguousarray(p), np.ascontiguousarray(q), a, b, a_lean, b_lean, noise, resolution, group, used
     )
 
 
-def _grounded(used: Sequence[Links], sizes: Ints, cameras: Sequence[Camera]) -> tuple[Floats, ...]:
-    """What `_ground` says of all links, in their order; asked once per pair of cameras."""
-    of_cameras: dict[tuple[int, int], list[int]] = {}
-    for n, e in enumerate(used):
-        of_cameras.setdefault((e.task.a[0], (e.task.b or e.task.a)[0]), []).append(n)
-    k, first = int(sizes.sum()), np.cumsum(sizes) - sizes
-    out = (*(np.empty((k, 2)) for _ in range(4)), np.empty((k, 2, 2)), np.empty(k))
-    for (i, j), members in of_cameras.items():
-        a_px, b_px, information = (
-            np.concatenate([getattr(used[n], name) for n in members]) for name in ("a_px", "b_px", "information")
-        )
-        at = np.concatenate([np.arange(first[n], first[n] + sizes[n]) for n in members])
-        for whole, part in zip(out, _ground(cameras[i], cameras[j], a_px, b_px, information), strict=True):
-            whole[at] = part
-    return out
-
-
-def _ground(camera_a: Camera, camera_b: Camera, a_px: Floats, b_px: Floats, information: Floats) -> tuple[Floats, ...]:
-    """Places, leans, covariances and resolutions of links between two cameras."""
-    a, b = camera_a.ground(a_px), camera_b.ground(b_px)
-    noise = carried(camera_b.image_from_row.matrix, b, camera_b.lens.undistort(b_px), information)
-    return a, b, camera_a.parallax(a), camera_b.parallax(b), *noise
+def _as_arrays(cameras: Sequence[Camera]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """N_i and N_i⁻¹ (c, 3, 3), lenses (c, r) and (c, 5), and (c, 3) foot and leaning per mm of distance from it."""
+    most = max(len(c.lens.coefficients) for c in cameras)
+    return (
+        np.array([c.image_from_row.matrix for c in cameras]),
+        np.array([c.row_from_image.matrix for c in cameras]),
+        np.array([np.pad(c.lens.coefficients, (0, most - len(c.lens.coefficients))) for c in cameras]),
+        np.array([c.lens.shape for c in cameras]),
+        np.array([(*c.foot_mm, 1 / c.working_distance_mm if c.working_distance_mm else 0.0) for c in cameras]),
+    )
 
 
 @compiled
-def carried(n: Floats, ground_mm: Floats, px: Floats, information: Floats) -> tuple[Floats, Floats]:
-    """Covariances (k, 2, 2) mm² on the ground of places in an image, and the resolution (k,) px/mm there.
+def _grounded(
+    a_px: Floats,
+    b_px: Floats,
+    information: Floats,
+    camera_a: Ints,
+    camera_b: Ints,
+    image_from_row: Floats,
+    row_from_image: Floats,
+    radial: Floats,
+    lens: Floats,
+    eye: Floats,
+) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
+    """Places, leans, covariances and resolutions of links.
 
     Args:
-        n: (3, 3) homography of the ground to undistorted pixels.
-        ground_mm: (k, 2) places.
-        px: (k, 2) undistorted pixels of them.
-        information: (k, 2, 2) px⁻², inverse covariances in the image.
+        a_px: (k, 2) raw pixels, as is b_px.
+        information: (k, 2, 2) px⁻², inverse covariances in the second image.
+        camera_a: (k,) numbers, as is camera_b.
+        image_from_row: as of `_as_arrays`, as is what follows.
+
+    Returns:
+        Both places (k, 2) mm, both leans (k, 2), covariance (k, 2, 2) mm² on the ground, resolution (k,) px/mm.
     """
-    covariance, resolution = np.empty_like(information), np.empty(len(px))
-    for k in range(len(px)):
-        w = ground_mm[k, 0] * n[2, 0] + ground_mm[k, 1] * n[2, 1] + n[2, 2]
-        a, b = (n[0, 0] - px[k, 0] * n[2, 0]) / w, (n[0, 1] - px[k, 0] * n[2, 1]) / w
-        c, d = (n[1, 0] - px[k, 1] * n[2, 0]) / w, (n[1, 1] - px[k, 1] * n[2, 1]) / w
+    places, leans = np.empty((2, len(a_px), 2)), np.empty((2, len(a_px), 2))
+    covariance, resolution = np.empty_like(information), np.empty(len(a_px))
+    for k in range(len(a_px)):
+        u = v = 0.0
+        for end in range(2):
+            i = camera_a[k] if end == 0 else camera_b[k]
+            x, y = (a_px[k, 0], a_px[k, 1]) if end == 0 else (b_px[k, 0], b_px[k, 1])
+            u, v = undistorted(x, y, radial[i], (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4]))
+            n = row_from_image[i]
+            w = n[2, 0] * u + n[2, 1] * v + n[2, 2]
+            x, y = (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w
+            places[end, k, 0], places[end, k, 1] = x, y
+            leans[end, k, 0], leans[end, k, 1] = (eye[i, 0] - x) * eye[i, 2], (eye[i, 1] - y) * eye[i, 2]
+        n, x, y = image_from_row[camera_b[k]], places[1, k, 0], places[1, k, 1]
+        w = x * n[2, 0] + y * n[2, 1] + n[2, 2]
+        a, b = (n[0, 0] - u * n[2, 0]) / w, (n[0, 1] - u * n[2, 1]) / w
+        c, d = (n[1, 0] - v * n[2, 0]) / w, (n[1, 1] - v * n[2, 1]) / w
         slope = a * d - b * c
         p, q, r = information[k, 0, 0], information[k, 0, 1], information[k, 1, 1]
         # (J⁻¹)·I⁻¹·(J⁻¹)ᵀ is the inverse of Jᵀ·I·J, J being the slope of the image by the ground
@@ -114,4 +137,4 @@ def carried(n: Floats, ground_mm: Floats, px: Floats, information: Floats) -> tu
         covariance[k, 0, 0], covariance[k, 1, 1] = yy / det, xx / det
         covariance[k, 0, 1] = covariance[k, 1, 0] = -xy / det
         resolution[k] = np.sqrt(abs(slope))
-    return covariance, resolution
+    return places[0], places[1], leans[0], leans[1], covariance, resolution

@@ -29,7 +29,7 @@ _APART_MM = 0.4
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
 """By which factor, and to how many grey levels, one orientation must stand out; parts are the weaker evidence."""
-_LEAST_PIECES = 6
+_LEAST_PIECES, _MOST_PIECES = 6, 160
 _LEAST_OUTLINE = 3.0
 """Grey levels; noise alone gives less than one."""
 
@@ -111,8 +111,17 @@ class Outline:
 def outline_of(board_type: BoardType, placed: Floats, scene: Scene, motion: Motion) -> Outline | None:
     """How plainly the pictures show the board's outline where C puts it; None where too little of it is in view."""
     pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
+    pieces = pieces[spread(len(pieces))]
     steps = _steps(pieces, placed, Shots.of(scene, motion)) if len(pieces) else np.zeros(0)
     return Outline(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
+
+
+def spread(pieces: int) -> NDArray[np.int_]:
+    """Numbers of so many pieces of an outline; of many some, evenly spread.
+
+    They tell its place far better than it was cut, so that more would only take longer.
+    """
+    return np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(np.int_))
 
 
 def outline_polygons(board_type: BoardType) -> list[Floats]:

@@ -17,7 +17,7 @@ from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.motion import Motion
-from vaoi_station.stitching.orientation import outline_polygons, straight_pieces
+from vaoi_station.stitching.orientation import outline_polygons, spread, straight_pieces
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.shots import Shots
 
@@ -96,7 +96,8 @@ def outline_shift(board_type: BoardType, cad_matrix: Floats, scene: Scene, motio
     if len(pieces) < _LEAST_PIECES:
         return None
     board = apply(cad_matrix, pieces)
-    normal = _outward(board)
+    normal, some = _outward(board), spread(len(pieces))
+    board, normal = board[some], normal[some]
     steps = _steps(_profiles(board, normal, scene, motion))
     shown = (steps >= _LEAST_STEP).any(1)
     if shown.sum() < _LEAST_PIECES:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -61,7 +62,7 @@ class Sigma:
         """The largest over each component's views, by address, of those that are in view."""
         worst = np.zeros(len(self.names))
         np.maximum.at(worst, self.part, longest(self.covariance_px2))
-        return {name: float(px) for name, px in zip(self.names, worst, strict=True) if px}
+        return {name: px for name, px in zip(self.names, worst.tolist(), strict=True) if px}
 
     def told(self) -> dict[str, list[list[float]]]:
         """[camera, row, xx, xy, yy] of every view, by address; four digits, wherever the point."""
@@ -69,12 +70,11 @@ class Sigma:
         with np.errstate(divide="ignore"):
             digits = _DIGITS - 1 - np.floor(np.log10(np.abs(values)))
         unit = 10.0 ** np.where(np.isfinite(digits), digits, 0)
-        out: dict[str, list[list[float]]] = {}
-        for n, frame, entry in zip(
-            self.part.tolist(), self.seen_in.tolist(), (np.round(values * unit) / unit).tolist(), strict=True
-        ):
-            out.setdefault(self.names[n], []).append(frame + entry)
-        return out
+        order = np.argsort(self.part, kind="stable")
+        told = zip(*self.seen_in[order].T.tolist(), *(np.round(values * unit) / unit)[order].T.tolist(), strict=True)
+        entries = [list(entry) for entry in told]
+        ends = [0, *np.cumsum(np.bincount(self.part, minlength=len(self.names))).tolist()]
+        return {name: entries[a:b] for name, (a, b) in zip(self.names, pairwise(ends), strict=True) if b > a}
 
 
 def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:

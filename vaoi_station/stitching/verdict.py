@@ -336,8 +336,9 @@ def _component_sigma(f: Findings) -> dict[str, float]:
     """Predicted standard deviation of every component that is in view, by address: the worst of its views."""
     if f.frame is None or f.mapping is None:
         return {}
-    found = f.sigma.of_components
-    return {address: _rounded(found[address]) for address in f.frame.parts.addresses if address in found}
+    if not f.frame.parts.addresses:
+        return {}
+    return {address: _rounded(px) for address, px in f.sigma.of_components.items()}
 
 
 def _surface_sigma(f: Findings) -> float | None:
