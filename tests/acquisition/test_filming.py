@@ -46,6 +46,7 @@ def test_filmed_boards_become_recordings_of_what_the_twin_showed(make_config: Ma
     assert recording.head.missing == ((1, 2),)
     assert recording.head.trigger_times_s == head.trigger_times_s
     assert (recording.head.model_extra or {})["x_verdicts"][0]["verdict"] == "missing"
+    assert (recording.head.model_extra or {})["x_proof"]["proven"] is True
     assert np.array_equal(np.asarray(recording.frame(0, 3)), twin.passage(0).frame(0, 3))
     read_calibration(kept[0] / "calibration.json", cameras=2)
     assert list((tmp_path / "shm").iterdir()) == []

@@ -126,6 +126,55 @@ def test_every_fault_ends_as_a_verdict_with_its_cause(start: Start, make_config:
     assert {f.verdict for f in second.frames} == {Verdict.OK}
 
 
+TRIGGER = """
+[[faults.ignored_triggers]]
+board = 0
+camera = 0
+row = 2
+[[faults.extra_frames]]
+board = 1
+camera = 1
+row = 1
+after_s = 0.022
+[[faults.exchanged_frames]]
+board = 2
+camera = 1
+row = 2
+[[faults.free_running]]
+board = 3
+camera = 0
+interval_s = 0.033
+"""
+
+
+def test_what_is_wrong_with_a_trigger_is_named(start: Start, make_config: Make, tiny: str) -> None:
+    """Board 4 has no fault. The other camera is proven in every run."""
+    bench = start(make_config(tiny + TRIGGER))
+    for n in range(3):
+        bench.grant(f"run {n}", n)
+    bench.arm()
+    runs = []
+    for n in range(5):
+        runs.append(bench.until(RunFinished))
+        if n < 2:
+            bench.grant(f"run {n + 3}", runs[-1].bay)
+    runs.sort(key=lambda finished: str(finished.run))  # those that wait for a frame finish later
+    for finished, afflicted in zip(runs, (0, 1, 1, 0, None), strict=True):
+        for frame in finished.frames:
+            assert (frame.verdict is Verdict.OK and not frame.cause) or frame.camera == afflicted
+    proofs = [finished.proof for finished in runs]
+    named = [{(f.camera, f.row, f.kind) for f in proof.findings} for proof in proofs]
+    assert named[0] == {(0, 2, "ignored-trigger")}
+    assert named[1] == {(1, 1, "extra-frame")}
+    assert named[2] == {(1, 2, "exchanged"), (1, 3, "early")}
+    assert named[3] == {(0, None, "runs-freely")}
+    assert named[4] == set()
+    assert [p.proven for p in proofs] == [True, True, False, False, True]
+    for proof in proofs:
+        for camera in proof.cameras:
+            assert camera.max_residual_us is None or not camera.proven or camera.max_residual_us < 20
+
+
 def test_a_board_without_memory_is_missed_and_the_next_is_filmed(start: Start, make_config: Make) -> None:
     bench = start(make_config())
     bench.arm()

@@ -28,6 +28,24 @@ def test_faults_befall_whom_they_are_meant_for(make: Make) -> None:
     assert hit.stuck is None
 
 
+def test_faults_of_the_trigger(make: Make) -> None:
+    twin = make(
+        faults={
+            "ignored_triggers": [{"board": 1, "camera": 0, "row": 2}],
+            "extra_frames": [{"board": 1, "camera": 0, "row": 1, "after_s": 0.02}],
+            "exchanged_frames": [{"board": 1, "camera": 0, "row": 3}],
+            "free_running": [{"board": 2, "camera": 0, "interval_s": 0.03}],
+        }
+    )
+    hit, other = twin.passage(1).faults, twin.passage(0).faults
+    assert [hit.ignored(0, r) for r in range(4)] == [False, False, True, False]
+    assert (hit.received_share(0, 2), other.received_share(0, 2)) == (0.0, 1.0)
+    assert (hit.extra_s(0, 1), hit.extra_s(0, 2), other.extra_s(0, 1)) == ((0.02,), (), ())
+    assert [hit.carries(0, r) for r in range(6)] == [0, 1, 2, 4, 3, 5]
+    assert [other.carries(0, r) for r in range(6)] == [0, 1, 2, 3, 4, 5]
+    assert (hit.runs_freely_s(0), twin.passage(2).faults.runs_freely_s(0)) == (None, 0.03)
+
+
 def test_bounces_count_from_the_interruption_in_order(make: Make) -> None:
     passage = make(faults=FAULTS).passage(1)
     assert [b.at_s - passage.blocked_s for b in passage.faults.bounces] == pytest.approx([-0.02, 0.05])

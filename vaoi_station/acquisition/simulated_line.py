@@ -8,6 +8,7 @@ board, which somebody has laid under the cameras.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -80,15 +81,8 @@ class SimulatedLine:
             error = InternalError(f"pulse {row} was fired at {event.time_s} s, when the twin did not expect one.")
             self._faults.put(DeviceFault("simulated line", error))
             return
-        host_s, faults = self._clock.host_s(event.time_s), board.passage.faults
-        for n, camera in enumerate(self._cameras):
-            camera.trigger(
-                host_s,
-                board.pixels(n, row),
-                lost=faults.lost(n, row),
-                late_s=faults.late_s(n, row),
-                share=faults.received_share(n, row),
-            )
+        for n in range(len(self._cameras)):
+            self._expose(board, n, row, self._clock.host_s(event.time_s))
 
     def fire_still(self, event: PulseFired) -> None:
         """No board passes: the cameras see the calibration board, which lies still under them."""
@@ -97,6 +91,35 @@ class SimulatedLine:
         host_s = self._clock.host_s(event.time_s)
         for camera, pixels in zip(self._cameras, self._still, strict=True):
             camera.trigger(host_s, pixels)
+
+    def _expose(self, board: SimulatedBoard, n: int, row: int, host_s: float) -> None:
+        """One camera, triggered for a row; with all that goes wrong."""
+        camera, faults = self._cameras[n], board.passage.faults
+        if (interval_s := faults.runs_freely_s(n)) is not None:
+            if row == 0:
+                self._run_freely(board, n, host_s, interval_s)
+            return
+        if faults.ignored(n, row):
+            return
+        other = faults.carries(n, row)
+        last = len(board.pulses) - 1
+        said_s = board.pulses[min(other, last)].time_s - board.pulses[min(row, last)].time_s
+        camera.trigger(
+            host_s,
+            board.pixels(n, row),
+            lost=faults.lost(n, row),
+            late_s=faults.late_s(n, row),
+            share=faults.received_share(n, row),
+            said=(said_s, other - row),
+        )
+        for after_s in faults.extra_s(n, row):
+            camera.trigger(host_s + after_s, board.pixels(n, row))
+
+    def _run_freely(self, board: SimulatedBoard, n: int, host_s: float, interval_s: float) -> None:
+        """Frames from the first pulse on until the last, a third of an interval late."""
+        passing_s = board.pulses[-1].time_s - board.pulses[0].time_s
+        for k in range(math.ceil(passing_s / interval_s)):
+            self._cameras[n].trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))
 
     def close(self) -> None:
         """End the thread."""

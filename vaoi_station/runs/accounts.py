@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from vaoi_station import __version__
-from vaoi_station.acquisition.proof import QUESTIONS
+from vaoi_station.acquisition.proof import QUESTIONS, TriggerProof
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch, Verdict
@@ -95,12 +95,12 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     for verdict, cause in sorted(causes):
         where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
         words.append(Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}."))
-    return (*words, *_trigger(progress), *progress.faults, *progress.order.notes)
-
-
-def _trigger(progress: Progress) -> Iterator[Reason]:
-    """What speaks against frames, and frames that nobody asked for; those that are missing have been told."""
     proof = progress.film.proof if progress.film else None
+    return (*words, *trigger_reasons(proof), *progress.faults, *progress.order.notes)
+
+
+def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
+    """What speaks against frames, and frames that nobody asked for; those that are missing are told elsewhere."""
     for f in proof.findings if proof else ():
         where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
         if f.kind in QUESTIONS:

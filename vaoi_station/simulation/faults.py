@@ -40,11 +40,33 @@ class PassageFaults:
         return max((f.delay_s for f in found if (f.camera, f.row) == (camera, row)), default=0.0)
 
     def received_share(self, camera: int, row: int) -> float:
-        """Which share of the frame's bytes arrives, from its start; 1 for a whole one, 0 for a lost one."""
-        if self.lost(camera, row):
+        """Which share of the frame's bytes arrives, from its start; 1 for a whole one, 0 for one that never comes."""
+        if self.lost(camera, row) or self.ignored(camera, row):
             return 0.0
         found = (f for f in self.section.incomplete_frames if f.befalls(self.board_number))
         return min((f.share for f in found if (f.camera, f.row) == (camera, row)), default=1.0)
+
+    def ignored(self, camera: int, row: int) -> bool:
+        """Whether this camera does not answer the pulse of this row."""
+        found = (f for f in self.section.ignored_triggers if f.befalls(self.board_number))
+        return any((f.camera, f.row) == (camera, row) for f in found)
+
+    def extra_s(self, camera: int, row: int) -> tuple[float, ...]:
+        """When this camera exposes once more, after the pulse of this row."""
+        found = (f for f in self.section.extra_frames if f.befalls(self.board_number))
+        return tuple(f.after_s for f in found if (f.camera, f.row) == (camera, row))
+
+    def carries(self, camera: int, row: int) -> int:
+        """The row whose id and time stamp this row's frame carries: its own, unless frames are exchanged."""
+        for f in self.section.exchanged_frames:
+            if f.befalls(self.board_number) and f.camera == camera and row in (f.row, f.row + 1):
+                return 2 * f.row + 1 - row
+        return row
+
+    def runs_freely_s(self, camera: int) -> float | None:
+        """From frame to frame of a camera that ignores the trigger."""
+        found = (f for f in self.section.free_running if f.befalls(self.board_number))
+        return next((f.interval_s for f in found if f.camera == camera), None)
 
     @property
     def bounces(self) -> tuple[BarrierBounceTime, ...]:

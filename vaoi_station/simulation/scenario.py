@@ -222,6 +222,27 @@ class IncompleteFrame(LostFrame):
     share: Annotated[float, Field(ge=0, lt=1)]
 
 
+class IgnoredTrigger(LostFrame):
+    """A pulse that a camera does not answer; it does not count it either."""
+
+
+class ExtraFrame(LostFrame):
+    """A camera exposes once more after the pulse of a row."""
+
+    after_s: Positive
+
+
+class ExchangedFrames(LostFrame):
+    """The frames of a row and the next carry each other's id and time stamp."""
+
+
+class FreeRunning(OnBoard):
+    """A camera that ignores the trigger and sends a frame every so often while the board passes."""
+
+    camera: Index
+    interval_s: Positive
+
+
 class Bounce(OnBoard):
     """The barrier shows the opposite of the truth for a moment, so long after the board interrupts it."""
 
@@ -263,6 +284,10 @@ class FaultSection(Section):
     lost_rows: tuple[LostRow, ...] = ()
     late_frames: tuple[LateFrame, ...] = ()
     incomplete_frames: tuple[IncompleteFrame, ...] = ()
+    ignored_triggers: tuple[IgnoredTrigger, ...] = ()
+    extra_frames: tuple[ExtraFrame, ...] = ()
+    exchanged_frames: tuple[ExchangedFrames, ...] = ()
+    free_running: tuple[FreeRunning, ...] = ()
     bounces: tuple[Bounce, ...] = ()
     stuck: tuple[StuckBoard, ...] = ()
     turned: tuple[TurnedBoard, ...] = ()
@@ -294,8 +319,14 @@ class Scenario(Section):
 
     def _check_faults(self) -> None:
         faults = self.faults
-        named = [f.camera for f in (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames)]
-        for camera in (*named, *(f.camera for f in faults.knocked)):
+        of_one_row = (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames, *faults.ignored_triggers)
+        of_trigger: tuple[LostFrame | FreeRunning, ...] = (
+            *faults.extra_frames,
+            *faults.exchanged_frames,
+            *faults.free_running,
+        )
+        named = [f.camera for f in of_one_row] + [f.camera for f in of_trigger] + [f.camera for f in faults.knocked]
+        for camera in named:
             if camera >= self.array.cameras:
                 raise ValueError(f"a fault names camera {camera}, but there are {self.array.cameras} (from 0)")
 

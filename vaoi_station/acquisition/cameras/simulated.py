@@ -32,12 +32,22 @@ class SimulatedCamera(DeliveringCamera):
         self._id = FIRST_ID
 
     def trigger(
-        self, host_s: float, pixels: NDArray[np.uint8], *, lost: bool = False, late_s: float = 0.0, share: float = 1.0
+        self,
+        host_s: float,
+        pixels: NDArray[np.uint8],
+        *,
+        lost: bool = False,
+        late_s: float = 0.0,
+        share: float = 1.0,
+        said: tuple[float, int] = (0.0, 0),
     ) -> None:
-        """Expose at a host time. A lost frame is counted by the camera and never arrives."""
-        frame_id, self._id = self._id, self._id % WRAP + 1
+        """Expose at a host time. A lost frame is counted by the camera and never arrives.
+
+        The frame says by `said` (s, ids) more than the truth when it was taken and which it is.
+        """
+        frame_id, self._id = (self._id - 1 + said[1]) % WRAP + 1, self._id % WRAP + 1
         if lost:
             return
-        stamp_s = self._clock.device_s(host_s + TRIGGER_LATENCY_S + self._random.uniform(0, TRIGGER_JITTER_S))
+        stamp_s = self._clock.device_s(host_s + said[0] + TRIGGER_LATENCY_S + self._random.uniform(0, TRIGGER_JITTER_S))
         begin_s = host_s + self._exposure_s + READOUT_S + self._random.uniform(0, JITTER_S) + late_s
         self.expose(Exposure(frame_id, stamp_s, begin_s, begin_s + TRANSFER_S, pixels, share))
