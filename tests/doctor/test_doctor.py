@@ -19,6 +19,12 @@ from vaoi_station.doctor.patient import Patient
 from vaoi_station.station import Station
 
 PAGE = (Path(__file__).parents[2] / "docs" / "doctor.md").read_text(encoding="utf-8")
+KEYS = (
+    "format", "version", "created", "host", "vaoi_station", "station", "config", "running", "worst", "counts",
+    "findings",
+)  # fmt: skip
+FINDING_KEYS = ("check", "subject", "level", "message", "action", "figures")
+"""Programs rely on these: add to them, take none away."""
 
 
 @pytest.fixture
@@ -54,6 +60,8 @@ def test_the_document_is_that_of_the_page(vaoi: Any, station_toml: Path) -> None
     document = json.loads(text)
     assert (code, document["worst"], document["format"], document["version"]) == (2, "fault", "vaoi-doctor", 1)
     assert document["counts"]["fault"] == 1
+    assert tuple(document) == KEYS
+    assert {tuple(finding) for finding in document["findings"]} == {FINDING_KEYS}
     for key in (*document, *document["findings"][0]):
         assert f"`{key}`" in PAGE
     assert {f["level"] for f in document["findings"]} <= {str(level) for level in Level}
