@@ -2,8 +2,7 @@
 
 Names, numbers and layouts are those of the Pixel Format Naming Convention (PFNC 2) of EMVA and A3; the *Packed* ones
 are GigE Vision's own and older. Frames stay in memory as the camera sends them; whoever looks unpacks. All pictures
-of more than 8 bits get the full scale of 16: a sample of 12 bits is multiplied by 16, so that white is white whatever
-the camera's depth.
+of more than 8 bits get the full scale of 16, from 0 to 65535: white is white whatever the camera's depth.
 """
 
 from __future__ import annotations
@@ -120,7 +119,8 @@ def picture(frame: NDArray[np.uint8], width: int, height: int, pixel_format: Pix
         return frame.view(pixel_format.dtype).reshape(height, width)
     values = samples(frame, width * height, pixel_format).reshape(height, width)
     if pixel_format.bits not in (8, 16):
-        values <<= 16 - pixel_format.bits
+        room = 16 - pixel_format.bits
+        values = values << room | values >> pixel_format.bits - room  # the upper bits once more: white becomes 65535
     if pixel_format.mosaic:
         return np.asarray(cv2.cvtColor(np.ascontiguousarray(values), _MOSAICS[pixel_format.mosaic]))
     return values

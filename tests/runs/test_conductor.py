@@ -237,11 +237,15 @@ def test_a_board_keeps_the_type_it_was_filmed_with(rig: Any, board_type: BoardTy
 
 def test_health_is_shown(rig: Any) -> None:
     assert [c.connected for c in rig.conductor.snapshot().cameras] == [False, False]
-    cameras = (CameraHealth(True, delivered=7, temperature_c=41.5), CameraHealth(False, "cable pulled"))
-    rig.peer.say(said.Health(cameras, "controller fine", time.monotonic()))
+    now_s = time.monotonic()
+    fine = CameraHealth(True, delivered=7, temperature_c=41.5, last_frame_s=now_s - 2, counters=(("n_failures", 3),))
+    rig.peer.say(said.Health((fine, CameraHealth(False, "cable pulled")), "controller fine", now_s))
     rig.wait_for(lambda: rig.conductor.snapshot().controller == "controller fine", "health")
     snapshot = rig.conductor.snapshot()
     assert snapshot.cameras[0].delivered == 7
+    assert snapshot.cameras[0].last_frame_age_s == pytest.approx(2)
+    assert snapshot.cameras[0].counters == {"n_failures": 3}
+    assert snapshot.cameras[1].last_frame_age_s is None
     assert "c1 is not connected. cable pulled" in snapshot.reasons[0].message
     [acquisition] = snapshot.processes
     assert acquisition.heartbeat_age_s is not None

@@ -55,6 +55,10 @@ class CameraStatus(Shape):
     temperature_c: float | None = None
     delivered: int = 0
     incomplete: int = 0
+    last_frame_age_s: float | None = None
+    """Since its last whole frame, at the last sign of life; None before the first."""
+    counters: dict[str, int] = {}
+    """What its driver counts, by the driver's names, for diagnosis."""
 
 
 class ProcessStatus(Shape):

@@ -89,6 +89,10 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             temperature_c=seen.temperature_c,
             delivered=seen.delivered,
             incomplete=seen.incomplete,
+            last_frame_age_s=None
+            if seen.last_frame_s is None
+            else max(core.health.host_time_s - seen.last_frame_s, 0.0),
+            counters=dict(seen.counters),
         )
         for k, seen in enumerate(core.health.cameras)
     )
