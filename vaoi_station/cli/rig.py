@@ -38,7 +38,7 @@ def run(
     from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
     from vaoi_station.demo.site import find_scenario
     from vaoi_station.files.documents import write_json
-    from vaoi_station.rig.faults import parse_fault
+    from vaoi_station.rig.faults import check_faults, parse_fault
     from vaoi_station.rig.network import isolate
     from vaoi_station.rig.run import Plan, run_rig
     from vaoi_station.rig.scenarios import with_cameras
@@ -56,6 +56,7 @@ def run(
         min(different, boards),
         workers,
     )
+    check_faults(plan.faults, plan.scenario.array.cameras, boards)
     isolate()
     try:
         with interruptible():
@@ -85,7 +86,7 @@ def up(
     from vaoi_station.demo.interrupting import interruptible
     from vaoi_station.demo.site import find_scenario
     from vaoi_station.errors import InputError
-    from vaoi_station.rig.faults import parse_fault
+    from vaoi_station.rig.faults import check_faults, parse_fault
     from vaoi_station.rig.network import isolate, may_add
     from vaoi_station.rig.scenarios import with_cameras
     from vaoi_station.rig.up import keep_up
@@ -95,6 +96,7 @@ def up(
         raise InputError(f"{out}: must be a new or empty directory.", action="Give another --out.")
     faults = tuple(map(parse_fault, fault or ()))
     chosen = with_cameras(read_scenario(find_scenario(scenario)), cameras)
+    check_faults(faults, chosen.array.cameras, different)
     if own_network or not may_add():
         isolate()
     out.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,7 @@ from vaoi_station.demo.watching import until_idle
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.rig.conveyor import Conveyor
 from vaoi_station.rig.devices import Devices, film_boards
-from vaoi_station.rig.faults import Fault, befallen, check_faults
+from vaoi_station.rig.faults import Fault, befallen
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.load import LoadMeter
 from vaoi_station.rig.report import BoardScore, Load, Recovery, RigReport
@@ -71,10 +71,8 @@ def run_rig(plan: Plan, tell: Callable[[str], None]) -> RigReport:
     """Let boards pass and say how they came out.
 
     Raises:
-        InputError: a fault of a board or camera that is not there.
         DeviceError: rig or service do not come up.
     """
-    check_faults(plan.faults, plan.scenario.array.cameras, plan.boards)
     scenario = befallen(plan.scenario, plan.faults)
     began_s = time.monotonic()
     with TemporaryDirectory(prefix="vaoi-rig-") as temporary:
@@ -110,10 +108,10 @@ def _play(
     with Watch(Client(service.address)) as watch:
         saboteur.use(devices, lambda: _processes(service, watch.last))
         client.post("/station/arm", board_type=films[0].board_type.name, job_id="rig")
-        watch.wait(lambda station: station["state"] == "armed", READY_S)
+        watch.wait_ready(READY_S)
         meter = LoadMeter(_everybody(service, watch.last, devices))
         interval_s = least_interval_s(plan.scenario, films)
-        with Conveyor(devices.stage, films, interval_s, lambda limit_s: watch.wait(_takes, limit_s)) as conveyor:
+        with Conveyor(devices.stage, films, interval_s, watch.wait_ready) as conveyor:
             _follow(plan, client, conveyor, story, tell)
         story.load = meter.read(sum(run["counts"]["ok"] for run in story.runs))
         saboteur.over()
@@ -176,7 +174,7 @@ def _recoveries(saboteur: Saboteur, watch: Watch, began_ns: int) -> tuple[Recove
     """How long the station took after every device that was back."""
     result = []
     for back in saboteur.backs:
-        watch.wait(lambda _, back_ns=back.back_ns: watch.ready_since(back_ns) is not None, READY_S)  # type: ignore[misc]
+        watch.wait_ready(READY_S)
         ready_ns = watch.ready_since(back.back_ns)
         if ready_ns is not None:
             saboteur.mend(back, ready_ns)
@@ -219,10 +217,6 @@ def _report(
     )
     found = (*failings(report, plan.faults, plan.boards), *failed)
     return report.model_copy(update={"ok": not found, "failings": found})
-
-
-def _takes(station: dict[str, Any]) -> bool:
-    return bool(station["state"] == "armed")
 
 
 def _processes(service: Service, station: dict[str, Any]) -> dict[str, int]:

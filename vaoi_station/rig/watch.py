@@ -23,6 +23,7 @@ class Watch:
         self._change = threading.Condition()
         self._seen: list[tuple[int, bool]] = []
         """CLOCK_MONOTONIC of an answer, and whether the station was ready with all its cameras."""
+        self._asked_ns = 0
         self.last: dict[str, Any] = {}
         self._thread = threading.Thread(target=self._work, name="watch")
 
@@ -35,9 +36,14 @@ class Watch:
         self._thread.join()
 
     def wait(self, true: Callable[[dict[str, Any]], bool], timeout_s: float) -> bool:
-        """Until the station says something of itself that is so."""
+        """Until the station, asked from now on, says something of itself that is so."""
+        now_ns = time.monotonic_ns()
         with self._change:
-            return self._change.wait_for(lambda: bool(self.last) and true(self.last), timeout_s)
+            return self._change.wait_for(lambda: self._asked_ns >= now_ns and true(self.last), timeout_s)
+
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Until it takes boards, with all its cameras."""
+        return self.wait(lambda station: station["state"] == "armed" and all_there(station), timeout_s)
 
     def ready_since(self, after_ns: int) -> int | None:
         """CLOCK_MONOTONIC of the first answer behind the last one that was not ready; None if it is not ready now.
@@ -56,12 +62,19 @@ class Watch:
 
     def _work(self) -> None:
         while not self._closing.wait(EVERY_S):
+            asked_ns = time.monotonic_ns()
             try:
                 station = self._client.get("/station")
             except DeviceError:  # it is being stopped, or has been
                 continue
-            ready = station["state"] in _READY and all(camera["connected"] for camera in station["cameras"])
+            ready = station["state"] in _READY and all_there(station)
             with self._change:
+                self._asked_ns = asked_ns
                 self._seen.append((time.monotonic_ns(), ready))
                 self.last = station
                 self._change.notify_all()
+
+
+def all_there(station: dict[str, Any]) -> bool:
+    """Whether all cameras are connected."""
+    return all(camera["connected"] for camera in station["cameras"])

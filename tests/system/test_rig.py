@@ -1,0 +1,142 @@
+"""The station's real backends on the virtual rig: firmware on an emulated chip, GigE Vision on loopback, REST.
+
+`vaoi rig run` is a program here: it begins itself anew in a network of its own, and starts `vaoi serve` there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.hw.chip import need
+from vaoi_station.acquisition.cameras.aravis.library import aravis
+from vaoi_station.config import read_config
+from vaoi_station.errors import DeviceError
+from vaoi_station.simulation import scenario_path
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.aravis
+
+
+@pytest.fixture(scope="module")
+def films(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("films")
+
+
+@pytest.fixture
+def roomy(tmp_path: Path) -> Path:
+    """The small scenario; neighbours share twice as much, as in that one three cameras leave a seam of 1.8 mm."""
+    text = scenario_path("small").read_text()
+    assert "overlap = 1.06" in text
+    path = tmp_path / "roomy.toml"
+    path.write_text(text.replace("overlap = 1.06", "overlap = 1.12"))
+    return path
+
+
+def need_all() -> None:
+    need(["avr-gcc", "make", "gcc"], simavr=True)
+    try:
+        aravis()
+    except DeviceError as refusal:
+        pytest.skip(f"platform: {refusal}")
+
+
+def rig_run(folder: Path, films: Path, *options: str) -> tuple[int, dict[str, Any], str]:
+    """Exit code, report, and what was printed."""
+    need_all()
+    report = folder / "report.json"
+    command = [sys.executable, "-m", "vaoi_station", "rig", "run", "--films", str(films)]
+    done = subprocess.run(
+        [*command, "--json", str(report), *options], cwd=ROOT, capture_output=True, text=True, check=False, timeout=280
+    )
+    said = done.stdout + done.stderr
+    assert report.is_file(), said
+    return done.returncode, json.loads(report.read_text()), said
+
+
+def ended(pid: int) -> bool:
+    """Within a moment: multiprocessing's tracker goes when it notices that its parent has gone."""
+    try:
+        handle = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    try:
+        return bool(select.select([handle], [], [], 10.0)[0])
+    finally:
+        os.close(handle)
+
+
+def affected(board: dict[str, Any]) -> set[tuple[int, int]]:
+    return {(named["camera"], named["row"]) for named in board["affected"]}
+
+
+def test_every_frame_of_three_cameras_is_in_its_proven_row(tmp_path: Path, films: Path, roomy: Path) -> None:
+    code, report, said = rig_run(tmp_path, films, "--scenario", str(roomy), "--cameras", "3", "--boards", "2")
+    assert (code, report["ok"], report["failings"]) == (0, True, []), said
+    assert report["cameras"] == 3
+    assert [board["status"] for board in report["boards"]] == ["ok", "ok"]
+    for board in report["boards"]:
+        assert board["ok"] == board["proven"] == 3 * board["rows_due"] > 0
+        assert board["pulse_off_us"] < 1.0
+        assert board["deviation"]["unplaced"] == 0
+    assert report["rms_px"] <= 0.10
+    assert (report["boards_missed"], report["stray_pulses"]) == (0, 0)
+    assert "all is as it must be" in said
+
+
+def test_what_goes_wrong_is_named_and_hurts_nobody_else(tmp_path: Path, films: Path) -> None:
+    """A camera that dies and comes back, a pulse it ignores, a station that stops, a controller that is reset; all of
+    it on a noisy line, with a barrier that bounces."""
+    code, report, said = rig_run(
+        tmp_path,
+        films,
+        *("--scenario", "small", "--boards", "5", "--fault", "noise:share=0.001", "--fault", "bounce:board=0"),
+        *("--fault", "kill:camera=1,board=1,row=3,for_s=1", "--fault", "ignored:camera=0,board=2,row=3"),
+        *("--fault", "stall:who=station,board=3,row=1", "--fault", "reset:board=4,row=4"),
+    )
+    assert (code, report["ok"], report["failings"]) == (0, True, []), said
+    boards = report["boards"]
+    assert [affected(boards[k]) for k in (0, 2, 3)] == [set(), {(0, 3)}, set()]
+    assert {(1, 3), (1, 4), (1, 5)} <= affected(boards[1]) <= {(1, 2), (1, 3), (1, 4), (1, 5)}
+    assert all(named["cause"] for board in boards for named in board["affected"])
+    assert all(board["proven"] == board["ok"] for board in boards)
+    assert boards[4]["rows"] < boards[4]["rows_due"]
+    assert any("the controller was reset" in words for words in boards[4]["reasons"])
+    assert {r["fault"] for r in report["recoveries"]} == {"kill", "stall", "reset"}
+    assert all(r["ready_after_s"] <= 12.0 for r in report["recoveries"])
+
+
+def test_a_rig_that_is_up_gives_a_station_nothing_but_addresses(tmp_path: Path, films: Path) -> None:
+    need_all()
+    out = tmp_path / "rig"
+    command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--scenario", "small", "--own-network"]
+    with subprocess.Popen(
+        [*command, "--different", "1", "--films", str(films), "--out", str(out)],
+        cwd=ROOT, env=os.environ | {"PYTHONUNBUFFERED": "1"}, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        said: list[str] = []
+        for line in process.stdout:
+            said.append(line)
+            if "Ctrl-C ends it" in line:
+                break
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        process.send_signal(signal.SIGINT)
+        said.append(process.stdout.read())
+        assert process.wait(30) == 0, "".join(said)
+    assert len(children) >= 3, "".join(said)
+    assert all(ended(int(pid)) for pid in children)
+    config = read_config(out / "station.toml")
+    assert [camera.address for camera in config.cameras] == ["127.0.0.2", "127.0.0.3"]
+    assert (config.controller.backend, config.controller.port) == ("serial", str(out / "trigger"))
+    assert (config.simulation, config.replay) == (None, None)
+    assert f"vaoi serve --config {out / 'station.toml'}" in "".join(said)
