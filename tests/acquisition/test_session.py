@@ -173,6 +173,25 @@ def test_a_controller_that_falls_silent_is_told_and_the_run_finished(stage: Stag
     assert finished.reason == "the controller fell silent"
 
 
+def test_what_is_told_too_late_of_a_run_that_was_given_up_begins_no_other(stage: Stage) -> None:
+    """The line is back after a while, and the controller's reports are read again."""
+    stage.session.grant(Grant("a", 0))
+    stage.session.grant(Grant("b", 1))
+    stage.session.arm(stage.plan)
+    stage.session.heard(BarrierBlocked(0, 9.9), 9.9)
+    stage.pulse(10.0, 0)
+    silent_s = stage.session.deadline_s(10.1)
+    stage.session.tick(silent_s)
+    stage.session.tick(silent_s + 1.0)
+    stage.session.heard(PulseFired(0, 10.1, 1), silent_s + 2.0)
+    stage.session.heard(RunEnded(0, 10.2, 2, "clear"), silent_s + 2.0)
+    assert [started.run for started in stage.of(RunStarted)] == ["a"]
+    assert not stage.of(BoardMissed)
+    stage.session.heard(BarrierBlocked(0, silent_s + 3.0), silent_s + 3.0)
+    stage.pulse(silent_s + 3.1, 0)
+    assert [started.run for started in stage.of(RunStarted)] == ["a", "b"]
+
+
 def test_a_run_whose_end_was_lost_is_ended_by_the_next_board(stage: Stage) -> None:
     for n in range(2):
         stage.session.grant(Grant(f"run {n}", n))

@@ -39,8 +39,9 @@ class Limits:
     """Frames are waited for so much longer than one period after the last pulse."""
     lag_s: float = 0.1
     """The controller's report of a pulse comes no later than this after the pulse."""
-    unexplained_s: float = 2.0
-    """A frame without any pulse is given up after this time."""
+    unexplained_s: float = 5.0
+    """A frame without any pulse is given up after this time: longer than a controller runs on without its host (3 s),
+    whose reports are read when the line is back."""
 
 
 @dataclass(frozen=True)

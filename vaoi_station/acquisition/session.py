@@ -77,6 +77,8 @@ class Session:
         self._silent_s = float("inf")
         self._skipped: dict[int, str] = {}
         """Rows of a passage that were not fired, before the first one that was."""
+        self._given_up = False
+        """A run was closed before its end was told; what is still told of it comes too late."""
         self._edge_s = 0.0
         self._disarming = False
 
@@ -94,6 +96,7 @@ class Session:
             )
             self._send(trouble(error))
             self._end_run(self._run.rows, "the controller fell silent", now_s)
+            self._given_up = True
         self._tell(self._recorder.settle(now_s), now_s)
 
     def grant(self, grant: Grant) -> None:
@@ -140,12 +143,15 @@ class Session:
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self._plan = None
+        self._given_up = False
         self._disarming = True
         self._tell(self._recorder.settle(now_s), now_s)
 
     def heard(self, event: ControllerEvent, now_s: float) -> None:
         """The controller reports something."""
         self._recorder.heard(event.time_s)
+        if self._comes_too_late(event):
+            return
         if isinstance(event, BarrierBlocked):
             self._edge_s = min(self._clocks[0].host_s(event.time_s), now_s)
             self._skipped = {}
@@ -164,6 +170,12 @@ class Session:
                 self._send(BoardMissed(self._edge_s, f"no pulse was fired; the run ended with {event.reason!r}"))
             else:
                 self._end_run(event.pulses, event.reason, now_s)
+
+    def _comes_too_late(self, event: ControllerEvent) -> bool:
+        """Whether it is of a run that has been given up; the next board, or that run's end, closes the matter."""
+        late = self._given_up and not isinstance(event, BarrierBlocked)
+        self._given_up = late and not isinstance(event, RunEnded)
+        return late
 
     def arrived(self, arrival: Arrival, now_s: float) -> None:
         """A camera has finished with a slot."""

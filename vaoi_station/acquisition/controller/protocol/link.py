@@ -124,6 +124,11 @@ class Link:
         """Whether every event that is known to have happened has been told."""
         return not self._doubtful and self._order.missing() is None
 
+    @property
+    def status_is_old(self) -> bool:
+        """Whether an event has been told that happened after the newest status."""
+        return self.status is not None and self._order.wanted > self.status.events_next
+
     def ask(self, request: Request) -> None:
         """Queue a request; its outcome will be among the news."""
         self._queue.append(_Asked(request, own=False))

@@ -6,6 +6,7 @@ The controller's answers decide what has to be done, never what the host remembe
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import randrange
@@ -40,7 +41,7 @@ from vaoi_station.errors import DeviceError, StateError
 READINGS = 8
 """Of the clock, at every meeting."""
 QUIET_S = 1.0
-"""After so long without a word it is asked for its state."""
+"""After so long without a word on its state it is asked."""
 _CAUSES = {1: "its power came on", 2: "its reset line was pulled", 4: "its supply was too low", 8: "by its watchdog"}
 _NOT_NOW: dict[int, str] = {
     Reason.LED_BUDGET: "the LEDs have not cooled down.",
@@ -77,6 +78,8 @@ class Attendant:
         self._boots: int | None = None
         """The start of the controller that its time is counted from."""
         self._looked_at: Status | None = None
+        self._told_s = time.monotonic()
+        """When it last said how it is."""
         self._number = randrange(0x10000)
 
     # --- meeting and losing it
@@ -217,10 +220,12 @@ class Attendant:
 
     def listen(self) -> None:
         """Hear what comes within a moment, and see that it does what it should."""
-        line = self._on_line()
+        line, before = self._on_line(), self.link.status
         line.turn()
         self._look()
-        if line.silence_s > QUIET_S:
+        if self.link.status is not before:
+            self._told_s = time.monotonic()
+        elif time.monotonic() - self._told_s > QUIET_S:
             line.status()
 
     def _heard(self, item: Happened | EventsLost, now_s: float) -> None:
@@ -242,7 +247,7 @@ class Attendant:
     def _look(self) -> None:
         """A new status: a run whose end was overwritten has ended; what is not watching should be."""
         status = self.link.status
-        if status is None or status is self._looked_at or not self.link.up_to_date:
+        if status is None or status is self._looked_at or self.link.status_is_old or not self.link.up_to_date:
             return
         self._looked_at = status
         with self.lock:

@@ -82,10 +82,11 @@ class SerialController:
         """What it is and does, and how well the line is."""
         attendant, link, ident = self._attendant, self._attendant.link, self.ident
         state = "not reachable" if attendant.down else "armed" if attendant.orders else "idle"
+        barrier = ", barrier interrupted" if link.status is not None and link.status.blocked else ""
         firmware = f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}"
         noise = f"{link.bad_frames} bad frames, {link.retries} repeats, {link.strays} strays"
         clock = f"clock ± {self.clock_bound_s * 1e3:.2f} ms, {attendant.time.drift_ppm():+.1f} ppm"
-        return f"serial: {state}, firmware {firmware}, start {link.boots}, {clock}, {noise}"
+        return f"serial: {state}{barrier}, firmware {firmware}, start {link.boots}, {clock}, {noise}"
 
     @property
     def ident(self) -> Ident:
