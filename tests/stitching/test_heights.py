@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.heights import highest
+from vaoi_station.stitching.heights import highest, told
 
 
 def test_the_twins_parts_are_as_high_as_they_are(filmed: Any) -> None:
@@ -20,6 +20,34 @@ def test_the_twins_parts_are_as_high_as_they_are(filmed: Any) -> None:
     for ref, mm in found.items():
         assert mm == pytest.approx(true[ref], abs=0.03 + 0.01 * true[ref]), ref
         assert 0.005 < q["height_sigma_mm"][ref] < 0.2
+
+
+def test_a_link_tells_the_height_that_explains_its_misfit() -> None:
+    """Against numpy; of five links one lies on a corner, and one on a part too small for a patch."""
+    g = np.random.default_rng(3)
+    center, size = np.array([[2.0, 1.0], [9.0, 4.0]]), np.array([[3.0, 2.0], [0.4, 0.4]])
+    angle, floor_px = np.radians([30.0, 0.0]), 0.02
+    turn = np.array([[np.cos(angle[0]), -np.sin(angle[0])], [np.sin(angle[0]), np.cos(angle[0])]])
+    inside = np.array([[0.3, -0.2], [-1.1, 0.6], [1.4, 0.9], [0.0, 0.0]]) @ turn.T + center[0]
+    place = np.vstack([inside, center[1]])
+    near, component = np.array([5, 3, 1, 0, 4]), np.array([0, 0, -1, 0, 1, 0])
+    misfit, lean, half = g.normal(0, 0.02, (5, 2)), g.normal(0, 0.1, (5, 2)), g.normal(0, 1e-3, (6, 2, 2))
+    ground, noise, resolution = g.normal(0, 0.1, 6), half @ half.swapaxes(1, 2), g.uniform(30, 40, 6)
+    height, sigma, sole, aside = told(
+        *(near, place, misfit, lean, ground, noise, resolution, component),
+        *(np.eye(3), center, size, angle),
+        *(1.0, floor_px),
+    )
+    assert np.isinf(sigma).tolist() == [False, False, True, False, True]
+    for i in (0, 1, 3):
+        n = near[i]
+        weight = np.linalg.inv(noise[n] + (floor_px / resolution[n]) ** 2 * np.eye(2))
+        residual, information = misfit[i] + lean[i] * ground[n], lean[i] @ weight @ lean[i]
+        assert height[i] == pytest.approx(-(lean[i] @ weight @ residual) / information)
+        assert sigma[i] == pytest.approx(information**-0.5)
+        left = residual + lean[i] * height[i]
+        assert aside[i] == pytest.approx(np.sqrt(left @ weight @ left), abs=1e-9)
+        assert sole[i] == pytest.approx(0.015 / resolution[n] / np.hypot(*lean[i]))
 
 
 Part = list[float]

@@ -109,7 +109,8 @@ class Progress:
         self.frames = {(f.camera, f.row): f for f in report.frames}
         times_s = dict(enumerate(report.head.row_times_s()))
         self.needed = all_tasks(self.present, times_s, self.order.setup)
-        jobs = [job for task in self.needed for job in self._ask(task.a[0], (task,))]
+        unasked = (task for task in self.needed if task not in self.asked_s)
+        jobs = [job for task in unasked for job in self._ask(task.a[0], (task,))]
         self.awaited = self.unanswered.intersection(self.needed)
         return jobs
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vaoi_station.compiled import compiled
-from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.observations import Ints
 from vaoi_station.stitching.patches import PATCH_PX
@@ -55,9 +55,16 @@ def component_heights(frame: Frame, problem: Problem, adjusted: Adjusted) -> dic
     c, addresses = adjusted.similarity, frame.parts.addresses
     if problem.surface is None or c is None or not len(problem.links):
         return {}
+    o, motion, parts = problem.links, adjusted.motion, frame.parts
     near = np.flatnonzero(problem.component >= 0)
-    near = near[_on_body(frame, c, problem, adjusted, near)]
-    height, sigma, sole, aside = _told(problem, adjusted, near)
+    ground = problem.surface.at_links @ adjusted.surface_mm
+    a_mm, b_mm = motion.board(o.p[near], o.a_mm[near]), motion.board(o.q[near], o.b_mm[near])
+    lean = motion.turned(o.q[near], o.b_lean[near]) - motion.turned(o.p[near], o.a_lean[near])
+    height, sigma, sole, aside = told(
+        *(near, a_mm, b_mm - a_mm, lean, ground, o.noise_mm2, o.px_per_mm, problem.component),
+        *(np.asarray(np.linalg.inv(frame.matrix(c)), np.float64), parts.center, parts.size, parts.angle_rad),
+        *(parts.mm_per_unit, adjusted.floor_px),
+    )
     good = np.flatnonzero((sigma < _WORST_MM) & (aside < _ASIDE))
     number = problem.component[near[good]]
     good = good[np.argsort(number, kind="stable")]
@@ -67,41 +74,77 @@ def component_heights(frame: Frame, problem: Problem, adjusted: Adjusted) -> dic
     return {address: Height(mm, sigma_mm, links) for address, mm, sigma_mm, links in each if links}
 
 
-def _on_body(frame: Frame, c: Floats, problem: Problem, adjusted: Adjusted, at: Ints) -> np.ndarray:
-    """Which of some links lie well within the body of their component, and whether a patch fits on that."""
-    o, parts = problem.links, frame.parts
-    place = apply(np.linalg.inv(frame.matrix(c)), adjusted.motion.board(o.p[at], o.a_mm[at]))
-    number = problem.component[at]
-    d, size = place - parts.center[number], parts.size[number]
-    cos, sin = np.cos(parts.angle_rad)[number], np.sin(parts.angle_rad)[number]
-    offset = np.stack([cos * d[:, 0] + sin * d[:, 1], cos * d[:, 1] - sin * d[:, 0]], -1)
-    room_px = size.min(1) * parts.mm_per_unit * o.px_per_mm[at]
-    return np.asarray((np.abs(offset) <= _CORE / 2 * size).all(1) & (room_px >= PATCH_PX))
+@compiled
+def told(
+    near: Ints,
+    place_mm: Floats,
+    misfit_mm: Floats,
+    lean: Floats,
+    ground_mm: Floats,
+    noise_mm2: Floats,
+    px_per_mm: Floats,
+    component: Ints,
+    cad_from_board: Floats,
+    center: Floats,
+    size: Floats,
+    angle_rad: Floats,
+    mm_per_unit: float,
+    floor_px: float,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """What links tell of the height of the component they lie on.
 
+    Args:
+        near: (n,) numbers of links that lie on components.
+        place_mm: (n, 2) of theirs on the board, tester coordinates.
+        misfit_mm: (n, 2) of theirs, were the board flat.
+        lean: (n, 2) how the misfit changes per mm of height.
+        ground_mm: (k,) height of the board at each link.
+        noise_mm2: (k, 2, 2) covariance by image noise.
+        px_per_mm: (k,) resolution.
+        component: (k,) its number.
+        cad_from_board: (3, 3) affine, the inverse of C.
+        center: (c, 2) of components, CAD units; as are `size` (c, 2) and, in CAD's axes, `angle_rad` (c,).
+        size: width and height.
+        angle_rad: by which they are turned.
+        mm_per_unit: of CAD.
+        floor_px: what single links scatter beyond noise.
 
-def _told(problem: Problem, adjusted: Adjusted, at: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-    """Of some links: height mm, its standard deviation, what pairs of frames share of that, and what is left (σ)."""
-    assert problem.surface is not None
-    o, motion = problem.links, adjusted.motion
-    p, q = o.p[at], o.q[at]
-    lean = motion.turned(q, o.b_lean[at]) - motion.turned(p, o.a_lean[at])
-    ground = problem.surface.at_links[at] @ adjusted.surface_mm
-    misfit = motion.board(q, o.b_mm[at]) - motion.board(p, o.a_mm[at]) + lean * ground[:, None]
-    floor = (adjusted.floor_px / o.px_per_mm[at]) ** 2
-    a, b, d = o.noise_mm2[at, 0, 0] + floor, o.noise_mm2[at, 0, 1], o.noise_mm2[at, 1, 1] + floor
-    weight = np.stack([d, -b, a], -1) / (a * d - b * b)[:, None]
-    information = np.maximum(_product(lean, weight, lean), 1e-12)
-    height = -_product(lean, weight, misfit) / information
-    left = misfit + lean * height[:, None]
-    aside = np.sqrt(np.maximum(_product(left, weight, left), 0))
-    shared = _SHARED_PX / o.px_per_mm[at] / np.maximum(np.hypot(*lean.T), 1e-9)
-    return height, 1 / np.sqrt(information), shared, aside
-
-
-def _product(u: Floats, weight: Floats, v: Floats) -> Floats:
-    """uᵀ·W·v (k,) of vectors (k, 2) and symmetric matrices (k, 3): xx, xy, yy."""
-    (ux, uy), (vx, vy), (xx, xy, yy) = u.T, v.T, weight.T
-    return np.asarray(ux * (xx * vx + xy * vy) + uy * (xy * vx + yy * vy))
+    Returns:
+        Height (n,) mm, its standard deviation (n,), what pairs of frames share of that (n,), and how far the link is
+        off in the direction no height explains (n,), σ. Links that do not lie well within a body on which a patch fits
+        have an infinite standard deviation.
+    """
+    height, sigma, sole, aside = (
+        np.zeros(len(near)),
+        np.full(len(near), np.inf),
+        np.zeros(len(near)),
+        np.zeros(len(near)),
+    )
+    m = cad_from_board
+    for i in range(len(near)):
+        n = near[i]
+        part, resolution = component[n], px_per_mm[n]
+        x = m[0, 0] * place_mm[i, 0] + m[0, 1] * place_mm[i, 1] + m[0, 2] - center[part, 0]
+        y = m[1, 0] * place_mm[i, 0] + m[1, 1] * place_mm[i, 1] + m[1, 2] - center[part, 1]
+        cos, sin = math.cos(angle_rad[part]), math.sin(angle_rad[part])
+        w, h = size[part, 0], size[part, 1]
+        if abs(cos * x + sin * y) > _CORE / 2 * w or abs(cos * y - sin * x) > _CORE / 2 * h:
+            continue
+        if min(w, h) * mm_per_unit * resolution < PATCH_PX:
+            continue
+        lx, ly = lean[i, 0], lean[i, 1]
+        rx, ry = misfit_mm[i, 0] + lx * ground_mm[n], misfit_mm[i, 1] + ly * ground_mm[n]
+        floor = (floor_px / resolution) ** 2
+        a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
+        det = a * d - b * b
+        ax, ay = (d * lx - b * ly) / det, (a * ly - b * lx) / det
+        information = max(ax * lx + ay * ly, 1e-12)
+        height[i] = -(ax * rx + ay * ry) / information
+        rx, ry = rx + lx * height[i], ry + ly * height[i]
+        aside[i] = math.sqrt(max((d * rx * rx - 2 * b * rx * ry + a * ry * ry) / det, 0.0))
+        sigma[i] = 1 / math.sqrt(information)
+        sole[i] = _SHARED_PX / resolution / max(math.hypot(lx, ly), 1e-9)
+    return height, sigma, sole, aside
 
 
 @compiled

@@ -59,10 +59,11 @@ class Sigma:
 
     @cached_property
     def of_components(self) -> dict[str, float]:
-        """The largest over each component's views, by address, of those that are in view."""
+        """The largest over each component's views, by address, of those that are in view; to four decimals."""
         worst = np.zeros(len(self.names))
         np.maximum.at(worst, self.part, longest(self.covariance_px2))
-        return {name: px for name, px in zip(self.names, worst.tolist(), strict=True) if px}
+        told = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
+        return {name: px for name, px, seen in told if seen}
 
     def told(self) -> dict[str, list[list[float]]]:
         """[camera, row, xx, xy, yy] of every view, by address; four digits, wherever the point."""

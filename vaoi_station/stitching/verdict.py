@@ -265,8 +265,8 @@ def quality_of(f: Findings) -> dict[str, Any]:
         "pivot_mm": [_rounded(float(v)) for v in a.motion.pivot],
         "row_covariance": [[[_significant(v) for v in r] for r in c] for c in rows.tolist()],
         "matrix_sigma_px": [
-            [[_rounded(v) for v in pair] if f.placed[j] else None for j, pair in enumerate(camera)]
-            for camera in matrix_sigmas(f.scene.cameras, a.motion.pivot, rows).tolist()
+            [pair if placed else None for pair, placed in zip(camera, f.placed, strict=True)]
+            for camera in np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist()
         ],
         "component_covariance_px2": sigma.told() if f.frame and f.frame.board_type.components else {},
         "surface_sigma_mm": _surface_sigma(f),
@@ -334,11 +334,7 @@ def _shift_of(f: Findings) -> dict[str, Any] | None:
 
 def _component_sigma(f: Findings) -> dict[str, float]:
     """Predicted standard deviation of every component that is in view, by address: the worst of its views."""
-    if f.frame is None or f.mapping is None:
-        return {}
-    if not f.frame.parts.addresses:
-        return {}
-    return {address: _rounded(px) for address, px in f.sigma.of_components.items()}
+    return f.sigma.of_components if f.frame and f.mapping and f.frame.parts.addresses else {}
 
 
 def _surface_sigma(f: Findings) -> float | None:
