@@ -49,31 +49,28 @@ class AravisCamera:
         """Take over an open and configured connection, and let the camera wait for its trigger.
 
         Raises:
-            DeviceError: its stream cannot be made; the connection is closed then.
+            DeviceError: its clock cannot be read, or its stream cannot be made; the connection is still the caller's.
         """
         self.number, self.config = number, connection.config
         self._share = share
         self._identity = connection.identity
         self._is_gige = connection.is_gige
-        self._epoch_ns = time.time_ns()
-        """Seconds of the camera's clock count from here: a float holds them to the nanosecond."""
+        self._epoch_ns = round(connection.read_clock(0).device_s * 1e9)
+        """Seconds of the camera's clock count from here: so a float holds them to the nanosecond."""
         self._lock = threading.Lock()
         """Of the connection, and of the slots that wait for one."""
         self._connection: Connection | None = connection
         self._waiting: list[Slot] = []
         self._arrivals: SimpleQueue[CameraNews] = SimpleQueue()
         self._counts = _Counts()
+        self._counting = threading.Lock()
         self._trouble: VaoiError | None = None
         self._suspicion: DeviceError | None = None
         self._seen_s = time.monotonic()
         """When it last answered."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
-        try:
-            connection.start(self._told, share)
-        except BaseException:  # whatever ended it, tidy up; it is raised again
-            connection.close()
-            raise
+        connection.start(self._told, share)
 
     def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
         """Announce what becomes of slots, and losses of the camera."""
@@ -134,11 +131,12 @@ class AravisCamera:
 
     def _told(self, told: Told) -> None:
         """A slot came back with something in it."""
-        if told.whole:
-            self._counts.delivered += 1
-            self._counts.last_frame_s = told.host_time_s
-        else:
-            self._counts.incomplete += 1
+        with self._counting:  # frames are told of by the pulling thread, and by who takes slots back
+            if told.whole:
+                self._counts.delivered += 1
+                self._counts.last_frame_s = told.host_time_s
+            else:
+                self._counts.incomplete += 1
         time_s = None if told.time_ns is None else (told.time_ns - self._epoch_ns) * 1e-9
         self._arrivals.put(
             Arrival(self.number, told.slot.number, told.whole, told.frame_id, time_s, told.host_time_s, told.fault)
@@ -165,9 +163,10 @@ class AravisCamera:
             raise absent(self.config, self._identity.address, "it does not answer any more")
         if not connection.is_ours():
             raise DeviceError(
-                f"camera {self.config.name}: another program has taken it over.",
-                action="Close that program; the camera is then opened by itself.",
-                code="camera-in-use",
+                f"camera {self.config.name}: is no longer ours: this computer was silent for too long, or another "
+                "program has taken it.",
+                action="It is opened again by itself, once no other program has it.",
+                code="camera-lost",
             )
         suspicion, self._suspicion = self._suspicion, None
         if suspicion is not None:
