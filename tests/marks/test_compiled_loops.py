@@ -112,7 +112,7 @@ def test_a_disc_is_fitted_whatever_its_light_and_size(
     cover = 0.5 * np.vectorize(math.erfc)(z / math.sqrt(2))
     image = np.rint((60 + 120 * cover) * (1 + slope[0] * u + slope[1] * v)).clip(0, 255).astype(np.uint8)
     code, px, py, sigma, found_radius, found_blur, ground, contrast = fit_disc(
-        image, 40 + 0.3 * radius, 40 - 0.3 * radius, 1.1 * radius, radius, 1, 1e-3
+        image, 40 + 0.3 * radius, 40 - 0.3 * radius, 1.1 * radius, radius, 1, 1e-3, 12
     )
     assert code == FITTED
     assert np.hypot(px - 40 - at[0], py - 40 - at[1]) < 0.02
@@ -124,8 +124,8 @@ def test_a_disc_is_fitted_whatever_its_light_and_size(
 
 
 def test_where_there_is_no_disc_none_is_fitted(paint: Paint) -> None:
-    assert fit_disc(np.full((80, 96), 90, np.uint8), 48.0, 40.0, 8.0, 6.0, 1, 1e-3)[0] == NO_EDGE
-    far = fit_disc(paint([("circle", 60, 40, 16.0)]), 48.0, 40.0, 8.0, 6.0, 1, 1e-3)
+    assert fit_disc(np.full((80, 96), 90, np.uint8), 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)[0] == NO_EDGE
+    far = fit_disc(paint([("circle", 60, 40, 16.0)]), 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)
     assert far[0] == TOO_FAR
 
 

@@ -16,7 +16,7 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.marks.equations import solve, variance
 
 FITTED, NO_EDGE, TOO_FAR = 0, 1, 2
-_COARSE_STEPS, _FINE_STEPS = 8, 12
+_COARSE_STEPS = 8
 _COARSE_BLUR, _COARSE_REACH, _COARSE_SAMPLES = 0.3, 1.45, 3.0
 """In radii; and samples per radius: from afar a disc is looked at as a blurred one, through few pixels."""
 _LEAST_BLUR_PX, _RIM_PX = 0.4, 3.5
@@ -27,7 +27,14 @@ _OUTLIER = 0.1
 
 @compiled
 def fit_disc(
-    image: NDArray[np.uint8], x: float, y: float, radius: float, furthest: float, stride: int, enough_px: float
+    image: NDArray[np.uint8],
+    x: float,
+    y: float,
+    radius: float,
+    furthest: float,
+    stride: int,
+    enough_px: float,
+    most_steps: int,
 ) -> tuple[int, float, float, float, float, float, float, float]:
     """Centre of a disc near (x, y).
 
@@ -39,6 +46,7 @@ def fit_disc(
         furthest: how far from (x, y) it may be.
         stride: 1: every pixel counts; 2: every second one of every second line.
         enough_px: smaller steps end the search.
+        most_steps: the search ends after so many anyway; a bare disc takes three.
 
     Returns:
         Code, x, y, standard deviation per axis, radius, blur (σ), ground and contrast in grey levels.
@@ -58,7 +66,7 @@ def fit_disc(
     if abs(p[5]) < _LEAST_CONTRAST:
         return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
     p[7], noise = 1.0, np.inf
-    for step in range(_FINE_STEPS):
+    for step in range(most_steps):
         rim = min(radius + max(3 * p[7], _RIM_PX), 1.9 * radius)
         limit = max(3 * noise, _OUTLIER * abs(p[5])) if step > 1 else np.inf
         noise = _normal_equations(image, p, rim, stride, limit, odd, even)

@@ -26,6 +26,8 @@ _COARSE_SIDE = 24
 """Larger marks are first looked at through about so many samples per side."""
 _QUICK_SIDE = 12
 """The same for places that need not be precise."""
+_STEPS, _QUICK_STEPS = 12, 5
+"""Of the fit of a disc, at the most: bare discs take three, what is none seldom comes to rest."""
 _SMOOTH, _LEAST_SMOOTH_PX, _MOST_SMOOTH_PX = 1 / 16, 0.8, 1.5
 """Blur before symmetry is judged, in sizes and px: what aliasing the sensor left is out of it then."""
 _EDGE_PX = 2.0
@@ -96,8 +98,9 @@ Place = tuple[tuple[float, float], float]
 
 
 def _disc(image: NDArray[np.uint8], start: tuple[float, float], size_px: float, precise: bool) -> Place | Failure:
-    stride, enough_px = (1, 1e-3) if precise else (max(round(size_px / _QUICK_SIDE), 1), 0.02)
-    fitted = disc.fit_disc(image, *start, size_px / 2, size_px / 3 + 2, stride, enough_px)
+    quick = max(round(size_px / _QUICK_SIDE), 1), 0.02, _QUICK_STEPS
+    stride, enough_px, steps = (1, 1e-3, _STEPS) if precise else quick
+    fitted = disc.fit_disc(image, *start, size_px / 2, size_px / 3 + 2, stride, enough_px, steps)
     code, x, y, sigma, radius, *_ = fitted
     if code == disc.NO_EDGE:
         return Failure("no round edge: nothing fixes a centre")
