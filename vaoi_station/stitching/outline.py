@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled, inlined
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
@@ -180,19 +180,21 @@ def _voted(steps: Floats, normal: Floats) -> Floats:
     return np.array([tries[j], tries[i]])
 
 
-@inlined
+@compiled
 def _heard(
     steps: NDArray[np.float64], normal: NDArray[np.float64], tries: NDArray[np.float64], step_mm: float
 ) -> NDArray[np.float64]:
     """Sum of steps (y tries, x tries) of all pieces, if the board were shifted so."""
-    out = np.zeros((len(tries), len(tries)))
-    middle = steps.shape[1] // 2
+    count, samples = len(tries), steps.shape[1]
+    out, far = np.zeros((count, count)), int(2 * np.abs(tries).max() / step_mm) + 1  # no shift leads further off
+    line = np.zeros(samples + 2 * far)
     for k in range(len(steps)):
-        for i in range(len(tries)):
-            for j in range(len(tries)):
-                at = middle + round((normal[k, 0] * tries[j] + normal[k, 1] * tries[i]) / step_mm)
-                if 0 <= at < steps.shape[1]:
-                    out[i, j] += steps[k, at]
+        line[far : far + samples] = steps[k]
+        across = normal[k, 0] / step_mm
+        for i in range(count):
+            first, to = far + samples // 2 + normal[k, 1] * tries[i] / step_mm + 0.5, out[i]
+            for j in range(count):
+                to[j] += line[int(first + across * tries[j])]
     return out
 
 
