@@ -21,10 +21,12 @@ from vaoi_station.stitching.cad import (
     Places,
     assign,
     board_frame,
+    distinct,
     expected_angle,
     find_board,
     gather,
     outside_share,
+    together,
 )
 from vaoi_station.stitching.evidence import Sightings, Task
 from vaoi_station.stitching.expectation import Expectation
@@ -236,3 +238,31 @@ def test_sightings_of_one_mark_in_many_frames_are_one_place_and_each_counts(work
     assert points.sigma_mm == pytest.approx(0.001)
     on_board = motion.board(points.row, points.ground_mm)
     np.testing.assert_allclose(on_board, similar(c, points.cad), atol=1e-9)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1000), st.floats(0.1, 3.0))
+def test_of_places_close_together_the_first_of_a_kind_is_kept(seed: int, apart: float) -> None:
+    g = np.random.default_rng(seed)
+    mm, kind = g.uniform(0, 6, (40, 2)), g.integers(0, 2, 40)
+    kept = distinct(mm, kind, apart)
+    for n in range(len(mm)):
+        earlier = kept[:n] & (kind[:n] == kind[n]) & (np.hypot(*(mm[:n] - mm[n]).T) < apart)
+        assert kept[n] == (not earlier.any())
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1000))
+def test_each_frame_gives_a_mark_the_nearest_sighting_of_its_kind(seed: int) -> None:
+    g = np.random.default_rng(seed)
+    marks, mark_kind = g.uniform(0, 10, (6, 2)), g.integers(0, 2, 6)
+    frame = np.sort(g.integers(0, 4, 30))
+    seen, kind = marks[g.integers(0, 6, 30)] + g.normal(0, 0.5, (30, 2)), g.integers(0, 2, 30)
+    ends = np.searchsorted(frame, np.arange(5))
+    at, mark = together(seen, kind, ends, marks, mark_kind, 0.4)
+    found = dict(zip(zip(frame[at].tolist(), mark.tolist(), strict=True), at.tolist(), strict=True))
+    for f in range(4):
+        for m in range(6):
+            off = np.hypot(*(seen - marks[m]).T)
+            off[(frame != f) | (kind != mark_kind[m])] = np.inf
+            assert found.get((f, m)) == (int(off.argmin()) if off.min() < 0.4 else None)

@@ -7,6 +7,7 @@ the texture that was linked must lie on the board.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -96,21 +97,40 @@ class Places:
 
 def gather(sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion) -> Places:
     """One place per mark of the board, however many frames saw it."""
+    mm, kind, score = (np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
     seen = [s for s in sightings if len(s.px)]
-    if not seen:
-        return Places(np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
-    at = (motion.board(np.full(len(s.px), s.task.a[1]), cameras[s.task.a[0]].ground(s.px)) for s in seen)
-    mm, kind, score = (
-        np.concatenate([*at]),
-        np.concatenate([s.kind for s in seen]),
-        np.concatenate([s.score for s in seen]),
-    )
+    if seen:
+        _, _, mm = _grounded(seen, cameras, motion)
+        kind, score = np.concatenate([s.kind for s in seen]), np.concatenate([s.score for s in seen])
     best_first = np.argsort(-score, kind="stable")
     mm, kind, score = mm[best_first], kind[best_first].astype(np.int_), score[best_first]
-    kept = np.zeros(len(mm), dtype=bool)
-    for n in range(len(mm)):
-        kept[n] = not (kept[:n] & (kind[:n] == kind[n]) & (np.hypot(*(mm[:n] - mm[n]).T) < _SAME_PLACE_MM)).any()
+    kept = distinct(mm, kind, _SAME_PLACE_MM)
     return Places(mm[kept], kind[kept], score[kept])
+
+
+def _grounded(
+    sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion
+) -> tuple[NDArray[np.int_], Floats, Floats]:
+    """Camera (k,), place on the ground (k, 2) and place on the board (k, 2) of all sightings, in their order."""
+    count = [len(s.px) for s in sightings]
+    camera = np.repeat(np.array([s.task.a[0] for s in sightings], dtype=np.int_), count)
+    px, ground = np.concatenate([s.px for s in sightings]), np.empty((sum(count), 2))
+    for i in np.unique(camera).tolist():
+        ground[camera == i] = cameras[i].ground(px[camera == i])
+    return camera, ground, motion.board(np.repeat([s.task.a[1] for s in sightings], count), ground)
+
+
+@compiled
+def distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArray[np.bool_]:
+    """Which of k places are no nearer than that to an earlier one of their kind that is kept."""
+    kept = np.zeros(len(mm), np.bool_)
+    for n in range(len(mm)):
+        kept[n] = True
+        for m in range(n):
+            if kept[m] and kind[m] == kind[n] and math.hypot(mm[m, 0] - mm[n, 0], mm[m, 1] - mm[n, 1]) < apart_mm:
+                kept[n] = False
+                break
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,36 +195,54 @@ def assign(
         marks = frame.flat(np.array([(m.x, m.y) for m in board_type.fixture_marks]))
         kinds += [len(mark_kinds(board_type))] * len(marks)
         flat, number = np.vstack([flat, marks]), np.append(number, np.full(len(marks), FIXTURE))
-    expected, kind = similar(c, flat), np.array(kinds, dtype=np.int_)
-    found = [_assigned(s, cameras[s.task.a[0]], motion, expected, kind) for s in sightings if len(s.px)]
-    parts = [
-        FiducialPoints(
-            np.full(len(mark), s.task.a[1]),
-            ground,
-            cameras[s.task.a[0]].parallax(ground),
-            flat[mark],
-            s.sigma_px[seen] / resolution,
-            resolution,
-            number[mark],
-        )
-        for s, (seen, mark, ground, resolution) in zip([s for s in sightings if len(s.px)], found, strict=True)
-    ]
-    return FiducialPoints.joined(parts) if parts else FiducialPoints.none()
+    seen = [s for s in sightings if len(s.px)]
+    if not seen:
+        return FiducialPoints.none()
+    camera, ground, board = _grounded(seen, cameras, motion)
+    ends = np.append(0, np.cumsum([len(s.px) for s in seen]))
+    of_seen = np.concatenate([s.kind for s in seen]).astype(np.int_)
+    at, mark = together(board, of_seen, ends, similar(c, flat), np.array(kinds, dtype=np.int_), _SAME_PLACE_MM)
+    row = np.repeat([s.task.a[1] for s in seen], np.diff(ends))[at]
+    camera, ground, lean, resolution = camera[at], ground[at], np.empty((len(at), 2)), np.empty(len(at))
+    for i in np.unique(camera).tolist():
+        mine = camera == i
+        lean[mine] = cameras[i].parallax(ground[mine])
+        resolution[mine] = [cameras[i].image_from_row.scale_at(p) for p in ground[mine]]
+    sigma = np.concatenate([s.sigma_px for s in seen])[at] / resolution
+    return FiducialPoints(row, ground, lean, flat[mark], sigma, resolution, number[mark])
 
 
-def _assigned(
-    s: Sightings, camera: Camera, motion: Motion, expected: Floats, kind: NDArray[np.int_]
-) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats]:
-    """Pairs of sighting and mark that lie together: their numbers, ground places and local resolutions."""
-    ground = camera.ground(s.px)
-    board = motion.board(np.full(len(ground), s.task.a[1]), ground)
-    distance = np.hypot(*np.moveaxis(board[None] - expected[:, None], 2, 0))
-    distance[kind[:, None] != s.kind[None]] = np.inf
-    nearest = distance.argmin(1)
-    mark = np.flatnonzero(distance[np.arange(len(expected)), nearest] < _SAME_PLACE_MM)
-    seen = nearest[mark]
-    resolution = np.array([camera.image_from_row.scale_at(p) for p in ground[seen]])
-    return seen, mark, ground[seen], resolution
+@compiled
+def together(
+    board_mm: Floats,
+    kind: NDArray[np.int_],
+    ends: NDArray[np.int_],
+    expected_mm: Floats,
+    expected_kind: NDArray[np.int_],
+    apart_mm: float,
+) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Sightings (n,) and marks (n,) that lie together: of each mark, in each frame, the nearest of its kind.
+
+    Args:
+        board_mm: (k, 2) where sightings are, frame by frame.
+        kind: (k,).
+        ends: (f + 1,) where the sightings of each frame begin, and where those of the last end.
+        expected_mm: (m, 2) where marks should be.
+        expected_kind: (m,).
+        apart_mm: what is further away is something else.
+    """
+    most = (len(ends) - 1) * len(expected_mm)
+    seen, mark, count = np.empty(most, np.int64), np.empty(most, np.int64), 0
+    for f in range(len(ends) - 1):
+        for m in range(len(expected_mm)):
+            nearest, least = -1, apart_mm
+            for k in range(ends[f], ends[f + 1]):
+                off = math.hypot(board_mm[k, 0] - expected_mm[m, 0], board_mm[k, 1] - expected_mm[m, 1])
+                if kind[k] == expected_kind[m] and off < least:
+                    nearest, least = k, off
+            if nearest >= 0:
+                seen[count], mark[count], count = nearest, m, count + 1
+    return seen[:count].copy(), mark[:count].copy()
 
 
 def _pairs(
