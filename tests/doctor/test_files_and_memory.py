@@ -110,6 +110,17 @@ def test_a_directory_that_will_be_made_is_fine_and_is_not_made(patient: Patient)
     assert not patient.config.data.exists()
 
 
+def own_mounts() -> list[str]:
+    """What to write before a command so that it may mount; where the kernel lets nobody, that is said."""
+    for way in (["unshare", "-m"], ["unshare", "-rm"]):
+        if subprocess.run([*way, "true"], capture_output=True, check=False).returncode == 0:
+            return way
+    sentence = "no mount name space may be made here (CAP_SYS_ADMIN, or user name spaces)"
+    if os.environ.get("CI"):
+        pytest.fail(sentence)
+    pytest.skip(f"platform: {sentence}")
+
+
 IN_A_SMALL_WORLD = """
 mount -t tmpfs -o size={size} tmpfs "$1/{directory}" && cd "$1" && exec "$2" -m vaoi_station doctor --json
 """
@@ -131,8 +142,7 @@ def test_a_file_system_that_is_full(
 
     (station_toml.parent / directory).mkdir(exist_ok=True)
     script = IN_A_SMALL_WORLD.format(directory=directory, size=size)
-    own_mounts = ["unshare", "-m"] if os.geteuid() == 0 else ["unshare", "-rm"]
-    command = [*own_mounts, "sh", "-c", script, "sh", str(station_toml.parent), sys.executable]
+    command = [*own_mounts(), "sh", "-c", script, "sh", str(station_toml.parent), sys.executable]
     done = subprocess.run(
         command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
     )

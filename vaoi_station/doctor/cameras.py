@@ -66,7 +66,7 @@ def of_real_cameras(patient: Patient) -> Iterator[Finding]:
             offered = ask(camera)
         except VaoiError as error:
             told = error.message.removeprefix(f"camera {camera.name}: ")
-            yield fault(told, error.action, subject=camera.name)
+            yield fault(told, f"{error.action} {_look_for(camera, error)}".strip(), subject=camera.name)
             continue
         except glib_error() as error:
             action = "Check its cable and power; switch it off and on."
@@ -82,6 +82,13 @@ def of_real_cameras(patient: Patient) -> Iterator[Finding]:
             yield fault(told, "Correct their addresses in station.toml.", subject=names[0])
     for port, members in ports.items():
         yield judge_port(port, members, patient.config.line.trigger_period_s)
+
+
+def _look_for(camera: CameraConfig, error: VaoiError) -> str:
+    """A command that shows more of a camera that is absent."""
+    if error.code != "camera-absent":
+        return ""
+    return f"Try: ping -c 1 {camera.address}" if camera.address else "Try: arv-tool-0.8"
 
 
 def ask(camera: CameraConfig) -> Offered:

@@ -19,7 +19,10 @@ def calibration(patient: Patient) -> Iterator[Finding]:
     try:
         read = read_calibration(path, [c.head for c in patient.config.cameras])
     except VaoiError as error:
-        yield fault(error.message, error.action or "Calibrate the array: docs/calibration.md.")
+        first = (
+            "vaoi record --config station.toml --out board-film --still; vaoi calibrate board-film: docs/calibration.md"
+        )
+        yield fault(error.message, error.action or first)
         return
     made = f", made {read.created}" if read.created else ""
     yield ok(f"{path}: {len(read.camera_matrices)} cameras{made}")

@@ -68,5 +68,5 @@ def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
             return ok(f"is kept in {place}")
     return warning(
         f"neither {places[0]} nor {places[1]} can be written to: every start compiles for half a minute.",
-        "Set NUMBA_CACHE_DIR to a directory of this user, as deploy/vaoi-station.service does.",
+        "export NUMBA_CACHE_DIR=DIRECTORY, one of this user; deploy/vaoi-station.service has it",
     )

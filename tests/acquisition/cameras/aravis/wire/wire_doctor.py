@@ -75,6 +75,7 @@ def test_a_camera_that_is_not_there_hides_no_other(device: Plug, station: Make) 
     gone.unplug()
     absent, there, _ = cameras(patient(config))
     is_bad(absent, Level.FAULT, f"there is no camera at {gone.address}")
+    assert absent.action.endswith(f"Try: ping -c 1 {gone.address}")
     assert there.level is Level.OK
 
 
@@ -97,6 +98,7 @@ def test_a_serial_number_that_nobody_has(device: Plug, station: Make) -> None:
     camera = config.cameras[0].model_copy(update={"address": None, "serial": "NONE"})
     finding = only(cameras(patient(config.model_copy(update={"cameras": (camera,)}))))
     is_bad(finding, Level.FAULT, "no camera with serial number 'NONE'", "WIRE0")
+    assert finding.action.endswith("Try: arv-tool-0.8")
 
 
 def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
