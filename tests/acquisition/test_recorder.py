@@ -162,6 +162,24 @@ def test_the_cause_of_a_loss_is_told_by_frame_ids() -> None:
     assert "lost on the way" in film.finished["a"][1].cause
 
 
+def test_rows_that_a_camera_missed_while_it_was_away_have_that_cause() -> None:
+    film = Film(2)
+    film.run("a", 1000.0, 4, 0.0)
+    for row in range(4):
+        film.frame(("a", 0, row), 1000.0 + row * PERIOD_S, 0.01)
+    film.frame(("a", 1, 0), 1000.0, 0.01)
+    film.recorder.outages.lost(1, 1000.05, "it does not answer any more")
+    film.recorder.outages.back(1, 1000.25)
+    film.play()
+    film.check()
+    causes = {(f.camera, f.row): f.cause for f in film.finished["a"] if f.verdict is Verdict.MISSING}
+    assert causes == {
+        (1, 1): "the camera was lost: it does not answer any more",
+        (1, 2): "the camera was lost: it does not answer any more",
+        (1, 3): "no frame came after the last one seen",
+    }
+
+
 def test_a_lost_report_of_a_pulse_is_told_and_dated_by_its_neighbours() -> None:
     film = Film(1)
     recorder = film.recorder

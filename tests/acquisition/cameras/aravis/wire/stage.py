@@ -109,6 +109,7 @@ class Stage:
         raise AssertionError(f"no {kind.__name__} came")
 
     def close(self) -> None:
+        """Harmless when closed."""
         for camera in self.cameras:
             camera.close()
         self.ring.close()
