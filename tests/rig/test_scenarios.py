@@ -9,9 +9,16 @@ import pytest
 from vaoi_station.errors import InputError
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.pins import Shot
-from vaoi_station.rig.scenarios import lamp_of, least_interval_s, with_cameras
+from vaoi_station.rig.scenarios import check_playable, lamp_of, least_interval_s, with_cameras
 from vaoi_station.simulation import Scenario
-from vaoi_station.simulation.scenario import ArraySection, LightSection, LineSection
+from vaoi_station.simulation.scenario import (
+    ArraySection,
+    FaultSection,
+    IgnoredTrigger,
+    LightSection,
+    LineSection,
+    LostFrame,
+)
 
 
 def test_a_larger_array_sees_a_wider_board() -> None:
@@ -24,6 +31,12 @@ def test_a_larger_array_sees_a_wider_board() -> None:
     assert with_cameras(scenario, 3) is scenario
     with pytest.raises(InputError, match="--cameras is 1, but must be enough to see a board of 8 mm"):
         with_cameras(scenario.model_copy(update={"board": scenario.board.model_copy(update={"width_mm": 70.0})}), 1)
+
+
+def test_cameras_that_do_wrong_by_themselves_are_asked_for_by_faults() -> None:
+    check_playable(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
+    with pytest.raises(InputError, match=r"faults\.ignored_triggers befall the cameras of the in-process twin only"):
+        check_playable(Scenario(faults=FaultSection(ignored_triggers=(IgnoredTrigger(camera=0, row=1),))))
 
 
 def scenario_of(lights: tuple[str, ...], exposures_us: tuple[float, ...] = (250.0,)) -> Scenario:

@@ -41,7 +41,7 @@ def run(
     from vaoi_station.rig.faults import check_faults, parse_fault
     from vaoi_station.rig.network import isolate
     from vaoi_station.rig.run import Plan, run_rig
-    from vaoi_station.rig.scenarios import with_cameras
+    from vaoi_station.rig.scenarios import check_playable, with_cameras
     from vaoi_station.rig.tables import as_text
     from vaoi_station.simulation import read_scenario
 
@@ -56,6 +56,7 @@ def run(
         min(different, boards),
         workers,
     )
+    check_playable(plan.scenario)
     check_faults(plan.faults, plan.scenario.array.cameras, boards)
     isolate()
     try:
@@ -88,7 +89,7 @@ def up(
     from vaoi_station.errors import InputError
     from vaoi_station.rig.faults import check_faults, parse_fault
     from vaoi_station.rig.network import isolate, may_add
-    from vaoi_station.rig.scenarios import with_cameras
+    from vaoi_station.rig.scenarios import check_playable, with_cameras
     from vaoi_station.rig.up import keep_up
     from vaoi_station.simulation import read_scenario
 
@@ -96,6 +97,7 @@ def up(
         raise InputError(f"{out}: must be a new or empty directory.", action="Give another --out.")
     faults = tuple(map(parse_fault, fault or ()))
     chosen = with_cameras(read_scenario(find_scenario(scenario)), cameras)
+    check_playable(chosen)
     check_faults(faults, chosen.array.cameras, different)
     if own_network or not may_add():
         isolate()

@@ -7,6 +7,7 @@ included, are known beforehand to a fraction of a microsecond, and nothing is re
 from __future__ import annotations
 
 import hashlib
+import json
 import mmap
 import multiprocessing
 import os
@@ -118,7 +119,12 @@ def films(scenario: Scenario, boards: Sequence[int], directory: Path, tell: Call
         arguments = (scenario, [boards[n] for n in absent], [made[n].directory for n in absent])
         process = multiprocessing.get_context("spawn").Process(target=film_boards, args=arguments, name="vaoi-films")
         process.start()
-        process.join()
+        try:
+            process.join()
+        except BaseException:  # Ctrl-C, say: nobody waits for these films any more
+            process.terminate()
+            process.join()
+            raise
         if process.exitcode:
             raise InternalError(f"filming ended with code {process.exitcode}; its words are above.")
     return made
@@ -165,9 +171,9 @@ def _film(passage: Passage, directory: Path) -> None:
 def _key(scenario: Scenario, board: int) -> str:
     """A name for one board of a scenario, whatever goes wrong with the others."""
     befallen = {
-        name: tuple(f for f in faults if getattr(f, "board", board) in (None, board))
+        name: [fault.model_dump(mode="json") for fault in faults if getattr(fault, "board", None) in (None, board)]
         for name, faults in scenario.faults
     }
-    alone = scenario.model_copy(update={"faults": scenario.faults.model_copy(update=befallen)})
-    digest = hashlib.sha256(f"{_FORMAT} {board} {alone.model_dump_json()}".encode()).hexdigest()
+    alone = scenario.model_dump(mode="json", exclude={"faults"}) | {k: v for k, v in befallen.items() if v}
+    digest = hashlib.sha256(json.dumps([_FORMAT, board, alone]).encode()).hexdigest()
     return f"{scenario.board.name}-{board:03d}-{digest[:12]}"

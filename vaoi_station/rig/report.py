@@ -63,6 +63,8 @@ class BoardScore(Part):
     notes: tuple[str, ...]
     deviation: Deviation
     ready_after_last_frame_ms: float | None
+    links_open: int | None
+    """Tasks of the stitch that were not done when the last frame had come; those of the last row cannot be."""
 
     @property
     def sound(self) -> bool:

@@ -6,10 +6,15 @@ import math
 from collections.abc import Sequence
 
 from vaoi_station.errors import InputError
+from vaoi_station.rig.faults import KINDS
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.pins import CHANNELS
 from vaoi_station.rig.stage import Lamp
 from vaoi_station.simulation import Scenario
+
+_OF_SIMULATED_CAMERAS = (
+    "late_frames", "incomplete_frames", "ignored_triggers", "extra_frames", "exchanged_frames", "free_running",
+)  # fmt: skip
 
 
 def with_cameras(scenario: Scenario, count: int | None) -> Scenario:
@@ -22,6 +27,14 @@ def with_cameras(scenario: Scenario, count: int | None) -> Scenario:
         raise InputError.field("vaoi rig", "--cameras", count, "enough to see a board of 8 mm")
     board = scenario.board.model_copy(update={"width_mm": round(width_mm, 3), "name": f"{scenario.board.name}-{count}"})
     return scenario.model_copy(update={"array": array.model_copy(update={"cameras": count}), "board": board})
+
+
+def check_playable(scenario: Scenario) -> None:
+    """InputError for a scenario whose cameras themselves do wrong: here that is asked for by `--fault`."""
+    for name in _OF_SIMULATED_CAMERAS:
+        if getattr(scenario.faults, name):
+            action = f"Take them out, and ask for {', '.join(KINDS)} by --fault."
+            raise InputError(f"scenario: faults.{name} befall the cameras of the in-process twin only.", action=action)
 
 
 def lamp_of(scenario: Scenario) -> Lamp:

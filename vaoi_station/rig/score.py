@@ -86,6 +86,7 @@ def score(evidence: Evidence, troubles: Sequence[Trouble]) -> BoardScore:
         notes=tuple(dict.fromkeys(f.note for f in passing.fired if f.note)),
         deviation=found,
         ready_after_last_frame_ms=timings.get("ready_after_last_frame_ms"),
+        links_open=timings["links"] - timings["links_while_filming"] if timings else None,
     )
 
 

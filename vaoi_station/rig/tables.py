@@ -6,8 +6,20 @@ from collections.abc import Iterator
 
 from vaoi_station.rig.report import BoardScore, RigReport
 
-_HEAD = ("board", "verdict", "ok", "incomplete", "missing", "proven", "pulse µs", "px rms", "px max", "ready ms")
-_FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>8s}{:>8s}{:>10s}"
+_HEAD = (
+    "board",
+    "verdict",
+    "ok",
+    "incomplete",
+    "missing",
+    "proven",
+    "pulse µs",
+    "px rms",
+    "px max",
+    "open",
+    "ready ms",
+)
+_FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>8s}{:>8s}{:>6s}{:>10s}"
 MOST = 40
 """Frames told one by one."""
 
@@ -54,6 +66,7 @@ def _row(board: BoardScore) -> tuple[str, ...]:
         f"{board.pulse_off_us:.2f}",
         f"{deviation.rms_px:.3f}" if placed else "–",
         f"{deviation.max_px:.3f}" if placed else "–",
+        "–" if board.links_open is None else f"{board.links_open}",
         "–" if board.ready_after_last_frame_ms is None else f"{board.ready_after_last_frame_ms:.0f}",
     )
 
