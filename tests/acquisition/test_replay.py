@@ -91,6 +91,7 @@ def test_runs_come_back_exactly_as_recorded(
         assert finished.head.lights == recording.head.lights
         assert finished.head.exposures_us == recording.head.exposures_us
         assert finished.strays == 0
+        assert finished.proof.proven, finished.proof.findings
         for frame in finished.frames:
             recorded = recording.frame(frame.camera, frame.row)
             if recorded is None:

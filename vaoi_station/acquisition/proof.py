@@ -160,12 +160,16 @@ class _Camera:
         ]
 
     def _early(self) -> list[TriggerFinding]:
-        """A frame that came before its pulse is another's: one of those that came after it and stand before it."""
+        """A frame that came before its pulse is another's: one of those that came after it and stand before it.
+
+        A replay that does not wait for the clock tells of pulses before their time; there causality says nothing.
+        """
         found = []
         for frame in self._placed:
             assert frame.row is not None
-            before_s = self._pulses[frame.row].host_s - self._bound_s - frame.arrived_s
-            if before_s <= 0:
+            fired_s = self._pulses[frame.row].host_s - self._bound_s
+            before_s = fired_s - frame.arrived_s
+            if before_s <= 0 or self._pulses[frame.row].heard_s < fired_s:
                 continue
             text = f"its frame had arrived {before_s * 1e3:.1f} ms before its pulse was fired: it is of an earlier one"
             found.append(self._say(frame.row, "early", text))

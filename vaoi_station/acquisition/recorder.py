@@ -130,7 +130,7 @@ class Recorder:
         self.heard(event.time_s)
         pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
         host_s = self._controller_clock.host_s(event.time_s)
-        self._sheets[-1].pulses[event.index] = KnownPulse(pulse, host_s, event.exposures_us)
+        self._sheets[-1].pulses[event.index] = KnownPulse(pulse, host_s, event.exposures_us, now_s)
         return pulse, self.settle(now_s)
 
     def end(self, sheet: RunSheet, pulses: int, reason: str, now_s: float) -> list[Outcome]:

@@ -14,6 +14,8 @@ class KnownPulse:
     pulse: Pulse
     host_s: float
     exposures_us: tuple[float, ...] = ()
+    heard_s: float = float("inf")
+    """Host time at which the controller's report of it was heard."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import select
+import termios
 import threading
 import tty
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ import pytest
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.messages import REPLY, Ident, Type
 from vaoi_station.acquisition.controller.serial import SerialController
+from vaoi_station.acquisition.controller.serial.port import Alarm, Port
 from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError
 
@@ -122,6 +124,20 @@ def test_a_port_in_use() -> None:
             os.close(handle)
     assert error.code == "port-in-use"
     assert "fuser" in error.action
+
+
+def test_closing_a_port_does_not_reset_the_board_behind_it() -> None:
+    """DTR falls at the last closing only if HUPCL is set."""
+    with device(lambda data: b"") as name:
+        alarm = Alarm()
+        handle = os.open(name, os.O_RDWR | os.O_NOCTTY)
+        flags = termios.tcgetattr(handle)
+        flags[2] |= termios.HUPCL
+        termios.tcsetattr(handle, termios.TCSANOW, flags)
+        Port(name, 250_000, alarm).close()
+        assert not termios.tcgetattr(handle)[2] & termios.HUPCL
+        os.close(handle)
+        alarm.close()
 
 
 def test_the_udev_rule_makes_the_name_that_is_looked_for() -> None:
