@@ -185,6 +185,8 @@ def test_no_pulse_of_the_longest_board_lacks_a_slot(delay: float, rows: int) -> 
         ("runs = 3", "runs = 1", r"ring\.runs: .*equal to 2 \(given: 1\)"),
         ("spare_rows = 2", "spare_rows = 65", r"ring\.spare_rows: .*64"),
         ("port = 8350", "port = 65536", r"api\.port: .*65535 \(given: 65536\)"),
+        ('"simulated"\n', '"simulated"\nport = ""\n', r"controller\.port: .*at least 1 char.* \(given: ''\)"),
+        ('"Mono16"', '"Mono16"\nbackend = "aravis"\naddress = ""', r"cameras\.1\.address: .*at least 1 char"),
         ("[line]", "[line", "not valid TOML"),
     ],
 )  # fmt: skip

@@ -20,6 +20,7 @@ MethodName = Literal["auto", "fiducials", "features", "reference"]
 """Ways to stitch; `stitching.method` says what each looks at."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Pixels = Annotated[Whole, Field(ge=0)]
+Word = Annotated[str, Field(min_length=1)]
 
 CAMERAS_OF = {"simulated": "simulated", "replay": "replay", "serial": "aravis"}
 """Backend of the controller → that of its cameras: they stand for one world."""
@@ -111,14 +112,14 @@ class CameraConfig(Section):
     readout_us: NotNegative = 0.0
     """How long after an exposure the next one may begin; 0: it exposes while it reads out."""
     pixel_format: PixelFormatName = "Mono8"
-    serial: str | None = None
+    serial: Word | None = None
     """An Aravis camera's serial number."""
-    address: str | None = None
+    address: Word | None = None
     """In place of it: its IP address or host name, which finds it without a search."""
     offset_px: tuple[Pixels, Pixels] = (0, 0)
     """Column and row of the sensor where the frame begins."""
     gain_db: Finite = 0.0
-    trigger_line: str | None = None
+    trigger_line: Word | None = None
     """The camera's input the trigger is wired to; None: the one usual for its make."""
     packet_bytes: Annotated[Whole, Field(ge=576, le=65535)] | None = None
     """Largest packet; None: what the interface takes, 9000 at most."""
@@ -169,7 +170,7 @@ class ControllerConfig(Section):
     """The microcontroller that fires cameras and LEDs."""
 
     backend: Literal["simulated", "replay", "serial"] = "simulated"
-    port: str = "/dev/vaoi-trigger"
+    port: Word = "/dev/vaoi-trigger"
     """Its serial port, by a name that stays: deploy/71-vaoi-controller.rules makes this one."""
     baud: Annotated[Whole, Field(ge=9600, le=2_000_000)] = 250_000
     trigger_us: Positive = 100.0

@@ -3,9 +3,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
+from pydantic import BaseModel, Field
 
 from vaoi_station.errors import InputError, InternalError, NotFoundError
 from vaoi_station.files.documents import check_format, parse, read_json, read_toml, write_bytes, write_json
@@ -78,6 +79,16 @@ def test_parse_names_file_key_value_and_limit() -> None:
     text = str(refused.value)
     assert "board.json: x: Input should be a valid number (given: '3')" in text
     assert "board.json: diameter: Input should be greater than 0 (given: -1)" in text
+
+
+def test_parse_does_not_call_an_array_short_whose_items_it_refuses() -> None:
+    class Box(BaseModel):
+        sides: Annotated[tuple[int, ...], Field(min_length=1)]
+
+    with pytest.raises(InputError, match=r"^box: sides\.0: Input should be a valid integer[^;]*\.$"):
+        parse(Box, {"sides": ["x"]}, "box")
+    with pytest.raises(InputError, match=r"^box: sides: Tuple should have at least 1 item"):
+        parse(Box, {"sides": []}, "box")
 
 
 def test_parse_does_not_drown_the_reader() -> None:

@@ -97,7 +97,8 @@ def test_no_port(tmp_path: Path) -> None:
 
 def test_a_port_that_is_no_device(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    is_bad(only(controller(patient_of(tmp_path / "file"))), Level.FAULT, "is no device")
+    is_bad(only(controller(patient_of(tmp_path / "file"))), Level.FAULT, "is no serial port")
+    is_bad(only(controller(patient_of(Path("/dev/null")))), Level.FAULT, "/dev/null is no serial port")
 
 
 @pytest.fixture

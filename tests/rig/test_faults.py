@@ -36,6 +36,11 @@ def test_keys_change_what_they_name() -> None:
         ("kill:row=-1", "row is -1, but must be at least 0"),
         ("kill:for_s=0", "for_s is 0.0, but must be above 0, at most 60 s"),
         ("stall:who=camera", "who is 'camera', but must be station, acquisition, or worker N"),
+        ("stall:who=", "who is '', but must be station, acquisition, or worker N"),
+        ("stall:who=worker x", "who is 'worker x', but must be station, acquisition, or worker N"),
+        ("bounce:at_s=-1", "at_s is -1.0, but must be from 0 to 60 s"),
+        ("bounce:at_s=nan", "at_s is nan, but must be from 0 to 60 s"),
+        ("kill:camera=1,camera=2", "is 'kill:camera=1,camera=2', but must be written with camera once"),
     ],
 )
 def test_what_is_wrong_is_told(text: str, words: str) -> None:

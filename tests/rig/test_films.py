@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import resource
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +16,7 @@ import pytest
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.simulated_board import SimulatedBoard
+from vaoi_station.errors import DeviceError
 from vaoi_station.rig.faults import befallen, parse_fault
 from vaoi_station.rig.films import Film, films
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
@@ -55,3 +63,46 @@ def test_a_film_is_made_once_and_whatever_befalls_other_boards(scenario: Scenari
 def test_other_boards_have_other_films(scenario: Scenario, made: tuple[Film, ...], tmp_path: Path) -> None:
     assert made[0].directory != made[1].directory
     assert not np.array_equal(made[0].map()[2, 0], made[1].map()[2, 0])
+
+
+def test_without_room_it_is_told_where_and_how_much(scenario: Scenario, tmp_path: Path) -> None:
+    with (
+        files_of_at_most(1_000_000),
+        pytest.raises(DeviceError, match=r"frames\.raw: \d+ MB: File too large\. Make room"),
+    ):
+        films(scenario, [0], tmp_path, lambda _: None)
+    assert not list(tmp_path.rglob("*.raw"))
+
+
+def test_a_file_is_no_place_for_films(scenario: Scenario, tmp_path: Path) -> None:
+    (tmp_path / "films").write_text("")
+    with pytest.raises(DeviceError, match=r"films cannot be kept: .*: Not a directory\. .*another --films"):
+        films(scenario, [0], tmp_path / "films", lambda _: None)
+
+
+def test_an_interruption_ends_the_filming(
+    scenario: Scenario, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As Ctrl-C does: no process is left, and none tells of its end."""
+
+    def interrupt() -> None:
+        while not multiprocessing.active_children():
+            pass
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        films(scenario, [0], tmp_path, lambda _: None)
+    assert multiprocessing.active_children() == []
+    assert capfd.readouterr().err == ""
+
+
+@contextmanager
+def files_of_at_most(size_bytes: int) -> Iterator[None]:
+    """What a full disk is like, for this process and those it starts."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -114,8 +114,8 @@ def judge_port(port: Path, machine: Machine) -> Finding:
         action = "Plug the controller in; deploy/71-vaoi-controller.rules in /etc/udev/rules.d/ gives it its name."
         told = f"there is no {port}; serial devices that are there: {', '.join(there) or 'none'}."
         return fault(told, action, subject="port")
-    if not stat.S_ISCHR(found.st_mode):
-        return fault(f"{port} is no device.", "Correct `port` under [controller].", subject="port")
+    if not stat.S_ISCHR(found.st_mode) or not machine.terminal(found.st_rdev):
+        return fault(f"{port} is no serial port.", "Correct `port` under [controller].", subject="port")
     if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
         group = _group(found.st_gid)
         told = f"{port} may not be read and written by this user (group {group}, {stat.filemode(found.st_mode)})."

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CAP_IPC_LOCK = 14
+PSEUDO_TERMINALS = range(136, 144)
+"""Major numbers; they are not in /sys."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,13 @@ class Machine:
     def locked_bytes(self, pid: int) -> int | None:
         """Memory that a process has locked."""
         return self._kibibytes(f"proc/{pid}/status", "VmLck")
+
+    def terminal(self, device: int) -> bool:
+        """Whether a device number is that of a serial port, as far as the kernel tells; nothing is opened for that."""
+        if os.major(device) in PSEUDO_TERMINALS:
+            return True
+        entry = self.root / "sys/dev/char" / f"{os.major(device)}:{os.minor(device)}"
+        return not entry.exists() or (entry / "subsystem").resolve().name == "tty"
 
     def holders(self, device: Path) -> Iterator[Holder]:
         """Processes that have a file open, as far as they may be seen."""

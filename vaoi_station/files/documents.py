@@ -7,10 +7,12 @@ import math
 import os
 import tempfile
 import tomllib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from vaoi_station.errors import InputError, InternalError, NotFoundError
 
@@ -71,7 +73,7 @@ def check_format(data: Any, path: Path, name: str, version: int) -> None:
 def describe(error: ValidationError, where: str | Path) -> str:
     """Every fault of a document in one line each."""
     lines = []
-    for fault in error.errors(include_url=False):
+    for fault in _causes(error.errors(include_url=False)):
         key = ".".join(map(str, fault["loc"])) or "the document"
         message = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "extra_forbidden":
@@ -115,6 +117,14 @@ def write_bytes(path: Path, content: bytes) -> None:
     except BaseException:  # whatever ended it, tidy up; it is raised again
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def _causes(faults: Sequence[ErrorDetails]) -> Iterator[ErrorDetails]:
+    """Without arrays that are too short only because items of theirs are refused."""
+    for fault in faults:
+        inside = (other["loc"][: len(fault["loc"])] == fault["loc"] for other in faults if other is not fault)
+        if fault["type"] != "too_short" or not any(inside):
+            yield fault
 
 
 def _text(path: Path) -> str:

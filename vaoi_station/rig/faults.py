@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -70,6 +71,8 @@ def parse_fault(text: str) -> Fault:
         key, _, value = part.partition("=")
         if key not in keys:
             raise InputError.field("vaoi rig", f"--fault {name}", part, f"KEY=VALUE, KEY one of {', '.join(keys)}")
+        if key in changes:
+            raise InputError.field("vaoi rig", f"--fault {name}", text, f"written with {key} once; give --fault twice")
         try:
             changes[key] = types[key](value)
         except ValueError:
@@ -109,6 +112,7 @@ def _check(fault: Fault) -> None:
         raise InputError.field("vaoi rig", f"{where}: for_s", fault.for_s, "above 0, at most 60 s")
     if fault.row < 0:
         raise InputError.field("vaoi rig", f"{where}: row", fault.row, "at least 0")
-    words = fault.who.split()
-    if words not in (["station"], ["acquisition"]) and not (words[0] == "worker" and words[1:] in ([], [words[-1]])):
+    if "at_s" in KINDS[fault.kind][1] and not 0 <= fault.at_s <= 60:
+        raise InputError.field("vaoi rig", f"{where}: at_s", fault.at_s, "from 0 to 60 s")
+    if not re.fullmatch(r"station|acquisition|worker( \d+)?", fault.who):
         raise InputError.field("vaoi rig", f"{where}: who", fault.who, "station, acquisition, or worker N")

@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import mmap
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +29,7 @@ from pydantic import BaseModel, ConfigDict
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.simulated_board import barrier_edges, predict_pulses, to_bytes
-from vaoi_station.errors import InternalError
+from vaoi_station.errors import DeviceError, InputError, InternalError
 from vaoi_station.files import read_board_type, read_calibration, write_board_type, write_calibration
 from vaoi_station.files.documents import parse, read_json, write_json
 from vaoi_station.model import BoardType, Calibration
@@ -110,31 +115,75 @@ def films(scenario: Scenario, boards: Sequence[int], directory: Path, tell: Call
     The drawn board may take gigabytes: a process of its own draws and films, and gives them back.
 
     Raises:
+        DeviceError: there is no place for them, or no room.
         InternalError: the process ended with something else than films.
     """
     made = tuple(Film(directory / _key(scenario, board)) for board in boards)
     absent = [n for n, film in enumerate(made) if not film.complete]
     if absent:
         tell(f"Filming {len(absent)} board(s) of {scenario.board.width_mm:.0f} × {scenario.board.length_mm:.0f} mm.")
-        arguments = (scenario, [boards[n] for n in absent], [made[n].directory for n in absent])
-        process = multiprocessing.get_context("spawn").Process(target=film_boards, args=arguments, name="vaoi-films")
-        process.start()
-        try:
-            process.join()
-        except BaseException:  # Ctrl-C, say: nobody waits for these films any more
-            process.terminate()
-            process.join()
-            raise
-        if process.exitcode:
-            raise InternalError(f"filming ended with code {process.exitcode}; its words are above.")
+        _film_aside(scenario, [boards[n] for n in absent], [made[n].directory for n in absent])
     return made
 
 
-def film_boards(scenario: Scenario, boards: Sequence[int], directories: Sequence[Path]) -> None:
-    """Render boards into directories; a film's sheet is written last."""
+def _film_aside(scenario: Scenario, boards: Sequence[int], directories: Sequence[Path]) -> None:
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=film_boards, args=(scenario, boards, directories, there), name="vaoi-films")
+    try:
+        with _deaf_children():
+            process.start()
+        there.close()
+        with here:
+            words = here.recv()
+    except EOFError:
+        words = ""
+    except BaseException:  # Ctrl-C most of all: nobody wants the films any more
+        if process.is_alive():
+            process.terminate()
+        raise
+    finally:
+        if process.pid is not None:
+            process.join()
+    if words:
+        raise DeviceError(f"films cannot be kept: {words}.", action="Make room there, or give another --films.")
+    if process.exitcode:
+        raise InternalError(f"filming ended with code {process.exitcode}; its words are above.")
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started meanwhile do not hear Ctrl-C, from their first moment on; it is ours to answer."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def film_boards(
+    scenario: Scenario, boards: Sequence[int], directories: Sequence[Path], connection: Connection[Any, Any]
+) -> None:
+    """Render boards into directories; a film's sheet is written last.
+
+    What the system refuses is told over the connection, which is closed without a word otherwise. Ends with the parent.
+    """
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     twin = Twin(scenario)
-    for board, directory in zip(boards, directories, strict=True):
-        _film(twin.passage(board), directory)
+    with connection:
+        try:
+            for board, directory in zip(boards, directories, strict=True):
+                _film(twin.passage(board), directory)
+        except (OSError, InputError) as error:
+            told = f"{error.filename or directories[0]}: {error.strerror}" if isinstance(error, OSError) else str(error)
+            connection.send(told.removesuffix("."))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)  # nothing is half-written: a film without its sheet is none
 
 
 def _film(passage: Passage, directory: Path) -> None:
@@ -145,7 +194,7 @@ def _film(passage: Passage, directory: Path) -> None:
     frame_bytes = array.width_px * array.height_px * array.bits // 8
     directory.mkdir(parents=True, exist_ok=True)
     _ = twin.scene, passage.placements  # drawn once, before threads ask for them
-    frames: NDArray[Any] = np.memmap(directory / _FRAMES, np.uint8, "w+", shape=(len(pulses), cameras, frame_bytes))
+    frames = _room(directory / _FRAMES, (len(pulses), cameras, frame_bytes))
 
     def render(row: int) -> None:
         for camera in range(cameras):
@@ -166,6 +215,19 @@ def _film(passage: Passage, directory: Path) -> None:
         views=views(twin, passage.pinholes, [passage.pose(pulse.time_s) for pulse in pulses]),
     )
     write_json(directory / _SHEET, sheet.model_dump(mode="json"))
+
+
+def _room(path: Path, shape: tuple[int, int, int]) -> NDArray[Any]:
+    """Every block is taken now: writing into a hole of a full disk would end the process by a signal."""
+    size_bytes = math.prod(shape)
+    with path.open("wb") as file:
+        try:
+            os.posix_fallocate(file.fileno(), 0, size_bytes)
+        except OSError as error:
+            path.unlink()
+            raise OSError(error.errno, f"{size_bytes / 1e6:.0f} MB: {error.strerror}", str(path)) from error
+    frames: NDArray[Any] = np.memmap(path, np.uint8, "r+", shape=shape)
+    return frames
 
 
 def _key(scenario: Scenario, board: int) -> str:
