@@ -95,6 +95,12 @@ def test_what_was_done_to_a_frame_is_told_beside_what_the_station_says(filmed: t
     assert "board 0, camera 1, row 2: incomplete, '80% came through' (packets were lost)" in as_text(report_of(board))
 
 
+def test_rows_with_one_story_are_told_together(filmed: tuple[Film, ...]) -> None:
+    fates: dict[tuple[int, int], Fate] = {(1, row): "dead" for row in (1, 2, 3, 5)}
+    board = scored(filmed[0], fates, dict.fromkeys(fates, ("missing", "it was lost")))
+    assert "board 0, camera 1, row 1–3, 5: missing, 'it was lost' (the camera was dead)" in as_text(report_of(board))
+
+
 def test_a_frame_lost_without_a_reason_is_told(filmed: tuple[Film, ...]) -> None:
     board = scored(filmed[0], None, {(0, 1): ("missing", "lost"), (1, 1): ("missing", "")})
     assert board.innocent == ((0, 1), (1, 1))

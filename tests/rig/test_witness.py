@@ -14,7 +14,7 @@ from vaoi_station.rig.camera import lit
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.pins import Shot
 from vaoi_station.rig.stage import Fired, Passing
-from vaoi_station.rig.witness import MONO_8, Sighting, look_at
+from vaoi_station.rig.witness import MONO_8, Sighting, filmed_bays, look_at
 
 BAY = 1
 
@@ -80,6 +80,12 @@ def test_half_a_frame_is_a_half_of_its_own_frame(ring: Ring, passing: Passing) -
     seen = look(ring, passing)
     assert seen.partly == {(0, 3)}
     assert seen.wrong == {(1, 3): "5 pixels of another picture"}
+
+
+def test_only_runs_that_are_filmed_are_looked_at() -> None:
+    uses = [("finished", "r1"), ("stitching", "r2"), ("filming", "r3"), ("granted", "r4")]
+    bays = [{"bay": n, "use": use, "run": run} for n, (use, run) in enumerate(uses)] + [{"bay": 4, "use": "free"}]
+    assert filmed_bays({"ring": {"bays": bays}}) == {"r1": 0, "r2": 1}
 
 
 def test_a_row_nobody_fired_is_wrong(ring: Ring, passing: Passing) -> None:

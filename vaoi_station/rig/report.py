@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict
 from vaoi_station.demo.deviation import Deviation
 
 LIMIT_PX = 0.10
-"""Component positions, root mean square over all boards whose runs are ok."""
+"""Component positions, root mean square over all boards whose runs are ok; others tell their own uncertainty."""
 READY_LIMIT_S = 12.0
 """From a device that is back to a station that is ready."""
 
@@ -119,7 +119,7 @@ class RigReport(Part):
     boards_missed: int
     stray_pulses: int
     rms_px: float
-    """Over all views of components of all boards that are ok or degraded."""
+    """Over all views of components of all boards that are ok."""
     max_px: float
     recoveries: tuple[Recovery, ...]
     load: Load | None

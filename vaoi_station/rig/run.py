@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import time
@@ -28,10 +29,10 @@ from vaoi_station.rig.score import Evidence, run_of, score
 from vaoi_station.rig.site import build_site
 from vaoi_station.rig.verdict import failings
 from vaoi_station.rig.watch import Watch
-from vaoi_station.rig.witness import Sighting, attach, bay_of, look_at
+from vaoi_station.rig.witness import Sighting, attach, filmed_bays, look_at
 from vaoi_station.simulation import Scenario, Twin
 
-POLL_S = 1.0
+POLL_S = 0.5
 LAST_RUN_S = 30.0
 """For the results of boards that have passed; a run without them is none."""
 READY_S = 30.0
@@ -129,27 +130,25 @@ def _follow(plan: Plan, client: Client, conveyor: Conveyor, story: _Story, tell:
         if conveyor.empty.is_set() and math.isinf(deadline_s):
             deadline_s = time.monotonic() + LAST_RUN_S
         run = client.get("/runs/next", after=after, timeout=POLL_S) or (_latest(client) if after is None else None)
-        if run is None:
-            continue
-        after = run["id"]
-        story.runs.append(run)
-        _look(client, run, conveyor, story)
-        counts = run["counts"]
-        tell(f"run {len(story.runs)}: {run['verdict']}, {counts['ok']} of {run['rows'] * run['cameras']} frames.")
+        _look(client, conveyor, story)
+        if run is not None:
+            after = run["id"]
+            story.runs.append(run)
+            counts = run["counts"]
+            tell(f"run {len(story.runs)}: {run['verdict']}, {counts['ok']} of {run['rows'] * run['cameras']} frames.")
 
 
-def _look(client: Client, run: dict[str, Any], conveyor: Conveyor, story: _Story) -> None:
-    """At the run's pixels, while they are there."""
+def _look(client: Client, conveyor: Conveyor, story: _Story) -> None:
+    """At the pixels of every run that has been filmed, before its memory goes to another board."""
     station = client.get("/station")
-    bay, started_s = bay_of(station, run["id"]), {run["id"]: _host_s(run["started"])}
-    passing = next((p for p in conveyor.passed if run_of(p, [run], started_s)), None)
-    if bay is None or passing is None:
-        return
-    try:
-        with attach(station) as ring:
-            story.sightings[run["id"]] = look_at(ring, bay, passing)
-    except (GoneError, NotFoundError):  # the station has ended meanwhile
-        return
+    for run, bay in filmed_bays(station).items():
+        if run in story.sightings:
+            continue
+        started_s = {run: _host_s(client.get(f"/runs/{run}")["started"])}
+        passing = next((p for p in list(conveyor.passed) if run_of(p, [{"id": run}], started_s)), None)
+        if passing is not None:
+            with contextlib.suppress(GoneError, NotFoundError), attach(station) as ring:  # the station may have ended
+                story.sightings[run] = look_at(ring, bay, passing)
 
 
 def _scores(scenario: Scenario, passed: Sequence[Any], story: _Story, saboteur: Saboteur) -> tuple[BoardScore, ...]:
@@ -194,7 +193,7 @@ def _report(
     took_s: float,
 ) -> RigReport:
     array = plan.scenario.array
-    placed = [b.deviation for b in boards if b.status in ("ok", "degraded") and b.deviation.views]
+    placed = [b.deviation for b in boards if b.status == "ok" and b.deviation.views]
     views = sum(d.views for d in placed)
     report = RigReport(
         ok=True,

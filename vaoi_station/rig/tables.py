@@ -21,7 +21,7 @@ _HEAD = (
 )
 _FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>8s}{:>8s}{:>6s}{:>10s}"
 MOST = 40
-"""Frames told one by one."""
+"""Lines about frames that are not whole."""
 
 
 def as_text(report: RigReport) -> str:
@@ -40,7 +40,10 @@ def _lines(report: RigReport) -> Iterator[str]:
     for recovery in report.recoveries:
         after = "never" if recovery.ready_after_s is None else f"{recovery.ready_after_s:.1f} s later"
         yield f"{recovery.fault}: over at {recovery.back_s:.1f} s, the station was ready {after}"
-    yield f"positions: {report.rms_px:.4f} px rms, {report.max_px:.4f} px at most; boards missed {report.boards_missed}"
+    yield (
+        f"positions of runs that are ok: {report.rms_px:.4f} px rms, {report.max_px:.4f} px at most; "
+        f"boards missed: {report.boards_missed}"
+    )
     if report.load is not None:
         load = report.load
         yield (
@@ -80,9 +83,24 @@ def _reasons(report: RigReport) -> Iterator[str]:
 
 
 def _affected(report: RigReport) -> Iterator[str]:
-    cells = [(board.board, named) for board in report.boards for named in board.affected]
-    for number, named in cells[:MOST]:
-        done = named.done or "NOTHING was done to it"
-        yield f"  board {number}, camera {named.camera}, row {named.row}: {named.verdict}, {named.cause!r} ({done})"
-    if len(cells) > MOST:
-        yield f"  … and {len(cells) - MOST} more"
+    groups: dict[tuple[int, int, str, str, str], list[int]] = {}
+    for board in report.boards:
+        for named in board.affected:
+            key = (board.board, named.camera, named.verdict, named.cause, named.done)
+            groups.setdefault(key, []).append(named.row)
+    for (number, camera, verdict, cause, done), rows in list(groups.items())[:MOST]:
+        words = done or "NOTHING was done to it"
+        yield f"  board {number}, camera {camera}, row {_ranges(rows)}: {verdict}, {cause!r} ({words})"
+    if len(groups) > MOST:
+        yield f"  … and {len(groups) - MOST} more"
+
+
+def _ranges(rows: list[int]) -> str:
+    """1, 2, 3, 7 → "1–3, 7"."""
+    spans: list[list[int]] = []
+    for row in sorted(rows):
+        if spans and row == spans[-1][1] + 1:
+            spans[-1][1] = row
+        else:
+            spans.append([row, row])
+    return ", ".join(f"{first}" if first == last else f"{first}–{last}" for first, last in spans)

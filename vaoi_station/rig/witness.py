@@ -68,9 +68,11 @@ def look_at(ring: Ring, bay: int, passing: Passing) -> Sighting:
     return Sighting(frozenset(proven), frozenset(partly), wrong, looked)
 
 
-def bay_of(station: Mapping[str, Any], run: str) -> int | None:
-    """The bay of a run in `GET station`; None if its memory is another's already."""
-    return next((int(bay["bay"]) for bay in station["ring"]["bays"] if bay["run"] == run), None)
+def filmed_bays(station: Mapping[str, Any]) -> dict[str, int]:
+    """Run → bay, by `GET station`, of the runs whose frames are all there."""
+    return {
+        str(bay["run"]): int(bay["bay"]) for bay in station["ring"]["bays"] if bay["use"] in ("stitching", "finished")
+    }
 
 
 def attach(station: Mapping[str, Any]) -> Ring:
