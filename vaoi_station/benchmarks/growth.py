@@ -94,6 +94,7 @@ def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
     settle_in(one_thread=True)
     import cv2
 
+    from vaoi_station.runs.warming import warm_up
     from vaoi_station.stitching.expectation import expectation_of
     from vaoi_station.stitching.work import Desk, Setup, all_tasks
 
@@ -105,9 +106,7 @@ def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
     times_s = head.row_times_s()
     present = [(camera, row) for row in range(head.rows) for camera in range(len(cameras))]
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
-    early = [t for t in tasks if max(t.a[1], (t.b or t.a)[1]) <= 1]
-    warm = Desk(setup, lambda i, j: frames[j, i])
-    warm.conclude(times_s[:2], [key for key in present if key[1] <= 1], [warm.perform(t) for t in early])
+    warm_up()
     with _Highest() as highest:
         desk = Desk(setup, lambda i, j: frames[j, i])
         began_s = time.process_time()

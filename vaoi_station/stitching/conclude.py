@@ -35,8 +35,8 @@ from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import described
 from vaoi_station.stitching.verdict import Findings, judge, quality_of
 
-_MOTION_MM = 1e-4
-"""So far the motion from links alone has converged: it is told if no board is found, else all is adjusted once more."""
+_MOTION_MM = 1e-3
+"""So far the motion from links alone converges at first: where the board is found all is adjusted once more."""
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping")
 
 
@@ -99,6 +99,8 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
     frame = terms.frame
     known = Known(terms.expectation, method, sightings, texture, terms.reference, referred)
     found = NO_BOARD_TYPE if frame is None else map_cad(frame, scene, problem, moved, known)
+    if isinstance(found, Failure) and method.links:
+        moved = adjust(problem, moved.motion)
     stages.done("cad")
     findings = Findings(frame, scene, method, links, problem, moved, found)
     status, reasons = judge(findings)
