@@ -49,7 +49,9 @@ def search(
     template, ring, near = _artwork(shape, size_px, arm)
     if min(image.shape) <= 2 * max(len(template) // 2, int(ring[0, 0])):
         return np.zeros((0, 2)), np.zeros(0)
-    hits = alike(np.ascontiguousarray(image), template, ring, near, _LEAST_SCORE)
+    image = np.ascontiguousarray(image).view()
+    image.flags.writeable = False  # a function is compiled anew for arrays that may be written
+    hits = alike(image, template, ring, near, _LEAST_SCORE)
     hits = hits[np.argsort(-hits[:, 2], kind="stable")]
     hits = hits[best_apart(hits, max(round(size_px / 2), 1), most)]
     return hits[:, :2], hits[:, 2]

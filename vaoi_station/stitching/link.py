@@ -16,7 +16,7 @@ from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.stitching.overlap import overlap_box, predict
 from vaoi_station.stitching.patches import fitting, match, middles
 from vaoi_station.stitching.places import best_places
-from vaoi_station.stitching.prepare import Prepared, frozen, reduced
+from vaoi_station.stitching.prepare import Prepared, reduced
 from vaoi_station.stitching.refine import MARGIN_PX
 
 _POINTS = 80
@@ -141,7 +141,7 @@ def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POI
         return np.zeros((0, 2), dtype=np.int64)
     cell = max(int(math.sqrt(w * h / count)), _LEAST_CELL_PX // grain)
     nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
-    best = best_places(frozen(reduced(a, grain)), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
+    best = best_places(reduced(a, grain), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
     return np.asarray(best * grain + grain // 2)
 
 

@@ -37,7 +37,12 @@ class Prepared:
     @cached_property
     def quarter(self) -> NDArray[np.uint8]:
         """A fourth of the size, block means."""
-        return quartered(self.grey)
+        return frozen(quartered(self.grey))
+
+    @cached_property
+    def copies(self) -> dict[int, NDArray[np.uint8]]:
+        """What `reduced` has made, by factor."""
+        return {}
 
     @cached_property
     def factor(self) -> int:
@@ -61,11 +66,12 @@ class Prepared:
 
 
 def reduced(frame: Prepared, factor: int) -> NDArray[np.uint8]:
-    """The frame reduced by a power of two, block means; of the copies there are, the nearest is halved on."""
-    image, at = (frame.quarter, 4) if factor >= 4 else (frame.grey, 1)
-    while at < factor:
-        image, at = halved(image), at * 2
-    return image
+    """The frame reduced by a power of two, block means, read-only; made once."""
+    if factor == 1:
+        return frame.grey
+    if factor not in frame.copies:
+        frame.copies[factor] = frame.quarter if factor == 4 else frozen(halved(reduced(frame, factor // 2)))
+    return frame.copies[factor]
 
 
 def to_grey(pixels: NDArray[Any]) -> NDArray[Any]:
