@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +12,9 @@ import pytest
 
 from tests.rig.host import Host
 from vaoi_station.acquisition.controller.protocol.messages import Step
+from vaoi_station.errors import DeviceError
 from vaoi_station.rig.chip import HZ, Chip
+from vaoi_station.rig.conveyor import Conveyor
 from vaoi_station.rig.darkroom import View
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.scenarios import lamp_of
@@ -112,3 +116,12 @@ def test_after_a_reset_the_barrier_still_follows_the_board(
     assert [shot.row for shot in again.fired] == list(range(filmed[1].rows))
     assert max(abs(shot.off_us) for shot in again.fired) < 1.0
     assert again.start_cycle - passing.start_cycle > filmed[0].lasts_s * HZ
+
+
+def test_a_chip_that_has_ended_ends_the_boards(line: Line, filmed: tuple[Film, ...]) -> None:
+    """Whoever waits for them hears why, and does not wait for ever."""
+    os.kill(line.chip.pid, signal.SIGKILL)
+    os.waitid(os.P_PID, line.chip.pid, os.WEXITED | os.WNOWAIT)
+    with pytest.raises(DeviceError, match="the emulated chip has ended"), Conveyor(line.stage, filmed, 0.1) as conveyor:
+        assert conveyor.empty.wait(30)
+    assert conveyor.passed == []

@@ -130,6 +130,8 @@ def test_a_rig_that_is_up_gives_a_station_nothing_but_addresses(tmp_path: Path, 
             if "Ctrl-C ends it" in line:
                 break
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        enter = next(line for line in said if "vaoi serve" in line).partition(":")[2].partition("vaoi serve")[0].split()
+        assert b"127.0.0.3/8" in subprocess.check_output([*enter, "ip", "address", "show", "lo"])
         process.send_signal(signal.SIGINT)
         said.append(process.stdout.read())
         assert process.wait(30) == 0, "".join(said)

@@ -48,7 +48,10 @@ def build(folder: Path) -> Path:
         DeviceError: a tool is missing, or the build fails; the message has its words.
     """
     if not (SOURCES / "Makefile").is_file():
-        raise NotFoundError(f"{SOURCES}: the firmware's sources are not there.", action="Run from a source checkout.")
+        raise NotFoundError(
+            f"{SOURCES}: the firmware's sources are not there.",
+            action="In a source checkout: python -m vaoi_station rig …",
+        )
     if missing := [packages for tool, packages in _TOOLS.items() if shutil.which(tool) is None]:
         words = f"Install the distribution's packages {' '.join(missing)} libsimavr-dev libelf-dev."
         raise DeviceError("the firmware cannot be built here.", action=words)

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
+from vaoi_station.errors import DeviceError
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.stage import Passing, Stage
 
@@ -16,7 +17,10 @@ AFTER_S = 1.0
 
 
 class Conveyor:
-    """A thread of its own; a context manager that waits for the last board."""
+    """A thread of its own; a context manager that waits for the last board.
+
+    At its end it raises the DeviceError for which no more boards could pass.
+    """
 
     def __init__(
         self, stage: Stage, films: Sequence[Film], interval_s: float, taken: Callable[[float], bool] = lambda _: True
@@ -27,17 +31,27 @@ class Conveyor:
         self._thread = threading.Thread(target=self._work, name="conveyor")
         self.passed: list[Passing] = []
         self.empty = threading.Event()
-        """All boards have passed."""
+        """All boards have passed, or no more can."""
+        self._failure: DeviceError | None = None
 
     def __enter__(self) -> Conveyor:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._closing.set()
         self._thread.join()
+        if self._failure is not None and kind is None:
+            raise self._failure
 
     def _work(self) -> None:
+        try:
+            self._feed()
+        except DeviceError as error:  # told by whoever waits for us
+            self._failure = error
+        self.empty.set()
+
+    def _feed(self) -> None:
         due_s = time.monotonic()
         for film in self._films:
             if self._closing.wait(max(due_s - time.monotonic(), 0.0)):
@@ -47,4 +61,3 @@ class Conveyor:
             self.passed.append(self._stage.let_pass(film))
             if self._closing.wait(film.lasts_s + AFTER_S):
                 return
-        self.empty.set()

@@ -18,7 +18,7 @@ FIRST = (127, 0, 0, 2)
 MOST = 200
 """Cameras of one rig."""
 INSIDE = "VAOI_RIG_NETWORK"
-"""Set where we are in a namespace of our own already."""
+"""Set where we are in a namespace of our own already; `user` if a user namespace belongs to it."""
 
 
 def addresses(count: int) -> tuple[str, ...]:
@@ -47,7 +47,8 @@ def isolate() -> None:
     if os.environ.get(INSIDE) or not (before := isolation()):
         return
     command = [*before, sys.executable, "-m", "vaoi_station", *sys.argv[1:]]
-    os.execvpe(command[0], command, os.environ | {INSIDE: "1"})
+    kind = "user" if "--map-root-user" in before else "net"
+    os.execvpe(command[0], command, os.environ | {INSIDE: kind})
 
 
 def may_add() -> bool:
@@ -55,9 +56,13 @@ def may_add() -> bool:
     return os.geteuid() == 0 and _works(["ip", "link", "set", "lo", "up"])
 
 
-def isolated() -> bool:
-    """Whether this process has a network of its own."""
-    return bool(os.environ.get(INSIDE))
+def entrance() -> list[str]:
+    """What others write before a command so that it runs in our network; empty if it is everybody's."""
+    kind = os.environ.get(INSIDE)
+    if not kind:
+        return []
+    user = ["--user", "--preserve-credentials"] if kind == "user" else []
+    return ["nsenter", "-t", str(os.getpid()), "--net", *user]
 
 
 class Loopback:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import NoReturn
 from vaoi_station.rig.conveyor import Conveyor
 from vaoi_station.rig.devices import Devices, film_boards
 from vaoi_station.rig.faults import Fault, befallen
-from vaoi_station.rig.network import isolated
+from vaoi_station.rig.network import entrance
 from vaoi_station.rig.sabotage import Saboteur, mischief_of
 from vaoi_station.rig.scenarios import least_interval_s
 from vaoi_station.rig.site import build_site
@@ -27,7 +26,7 @@ def keep_up(
     different: int,
     tell: Callable[[str], None],
 ) -> NoReturn:
-    """Ends by KeyboardInterrupt, with everything put away but the folder.
+    """Ends by KeyboardInterrupt, with everything put away but the folder; by DeviceError if the chip's emulator ends.
 
     Args:
         scenario: of the twin.
@@ -46,8 +45,7 @@ def keep_up(
             plagued, boards[0], folder, name="rig", addresses=devices.addresses, port=devices.terminal, workers=2
         )
         tell(f"{len(devices.cameras)} cameras at {devices.addresses[0]} …, the controller at {devices.terminal}.")
-        before = f"nsenter -t {os.getpid()} --net --user --preserve-credentials " if isolated() else ""
-        tell(f"Start the station: {before}vaoi serve --config {config}")
+        tell(f"Start the station: {' '.join([*entrance(), 'vaoi', 'serve', '--config', str(config)])}")
         tell("Boards pass, whether somebody films them or not. Ctrl-C ends it.")
         interval_s = least_interval_s(scenario, boards)
         while True:
