@@ -75,6 +75,26 @@ def test_an_ignored_trigger(film: Film) -> None:
     assert "did not expose" in next(f.cause for f in film.finished["a"] if (f.camera, f.row) == (0, 3))
 
 
+@pytest.mark.parametrize("ignored", [True, False])
+def test_the_first_rows_are_explained_by_the_run_before(film: Film, ignored: bool) -> None:
+    """The camera went on counting from there."""
+    film_rows(film, 0, range(ROWS))
+    start_s = at_s(ROWS) + 2.0
+    film.run("b", start_s, 4, 0.001)
+    if not ignored:
+        film.skip_id(0), film.skip_id(0)
+    for camera, rows in ((0, (2, 3)), (1, range(4))):
+        for row in rows:
+            film.frame(("b", camera, row), start_s + row * PERIOD_S, 0.02)
+    film.play()
+    film.check_accounts()
+    assert film.proofs["b"].proven
+    kinds = named(film.proofs["b"])
+    assert kinds == ([(0, 0, "ignored-trigger"), (0, 1, "ignored-trigger")] if ignored else [])
+    causes = {f.row: f.cause for f in film.finished["b"] if f.verdict is Verdict.MISSING}
+    assert all(("did not expose" if ignored else "lost on the way") in causes[row] for row in (0, 1))
+
+
 def test_a_double_trigger(film: Film) -> None:
     film_rows(film, 0, range(4))
     film.frame(("a", 0, -1), at_s(3) + 0.041, 0.02)

@@ -14,10 +14,16 @@ from vaoi_station.model import FrameRecord, Verdict
 
 AROUND = 1.5
 """Frames that belong to no pulse count as a run's from so many periods before its first pulse to after its last."""
+BEFORE = -1
+"""In place of a row: the last one of the run before."""
 
 
 def conclude(
-    sheet: RunSheet, extra: Sequence[Sequence[Seen]], outages: Outages, pulse_bound_s: float
+    sheet: RunSheet,
+    extra: Sequence[Sequence[Seen]],
+    outages: Outages,
+    pulse_bound_s: float,
+    before: RunSheet | None = None,
 ) -> tuple[list[FrameRecord], TriggerProof]:
     """Completes `sheet.frames`; returns what is missing, and the proof.
 
@@ -26,13 +32,15 @@ def conclude(
         extra: of every camera, whole frames that belong to no pulse, of this run or about its time.
         outages: when cameras were away.
         pulse_bound_s: how far the host time of a pulse may be off.
+        before: the run before it, from whose last frames the cameras went on counting.
     """
     missing: list[FrameRecord] = []
     seen, counted = [], []
     for camera, strays in enumerate(extra):
         frames = [*sheet.seen[camera], *_about(sheet, strays)]
         seen.append([replace(f, epoch=outages.before(camera, f.host_s)) for f in frames])
-        counted.append(_gaps(sheet, camera, seen[-1]))
+        opening = _opening(sheet, before, camera, strays, outages)
+        counted.append([*opening, *_gaps(sheet, camera, seen[-1])])
         missing += _missing(sheet, camera, counted[-1], outages)
     proof = prove(sheet.pulses, pulse_bound_s, seen, counted)
     for record in missing:
@@ -61,6 +69,25 @@ def _gaps(sheet: RunSheet, camera: int, seen: Sequence[Seen]) -> list[Gap]:
         strays = [f.frame_id for f in seen if f.row is None and f.epoch == epoch and f.frame_id is not None]
         found += gaps(fired, of_epoch, torn, strays)
     return found
+
+
+def _opening(
+    sheet: RunSheet, before: RunSheet | None, camera: int, strays: Sequence[Seen], outages: Outages
+) -> list[Gap]:
+    """From the last row of the run before to the first frame of this one, if the count of the camera explains it."""
+    if before is None:
+        return []
+    last = next((f for f in before.seen[camera] if f.row == before.rows - 1), None)
+    first = min((f for f in sheet.seen[camera]), key=lambda f: f.row or 0, default=None)
+    if last is None or first is None or last.frame_id is None or first.frame_id is None or first.row is None:
+        return []
+    if outages.before(camera, last.host_s) != outages.before(camera, first.host_s):
+        return []
+    fired = [row for row in range(first.row + 1) if row not in sheet.skipped]
+    torn = {row for n, row in sheet.taken if n == camera}
+    between = [f.frame_id for f in strays if f.frame_id is not None and last.host_s < f.host_s < first.host_s]
+    (gap,) = gaps([BEFORE, *fired], {BEFORE: last.frame_id, first.row: first.frame_id}, torn, between)
+    return [gap] if gap.missing and 0 <= gap.ignored <= len(gap.missing) else []
 
 
 def _missing(sheet: RunSheet, camera: int, between: Sequence[Gap], outages: Outages) -> list[FrameRecord]:

@@ -307,7 +307,9 @@ class Recorder:
         """Verdicts for what never came, and the proof of what did."""
         assert sheet.run is not None
         sheet.finished = True
-        missing, proof = conclude(sheet, self._extra, self.outages, self._controller_clock.bound_s())
+        place = next(n for n, s in enumerate(self._sheets) if s is sheet)
+        before = self._sheets[place - 1] if place and self._sheets[place - 1].run is not None else None
+        missing, proof = conclude(sheet, self._extra, self.outages, self._controller_clock.bound_s(), before)
         ordered = tuple(sheet.frames[key] for key in sorted(sheet.frames))
         return [*(Settled(sheet.run, record) for record in missing), Finished(sheet, ordered, proof)]
 
