@@ -61,7 +61,7 @@ class SlotStream:
     """The buffers of one stream, and the thread that pulls them out when they are filled."""
 
     def __init__(self, stream: Any, kind: Kind, told: Callable[[Told], None], name: str) -> None:
-        """Pull at once; `told` is called in the pulling thread, or in that of `take_back` and `close`."""
+        """Pull at once; `told`, called in the pulling thread and those of `take_back` and `close`, must not wait."""
         self._stream = stream
         self._kind, self._told = kind, told
         self._filling = aravis().BufferStatus.FILLING
@@ -80,7 +80,10 @@ class SlotStream:
             self._stream.push_buffer(buffer)
 
     def take_back(self) -> list[Slot]:
-        """Withdraw what was not used. A frame that is being received is waited for, and told of like any other."""
+        """Withdraw what was not used; all other slots have been told of when this returns.
+
+        A frame that is being received is waited for a while, then broken off.
+        """
         self._wait_for_frames_under_way()
         with self._lock:
             self._stream.stop_thread(True)
@@ -118,8 +121,8 @@ class SlotStream:
                 continue
             with self._lock:
                 _, slot = self._out.pop(hash(buffer), (None, None))
-            if slot is not None:  # else it has just been taken back, and told of
-                self._told(self._judge(buffer, slot))
+                if slot is not None:  # else it has just been taken back, and told of
+                    self._told(self._judge(buffer, slot))
 
     def _judge(self, buffer: Any, slot: Slot) -> Told:
         host_time_s = time.monotonic()

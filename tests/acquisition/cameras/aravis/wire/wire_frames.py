@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -137,6 +138,43 @@ def test_slots_that_were_taken_back_are_never_written_again(device: Plug, statio
     assert dict(stage.cameras[0].health().counters)["n_underruns"] > before
     for slot in range(count):
         assert (stage.ring.memory(slot) == 170).all()
+
+
+def test_no_slot_is_in_two_hands_while_frames_pour_in(device: Plug, station: Make, opened: Open) -> None:
+    """Slots are queued and taken back in the middle of frames; each comes back once, and is then left alone."""
+    camera = device(0)
+    camera.show(noise(1, 640 * 480))
+    stage = opened(station(camera, width=640, height=480, packet_bytes=600))
+    slots = range(stage.ring.layout.slots_per_camera)
+    ending, sent = threading.Event(), threading.Semaphore(0)
+
+    def pour() -> None:
+        while not ending.is_set():
+            camera.fire(0)
+            sent.release()
+
+    pouring = threading.Thread(target=pour)
+    pouring.start()
+    whole = 0
+    try:
+        for _ in range(100):
+            stage.load()
+            told = [stage.arrival()]
+            back = stage.cameras[0].take_back()
+            while not stage.news.empty():
+                told.append(stage.arrival())
+            assert sorted([*back, *(arrival.slot for arrival in told)]) == list(slots)
+            at_rest = [stage.ring.memory(k).copy() for k in slots]
+            while sent.acquire(blocking=False):
+                pass
+            sent.acquire(timeout=20)
+            sent.acquire(timeout=20)
+            assert all((stage.ring.memory(k) == at_rest[k]).all() for k in slots), "written after it came back"
+            whole += sum(arrival.complete for arrival in told)
+    finally:
+        ending.set()
+        pouring.join()
+    assert whole > 0
 
 
 def test_slots_change_hands_hundreds_of_times_and_nothing_piles_up(device: Plug, station: Make, opened: Open) -> None:

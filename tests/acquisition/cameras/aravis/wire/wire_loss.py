@@ -114,6 +114,21 @@ def test_another_camera_at_the_same_address_is_not_taken_for_it(device: Plug, st
     stage.until(CameraBack)
 
 
+def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: Make, opened: Open) -> None:
+    """As after a stop of this process that was longer than the camera's heartbeat."""
+    camera = device(0)
+    stage = opened(station(camera))
+    stage.load()
+    connection = stage.cameras[0]._connection
+    assert connection is not None
+    connection._camera.get_device().leave_control()
+    del connection
+    assert "no longer ours" in stage.until(CameraLost).error.message
+    stage.until(CameraBack)
+    camera.fire()
+    assert stage.arrival().complete
+
+
 def test_a_camera_that_dies_again_and_again_leaves_nothing_behind(device: Plug, station: Make, opened: Open) -> None:
     mortal = device(0)
     stage = opened(station(mortal))
