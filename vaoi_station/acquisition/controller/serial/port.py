@@ -50,12 +50,16 @@ class Port:
         except (OSError, ValueError, termios.error) as error:
             raise _refusal(name, error) from error
         self._alarm = alarm
+        self._incoming, self._outgoing = select.poll(), select.poll()
+        self._incoming.register(self._serial.fileno(), select.POLLIN)
+        self._incoming.register(alarm.handle, select.POLLIN)
+        self._outgoing.register(self._serial.fileno(), select.POLLOUT)
         self.received = 0
         """Bytes so far."""
 
     def read(self, wait_s: float) -> bytes:
         """What has come; nothing after `wait_s`, or when the alarm rings."""
-        ready, _, _ = select.select([self._serial.fileno(), self._alarm.handle], [], [], wait_s)
+        ready = {handle for handle, _ in self._incoming.poll(wait_s * 1000)}
         if self._alarm.handle in ready:
             self._alarm.stop()
         if self._serial.fileno() not in ready:
@@ -72,8 +76,7 @@ class Port:
         pyserial's own would take a computer that was stopped meanwhile for a line that is stuck.
         """
         while data:
-            _, ready, _ = select.select([], [self._serial.fileno()], [], WRITE_S)
-            if not ready:
+            if not self._outgoing.poll(WRITE_S * 1000):
                 raise OSError(errno.ETIMEDOUT, "the device takes no bytes")
             data = data[os.write(self._serial.fileno(), data) :]
 
