@@ -38,7 +38,7 @@ def conclude(
     seen, counted = [], []
     for camera, strays in enumerate(extra):
         frames = [*sheet.seen[camera], *_about(sheet, strays)]
-        seen.append([replace(f, epoch=outages.before(camera, f.host_s)) for f in frames])
+        seen.append([_dated(f, outages.before(camera, f.host_s)) for f in frames])
         opening = _opening(sheet, before, camera, strays, outages)
         counted.append([*opening, *_gaps(sheet, camera, seen[-1])])
         missing += _missing(sheet, camera, counted[-1], outages)
@@ -48,6 +48,10 @@ def conclude(
     for camera in range(len(extra)):
         _note(sheet, camera, proof)
     return missing, proof
+
+
+def _dated(frame: Seen, epoch: int) -> Seen:
+    return replace(frame, epoch=epoch) if epoch else frame
 
 
 def _about(sheet: RunSheet, strays: Sequence[Seen]) -> list[Seen]:

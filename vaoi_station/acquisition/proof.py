@@ -11,9 +11,7 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Literal
 
-import numpy as np
-
-from vaoi_station.acquisition.beat import residuals_s, steady_interval_s
+from vaoi_station.acquisition.beat import middle, residuals_s, steady_interval_s
 from vaoi_station.acquisition.causes import Gap, straightened
 from vaoi_station.acquisition.sightings import KnownPulse, Seen
 from vaoi_station.model import Noun
@@ -76,16 +74,17 @@ def prove(
     """
     cameras, findings = [], []
     for camera, (frames, between) in enumerate(zip(seen, gaps, strict=True)):
-        found = list(_Camera(camera, pulses, pulse_bound_s, frames, between).findings())
-        findings += found
-        placed = [f for f in frames if f.row is not None]
+        placed = sorted((f for f in frames if f.row is not None), key=lambda f: f.row or 0)
         off = _residuals(pulses, placed)
+        extra = sorted((f for f in frames if f.row is None), key=lambda f: f.host_s)
+        found = _Camera(camera, pulses, pulse_bound_s, placed, extra, off, between).findings()
+        findings += found
         cameras.append(
             CameraProof(
                 camera=camera,
                 pulses=len(pulses),
                 frames=len(placed),
-                extra=len(frames) - len(placed),
+                extra=len(extra),
                 max_residual_us=max(map(abs, off.values())) * 1e6 if len(off) > 1 else None,
                 latency_us=_latency_s(pulses, placed) * 1e6 if placed else None,
                 proven=not any(f.kind in QUESTIONS for f in found),
@@ -103,13 +102,13 @@ class _Camera:
         camera: int,
         pulses: Mapping[int, KnownPulse],
         pulse_bound_s: float,
-        frames: Sequence[Seen],
+        placed: Sequence[Seen],
+        extra: Sequence[Seen],
+        off_s: Mapping[int, float],
         gaps: Sequence[Gap],
     ) -> None:
         self._camera, self._pulses, self._bound_s, self._gaps = camera, pulses, pulse_bound_s, gaps
-        self._placed = sorted((f for f in frames if f.row is not None), key=lambda f: f.row or 0)
-        self._extra = sorted((f for f in frames if f.row is None), key=lambda f: f.host_s)
-        self._off_s = _residuals(pulses, self._placed)
+        self._placed, self._extra, self._off_s = placed, extra, off_s
 
     def findings(self) -> list[TriggerFinding]:
         """Everything there is to say; of a camera that runs freely nothing else."""
@@ -248,7 +247,7 @@ def _residuals(pulses: Mapping[int, KnownPulse], placed: Sequence[Seen]) -> dict
 
 
 def _latency_s(pulses: Mapping[int, KnownPulse], placed: Sequence[Seen]) -> float:
-    return float(np.median([f.host_s - pulses[f.row].host_s for f in placed if f.row is not None]))
+    return middle([f.host_s - pulses[f.row].host_s for f in placed if f.row is not None])
 
 
 def rows_in_question(proof: TriggerProof, camera: int, rows: AbstractSet[int]) -> dict[int, str]:
