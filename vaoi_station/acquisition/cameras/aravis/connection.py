@@ -227,7 +227,7 @@ class Connection:
                 raise DeviceError(f"camera {self.config.name}: is closed.", code="camera-lost")
             try:
                 yield
-            except glib_error() as error:
+            except (glib_error(), OSError) as error:  # OSError: the interface has just gone
                 raise DeviceError(
                     f"camera {self.config.name}: {trouble} ({settings.reason(error)}).",
                     action="Check its cable and power; it is opened again by itself.",
