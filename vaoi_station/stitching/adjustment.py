@@ -28,8 +28,8 @@ from vaoi_station.stitching.scatter import excess
 
 _ITERATIONS = 15
 CONVERGED_MM = 2e-6
-_EVERY, _ROUGHLY_MM = 6, 3e-3
-"""A start is made with every so manieth link of a pair of frames, until a step moves no row by more."""
+_ENOUGH, _ROUGHLY_MM = 200, 3e-3
+"""A start is made with so many links per row, until a step moves no row by more."""
 _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
@@ -74,9 +74,15 @@ def adjust(
 
 
 def roughly(problem: Problem, start: Motion) -> Motion:
-    """The motion to a hundredth of a millimetre, from a few links of each pair of frames: what `adjust` starts from."""
-    few = np.flatnonzero(_rank(problem.links.group) % _EVERY == 0)
-    solver = _Solver(replace(problem, links=problem.links.of(few), component=problem.component[few]), start, None)
+    """The motion to a hundredth of a millimetre, for `adjust` to start from, by some of the links where they are many.
+
+    Where they are few none can be spared, and the start is given back as it is.
+    """
+    every = len(problem.links) // (_ENOUGH * len(start.angle))
+    if every < 2:
+        return start
+    some = np.flatnonzero(_rank(problem.links.group) % every == 0)
+    solver = _Solver(replace(problem, links=problem.links.of(some), component=problem.component[some]), start, None)
     solver.run(_ROUGHLY_MM)
     return solver.motion
 

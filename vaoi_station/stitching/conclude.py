@@ -35,7 +35,7 @@ from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import described
 from vaoi_station.stitching.verdict import Findings, judge, quality_of
 
-_MOTION_MM = 1e-3
+_MOTION_MM = 1e-4
 """So far the motion from links alone converges at first: where the board is found all is adjusted once more."""
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping")
 
