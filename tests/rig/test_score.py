@@ -30,6 +30,8 @@ def passing_of(film: Film, fates: dict[tuple[int, int], Fate] | None = None) -> 
             0.2,
             [given.get((c, row), "sent") for c in range(2)],
             [1.0, 1.0],
+            "",
+            {c: 20.0 for c in range(2) if (c, row) not in given},
         )
         for row in range(film.rows)
     ]
@@ -108,6 +110,20 @@ def test_a_frame_lost_without_a_reason_is_told(filmed: tuple[Film, ...]) -> None
     words = failings(report_of(board), [], 1)
     assert "board 0: camera 0, row 1 is not whole, and nothing was done to it" in words
     assert "board 0: camera 1, row 1 is not whole, and no cause is told" in words
+
+
+def test_a_rig_that_was_late_itself_says_so(filmed: tuple[Film, ...]) -> None:
+    """Then nothing can be said of the station."""
+    passing = passing_of(filmed[0])
+    passing.fired[5].sent_ms[0] = 700.0
+    run = run_json(filmed[0], {(0, 5): ("missing", "no frame came")})
+    board = score(Evidence(passing, run, {"components": filmed[0].sheet.views}, None, [18.0, 18.0]), ())
+    assert (board.innocent, board.sent_late_ms) == ((), 700.0)
+    assert board.affected[0].done == "the rig sent it 700 ms late"
+    assert any("too busy for a verdict" in words for words in failings(report_of(board), [], 1))
+    del passing.fired[5].sent_ms[0]
+    never = score(Evidence(passing, run, {"components": filmed[0].sheet.views}, None, [18.0, 18.0]), ())
+    assert (never.sent_late_ms, never.affected[0].done) == (None, "the rig never sent it")
 
 
 def test_pixels_of_another_row_are_told(filmed: tuple[Film, ...]) -> None:

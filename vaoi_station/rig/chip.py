@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from vaoi_station.errors import DeviceError, NotFoundError
+from vaoi_station.rig.priority import go_first
 
 HZ = 16_000_000
 NS_PER_CYCLE = 62.5
@@ -111,6 +112,7 @@ class Chip:
         self._process = subprocess.Popen(
             self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, start_new_session=True
         )
+        go_first(self._process.pid)
         assert self._process.stdout is not None
         self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), name="chip")
         self._reader.start()

@@ -102,6 +102,13 @@ class Film:
         """From the passage's start to its last pulse or change of the barrier."""
         return max(self.sheet.pulses_s[-1:] + tuple(t for t, _ in self.sheet.edges))
 
+    def warm(self) -> None:
+        """Read it once, so that no camera waits for a disk."""
+        chunk = bytearray(1 << 22)
+        with self.frames.open("rb", buffering=0) as file:
+            while file.readinto(chunk):
+                pass
+
     def map(self) -> NDArray[np.uint8]:
         """Flat bytes of all frames, (rows, cameras, bytes), read-only; nothing is copied."""
         with self.frames.open("rb") as file:

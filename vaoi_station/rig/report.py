@@ -8,6 +8,8 @@ from vaoi_station.demo.deviation import Deviation
 
 LIMIT_PX = 0.10
 """Component positions, root mean square over all boards whose runs are ok; others tell their own uncertainty."""
+LATE_MS = 300.0
+"""A frame that leaves its virtual camera later than this after its pulse may come too late for the station."""
 READY_LIMIT_S = 12.0
 """From a device that is back to a station that is ready."""
 
@@ -60,6 +62,8 @@ class BoardScore(Part):
     """Frames that were fired and that the station says nothing about."""
     pulse_off_us: float
     """Largest difference between a pulse and the time its frames were rendered for."""
+    sent_late_ms: float | None
+    """From a pulse to the first packet of a frame, the longest of all; None: a frame never left its camera."""
     notes: tuple[str, ...]
     deviation: Deviation
     ready_after_last_frame_ms: float | None

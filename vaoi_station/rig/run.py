@@ -89,6 +89,8 @@ def run_rig(plan: Plan, tell: Callable[[str], None]) -> RigReport:
             )
             tell("Starting the service.")
             with Service(config) as service:
+                for film in set(films):
+                    film.warm()
                 story, passed, recoveries = _play(plan, service, devices, films, saboteur, tell)
         strays = len(devices.stage.strays)
     boards = _scores(scenario, passed, story, saboteur)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from vaoi_station.demo.deviation import deviation
-from vaoi_station.rig.report import BoardScore, Named
+from vaoi_station.rig.report import LATE_MS, BoardScore, Named
 from vaoi_station.rig.stage import Fate, Passing
 from vaoi_station.rig.witness import Sighting
 
@@ -83,6 +84,7 @@ def score(evidence: Evidence, troubles: Sequence[Trouble]) -> BoardScore:
         unnamed=tuple(cell for cell, (verdict, cause) in sorted(told.items()) if verdict != "ok" and not cause),
         unfilmed=_unfilmed(passing, told),
         pulse_off_us=max((abs(f.off_us) for f in passing.fired if f.row is not None), default=0.0),
+        sent_late_ms=_sent_late_ms(passing),
         notes=tuple(dict.fromkeys(f.note for f in passing.fired if f.note)),
         deviation=found,
         ready_after_last_frame_ms=timings.get("ready_after_last_frame_ms"),
@@ -116,12 +118,23 @@ def _reasons(passing: Passing, troubles: Sequence[Trouble]) -> dict[Cell, str]:
     for row, fired in enumerate(passing.fired):
         for camera, fate in enumerate(fired.fates):
             touched = [t.why for t in troubles if t.touches(fired.shot.host_ns, camera)]
+            sent_ms = fired.sent_ms.get(camera, math.inf)
             if fate in _WORDS:
                 reasons[camera, row] = _WORDS[fate]
             elif touched:
                 unarmed = ", and the camera was not armed" if fate == "unarmed" else ""
                 reasons[camera, row] = f"{touched[0]}{unarmed}"
+            elif fate == "sent" and sent_ms > LATE_MS:
+                late = f"sent it {sent_ms:.0f} ms late" if math.isfinite(sent_ms) else "never sent it"
+                reasons[camera, row] = f"the rig {late}"
     return reasons
+
+
+def _sent_late_ms(passing: Passing) -> float | None:
+    """The latest of the frames that were sent whole; None: one of them never left."""
+    late = [fired.sent_ms.get(n) for fired in passing.fired for n, fate in enumerate(fired.fates) if fate == "sent"]
+    known = [ms for ms in late if ms is not None]
+    return round(max(known, default=0.0), 1) if len(known) == len(late) else None
 
 
 def _named(cell: Cell, told: tuple[str, str], done: str) -> Named:

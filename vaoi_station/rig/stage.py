@@ -77,6 +77,8 @@ class Fired:
     """Brightness for every camera, relative to the film's."""
     note: str = ""
     """Why the film does not have it; empty: it does."""
+    sent_ms: dict[int, float] = field(default_factory=dict)
+    """Camera → how long after the pulse its first packet left."""
 
 
 @dataclass
@@ -148,13 +150,16 @@ class Stage:
                 self._fire(shot)
 
     def answered(self, camera: int, word: str, picture: int) -> None:
-        """A camera says what it has done with an order."""
-        with self._change:
-            passing = self._passing
-            if word == "ignored" and passing is not None and picture >= 0:
-                for fired in passing.fired:
-                    if fired.row == picture // len(self._cameras):
-                        fired.fates[camera] = "unarmed"
+        """A camera says what it has done with an order; comes in its wire's own thread and waits for nobody."""
+        now_ns, passing = time.monotonic_ns(), self._passing
+        if passing is None or picture < 0:
+            return
+        for fired in list(passing.fired):
+            if fired.row == picture // len(self._cameras):
+                if word == "ignored":
+                    fired.fates[camera] = "unarmed"
+                else:
+                    fired.sent_ms[camera] = (now_ns - fired.shot.host_ns) * 1e-6
 
     def let_pass(self, film: Film) -> Passing:
         """A board onto the belt; the one before must have passed."""
@@ -193,18 +198,13 @@ class Stage:
             return
         if row is not None:
             self._noticed(passing.board, row)
-        note = self._note(passing, row, shot)
-        fired = Fired(row, shot, off_s * 1e6, [], [], note)
-        stamp_ns = _stamp_ns(shot)
-        for n in range(len(self._cameras)):
-            light = self._lamp.brightness(shot, n)
-            fired.light.append(light)
-            if note:
-                fired.fates.append("late")
-            else:
-                assert row is not None
-                fired.fates.append(self._fire_camera(passing, row, n, light, stamp_ns))
-        passing.fired.append(fired)
+        note, count = self._note(passing, row, shot), len(self._cameras)
+        light = [self._lamp.brightness(shot, n) for n in range(count)]
+        fired = Fired(row, shot, off_s * 1e6, ["late"] * count, light, note)
+        passing.fired.append(fired)  # before the cameras can answer
+        if row is not None and not note:
+            for n in range(count):
+                self._fire_camera(passing, fired, row, n)
         if note:
             t = (shot.cycle - passing.start_cycle) / HZ
             light_name = self._lamp.light_of(shot) or passing.film.sheet.lights[0]
@@ -219,12 +219,14 @@ class Stage:
             return f"LED channels {shot.channels} were lit, not those of {light!r}"
         return ""
 
-    def _fire_camera(self, passing: Passing, row: int, camera: int, light: float, stamp_ns: int) -> Fate:
+    def _fire_camera(self, passing: Passing, fired: Fired, row: int, camera: int) -> None:
         if (passing.board, row, camera) in self._mischief.ignored:
-            return "ignored"
-        fate, lost = self._fate(passing, row, camera)
-        alive = self._cameras[camera].fire(Order(row * len(self._cameras) + camera, stamp_ns, light, lost))
-        return fate if alive else "dead"
+            fired.fates[camera] = "ignored"
+            return
+        fired.fates[camera], lost = self._fate(passing, row, camera)
+        picture = row * len(self._cameras) + camera
+        if not self._cameras[camera].fire(Order(picture, _stamp_ns(fired.shot), fired.light[camera], lost)):
+            fired.fates[camera] = "dead"
 
     def _fate(self, passing: Passing, row: int, camera: int) -> tuple[Fate, float]:
         """And the share of packets that are not sent."""

@@ -14,12 +14,13 @@ _HEAD = (
     "missing",
     "proven",
     "pulse µs",
+    "sent ms",
     "px rms",
     "px max",
     "open",
     "ready ms",
 )
-_FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>8s}{:>8s}{:>6s}{:>10s}"
+_FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>9s}{:>8s}{:>8s}{:>6s}{:>10s}"
 MOST = 40
 """Lines about frames that are not whole."""
 
@@ -67,6 +68,7 @@ def _row(board: BoardScore) -> tuple[str, ...]:
         f"{board.missing}",
         "?" if board.proven is None else f"{board.proven}",
         f"{board.pulse_off_us:.2f}",
+        "?" if board.sent_late_ms is None else f"{board.sent_late_ms:.0f}",
         f"{deviation.rms_px:.3f}" if placed else "–",
         f"{deviation.max_px:.3f}" if placed else "–",
         "–" if board.links_open is None else f"{board.links_open}",

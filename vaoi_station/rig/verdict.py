@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from vaoi_station.rig.faults import Fault
-from vaoi_station.rig.report import LIMIT_PX, READY_LIMIT_S, BoardScore, RigReport
+from vaoi_station.rig.report import LATE_MS, LIMIT_PX, READY_LIMIT_S, BoardScore, RigReport
 
 _HARMLESS = {"noise", "bounce"}
 """Nothing may be lost by these."""
@@ -46,6 +46,9 @@ def _of_board(board: BoardScore, hurt: set[int]) -> Iterator[str]:
         yield f"{where}: nobody could look at its pixels"
     elif board.proven != board.ok:
         yield f"{where}: {board.ok - board.proven} frame(s) that are told to be whole are not in the ring"
+    if board.affected and (board.sent_late_ms is None or board.sent_late_ms > LATE_MS):
+        late = "for ever" if board.sent_late_ms is None else f"{board.sent_late_ms:.0f} ms"
+        yield f"{where}: the rig itself kept frames back {late}: this machine is too busy for a verdict"
     for cell in board.innocent:
         yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and nothing was done to it"
     for cell in board.unnamed:

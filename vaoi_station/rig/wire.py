@@ -14,6 +14,7 @@ from typing import IO
 
 from vaoi_station.errors import DeviceError
 from vaoi_station.rig.orders import Order
+from vaoi_station.rig.priority import go_first
 
 READY_S = 30.0
 """For a camera to serve GVCP; it takes half a second where nobody else wants the CPU."""
@@ -45,6 +46,7 @@ class CameraWire:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1,
             start_new_session=True, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip
+        go_first(self._process.pid)
         self._ready: queue.SimpleQueue[bool] = queue.SimpleQueue()
         assert self._process.stdout is not None
         self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), name=f"wire {self.address}")
