@@ -35,6 +35,8 @@ from vaoi_station.simulation import Scenario, Twin
 POLL_S = 0.5
 LAST_RUN_S = 30.0
 """For the results of boards that have passed; a run without them is none."""
+CONCLUDED_S = 300.0
+"""The same for boards that are being stitched: after an installation workers compile, on a busy machine for minutes."""
 READY_S = 30.0
 """For a station to be ready again after a fault, before it is told that it is not."""
 
@@ -127,12 +129,12 @@ def _play(
 
 def _follow(plan: Plan, client: Client, conveyor: Conveyor, story: _Story, tell: Callable[[str], None]) -> None:
     """Every run, until there is one of every board, or no more come."""
-    after, deadline_s = None, math.inf
-    while len(story.runs) < plan.boards and time.monotonic() < deadline_s:
-        if conveyor.empty.is_set() and math.isinf(deadline_s):
-            deadline_s = time.monotonic() + LAST_RUN_S
+    after, over_s, limit_s = None, math.inf, LAST_RUN_S
+    while len(story.runs) < plan.boards and time.monotonic() < over_s + limit_s:
+        if conveyor.empty.is_set() and math.isinf(over_s):
+            over_s = time.monotonic()
         run = client.get("/runs/next", after=after, timeout=POLL_S) or (_latest(client) if after is None else None)
-        _look(client, conveyor, story)
+        limit_s = CONCLUDED_S if _look(client, conveyor, story) else LAST_RUN_S
         if run is not None:
             after = run["id"]
             story.runs.append(run)
@@ -140,8 +142,12 @@ def _follow(plan: Plan, client: Client, conveyor: Conveyor, story: _Story, tell:
             tell(f"run {len(story.runs)}: {run['verdict']}, {counts['ok']} of {run['rows'] * run['cameras']} frames.")
 
 
-def _look(client: Client, conveyor: Conveyor, story: _Story) -> None:
-    """At the pixels of every run that has been filmed, before its memory goes to another board."""
+def _look(client: Client, conveyor: Conveyor, story: _Story) -> bool:
+    """At the pixels of every run that has been filmed, before its memory goes to another board.
+
+    Returns:
+        Whether a run is still being filmed or stitched.
+    """
     station = client.get("/station")
     for run, bay in filmed_bays(station).items():
         if run in story.sightings:
@@ -151,6 +157,7 @@ def _look(client: Client, conveyor: Conveyor, story: _Story) -> None:
         if passing is not None:
             with contextlib.suppress(GoneError, NotFoundError), attach(station) as ring:  # the station may have ended
                 story.sightings[run] = look_at(ring, bay, passing)
+    return any(bay["use"] in ("filming", "stitching") for bay in station["ring"]["bays"])
 
 
 def _scores(scenario: Scenario, passed: Sequence[Any], story: _Story, saboteur: Saboteur) -> tuple[BoardScore, ...]:

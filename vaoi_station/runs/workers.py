@@ -40,8 +40,8 @@ _log = logging.getLogger(__name__)
 
 JOB_LIMIT_S = 30.0
 """A worker that takes longer for one job is taken for hung and killed."""
-START_LIMIT_S = 120.0
-"""The same before it says that it is there: after an installation the first ones compile what is compiled."""
+START_LIMIT_S = 600.0
+"""The same before it says that it is there: after an installation the first ones compile, under load for minutes."""
 PULSE_S = 1.0
 """An idle worker is asked for a sign of life so often."""
 LIVES = 2
