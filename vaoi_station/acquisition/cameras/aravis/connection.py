@@ -84,6 +84,8 @@ class Connection:
             DeviceError: refused or ignored settings, a frame of another size than the slots of the ring.
         """
         with self._asking("does not take its settings"):
+            with contextlib.suppress(glib_error()):  # whoever had it before may have left it filming, settings locked
+                self._camera.stop_acquisition()
             settings.apply(self._camera, self.config)
             if self.is_gige:
                 self._configure_packets(share)
