@@ -90,7 +90,7 @@ def run_rig(plan: Plan, tell: Callable[[str], None]) -> RigReport:
                 scenario, films[0], folder, name=name, addresses=devices.addresses, port=port, workers=plan.workers
             )
             tell("Starting the service.")
-            with Service(config) as service:
+            with Service(config) as service, saboteur:
                 for film in set(films):
                     film.warm()
                 story, passed, recoveries = _play(plan, service, devices, films, saboteur, tell)
@@ -111,7 +111,8 @@ def _play(
     client, story = Client(service.address), _Story()
     until_idle(client)
     with Watch(Client(service.address)) as watch:
-        saboteur.use(devices, lambda: _processes(service, watch.last))
+        saboteur.use(devices)
+        saboteur.ask_for_processes(lambda: _processes(service, watch.last))
         client.post("/station/arm", board_type=films[0].board_type.name, job_id="rig")
         watch.wait_ready(READY_S)
         meter = LoadMeter(_everybody(service, watch.last, devices))

@@ -41,21 +41,28 @@ class Back:
 
 
 class Saboteur:
-    """Hears of every row in the chip's thread; what takes time is done in threads of its own."""
+    """Hears of every row in the chip's thread; what takes time is done in threads of its own.
+
+    A context manager: at its end what was stopped runs on, and nothing is put back any more.
+    """
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self._faults = list(faults)
         self._devices: Devices | None = None
         self._processes: Callable[[], Mapping[str, int]] = dict
         self._threads: list[threading.Thread] = []
-        self._change = threading.Lock()
+        self._change, self._closing = threading.Lock(), threading.Event()
         self.troubles: list[Trouble] = []
         self.backs: list[Back] = []
         self.failed: list[str] = []
 
-    def use(self, devices: Devices, processes: Callable[[], Mapping[str, int]]) -> None:
-        """The rig, and how to ask for the station's processes: name → pid."""
-        self._devices, self._processes = devices, processes
+    def ask_for_processes(self, processes: Callable[[], Mapping[str, int]]) -> None:
+        """How to learn of the station's processes: name → pid."""
+        self._processes = processes
+
+    def use(self, devices: Devices) -> None:
+        """The rig to do it to."""
+        self._devices = devices
         for fault in self._faults:
             if fault.kind == "noise":
                 devices.chip.tell(f"noise {fault.share} {fault.share}")
@@ -74,6 +81,14 @@ class Saboteur:
             if fault.kind in _AT_A_ROW:
                 self.failed.append(f"{fault.kind} did not happen: board {fault.board} had no row {fault.row}")
 
+    def __enter__(self) -> Saboteur:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing.set()
+        for thread in self._threads:
+            thread.join()
+
     def _kill(self, fault: Fault) -> None:
         camera = self._at_work().cameras[fault.camera]
         began_ns = time.monotonic_ns()
@@ -81,7 +96,8 @@ class Saboteur:
         self._remember(Trouble(began_ns, FOREVER_NS, fault.camera, "the camera was dead"))
 
         def put_back() -> None:
-            time.sleep(fault.for_s)
+            if self._closing.wait(fault.for_s):
+                return
             camera.begin()
             try:
                 camera.wait()
@@ -102,7 +118,7 @@ class Saboteur:
         os.kill(pid, signal.SIGSTOP)
 
         def let_run() -> None:
-            time.sleep(fault.for_s)
+            self._closing.wait(fault.for_s)
             with contextlib.suppress(ProcessLookupError):  # the station has given it up and started another
                 os.kill(pid, signal.SIGCONT)
             if name == "acquisition":

@@ -39,8 +39,8 @@ def keep_up(
     plagued = befallen(scenario, faults)
     boards = film_boards(plagued, faults, different, different, films, tell)
     saboteur = Saboteur(faults)
-    with Devices(plagued, folder, mischief_of(faults), saboteur.noticed) as devices:
-        saboteur.use(devices, dict)
+    with Devices(plagued, folder, mischief_of(faults), saboteur.noticed) as devices, saboteur:
+        saboteur.use(devices)
         config = build_site(
             plagued, boards[0], folder, name="rig", addresses=devices.addresses, port=devices.terminal, workers=2
         )
