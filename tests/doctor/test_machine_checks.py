@@ -14,6 +14,7 @@ import pytest
 
 from tests.doctor.conftest import is_bad, nobody, only
 from vaoi_station.acquisition.cameras.aravis import library
+from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import ApiConfig, CameraConfig, StationConfig
 from vaoi_station.doctor import aravis, cameras, controller, memory, network, running, software, timekeeping, usb
@@ -253,3 +254,20 @@ def test_what_a_station_complains_of_is_passed_on(config: StationConfig) -> None
     is_bad(left, Level.FAULT, "is not connected: not open yet")
     assert (right.level, right.figures["delivered"]) == (Level.OK, 7)
     assert only(controller.controller(held)).message == "armed"
+
+
+def test_packets_that_a_camera_does_not_send() -> None:
+    """The interface takes them; another MTU would not help."""
+    offered = cameras.Offered(
+        vendor="Maker", model="M", serial="1", triggers=("FrameStart",), sources=("Line0",), formats=("Mono8",),
+        exposure_us=(10.0, 1e6), sensor=(2048, 2048), trigger_mode="On", port="lo", address="127.0.0.1",
+        packets=PacketLimits(smallest=200, largest=16000, step=4),
+    )  # fmt: skip
+    wish = {"name": "a", "backend": "aravis", "address": "127.0.0.1", "exposure_us": 100.0, "packet_bytes": 40000}
+    camera = CameraConfig.model_validate({**wish, "width": 64, "height": 64})
+    is_bad(
+        cameras.judge_port("lo", [(camera, offered)], 0.1),
+        Level.WARNING,
+        "a is to have 40000",
+        "Set packet_bytes to 16000",
+    )

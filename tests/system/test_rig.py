@@ -139,6 +139,7 @@ def test_a_rig_that_is_up_gives_a_station_nothing_but_addresses(tmp_path: Path, 
     assert all(ended(int(pid)) for pid in children)
     config = read_config(out / "station.toml")
     assert [camera.address for camera in config.cameras] == ["127.0.0.2", "127.0.0.3"]
+    assert all(camera.nominal_center_mm and camera.nominal_px_per_mm for camera in config.cameras)
     assert (config.controller.backend, config.controller.port) == ("serial", str(out / "trigger"))
     assert (config.simulation, config.replay) == (None, None)
     assert f"vaoi serve --config {out / 'station.toml'}" in "".join(said)

@@ -183,10 +183,10 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
     speed = f"{link:g} Mbit/s" if link else "a link without a speed"
     told = f"{len(members)} camera{'s' if len(members) > 1 else ''}, MTU {mtu}, packets of {packet} bytes, {speed}"
     if wished := [c for c, _ in members if c.packet_bytes and c.packet_bytes > packet]:
-        action = f"ip link set dev {port} mtu {wished[0].packet_bytes}"
-        return warning(
-            f"{told}; {wished[0].name} is to have {wished[0].packet_bytes}.", action, subject=port, figures=figures
-        )
+        wish = wished[0].packet_bytes or 0
+        allowed = f"Set packet_bytes to {packet}: a camera of this port sends no larger ones."
+        action = f"ip link set dev {port} mtu {wish}" if wish > mtu else allowed
+        return warning(f"{told}; {wished[0].name} is to have {wish}.", action, subject=port, figures=figures)
     if packet < JUMBO:
         return warning(
             f"{told}; larger ones cost less time.", f"ip link set dev {port} mtu 9000", subject=port, figures=figures

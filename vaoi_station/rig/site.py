@@ -12,7 +12,7 @@ from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.scenarios import lamp_of
-from vaoi_station.simulation import Scenario
+from vaoi_station.simulation import Scenario, Twin
 from vaoi_station.simulation.timetable import line_of
 
 
@@ -59,6 +59,8 @@ def _cameras(scenario: Scenario, addresses: Sequence[str]) -> tuple[CameraConfig
             height=array.height_px,
             exposure_us=array.exposure_us(n),
             pixel_format="Mono8" if array.bits == 8 else "Mono16",
+            nominal_center_mm=head.nominal_center_mm,
+            nominal_px_per_mm=head.nominal_px_per_mm,
         )
-        for n, address in enumerate(addresses)
+        for n, (address, head) in enumerate(zip(addresses, Twin(scenario).heads, strict=True))
     )
