@@ -68,7 +68,7 @@ COMMANDS = [
 def of(program: str) -> list[list[str]]:
     """The commands of the guide that call a program, by its arguments."""
     plain = [words[3:] if words[:2] == ["sudo", "-u"] else words for words in COMMANDS]
-    return [words[1:] for words in plain if words[0] == program]
+    return [words[1:] for words in plain if Path(words[0]).name == program]
 
 
 @pytest.mark.parametrize("words", of("vaoi"), ids=" ".join)
@@ -93,6 +93,14 @@ def test_the_guides_files_are_there() -> None:
     named = set(re.findall(r"deploy/[\w.-]+", BRING_UP))
     assert len(named) >= 6
     assert all((ROOT / name).is_file() for name in named), named
+
+
+def test_the_guides_places_are_those_of_the_service() -> None:
+    service = (ROOT / "deploy" / "vaoi-station.service").read_text(encoding="utf-8")
+    (start,) = re.findall(r"^ExecStart=(\S+) serve --config (\S+)$", service, re.MULTILINE)
+    assert any(start[0] in words and start[1] in words for words in COMMANDS)
+    assert "\nStateDirectory=vaoi-station\n" in service
+    assert 'data = "/var/lib/vaoi-station/data"' in BRING_UP
 
 
 def test_the_guides_figures_are_those_of_the_circuit() -> None:
