@@ -126,6 +126,11 @@ def test_a_rig_that_was_late_itself_says_so(filmed: tuple[Film, ...]) -> None:
     assert (never.sent_late_ms, never.affected[0].done) == (None, "the rig never sent it")
 
 
+def test_a_whole_board_has_nothing_to_say(filmed: tuple[Film, ...]) -> None:
+    board = scored(filmed[0]).model_copy(update={"reasons": ("Camera 0: it runs freely.",)})
+    assert failings(report_of(board), [], 1) == ("board 0 is ok, but says: Camera 0: it runs freely.",)
+
+
 def test_pixels_of_another_row_are_told(filmed: tuple[Film, ...]) -> None:
     board = scored(filmed[0], wrong={(0, 3): "it is the frame of camera 0, row 2"})
     words = failings(report_of(board), [], 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from vaoi_station.rig.conveyor import Conveyor
 from vaoi_station.rig.darkroom import View
 from vaoi_station.rig.films import Film
 from vaoi_station.rig.scenarios import lamp_of
-from vaoi_station.rig.stage import Mischief, Stage
+from vaoi_station.rig.stage import Mischief, Stage, wall_clock_ns
 from vaoi_station.rig.wire import CameraWire
 from vaoi_station.simulation import Scenario
 
@@ -48,6 +49,14 @@ def line(small: Scenario, built: Path, tmp_path: Path) -> Iterator[Line]:
         stage.use(chip)
         with Host(chip.terminal) as host:
             yield Line(stage, chip, host, rows, views)
+
+
+def test_the_cameras_clock_is_read_without_a_gap_between_two_clocks() -> None:
+    """Sixty times, whatever else this computer does: all within what a clock is corrected by meanwhile."""
+    now_ns = time.monotonic_ns()
+    walls_ns = [wall_clock_ns(now_ns) for _ in range(60)]
+    assert max(walls_ns) - min(walls_ns) < 100_000
+    assert abs(walls_ns[-1] - (time.time_ns() - time.monotonic_ns() + now_ns)) < 1_000_000_000
 
 
 def test_every_pulse_comes_when_its_frames_were_rendered_for(

@@ -34,6 +34,7 @@ SAME_LIGHT = 0.005
 SOME_PACKETS = 0.05
 """Of a frame that is hit by packet loss; with a hundred packets one frame in two hundred escapes unhurt."""
 
+_LOOKS, _MOST_LOOKS, _NARROW_NS = 3, 100, 20_000
 OVER_S = 0.5
 """So long after the film's end nothing of its board is fired any more."""
 
@@ -203,8 +204,9 @@ class Stage:
         fired = Fired(row, shot, off_s * 1e6, ["late"] * count, light, note)
         passing.fired.append(fired)  # before the cameras can answer
         if row is not None and not note:
+            stamp_ns = wall_clock_ns(shot.host_ns)
             for n in range(count):
-                self._fire_camera(passing, fired, row, n)
+                self._fire_camera(passing, fired, row, n, stamp_ns)
         if note:
             t = (shot.cycle - passing.start_cycle) / HZ
             light_name = self._lamp.light_of(shot) or passing.film.sheet.lights[0]
@@ -219,13 +221,13 @@ class Stage:
             return f"LED channels {shot.channels} were lit, not those of {light!r}"
         return ""
 
-    def _fire_camera(self, passing: Passing, fired: Fired, row: int, camera: int) -> None:
+    def _fire_camera(self, passing: Passing, fired: Fired, row: int, camera: int, stamp_ns: int) -> None:
         if (passing.board, row, camera) in self._mischief.ignored:
             fired.fates[camera] = "ignored"
             return
         fired.fates[camera], lost = self._fate(passing, row, camera)
         picture = row * len(self._cameras) + camera
-        if not self._cameras[camera].fire(Order(picture, _stamp_ns(fired.shot), fired.light[camera], lost)):
+        if not self._cameras[camera].fire(Order(picture, stamp_ns, fired.light[camera], lost)):
             fired.fates[camera] = "dead"
 
     def _fate(self, passing: Passing, row: int, camera: int) -> tuple[Fate, float]:
@@ -245,14 +247,22 @@ class Stage:
         threading.Thread(target=send, name="late frames", daemon=True).start()
 
     def _send_all(self, pictures: Path | None, shot: Shot) -> None:
+        stamp_ns = wall_clock_ns(shot.host_ns)
         for n, camera in enumerate(self._cameras):
-            order = Order(n if pictures else DARK, _stamp_ns(shot), self._lamp.brightness(shot, n))
+            order = Order(n if pictures else DARK, stamp_ns, self._lamp.brightness(shot, n))
             camera.fire(order, pictures)
 
 
-def _stamp_ns(shot: Shot) -> int:
-    """The cameras' clocks are this computer's wall clock."""
-    return shot.host_ns + time.time_ns() - time.monotonic_ns()
+def wall_clock_ns(host_ns: int) -> int:
+    """CLOCK_REALTIME at a time of CLOCK_MONOTONIC: the cameras' clock.
+
+    Whoever is interrupted between looking at two clocks is wrong by that; so the narrowest of a few looks counts.
+    """
+    looks: list[tuple[int, int]] = []
+    while len(looks) < _LOOKS or (min(looks)[0] > _NARROW_NS and len(looks) < _MOST_LOOKS):
+        before_ns, wall_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        looks.append((after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2))
+    return host_ns + min(looks)[1]
 
 
 def _row(passing: Passing, shot: Shot) -> tuple[int | None, float]:

@@ -53,14 +53,21 @@ def _of_board(board: BoardScore, hurt: set[int]) -> Iterator[str]:
         yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and nothing was done to it"
     for cell in board.unnamed:
         yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and no cause is told"
+    yield from _of_its_words(board, board.board in hurt)
+
+
+def _of_its_words(board: BoardScore, hurt: bool) -> Iterator[str]:
+    """Verdict and reasons; of a board that a fault has cut or stopped only that there is a reason."""
+    where = f"board {board.board}"
     if board.rows < board.rows_due and not board.reasons:
         yield f"{where}: only {board.rows} of {board.rows_due} rows were fired, and the station does not tell why"
-    if board.board in hurt:
+    if hurt:
         return
     if board.rows < board.rows_due:
         yield f"{where}: only {board.rows} of {board.rows_due} rows were fired"
     if board.unfilmed:
         yield f"{where}: nothing is told of {board.unfilmed} frame(s) that were fired"
-    wanted = ("ok", "degraded") if board.affected else ("ok",)
-    if board.status not in wanted:
+    if board.reasons and not board.affected:
+        yield f"{where} is {board.status}, but says: {'; '.join(board.reasons)}"
+    elif board.status not in (("ok", "degraded") if board.affected else ("ok",)):
         yield f"{where} is {board.status}: {'; '.join(board.reasons)}"
