@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TypeVar
@@ -92,6 +93,17 @@ class Stage:
 
     def slot(self, number: int) -> Slot:
         return Slot(number, self.ring.memory(number))
+
+    def counted(self, counter: str, number: int = 0) -> int:
+        """What a camera's driver has counted."""
+        return dict(self.cameras[number].health().counters)[counter]
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        """Until it holds; it is looked at again and again."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline_s, "what was waited for did not happen"
+            time.sleep(0.005)
 
     def arrival(self) -> Arrival:
         return self.until(Arrival)
