@@ -127,11 +127,27 @@ def test_empty_frames_say_that_there_is_no_board(filmed: Any) -> None:
     assert len(result.quality["unlinked"]) == sum(t.kind != "marks" for t in filmed.tasks)
 
 
-def test_a_run_of_which_nothing_arrived_fails_in_a_sentence(filmed: Any) -> None:
+def test_a_run_of_which_nothing_arrived_says_so_and_nothing_else(filmed: Any) -> None:
     result = filmed.stitched(frames={})
     assert result.status is Status.FAILED
-    assert result.reasons
+    assert result.reasons == ("no whole frame of any camera arrived: there is nothing to stitch",)
     assert all(m is None for rows in result.image_matrices for m in rows)
+
+
+def test_a_camera_that_was_away_is_the_first_reason_with_the_fiducials_it_alone_would_have_shown(filmed: Any) -> None:
+    """Camera 1 shows FID2 and FID3: camera 0 cannot place the board by FID1 alone."""
+    low, high = filmed.board_type.extent()
+    corners = np.array([(x, y, 1.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
+    corner = (corners @ np.array(filmed.stitch.cad_matrix).T)[:, :2].min(0)
+    expectation = replace(filmed.setup.expectation, corner_mm=(float(corner[0]), float(corner[1])))
+    left = {key: p for key, p in filmed.frames.items() if key[0] == 0}
+    result = filmed.stitched(frames=left, expectation=expectation)
+    nothing = "camera 1 delivered no whole frame of this board"
+    assert result.status is Status.FAILED
+    assert result.reasons[0] == f"{nothing}, and in its view alone lay the fiducials FID2, FID3"
+    assert "1 place(s) look like fiducials" in result.reasons[1]
+    anywhere = filmed.stitched(frames=left)
+    assert anywhere.reasons[0] == f"{nothing}: a fiducial in its view cannot be found"
 
 
 def test_a_row_that_never_arrived_is_not_placed(filmed: Any) -> None:

@@ -102,7 +102,7 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
     if isinstance(found, Failure) and method.links:
         moved = adjust(problem, moved.motion)
     stages.done("cad")
-    findings = Findings(frame, scene, method, links, problem, moved, found)
+    findings = Findings(frame, terms.expectation, scene, method, links, problem, moved, found)
     status, reasons = judge(findings)
     quality = quality_of(findings) | {
         "timings_ms": stages.ms,

@@ -16,10 +16,12 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
+from vaoi_station.stitching.absence import of_absent
 from vaoi_station.stitching.agreement import of_fiducials, of_outline, of_sightings
 from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.certainty import matrix_sigmas, row_covariances
 from vaoi_station.stitching.evidence import Links
+from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.heights import Height, component_heights
 from vaoi_station.stitching.mapping import Mapping
 from vaoi_station.stitching.method import Method
@@ -46,6 +48,7 @@ class Findings:
     """All that was found out about a run."""
 
     frame: Frame | None
+    expectation: Expectation
     scene: Scene
     method: Method
     links: tuple[Links, ...]
@@ -160,9 +163,12 @@ class Findings:
 
 
 def judge(f: Findings) -> tuple[Status, tuple[str, ...]]:
-    """Status and the reasons, in words and numbers."""
+    """Status and the reasons, in words and numbers; those of a failure begin with its cause."""
+    if not f.scene.present:
+        return Status.FAILED, ("no whole frame of any camera arrived: there is nothing to stitch",)
     if isinstance(f.found, Failure):
-        return Status.FAILED, (f.found.reason, *_complaints(f))
+        absent = of_absent(f.scene, f.frame if f.method.marks else None, f.expectation, f.moved.motion)
+        return Status.FAILED, (*absent, f.found.reason, *_complaints(f))
     complaints = _complaints(f)
     return (Status.DEGRADED if complaints else Status.OK), tuple(complaints)
 
