@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.messages import Disarm, Ready, Shutdown
+from vaoi_station.acquisition.messages import Disarm, Ready, Shutdown, Trouble
 from vaoi_station.runs import acquisition_link as module
-from vaoi_station.runs.acquisition_link import AcquisitionLink
+from vaoi_station.runs.acquisition_link import AcquisitionLink, pause_s
 
 PATIENCE_S = 20.0
 
@@ -69,6 +69,34 @@ def test_last_words_are_heard(link: AcquisitionLink, peer: Any, ears: Ears) -> N
     peer.die()
     ears.lost.get(timeout=PATIENCE_S)
     assert ears.heard.qsize() == 50
+
+
+def test_who_tells_why_it_cannot_begin_is_started_again_ever_more_slowly(
+    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
+) -> None:
+    pauses: list[tuple[int, str]] = []
+
+    def no_pause_s(failures: int, cause: str) -> float:
+        pauses.append((failures, cause))
+        return 0.0
+
+    monkeypatch.setattr(module, "pause_s", no_pause_s)
+    for life in range(1, 5):
+        peer.life(life)
+        peer.say(Ready(3)) if life == 3 else peer.say(Trouble("port-absent", "There is no serial port.", ""))
+        peer.die(0)
+        told = ears.lost.get(timeout=PATIENCE_S)
+        assert told == (
+            "the acquisition process ended (code 0)" if life == 3 else "the acquisition process could not begin"
+        )
+    peer.life(5)
+    assert pauses == [(1, "port-absent"), (2, "port-absent"), (0, ""), (1, "port-absent")]
+
+
+def test_what_is_plugged_in_is_taken_within_seconds_and_wrong_input_is_not_hurried() -> None:
+    assert [pause_s(n, "port-absent") for n in range(6)] == [0.5, 1, 2, 4, 6, 6]
+    assert [pause_s(n, "invalid-input") for n in range(1, 8)] == [1, 2, 4, 8, 16, 30, 30]
+    assert pause_s(10**6, "setting-refused") == 6, "after days as after a minute"
 
 
 def test_silence_is_death(monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears) -> None:

@@ -151,6 +151,26 @@ def test_acquisition_dies_while_arming(rig: Any) -> None:
         rig.conductor.arm("small")
 
 
+def test_why_the_devices_cannot_be_opened_is_told_once_and_stays(rig: Any) -> None:
+    absent = said.Trouble("port-absent", "There is no serial port /dev/ttyUSB0.", "Plug it in.")
+    refused = said.Trouble("setting-refused", "Camera left refuses Gain = 99.", "Set what it can do.")
+    first = rig.conductor.snapshot().last_event
+    rig.peer.die(-11)
+    for life, cause in enumerate((absent, absent, refused), start=2):
+        rig.peer.life(life)
+        rig.peer.say(cause)
+        rig.peer.die(0)
+    rig.peer.life(5)
+    rig.wait_for(lambda: rig.conductor.snapshot().reasons[0].code == refused.code, "the second cause")
+    assert [r.code for r in rig.conductor.snapshot().reasons] == ["setting-refused", "acquisition-lost"]
+    told = [e.message for e in rig.conductor.events(first) if e.kind == "trouble"]
+    lost = "The acquisition process ended (code -11).", "The acquisition process could not begin."
+    assert told == [lost[0], absent.message, lost[1], refused.message]
+    rig.peer.say(said.Ready(2))
+    rig.until("idle")
+    assert rig.conductor.snapshot().reasons == ()
+
+
 def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -> None:
     rig.workers.keep = True
     grant = rig.arm()

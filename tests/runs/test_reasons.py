@@ -17,8 +17,8 @@ class Clock:
 def test_a_reason_holds_until_it_is_taken_back() -> None:
     clock = Clock()
     reasons, full = Reasons(clock), Reason(code="ring-full", message="full")
-    reasons.hold(full)
-    reasons.hold(full)
+    assert reasons.hold(full)
+    assert not reasons.hold(full)
     clock.now_s += 100 * TROUBLE_S
     reasons.expire()
     assert reasons.all() == (full,)
@@ -40,3 +40,15 @@ def test_a_trouble_lasts_as_long_as_somebody_complains() -> None:
     reasons.clear()
     assert reasons.all() == ()
     assert reasons.trouble(cable) is not None
+
+
+def test_of_devices_that_are_opened_again_only_the_last_trouble_is_shown() -> None:
+    reasons = Reasons(Clock())
+    absent, refused = Trouble("port-absent", "no port", ""), Trouble("setting-refused", "no gain", "")
+    assert reasons.trouble(absent) is not None
+    reasons.begin_anew()
+    assert reasons.trouble(absent) is None
+    reasons.begin_anew()
+    assert [reason.message for reason in reasons.all()] == ["no port"], "until another is told, it stays"
+    assert reasons.trouble(refused) is not None
+    assert [reason.message for reason in reasons.all()] == ["no gain"]

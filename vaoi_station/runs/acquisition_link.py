@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import logging
 import multiprocessing
 import threading
 import time
@@ -13,12 +12,11 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol
 
-from vaoi_station.acquisition.messages import Command, Report, Shutdown
+from vaoi_station.acquisition.messages import Command, Ready, Report, Shutdown, Trouble
 from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
 from vaoi_station.runs.child import settle_in
 from vaoi_station.runs.shapes import ProcessStatus
-
-_log = logging.getLogger(__name__)
 
 SILENCE_S = 10.0
 """Without a sign of life for so long (it gives two a second) the process is taken for hung and killed."""
@@ -26,7 +24,10 @@ START_S = 60.0
 """The same before its first word: cameras take their time to open, scenarios to be rendered."""
 LAST_S = 2.0
 """Between the end of its pipe and its own."""
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 6.0
+"""Before it is started again: what is plugged in meanwhile is taken soon."""
+INPUT_PAUSE_S = 30.0
+"""The longest after an `InputError`: nothing that is done to the line mends that."""
 
 
 class Process(Protocol):
@@ -87,6 +88,27 @@ class _Life:
     connection: Connection[Any, Any]
     heard_s: float
     spoke: bool = False
+    ready: bool = False
+    cause: str = ""
+    """Code of the last trouble it told before it was ready."""
+
+    def note(self, report: Report) -> None:
+        """It has said something."""
+        self.heard_s, self.spoke = time.monotonic(), True
+        if isinstance(report, Ready):
+            self.ready = True
+        elif isinstance(report, Trouble) and not self.ready:
+            self.cause = report.code
+
+    def ending(self, how: str, code: int | None) -> str:
+        """How it ended; who said before why it cannot begin need not be accused of anything."""
+        return "the acquisition process could not begin" if self.cause and code == 0 else f"{how} (code {code})"
+
+
+def pause_s(failures: int, cause: str) -> float:
+    """How long to wait after so many lives in a row that never were ready, the last one because of `cause`."""
+    longest_s = INPUT_PAUSE_S if cause == InputError.code else LONGEST_PAUSE_S
+    return min(FIRST_PAUSE_S * 2.0 ** min(failures, 10), longest_s)
 
 
 class AcquisitionLink:
@@ -160,10 +182,9 @@ class AcquisitionLink:
             if self._stopping.is_set():
                 return
             self._restarts += 1
-            self._failures = 0 if life.spoke else self._failures + 1
-            _log.error("acquisition: %s (code %s)", sentence, code)
-            self._lost(f"{sentence} (code {code})")
-            self._stopping.wait(min(FIRST_PAUSE_S * 2**self._failures, LONGEST_PAUSE_S))
+            self._failures = 0 if life.ready else self._failures + 1
+            self._lost(life.ending(sentence, code))
+            self._stopping.wait(pause_s(self._failures, life.cause))
 
     def _begin(self) -> _Life:
         process, connection = self._launch()
@@ -182,7 +203,7 @@ class AcquisitionLink:
                     report = life.connection.recv()
                 except (EOFError, ConnectionResetError):
                     return "the acquisition process ended"
-                life.heard_s, life.spoke = time.monotonic(), True
+                life.note(report)
                 self._hear(report)
             elif life.process.sentinel in ready:
                 return "the acquisition process ended"

@@ -153,6 +153,7 @@ class Core:
     def acquisition_lost(self, sentence: str) -> None:
         """The process has died: conclude what it filmed, take its memory back; it is being restarted."""
         self._blame("acquisition-lost", f"{sentence[0].upper()}{sentence[1:]}.", "It is being started again.")
+        self.reasons.begin_anew()
         for progress in self.book.filming:
             self._salvage(progress)
         for run in self._granted:
@@ -369,8 +370,8 @@ class Core:
             self._step(event)
 
     def _blame(self, code: str, message: str, action: str) -> None:
-        self.reasons.hold(Reason(code=code, message=message, action=action))
-        self._events.add("trouble", message, code=code, action=action)
+        if self.reasons.hold(Reason(code=code, message=message, action=action)):
+            self._events.add("trouble", message, code=code, action=action)
 
     def _tell(self, kind: str, message: str, *, state: str = "", run: str | None = None) -> None:
         self._events.add(kind, message, state=state, run=run)

@@ -20,14 +20,26 @@ class Reasons:
         self._reasons: dict[str, Reason] = {}
         self._told_s: dict[str, float] = {}
         """When the devices last told of a trouble."""
+        self._outdated: set[str] = set()
+        """Troubles of a process that has ended."""
 
-    def hold(self, reason: Reason) -> None:
-        """From now on this is so; its code is its name."""
-        self._reasons[reason.code] = reason
+    def hold(self, reason: Reason) -> bool:
+        """From now on this is so, its code is its name; False if it was so already."""
+        before = self._reasons.pop(reason.code, None)
+        self._reasons[reason.code] = reason  # behind what led to it
+        return before != reason
+
+    def begin_anew(self) -> None:
+        """The devices are opened once more: what is told of them next takes the place of what was told before."""
+        self._outdated = set(self._told_s)
 
     def trouble(self, report: Trouble) -> Reason | None:
         """A device complains; None if it has complained of the same just before."""
         key = f"{report.code}: {report.message}"
+        for old in self._outdated - {key}:
+            del self._told_s[old]
+            self._reasons.pop(old, None)
+        self._outdated = set()
         self._told_s[key] = self._clock()
         if key in self._reasons:
             return None
@@ -42,12 +54,14 @@ class Reasons:
         """Everything is well."""
         self._reasons.clear()
         self._told_s.clear()
+        self._outdated = set()
 
     def expire(self) -> None:
         """Drop troubles nobody has complained of lately."""
         now = self._clock()
         for key in [key for key, at in self._told_s.items() if now - at > TROUBLE_S]:
             del self._told_s[key]
+            self._outdated.discard(key)
             self._reasons.pop(key, None)
 
     def all(self) -> tuple[Reason, ...]:
