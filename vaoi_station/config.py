@@ -27,6 +27,9 @@ CAMERAS_OF = {"simulated": "simulated", "replay": "replay", "serial": "aravis"}
 TABLE_OF = {"simulated": "simulation", "replay": "replay"}
 """Backend of the controller → the table that describes what it stands in for."""
 
+LONGEST_GAP_S = 2147.0
+"""The protocol's 32 bits of ticks of 0.5 µs (hw/protocol.md), whole seconds of them."""
+
 
 class Section(BaseModel):
     """A table of the file: frozen, no unknown keys."""
@@ -173,9 +176,9 @@ class ControllerConfig(Section):
     port: Word = "/dev/vaoi-trigger"
     """Its serial port, by a name that stays: deploy/71-vaoi-controller.rules makes this one."""
     baud: Annotated[Whole, Field(ge=9600, le=2_000_000)] = 250_000
-    trigger_us: Positive = 100.0
-    """Width of the cameras' trigger."""
-    min_gap_s: NotNegative = 0.0
+    trigger_us: Annotated[Positive, Field(ge=50, le=2000)] = 100.0
+    """Width of the cameras' trigger, within the limits of hw/protocol.md."""
+    min_gap_s: Annotated[NotNegative, Field(le=LONGEST_GAP_S)] = 0.0
     """A board that comes sooner after the last one's end is not filmed."""
     lights: dict[str, LightConfig] = {}
     order: tuple[str, ...] = ()

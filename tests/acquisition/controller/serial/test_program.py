@@ -49,7 +49,7 @@ def test_without_lights_only_cameras_are_fired() -> None:
 def test_every_plan_can_be_sent(delay_s: float, period_s: float, rows: int) -> None:
     """Whether it is sensible the firmware decides: what is too large arrives as the largest number."""
     plan = TriggerPlan(delay_s, period_s, delay_s, rows, 0.0)
-    program = program_of(plan, ControllerConfig(backend="serial", trigger_us=1e6), IDENT)
+    program = program_of(plan, ControllerConfig(backend="serial", trigger_us=2000), IDENT)
     assert len(program.timing.pack()) == 30
     assert program.crc >= 0
 
