@@ -135,6 +135,11 @@ class CameraConfig(Section):
     nominal_px_per_mm: Positive | None = None
 
     @property
+    def called(self) -> str:
+        """How sentences call it: "camera left", but "camera 0" where that is its name already."""
+        return self.name if self.name.lower().startswith("camera") else f"camera {self.name}"
+
+    @property
     def head(self) -> CameraHead:
         """What a recording says of it."""
         return CameraHead(

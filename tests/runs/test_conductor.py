@@ -246,7 +246,7 @@ def test_health_is_shown(rig: Any) -> None:
     assert snapshot.cameras[0].last_frame_age_s == pytest.approx(2)
     assert snapshot.cameras[0].counters == {"n_failures": 3}
     assert snapshot.cameras[1].last_frame_age_s is None
-    assert "c1 is not connected. cable pulled" in snapshot.reasons[0].message
+    assert snapshot.reasons[0].message == "Camera c1 is not connected. Cable pulled"
     [acquisition] = snapshot.processes
     assert acquisition.heartbeat_age_s is not None
 

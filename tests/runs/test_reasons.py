@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vaoi_station.acquisition.messages import Trouble
-from vaoi_station.runs.reasons import TROUBLE_S, Reasons
+from vaoi_station.runs.reasons import TROUBLE_S, Reasons, sentence
 from vaoi_station.runs.shapes import Reason
 
 
@@ -36,7 +36,7 @@ def test_a_trouble_lasts_as_long_as_somebody_complains() -> None:
     assert reasons.trouble(cable) is None
     clock.now_s += 1.0
     reasons.expire()
-    assert [reason.message for reason in reasons.all()] == ["camera 1 is silent"]
+    assert [reason.message for reason in reasons.all()] == ["Camera 1 is silent"]
     reasons.clear()
     assert reasons.all() == ()
     assert reasons.trouble(cable) is not None
@@ -49,6 +49,12 @@ def test_of_devices_that_are_opened_again_only_the_last_trouble_is_shown() -> No
     reasons.begin_anew()
     assert reasons.trouble(absent) is None
     reasons.begin_anew()
-    assert [reason.message for reason in reasons.all()] == ["no port"], "until another is told, it stays"
+    assert [reason.message for reason in reasons.all()] == ["No port"], "until another is told, it stays"
     assert reasons.trouble(refused) is not None
-    assert [reason.message for reason in reasons.all()] == ["no gain"]
+    assert [reason.message for reason in reasons.all()] == ["No gain"]
+
+
+def test_sentences_begin_with_a_capital_letter_and_names_stay_as_they_are() -> None:
+    assert sentence("camera left: is closed.") == "Camera left: is closed."
+    for name in ("station.toml: order is 3", "/dev/null cannot be used", "c1: is closed.", "", "Fine."):
+        assert sentence(name) == name

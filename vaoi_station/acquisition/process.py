@@ -68,7 +68,7 @@ class _Loop:
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._clocks = [ClockModel("controller"), *(ClockModel(f"camera {c.name}") for c in config.cameras)]
+        self._clocks = [ClockModel("controller"), *(ClockModel(c.called) for c in config.cameras)]
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
         sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
         self._clocked = list(zip(self._clocks, sources, strict=True))

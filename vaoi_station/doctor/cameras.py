@@ -65,7 +65,7 @@ def of_real_cameras(patient: Patient) -> Iterator[Finding]:
         try:
             offered = ask(camera)
         except VaoiError as error:
-            told = error.message.removeprefix(f"camera {camera.name}: ")
+            told = error.message.removeprefix(f"{camera.called}: ")
             yield fault(told, f"{error.action} {_look_for(camera, error)}".strip(), subject=camera.name)
             continue
         except glib_error() as error:
@@ -208,6 +208,8 @@ def of_running_station(patient: Patient) -> Iterator[Finding]:
 
 def _of_camera(told: dict[str, Any]) -> Finding:
     name, message = str(told.get("name")), str(told.get("message") or "")
+    for called in (name, f"camera {name}"):
+        message = message.removeprefix(f"{called}: ")
     figures: Figures = {key: told.get(key) for key in ("delivered", "incomplete", "temperature_c")}
     if not told.get("connected"):
         action = "Check its power and cable; the station opens it by itself when it is back."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 
@@ -10,6 +11,13 @@ from vaoi_station.runs.shapes import Reason
 
 TROUBLE_S = 10.0
 """A trouble that has not been told of again for so long is over."""
+
+_WORD = re.compile(r"[a-z]+(?=[ :])")
+
+
+def sentence(text: str) -> str:
+    """With a capital letter in front, unless it begins with a file, a field or a figure."""
+    return text[0].upper() + text[1:] if _WORD.match(text) else text
 
 
 class Reasons:
@@ -43,7 +51,7 @@ class Reasons:
         self._told_s[key] = self._clock()
         if key in self._reasons:
             return None
-        self._reasons[key] = Reason(code=report.code, message=report.message, action=report.action)
+        self._reasons[key] = Reason(code=report.code, message=sentence(report.message), action=report.action)
         return self._reasons[key]
 
     def drop(self, code: str) -> None:

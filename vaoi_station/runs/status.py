@@ -7,6 +7,7 @@ from pathlib import Path
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.accounts import versions
 from vaoi_station.runs.core import Core
+from vaoi_station.runs.reasons import sentence
 from vaoi_station.runs.shapes import (
     CameraStatus,
     LeaseStatus,
@@ -64,13 +65,18 @@ def _reasons(core: Core, config: StationConfig) -> tuple[Reason, ...]:
     lost = [
         Reason(
             code="camera-lost",
-            message=f"Camera {config.cameras[k].name} is not connected. {camera.message}".strip(),
+            message=_not_connected(config.cameras[k].called, camera.message),
             action="Check its cable and power; it is opened again by itself.",
         )
         for k, camera in enumerate(core.health.cameras if core.health else ())
         if not camera.connected
     ]
     return (*core.reasons.all(), *lost)
+
+
+def _not_connected(called: str, why: str) -> str:
+    """The camera is named once, though its own words may begin with its name."""
+    return f"{sentence(called)} is not connected. {sentence(why.removeprefix(f'{called}: '))}".strip()
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:

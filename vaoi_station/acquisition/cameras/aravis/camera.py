@@ -163,7 +163,7 @@ class AravisCamera:
             raise absent(self.config, self._identity.address, "it does not answer any more")
         if not connection.is_ours():
             raise DeviceError(
-                f"camera {self.config.name}: is no longer ours: this computer was silent for too long, or another "
+                f"{self.config.called}: is no longer ours: this computer was silent for too long, or another "
                 "program has taken it.",
                 action="It is opened again by itself, once no other program has it.",
                 code="camera-lost",
@@ -181,7 +181,7 @@ class AravisCamera:
             assert connection is not None
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
-        why = error.message.removeprefix(f"camera {self.config.name}: ").rstrip(".")
+        why = error.message.removeprefix(f"{self.config.called}: ").rstrip(".")
         self._arrivals.put(CameraLost(self.number, self._seen_s, why, error))
         connection.close(gone=True)
 
@@ -207,7 +207,7 @@ class AravisCamera:
         try:
             if connection.identity.serial != self._identity.serial:
                 raise InputError.field(
-                    f"camera {self.config.name}",
+                    self.config.called,
                     "serial number of the camera that came back",
                     connection.identity.serial,
                     f"{self._identity.serial!r}",

@@ -52,7 +52,7 @@ def clock_of(camera: Any, name: str) -> CameraClock:
     if (camera.get_vendor_name() or "") == FAKE_VENDOR:
         return CameraClock(time.time_ns, wired=False)
     raise DeviceError(
-        f"camera {name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
+        f"{name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
         action="Use a camera that has; without it frames cannot be matched with pulses.",
         code="clock-unknown",
     )

@@ -49,12 +49,12 @@ def apply(camera: Any, config: CameraConfig) -> None:
         DeviceError: the camera refuses or ignores a setting.
     """
     for part in (_picture, _further, _trigger):
-        settings = list(_translated(config.name, part(camera, config)))
+        settings = list(_translated(config.called, part(camera, config)))
         for setting in settings:
-            write_and_compare(config.name, setting)
+            write_and_compare(config.called, setting)
         for setting in settings:  # a later one may have changed an earlier one
             if not setting.passing:
-                compare(config.name, setting)
+                compare(config.called, setting)
 
 
 def write_and_compare(name: str, setting: Setting) -> None:
@@ -63,7 +63,7 @@ def write_and_compare(name: str, setting: Setting) -> None:
         setting.write()
     except glib_error() as error:
         raise DeviceError(
-            f"camera {name}: refuses {setting.feature} = {setting.wanted!r} ({reason(error)}).",
+            f"{name}: refuses {setting.feature} = {setting.wanted!r} ({reason(error)}).",
             action="Set what this camera can do in station.toml, or update its firmware.",
             code="setting-refused",
         ) from error
@@ -76,11 +76,11 @@ def compare(name: str, setting: Setting) -> None:
         got = setting.read()
     except glib_error() as error:
         raise DeviceError(
-            f"camera {name}: {setting.feature} cannot be read ({reason(error)}).", code="setting-unread"
+            f"{name}: {setting.feature} cannot be read ({reason(error)}).", code="setting-unread"
         ) from error
     if not setting.agrees(got):
         raise DeviceError(
-            f"camera {name}: ignores a setting: {setting.feature} was set to {setting.wanted!r}, but reads {got!r}.",
+            f"{name}: ignores a setting: {setting.feature} was set to {setting.wanted!r}, but reads {got!r}.",
             action="Set what this camera can do in station.toml, or update its firmware.",
             code="setting-ignored",
         )
@@ -96,7 +96,7 @@ def _translated(name: str, settings: Iterator[Setting]) -> Iterator[Setting]:
     try:
         yield from settings
     except glib_error() as error:
-        raise DeviceError(f"camera {name}: does not tell its features ({reason(error)}).") from error
+        raise DeviceError(f"{name}: does not tell its features ({reason(error)}).") from error
 
 
 def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
@@ -154,7 +154,7 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     ours = next((name for name in FRAME_TRIGGERS if name in triggers), None)
     if ours is None:
         raise DeviceError(
-            f"camera {config.name}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
+            f"{config.called}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
             action="Use a camera with a trigger input.",
         )
     for other in triggers:
