@@ -48,6 +48,7 @@ from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.runs.state import FINISHED
 from vaoi_station.runs.status import snapshot_of
 from vaoi_station.runs.teaching import Teaching
+from vaoi_station.runs.tidying import Tidying
 from vaoi_station.runs.watch_shapes import CalibrationStatus
 from vaoi_station.store import BoardTypeDirectory
 
@@ -75,6 +76,7 @@ class StationConductor:
         self._parts, self._ring, self._board_types = parts, ring, board_types
         self._make_order, self._processes, self._alive = make_order, processes, alive
         self._inbox = Inbox(self._tick)
+        self._tidying = Tidying()
         self._core = Core(parts, self._inbox.post)
         self._uses = itertools.count(1)
         self._teaching = threading.Lock()
@@ -84,6 +86,7 @@ class StationConductor:
 
     def start(self) -> None:
         """Begin to work."""
+        self._tidying.begin()
         self._inbox.start()
 
     def hear(self, report: Report) -> None:
@@ -109,6 +112,7 @@ class StationConductor:
     def close(self) -> None:
         """End the thread; nobody is left waiting."""
         self._inbox.close()
+        self._tidying.end()
         self._parts.archive.close()
         self._parts.events.close()
 
@@ -327,6 +331,7 @@ class StationConductor:
 
     def _tick(self) -> None:
         self._core.tick()
+        self._tidying.tick(busy=bool(self._core.book.active))
         self._alive()
 
     def _snapshot(self) -> StationSnapshot:
