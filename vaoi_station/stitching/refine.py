@@ -37,6 +37,7 @@ from vaoi_station.stitching.patch_tables import (
     TAPS,
     WINDOW_PX,
 )
+from vaoi_station.stitching.tiles import Pixels, Plane, blur, cut, saturated_share
 
 _MOST_TILES = 7
 """A tile cut out of b has room for a patch to move by a pixel and a half; further away a new one is cut."""
@@ -48,7 +49,6 @@ _FOLLOWED, _FOLLOWED_SCORE = 4, 0.8
 """Neighbouring patches mostly move alike: one starts where about so many before it, well matched, were found."""
 _LEAST_CORNER = 1e-6
 """det H / (trace H)² below which a patch is but an edge."""
-_SATURATED = 254
 _A_PX, _B_PX, _B_PITCH = WINDOW_PX + 2, 32, 40
 """Sides of the tiles cut out of a and b, and the pitch of the latter while it has room for the blur around it."""
 _B_FIRST = 4
@@ -59,19 +59,15 @@ _LEFT = WINDOW_PX // 2 - 1
 _AREA = WINDOW_PX * WINDOW_PX
 _SIZE = WINDOW_PX * PITCH_PX
 
-_Pixels = NDArray[np.uint8]
-_Inverse = tuple[float, float, float, float]
-"""t·t, and H⁻¹ as xx, xy, yy."""
-_Plane = NDArray[np.float32]
-_Patch = tuple[_Plane, _Plane, _Plane, _Plane, _Plane]
+_Patch = tuple[Plane, Plane, Plane, Plane, Plane]
 """t, the slopes in x and y, t·x and t·y; (768,) each."""
 _Float = np.float32
 
 
 @compiled
 def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
-    a: _Pixels,
-    b: _Pixels,
+    a: Pixels,
+    b: Pixels,
     places: NDArray[np.int64],
     guess_px: Floats,
     reach_px: float,
@@ -104,9 +100,9 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
     further, one = reach_px + _LONGEST_STEP_PX, places.shape[1] // 2  # 1, which the compiler does not know
     for k in range(len(places)):
         x0, y0 = places[k, 0] - _LEFT - 1, places[k, 1] - _LEFT - 1
-        _cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
-        _blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
-        told[k, 2], told[k, 3] = np.inf, _saturated(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
+        cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
+        blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
+        told[k, 2], told[k, 3] = np.inf, saturated_share(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
         b_px[k] = guess_px[k]
         mean, tt, xx, xy, yy = _template(tile_a, patch, factor)
         hessian[k, 0, 0], hessian[k, 0, 1], hessian[k, 1, 0], hessian[k, 1, 1] = xx, xy, xy, yy
@@ -123,8 +119,8 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
                 if tiles == _MOST_TILES:
                     break
                 x0, y0, tiles = round(px) - _B_FIRST, round(py) - _B_FIRST, tiles + 1
-                _cut(b, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _B_PX, _B_PITCH, _B_PITCH * one)
-                _blur(raw, half_way, tile_b, _B_PX, _B_PITCH, mean)
+                cut(b, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _B_PX, _B_PITCH, _B_PITCH * one)
+                blur(raw, half_way, tile_b, _B_PX, _B_PITCH, mean)
             if near:
                 s1, st, sx, sy, ss, su, sv = _sharp(tile_b, px - x0, py - y0, patch, lines)
             else:
@@ -145,7 +141,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
         if not lost:
             told[k, 0], told[k, 1] = _agreement(factor, tt, (s1, st, sx, sy, ss, su, sv), ex, ey)
             told[k, 2] = length
-            here = _saturated(raw, _B_PX, _B_PITCH, round(px) - x0 + BLUR_REACH, round(py) - y0 + BLUR_REACH)
+            here = saturated_share(raw, _B_PX, _B_PITCH, round(px) - x0 + BLUR_REACH, round(py) - y0 + BLUR_REACH)
             told[k, 3] = max(told[k, 3], here)
             xx, xy, yy = _softened(padded_x, padded_y, soft)
             blurred[k, 0, 0], blurred[k, 0, 1], blurred[k, 1, 0], blurred[k, 1, 1] = xx, xy, xy, yy
@@ -176,7 +172,7 @@ def _outside(dx: float, dy: float) -> bool:
 
 
 @inlined
-def _within(px: float, py: float, image: _Pixels) -> bool:
+def _within(px: float, py: float, image: Pixels) -> bool:
     """Whether a window whose first pixel is here keeps its margin to the image's border."""
     h, w = image.shape
     low = MARGIN_PX - _LEFT - 0.5
@@ -184,59 +180,7 @@ def _within(px: float, py: float, image: _Pixels) -> bool:
 
 
 @inlined
-def _cut(image: _Pixels, x0: int, y0: int, raw: _Pixels, size: int, pitch: int, wide: int) -> None:
-    """A square of an image, with room for the blur around `size`; beyond the border its last pixels are repeated.
-
-    `wide` is the pitch; were it a constant, the compiler would copy byte by byte.
-    """
-    h, w = image.shape
-    side = size + 2 * BLUR_REACH
-    if 0 <= x0 <= w - pitch and 0 <= y0 <= h - side:
-        for y in range(side):
-            line, to = image[y0 + y, x0 : x0 + wide], raw[y * pitch : y * pitch + wide]
-            for x in range(wide):
-                to[x] = line[x]
-    else:
-        for y in range(side):
-            line = image[min(max(y0 + y, 0), h - 1)]
-            for x in range(side):
-                raw[y * pitch + x] = line[min(max(x0 + x, 0), w - 1)]
-
-
-@inlined
-def _blur(raw: _Pixels, half_way: _Plane, out: _Plane, size: int, pitch: int, less: float) -> None:
-    """Down, exactly, and across, less a constant; `raw` has room for the reach on every side."""
-    w0, w1, w2, w3 = BINOMIAL
-    p = pitch
-    for n in range(size * p):
-        near = w1 * (raw[n + 2 * p] + raw[n + 4 * p]) + w2 * (raw[n + p] + raw[n + 5 * p])
-        half_way[n] = np.uint16(w0 * raw[n + 3 * p] + near + w3 * (raw[n] + raw[n + 6 * p]))
-    v0, v1, v2, v3 = _Float(w0 / 4096), _Float(w1 / 4096), _Float(w2 / 4096), _Float(w3 / 4096)
-    constant = _Float(less)
-    for y in range(size):
-        v, to = half_way[y * p : y * p + PITCH_PX + 2 * BLUR_REACH], out[y * PITCH_PX : (y + 1) * PITCH_PX]
-        for x in range(PITCH_PX):
-            near = v1 * (v[x + 2] + v[x + 4]) + v2 * (v[x + 1] + v[x + 5])
-            to[x] = v0 * v[x + 3] + near + v3 * (v[x] + v[x + 6]) - constant
-
-
-@inlined
-def _saturated(raw: _Pixels, size: int, pitch: int, x0: int, y0: int) -> float:
-    """Share of a window's pixels that are blown out."""
-    brightest = np.uint8(0)
-    for n in range((size + 2 * BLUR_REACH) * pitch):
-        brightest = max(brightest, raw[n])
-    if brightest < _SATURATED:
-        return 0.0
-    count = 0
-    for y in range(y0, y0 + WINDOW_PX):
-        for x in range(x0, x0 + WINDOW_PX):
-            count += raw[y * pitch + x] >= _SATURATED
-    return count / _AREA
-
-
-@inlined
-def _template(tile: _Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
+def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
     """Make a patch and the factor of its light; returns its mean, t·t and the sums of products of its slopes."""
     t, gx, gy, tx, ty = patch
     half, total, p = _Float(0.5), _Float(0), PITCH_PX
@@ -319,7 +263,7 @@ def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[floa
 
 
 @inlined
-def _softened(padded_x: _Plane, padded_y: _Plane, soft: _Plane) -> tuple[float, float, float]:
+def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, float, float]:
     """Sums of products of the slopes blurred once more, nothing lying beyond the patch.
 
     Of their lines every second is looked at: they are so smooth that twice its sum is that of both.
@@ -349,7 +293,7 @@ def _softened(padded_x: _Plane, padded_y: _Plane, soft: _Plane) -> tuple[float, 
 
 
 @inlined
-def _bilinear(tile: _Plane, x: float, y: float, patch: _Patch) -> tuple[float, float, float]:
+def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, float, float]:
     """Sums of s·t, s·gx, s·gy of the window s whose first pixel lies at (x, y) of a tile."""
     t, gx, gy = patch[0], patch[1], patch[2]
     x0, y0, one = int(x), int(y), _Float(1)
@@ -368,7 +312,7 @@ def _bilinear(tile: _Plane, x: float, y: float, patch: _Patch) -> tuple[float, f
 
 @inlined
 def _sharp(
-    tile: _Plane, x: float, y: float, patch: _Patch, lines: _Plane
+    tile: Plane, x: float, y: float, patch: _Patch, lines: Plane
 ) -> tuple[float, float, float, float, float, float, float]:
     """Sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y of the same window by the sinc of six points."""
     t, gx, gy, tx, ty = patch
