@@ -8,11 +8,7 @@ Whatever happens on the way up or down, nothing stays in shared memory and no pr
 from __future__ import annotations
 
 import logging
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from types import FrameType
+from contextlib import ExitStack
 
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
@@ -27,6 +23,7 @@ from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.shelf import ReferenceShelf
+from vaoi_station.runs.stopping import StopRequest
 from vaoi_station.runs.systemd import alive, notify
 from vaoi_station.runs.watch import CalibrationWatch
 from vaoi_station.runs.workers import WorkerPool
@@ -121,29 +118,13 @@ def serve(config: StationConfig, port: int | None = None) -> None:
     from vaoi_station.api.serving import WebServer, listener
 
     address = (config.api.host, config.api.port if port is None else port)
-    with _signals() as asked, listener(*address, "[api]") as socket_, Station(config) as station:
-        web = WebServer(create_app(station.conductor, (config.api.host, *config.api.names)), socket_, asked)
+    with StopRequest() as stop, listener(*address, "[api]") as socket_, Station(config) as station:
+        web = WebServer(create_app(station.conductor, (config.api.host, *config.api.names)), socket_, stop.ask)
         web.start()
         notify("READY=1")
-        asked.wait()
+        if name := stop.wait():
+            _log.info("stopping on %s", name)
         notify("STOPPING=1")
         station.wind_down()
         web.stop()
         web.check()
-
-
-@contextmanager
-def _signals() -> Iterator[threading.Event]:
-    """An event that SIGTERM and SIGINT set; their handlers are put back afterwards."""
-    asked = threading.Event()
-
-    def ask(number: int, _: FrameType | None) -> None:
-        _log.info("stopping on %s", signal.Signals(number).name)
-        asked.set()
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

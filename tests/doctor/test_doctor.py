@@ -101,7 +101,7 @@ def test_beside_a_station_that_runs(station_toml: Path) -> None:
     config = read_config(station_toml)
     with listener("127.0.0.1", config.api.port, "[api]") as bound, Station(config) as station:
         assert isinstance(bound, socket.socket)
-        web = WebServer(create_app(station.conductor, ("127.0.0.1",)), bound, threading.Event())
+        web = WebServer(create_app(station.conductor, ("127.0.0.1",)), bound, threading.Event().set)
         web.start()
         before = station.conductor.snapshot()
         report = doctor.examine(station_toml, Machine())

@@ -56,7 +56,7 @@ def browser() -> Iterator[Page]:
 def page(browser: Page, newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
     """The page with frames as a test puts them."""
     with listener("127.0.0.1", 0, "test") as socket_:
-        server = WebServer(create_app(make_config(), newest, ["Armed."]), socket_, threading.Event())
+        server = WebServer(create_app(make_config(), newest, ["Armed."]), socket_, threading.Event().set)
         server.start()
         browser.goto(server.address)
         yield browser

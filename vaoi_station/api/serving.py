@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import threading
+from collections.abc import Callable
 
 from fastapi import FastAPI
 
@@ -18,8 +19,8 @@ HTTP_GRACE_S = 5.0
 class WebServer:
     """uvicorn in a thread, so that signals stay those of whoever started it."""
 
-    def __init__(self, app: FastAPI, listener: socket.socket, ended: threading.Event) -> None:
-        """`ended` is set when it ends, for whatever reason."""
+    def __init__(self, app: FastAPI, listener: socket.socket, ended: Callable[[], None]) -> None:
+        """`ended` is called when it ends, for whatever reason."""
         import uvicorn
 
         self._listener, self._ended, self._asked = listener, ended, False
@@ -54,7 +55,7 @@ class WebServer:
         try:
             self._server.run(sockets=[self._listener])
         finally:
-            self._ended.set()  # without its web server the station is of no use
+            self._ended()  # without its web server the station is of no use
 
 
 def listener(host: str, port: int, where: str) -> socket.socket:

@@ -54,7 +54,7 @@ def show(
             web.check()
 
     with listener(LOOPBACK, port, "--port") as socket_:
-        web = WebServer(create_app(config, newest, notices), socket_, ended)
+        web = WebServer(create_app(config, newest, notices), socket_, ended.set)
         web.start()
         say(f"Live frames: {web.address}")
         try:
