@@ -1,0 +1,35 @@
+"""The nouns of the house, frozen: what a recording, a calibration, a board type, a run and a stitch are.
+
+Shapes, units and names are those of `docs/formats.md`; `files/` reads and writes them. Keys that begin
+with `x_` belong to the user: they are kept and ignored. Cameras and rows count from 0.
+"""
+
+from vaoi_station.model.board_type import MM_PER_UNIT, BoardType, Component, Fiducial, FixtureMarkShape, Place
+from vaoi_station.model.calibration import Calibration, Distortion
+from vaoi_station.model.noun import Finite, Noun, Positive, Whole
+from vaoi_station.model.recording import CameraHead, RecordingHead
+from vaoi_station.model.run import FrameRecord, Pulse, Verdict
+from vaoi_station.model.stitch import Status, Stitch, Surface
+
+__all__ = [
+    "MM_PER_UNIT",
+    "BoardType",
+    "Calibration",
+    "CameraHead",
+    "Component",
+    "Distortion",
+    "Fiducial",
+    "Finite",
+    "FixtureMarkShape",
+    "FrameRecord",
+    "Noun",
+    "Place",
+    "Positive",
+    "Pulse",
+    "RecordingHead",
+    "Status",
+    "Stitch",
+    "Surface",
+    "Verdict",
+    "Whole",
+]

@@ -1,0 +1,151 @@
+"""A board type: outline, fiducials and components as CAD places them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from vaoi_station.geometry.outline import crossing, encloses
+from vaoi_station.model.noun import Finite, Noun, Point, Positive
+
+_MOST = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
+"""How much of a kind a board type may have."""
+MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
+
+
+class Fiducial(Noun):
+    """A mark of the board at known CAD coordinates."""
+
+    name: str
+    x: Finite
+    y: Finite
+    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+    diameter: Positive
+
+
+class Component(Noun):
+    """One part: its footprint's centre, size before rotation, and rotation, in CAD units and degrees."""
+
+    ref: Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    center: Point
+    width: Positive
+    height: Positive
+    rotation: Finite = 0.0
+    body_height: Annotated[Finite, Field(ge=0)] | None = None
+    panel: str | int | None = None
+
+    @property
+    def address(self) -> str:
+        """`panel/ref` on a panel, else `ref`; unique within a board type."""
+        return self.ref if self.panel is None else f"{self.panel}/{self.ref}"
+
+
+class FixtureMarkShape(Noun):
+    """How the marks of the fixture look."""
+
+    shape: Literal["cross", "circle", "square", "diamond"] = "cross"
+    size: Positive
+    width: Positive | None = None
+    polarity: Literal["dark", "light"] = "light"
+
+
+class Place(Noun):
+    """A point with named coordinates."""
+
+    x: Finite
+    y: Finite
+
+
+class BoardType(Noun):
+    """board.json: a product of the line, in its own unit and axes."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    unit: Literal["mm", "inch", "mil"] = "mm"
+    y_axis: Literal["up", "down"] = "up"
+    side: Literal["top", "bottom"] = "top"
+    outline: tuple[Point, ...] | None = None
+    fiducials: tuple[Fiducial, ...] = ()
+    components: tuple[Component, ...] = ()
+    fixture_mark: FixtureMarkShape | None = None
+    fixture_marks: tuple[Place, ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        _refuse_crowds(self)
+        _refuse_twins([c.address for c in self.components], "components")
+        _refuse_twins([f.name for f in self.fiducials], "fiducials")
+        if self.outline is not None:
+            if len(self.outline) < 2:
+                raise ValueError("outline has one point; it is two opposite corners or a polygon")
+            low, high = self.extent()
+            if (high <= low).any():
+                raise ValueError(f"outline has no area: from {low.tolist()} to {high.tolist()}")
+            if edges := crossing(self.outline):
+                raise ValueError(f"outline crosses itself: its edges from corners {edges[0]} and {edges[1]} meet")
+            for f in self.fiducials:
+                if not encloses(self.outline, (f.x, f.y)):
+                    raise ValueError(
+                        f"fiducial {f.name!r} at ({f.x}, {f.y}) lies outside the outline "
+                        f"{low.tolist()} … {high.tolist()} {self.unit}"
+                    )
+        if self.fixture_marks and self.fixture_mark is None:
+            raise ValueError("fixture_marks are given, but not their shape: fixture_mark is missing")
+        return self
+
+    @property
+    def mm_per_unit(self) -> float:
+        """Size of one CAD unit."""
+        return MM_PER_UNIT[self.unit]
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether CAD → image flips handedness (`formats.md`): y_axis up differs from side bottom."""
+        return (self.y_axis == "up") != (self.side == "bottom")
+
+    def extent(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest corner in CAD units: of the outline, else of all that is placed."""
+        points: list[Any] = [*(self.outline or ())]
+        if not points:
+            points = [(f.x, f.y) for f in self.fiducials]
+            points += [corner for c in self.components for corner in self.footprint(c)]
+        p = np.array(points, dtype=np.float64).reshape(-1, 2)
+        if not len(p):
+            raise ValueError(f"board type {self.name!r} has neither outline nor fiducials nor components")
+        return p.min(0), p.max(0)
+
+    def component(self, address: str) -> Component | None:
+        """The component of that address; None if there is none."""
+        return next((c for c in self.components if c.address == address), None)
+
+    def footprint(self, component: Component) -> NDArray[np.float64]:
+        """Corners (4, 2) in CAD; rotation is counter-clockwise as seen on the top, whichever way y points."""
+        a = math.radians(component.rotation if self.y_axis == "up" else -component.rotation)
+        half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (component.width / 2, component.height / 2)
+        turn = np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
+        return np.asarray(half @ turn.T + component.center)
+
+
+def _refuse_crowds(board: BoardType) -> None:
+    """What no board has: so much of something, or of such a size, that it can only be a mistake."""
+    for key, most in _MOST.items():
+        if len(getattr(board, key) or ()) > most:
+            raise ValueError(f"{key} has {len(getattr(board, key))} entries, at most {most} are taken")
+    mm = board.mm_per_unit
+    for c in board.components:
+        if not 0.01 <= min(c.width, c.height) * mm <= max(c.width, c.height) * mm <= 2000:
+            raise ValueError(f"component {c.address!r} is {c.width}×{c.height} {board.unit}; 0.01 to 2000 mm are taken")
+    for n, f in enumerate(board.fiducials):
+        if not 0.05 <= f.diameter * mm <= 50:
+            raise ValueError(f"fiducial {f.name!r} has diameter {f.diameter} {board.unit}; 0.05 to 50 mm are taken")
+        if any(math.dist((f.x, f.y), (g.x, g.y)) * mm < 0.1 for g in board.fiducials[:n]):
+            raise ValueError(f"fiducial {f.name!r} lies where another one lies; they must be 0.1 mm apart")
+
+
+def _refuse_twins(names: list[str], what: str) -> None:
+    if twins := [name for name, count in Counter(names).items() if count > 1]:
+        raise ValueError(f"{what} holds {twins[0]!r} twice; names must differ")

@@ -1,0 +1,62 @@
+"""A recording: what was filmed, by which cameras and when; the pictures lie beside it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from vaoi_station.model.noun import Finite, Noun, Point, Positive, Whole
+
+
+class CameraHead(Noun):
+    """What a recording says of one camera."""
+
+    width: Annotated[Whole, Field(ge=16, le=65536)]
+    height: Annotated[Whole, Field(ge=16, le=65536)]
+    exposure_us: Positive
+    nominal_center_mm: Point | None = None
+    nominal_px_per_mm: Positive | None = None
+
+
+class RecordingHead(Noun):
+    """recording.json: what was filmed, without the pictures."""
+
+    format: Literal["vaoi-recording"]
+    version: Literal[1]
+    cameras: Annotated[tuple[CameraHead, ...], Field(min_length=1)]
+    rows: Annotated[Whole, Field(ge=1)]
+    trigger_period_s: Positive
+    conveyor_mm_s: Point
+    missing: tuple[tuple[Whole, Whole], ...] = ()
+    trigger_times_s: tuple[Finite, ...] | None = None
+    exposures_us: tuple[tuple[Positive, ...], ...] | None = None
+    lights: tuple[str, ...] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        n, m = len(self.cameras), self.rows
+        for camera, row in self.missing:
+            if not (0 <= camera < n and 0 <= row < m):
+                raise ValueError(f"missing names [{camera}, {row}], but there are {n} cameras and {m} rows (from 0)")
+        for key in ("trigger_times_s", "exposures_us", "lights"):
+            value = getattr(self, key)
+            if value is not None and len(value) != m:
+                raise ValueError(f"{key} has {len(value)} entries, must have one per row: {m}")
+        if self.exposures_us and any(len(row) != n for row in self.exposures_us):
+            raise ValueError(f"exposures_us must have {n} entries in every row, one per camera")
+        if self.trigger_times_s and (np.diff(self.trigger_times_s) <= 0).any():
+            raise ValueError("trigger_times_s must increase from row to row")
+        return self
+
+    def row_times_s(self) -> NDArray[np.float64]:
+        """Time of each pulse, (rows,) s."""
+        if self.trigger_times_s is not None:
+            return np.array(self.trigger_times_s)
+        return np.asarray(np.arange(self.rows) * self.trigger_period_s, dtype=np.float64)
+
+    def exposure_us(self, camera: int, row: int) -> float:
+        """Exposure time of one frame."""
+        return self.exposures_us[row][camera] if self.exposures_us else self.cameras[camera].exposure_us
