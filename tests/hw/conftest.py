@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.hw.chip import Chip, make, need
+from tests.hw.host import Host
 from tests.hw.paced import PacedChip
 
 
@@ -48,3 +49,10 @@ def paced(built: Path, tmp_path: Path) -> Iterator[PacedChip]:
     chip = PacedChip(built, tmp_path / "vaoi-trigger")
     yield chip
     chip.close()
+
+
+@pytest.fixture
+def host(paced: PacedChip) -> Iterator[Host]:
+    host = Host(paced)
+    yield host
+    host.controller.close()

@@ -6,96 +6,26 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from queue import SimpleQueue
-from typing import TypeVar
 
 import pytest
 
-from tests.hw.paced import HZ, PATIENCE_S, PacedChip
+from tests.hw.host import PLAN, Host
+from tests.hw.paced import HZ, PacedChip
 from vaoi_station.acquisition.backends import open_devices
 from vaoi_station.acquisition.cameras.interface import DeviceFault
-from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierBounce,
     BarrierClear,
     ControllerEvent,
-    EventQueue,
     PulseFired,
     RunEnded,
-    TriggerPlan,
 )
 from vaoi_station.acquisition.controller.serial import SerialController
-from vaoi_station.config import ControllerConfig, LightConfig, Line, StationConfig
-from vaoi_station.errors import DeviceError, InputError, StateError
-
-PLAN = TriggerPlan(start_delay_s=0.03, period_s=0.02, tail_s=0.03, max_rows=20, debounce_s=0.005)
-LIGHTS = {"top": LightConfig(channels=(0, 1), on_us=300.0), "low": LightConfig(channels=(2,), on_us=200.0)}
-READING_S = 0.5
-"""As the acquisition process reads clocks."""
-
-E = TypeVar("E")
-
-
-class Host:
-    """A controller and what it tells, in order; its clock is modelled as the acquisition process does."""
-
-    def __init__(self, chip: PacedChip) -> None:
-        self.chip = chip
-        self.clock = ClockModel("controller")
-        self.seen: list[object] = []
-        self._events: EventQueue = SimpleQueue()
-        self.controller = SerialController(
-            ControllerConfig(backend="serial", port=str(chip.link), lights=LIGHTS, order=("top", "low", "top"))
-        )
-        self.controller.start(self._events)
-        for _ in range(8):
-            self.clock.add(self.controller.read_clock())
-
-    def next(self, kind: type[E]) -> E:
-        """The next of this kind; all others before it are kept in `seen`."""
-        while True:
-            item = self._events.get(timeout=PATIENCE_S)
-            self.seen.append(item)
-            if isinstance(item, ClockReading):
-                self.clock.add(item)
-            if isinstance(item, kind):
-                return item
-
-    def run(self, ms: float = 100) -> list[PulseFired]:
-        """A board that passes; its pulses, when its run has ended."""
-        self.seen.clear()
-        self.chip.board(ms)
-        assert self.next(RunEnded).reason == "clear"
-        return self.pulses()
-
-    def pulses(self) -> list[PulseFired]:
-        return [item for item in self.seen if isinstance(item, PulseFired)]
-
-    def trouble(self) -> set[str]:
-        """Codes of the faults that were told."""
-        return {item.error.code for item in self.seen if isinstance(item, DeviceFault)}
-
-    def wait_ready(self) -> None:
-        """Until something can be asked of the controller again."""
-        begun = self.chip.do("pin PD2 0")
-        while True:
-            try:
-                self.clock.add(self.controller.read_clock())
-                return
-            except DeviceError:
-                assert self.chip.do("pin PD2 0") - begun < PATIENCE_S * HZ
-
-
-@pytest.fixture
-def host(paced: PacedChip) -> Iterator[Host]:
-    host = Host(paced)
-    yield host
-    host.controller.close()
+from vaoi_station.config import ControllerConfig, Line, StationConfig
+from vaoi_station.errors import DeviceError, StateError
 
 
 def test_a_board_passes(host: Host) -> None:
@@ -151,26 +81,6 @@ def test_single_pulses(host: Host) -> None:
     with pytest.raises(StateError, match="armed"):
         host.controller.fire_one()
     assert len(host.run()) == 6
-
-
-def test_leds_that_are_hot_are_no_fault_of_the_device(paced: PacedChip) -> None:
-    """1 ms of light needs 16 ms to cool down; pulses can be asked for faster than that."""
-    config = ControllerConfig(
-        backend="serial", port=str(paced.link), lights={"top": LightConfig(channels=(0,), on_us=1000.0)}
-    )
-    controller = SerialController(config)
-    said = set()
-    try:
-        for _ in range(100):
-            try:
-                controller.fire_one()
-            except StateError as refusal:
-                said.add(refusal.message)
-        controller.read_clock()
-    finally:
-        controller.close()
-    assert "the LEDs have not cooled down." in said
-    assert said <= {"the LEDs have not cooled down.", "the pulse before is still under way."}
 
 
 def test_bounces_and_a_board_that_sticks(host: Host) -> None:
@@ -357,51 +267,6 @@ def test_what_a_process_before_left_is_history(paced: PacedChip) -> None:
         assert not second.trouble()
     finally:
         second.controller.close()
-
-
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        ({"period_s": 0.004, "lights": ("low",)}, r"period_s is 0\.004, but must be at least 0\.005, a limit"),
-        ({"period_s": 600.0}, r"period_s is 600\.0, but must be at most 536\.871, a limit"),
-        ({"start_delay_s": 0.008}, r"start_delay_s is 0\.008, but must be at least 0\.009, a limit"),
-        ({"tail_s": 0.0}, r"tail_s is 0\.0, but must be at least 0\.009, a limit"),
-        ({"max_rows": 70000}, r"max_rows is 65535, but must be at most 65534"),
-        ({"debounce_s": 2.0, "start_delay_s": 3.0, "tail_s": 3.0}, r"debounce_s is 2\.0, but must be at most 1, a"),
-        ({"lights": ("top",) * 17}, r"controller\.order is .*, but must be at most 16 lights"),
-        ({"lights": ("blue",)}, r"lights is 'blue', but must be one of \['top', 'low'\]"),
-    ],
-)  # fmt: skip
-def test_plans_that_the_firmware_cannot_carry_out(host: Host, change: dict[str, object], complaint: str) -> None:
-    with pytest.raises(InputError, match=complaint):
-        host.controller.arm(replace(PLAN, **change))  # type: ignore[arg-type]
-    host.controller.arm(PLAN)
-    assert len(host.run()) == 6
-
-
-@pytest.mark.parametrize(
-    ("light", "complaint"),
-    [
-        (LightConfig(channels=(0, 2), on_us=600.0), r"on_us is 600\.0, but must be 50 … 500 \(the lo.* channel 2"),
-        (LightConfig(channels=(0,), on_us=1001.0), r"must be 50 … 1000 \(the longest pulse of channel 0"),
-        (LightConfig(channels=(0,), on_us=20.0), r"on_us is 20\.0, but must be 50 … 1000 \(the shortest"),
-        (LightConfig(channels=(4,), on_us=100.0), r"top\.channels is 4, but must be below 4, the number"),
-    ],
-)  # fmt: skip
-def test_lights_beyond_the_limits_of_the_firmware(paced: PacedChip, light: LightConfig, complaint: str) -> None:
-    controller = SerialController(ControllerConfig(backend="serial", port=str(paced.link), lights={"top": light}))
-    try:
-        with pytest.raises(InputError, match=complaint):
-            controller.arm(PLAN)
-        with pytest.raises(InputError, match=complaint):
-            controller.fire_one()
-    finally:
-        controller.close()
-
-
-def test_light_for_more_than_its_share_of_the_time(host: Host) -> None:
-    with pytest.raises(InputError, match=r"on_us is 300\.0, but must be 50 … 250 \(1/16 of the period of 0\.004 s"):
-        host.controller.arm(replace(PLAN, period_s=0.004, lights=("top",)))
 
 
 def test_a_thousand_times(host: Host) -> None:
