@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from vaoi_station.api import create_app
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
-from vaoi_station.errors import GoneError, InternalError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
 from vaoi_station.rendering import View, render, views_of
@@ -49,6 +49,7 @@ class HeldStation:
         self.armed: f.ArmedWith | None = None
         self.reasons: tuple[f.Reason, ...] = ()
         self.warnings: tuple[f.Reason, ...] = ()
+        self.lost: tuple[int, ...] = ()
         self.types = {"demo-board": BoardType.model_validate(BOARD)}
         self.log: list[f.EventRecord] = []
         self.filmed: dict[str, f.RunDetail] = {}
@@ -117,22 +118,39 @@ class HeldStation:
         if self.broken:
             raise RuntimeError("a secret path /etc/passwd")
         done = self._finished()
-        camera = [f.CameraStatus(camera=i, name=f"cam{i}", connected=True) for i in range(CAMERAS)]
+        camera = [f.CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost) for i in range(CAMERAS)]
         ring = f.RingStatus(path="ring", size_bytes=1, bays=(), leases=())
         worker = f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
         return f.StationSnapshot(
             name="test", state=self.state, since=NOW, reasons=self.reasons, warnings=self.warnings,
             armed_with=self.armed,
-            cameras=tuple(camera), controller="ok", processes=(worker,), ring=ring, versions=VERSIONS,
+            cameras=tuple(camera), all_cameras_ready=not self.lost, controller="ok",
+            processes=(worker,), ring=ring, versions=VERSIONS,
             retention=f.Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
             boards_missed=0,
         )  # fmt: skip
 
+    def lose(self, *cameras: int) -> None:
+        """Cameras that are not ready from now on."""
+        self.lost = cameras
+        self.reasons = tuple(
+            f.Reason(code="camera-lost", message=f"Camera cam{k} is not connected.", action="Check its cable.")
+            for k in cameras
+        )
+        self.tell("camera", "Cameras were lost, or are back.")
+
     def arm(
-        self, board_type: str, board_id: str | None = None, job_id: str | None = None, runs: int | None = None
+        self,
+        board_type: str,
+        board_id: str | None = None,
+        job_id: str | None = None,
+        runs: int | None = None,
+        allow_lost_cameras: bool = False,
     ) -> f.StationSnapshot:
         self.board_type(board_type)
+        if self.lost and not allow_lost_cameras:
+            raise DeviceError("The array is not complete.", action="Check its cable.", code="camera-lost")
         if self.state == f.StationState.FILMING:
             raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
         self.armed = f.ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition import messages as said
+from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.model import Pulse, Status
 from vaoi_station.runs.jobs import Answer
@@ -55,6 +57,47 @@ def test_arming_before_the_cameras_are_open(make_rig: Callable[..., Any]) -> Non
     with pytest.raises(StateError, match="The station is starting") as refusal:
         rig.conductor.arm("small")
     assert "Wait" in refusal.value.action
+
+
+def _lose(rig: Any, *cameras: int) -> None:
+    """The next sign of life says that these cameras are not connected."""
+    health = tuple(CameraHealth(k not in cameras, "" if k not in cameras else "it refuses Gain = 99") for k in range(2))
+    rig.peer.say(said.Health(health, "controller fine", time.monotonic()))
+    complete = not cameras
+    rig.wait_for(
+        lambda: (seen := rig.conductor.snapshot()).controller and seen.all_cameras_ready is complete, "the health"
+    )
+
+
+def test_without_one_of_its_cameras_the_line_is_not_armed_unless_that_is_allowed(rig: Any) -> None:
+    _lose(rig, 1)
+    with pytest.raises(DeviceError, match=r"Camera c1 is not connected\. It refuses Gain = 99") as refusal:
+        rig.conductor.arm("small")
+    assert refusal.value.code == "camera-lost"
+    assert "allow_lost_cameras" in refusal.value.action
+    assert rig.conductor.snapshot().state == "idle"
+    assert rig.conductor.snapshot().armed_with is None
+    grant = rig.arm(allow_lost_cameras=True)
+    rig.board(grant)
+    assert rig.result_of(grant.run).state == "ready"
+    assert [r.code for r in rig.conductor.snapshot().reasons] == ["camera-lost"]
+
+
+def test_a_line_that_loses_a_camera_goes_on_and_says_so_but_takes_no_further_order(rig: Any) -> None:
+    """What was ordered goes on: the result names the missing frames. A new order is refused, and the old one holds."""
+    grant = rig.arm(board_id="b 1")
+    _lose(rig, 0)
+    seen = rig.conductor.snapshot()
+    assert (seen.state, seen.all_cameras_ready) == ("armed", False)
+    assert seen.reasons[0].message.startswith("Camera c0 is not connected.")
+    with pytest.raises(DeviceError, match="The array is not complete"):
+        rig.conductor.arm("small", "b 2")
+    rig.board(grant)
+    assert rig.result_of(grant.run).board_id == "b 1"
+    _lose(rig)
+    rig.conductor.arm("small", "b 2")
+    told = [event.message for event in rig.conductor.events() if event.kind == "camera"]
+    assert told == ["Camera c0 is lost: boards would be filmed without it.", "Camera c0 is ready again."]
 
 
 def test_a_camera_that_cannot_be_armed(rig: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.config import CameraConfig
-from vaoi_station.runs.status import _not_connected
+from vaoi_station.runs.readiness import not_connected
 
 
 @pytest.mark.parametrize(
@@ -18,5 +18,5 @@ from vaoi_station.runs.status import _not_connected
 )
 def test_a_camera_is_named_once(name: str, told: str) -> None:
     camera = CameraConfig(name=name, backend="aravis", address="127.0.0.2", width=64, height=48, exposure_us=100.0)
-    assert _not_connected(camera.called, f"{camera.called}: there is no camera at 127.0.0.2.") == told
-    assert _not_connected(camera.called, "") == told[: told.index(".") + 1]
+    assert not_connected(camera.called, f"{camera.called}: there is no camera at 127.0.0.2.") == told
+    assert not_connected(camera.called, "") == told[: told.index(".") + 1]

@@ -28,6 +28,9 @@ class ArmRequest(Shape):
     board_id: str | None = Field(default=None, max_length=200, description="The caller's own id of the board.")
     job_id: str | None = Field(default=None, max_length=200, description="The caller's own id of the job.")
     runs: int | None = Field(default=None, ge=1, le=1_000_000, description="Disarm after so many runs.")
+    allow_lost_cameras: bool | None = Field(
+        default=None, description="Arm although a camera is not ready; boards are filmed without it."
+    )
 
 
 class BoardTypeList(Shape):

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import NDArray
@@ -36,7 +37,6 @@ from vaoi_station.runs.shapes import (
     ImageFormat,
     LeaseStatus,
     ProcessStatus,
-    Reason,
     ReferenceStatus,
     RunDetail,
     RunSummary,
@@ -47,7 +47,7 @@ from vaoi_station.runs.shapes import (
 from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.runs.state import FINISHED
 from vaoi_station.runs.status import snapshot_of
-from vaoi_station.runs.teaching import Teaching
+from vaoi_station.runs.teaching import Teaching, listed
 from vaoi_station.runs.tidying import Tidying
 from vaoi_station.runs.watch_shapes import CalibrationStatus
 from vaoi_station.store import BoardTypeDirectory
@@ -123,12 +123,18 @@ class StationConductor:
         return self._inbox.ask(self._snapshot)
 
     def arm(
-        self, board_type: str, board_id: str | None = None, job_id: str | None = None, runs: int | None = None
+        self,
+        board_type: str,
+        board_id: str | None = None,
+        job_id: str | None = None,
+        runs: int | None = None,
+        allow_lost_cameras: bool = False,
     ) -> StationSnapshot:
         """Film every board from now on, or so many runs."""
         if runs is not None and runs < 1:
             raise InputError.field("arm", "runs", runs, "at least 1, or absent")
         order = self._make_order(self._board_types.get(board_type), board_id, job_id)
+        order = replace(order, despite_lost_cameras=allow_lost_cameras)
         waiter: Future[None] = Future()
         try:
             self._inbox.wait(waiter, lambda: self._core.arm(order, runs, waiter), ARM_LIMIT_S)
@@ -162,7 +168,7 @@ class StationConductor:
 
     def board_types(self) -> tuple[BoardTypeSummary, ...]:
         """All board types, by name."""
-        return tuple(_listed(entry.path.stem, entry.board_type, entry.fault) for entry in self._board_types.list())
+        return tuple(listed(entry.path.stem, entry.board_type, entry.fault) for entry in self._board_types.list())
 
     def board_type(self, name: str) -> BoardType:
         """One board type."""
@@ -386,15 +392,3 @@ class StationConductor:
             return self._core.memory.bay(run), self._core.leases.take(run, holder, purpose)
 
         return self._inbox.ask(take)
-
-
-def _listed(stem: str, board_type: BoardType | None, fault: Any) -> BoardTypeSummary:
-    if board_type is None:
-        return BoardTypeSummary(name=stem, fault=Reason(code=fault.code, message=fault.message, action=fault.action))
-    return BoardTypeSummary(
-        name=board_type.name,
-        side=board_type.side,
-        unit=board_type.unit,
-        components=len(board_type.components),
-        fiducials=len(board_type.fiducials),
-    )

@@ -12,6 +12,7 @@ from vaoi_station.acquisition import messages as said
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, StateError
+from vaoi_station.runs import readiness
 from vaoi_station.runs.archive import Archive
 from vaoi_station.runs.book import RunBook, Workers
 from vaoi_station.runs.events import EventLog
@@ -23,7 +24,7 @@ from vaoi_station.runs.progress import Progress
 from vaoi_station.runs.reasons import Reasons
 from vaoi_station.runs.salvage import cut_short, film_from_pieces
 from vaoi_station.runs.shapes import Reason
-from vaoi_station.runs.state import STATION, RunState, RunStep, StationState, StationStep
+from vaoi_station.runs.state import ADVICE, STATION, RunState, RunStep, StationState, StationStep
 from vaoi_station.runs.watch import CalibrationWatch
 
 Waiter = Future[None]
@@ -95,9 +96,11 @@ class Core:
                 return
             self._make_room_if_blocked()
             self._may(StationStep.ARM)
+            if not order.despite_lost_cameras:
+                readiness.require(self.health, self._config.cameras)
             if self.state is StationState.IDLE:
                 self._grant()
-        except (StateError, BusyError) as refusal:
+        except (StateError, BusyError, DeviceError) as refusal:
             waiter.set_exception(refusal)
             return
         self.orders.accept(order, runs, time.monotonic())
@@ -244,6 +247,8 @@ class Core:
         )
 
     def _on_health(self, report: said.Health) -> None:
+        for change in readiness.changes(self.health, report, self._config.cameras):
+            self._tell("camera", change)
         self.health = report
 
     def _on_trouble(self, report: said.Trouble) -> None:
@@ -355,8 +360,8 @@ class Core:
         if not STATION.allows(self.state, event):
             reason = next(iter(self.reasons.all()), None)
             why = f" ({reason.message})" if reason else ""
-            advice = _ADVICE.get(self.state, "")
-            raise StateError(f"The station is {self.state}{why}; {event!s} is not possible now.", action=advice)
+            message = f"The station is {self.state}{why}; {event!s} is not possible now."
+            raise StateError(message, action=ADVICE.get(self.state, ""))
 
     def _step(self, event: StationStep) -> None:
         state = STATION.next(self.state, event)
@@ -383,11 +388,3 @@ _LISTENING = frozenset({_S.ARMING, _S.ARMED, _S.FILMING, _S.BLOCKED})
 _IN_TROUBLE = frozenset({_S.FAULTED, _S.ARMING})
 """States in which the reasons are what a caller waits for."""
 _WATCHING = frozenset({_S.ARMED, _S.FILMING, _S.BLOCKED})
-_ADVICE = {
-    _S.STARTING: "Wait until cameras and controller are open.",
-    _S.ARMING: "Wait until the line is armed.",
-    _S.FILMING: "Wait until the board has passed; every finished run is told by runs/next.",
-    _S.BLOCKED: "Release a run.",
-    _S.FAULTED: "See the reasons of the station; it tries again by itself.",
-    _S.STOPPING: "Start it again.",
-}

@@ -83,13 +83,18 @@ class Conductor(Protocol):
         """State, health, memory and versions at this moment."""
 
     def arm(
-        self, board_type: str, board_id: str | None = None, job_id: str | None = None, runs: int | None = None
+        self,
+        board_type: str,
+        board_id: str | None = None,
+        job_id: str | None = None,
+        runs: int | None = None,
+        allow_lost_cameras: bool = False,
     ) -> StationSnapshot:
         """Film every board from now on (or so many runs); returns once cameras and controller are armed.
 
         Again while armed: applies to the boards that come from now on. `NotFoundError`: board type nobody
-        taught; `BusyError`: all memory is leased, with the holders; `StateError`: a board is passing, or a
-        device is lost.
+        taught; `BusyError`: all memory is leased, with the holders; `StateError`: a board is passing, or the
+        station is faulted; `DeviceError`: a camera is lost (unless that is allowed), or refuses to be armed.
         """
 
     def disarm(self) -> StationSnapshot:

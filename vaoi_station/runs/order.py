@@ -30,6 +30,8 @@ class Order:
     """The run that this order's boards are placed against."""
     notes: tuple[Reason, ...] = ()
     """What is not as one might expect, though boards can be filmed; told with every run."""
+    despite_lost_cameras: bool = False
+    """Boards are filmed though a camera is not ready: whoever armed wanted it so."""
 
     def shown(self, runs_left: int | None) -> ArmedWith:
         """As a status page shows it."""

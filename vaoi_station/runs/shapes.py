@@ -130,6 +130,8 @@ class StationSnapshot(Shape):
     """What does not keep it from filming, but should be seen to."""
     armed_with: ArmedWith | None
     cameras: tuple[CameraStatus, ...]
+    all_cameras_ready: bool
+    """False: a board that came now would be filmed with gaps, if at all."""
     controller: str
     processes: tuple[ProcessStatus, ...]
     ring: RingStatus

@@ -142,6 +142,16 @@ STATION: Table[StationState, StationStep] = Table(
     },
 )
 
+ADVICE = {
+    _S.STARTING: "Wait until cameras and controller are open.",
+    _S.ARMING: "Wait until the line is armed.",
+    _S.FILMING: "Wait until the board has passed; every finished run is told by runs/next.",
+    _S.BLOCKED: "Release a run.",
+    _S.FAULTED: "See the reasons of the station; it tries again by itself.",
+    _S.STOPPING: "Start it again.",
+}
+"""What to do in a state in which what was asked for is not possible."""
+
 _R, _H = RunState, RunStep
 
 RUN: Table[RunState, RunStep] = Table(

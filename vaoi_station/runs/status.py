@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from vaoi_station.config import StationConfig
+from vaoi_station.runs import readiness
 from vaoi_station.runs.accounts import versions
 from vaoi_station.runs.core import Core
-from vaoi_station.runs.reasons import sentence
 from vaoi_station.runs.shapes import (
     CameraStatus,
     LeaseStatus,
     ProcessStatus,
-    Reason,
     Retention,
     RingStatus,
     StationSnapshot,
@@ -31,15 +30,16 @@ def snapshot_of(
     last_event: int,
 ) -> StationSnapshot:
     """Everything a status page shows; `ring` is path and size in bytes. Called in the conductor's thread."""
-    filming = core.book.filming
+    filming, cameras = core.book.filming, _cameras(core, config)
     return StationSnapshot(
         name=config.name,
         state=core.state,
         since=core.since,
-        reasons=_reasons(core, config),
+        reasons=(*core.reasons.all(), *readiness.reasons(core.health, config.cameras)),
         warnings=core.watch.warnings(),
         armed_with=core.orders.shown(),
-        cameras=_cameras(core, config),
+        cameras=cameras,
+        all_cameras_ready=all(camera.connected for camera in cameras),
         controller=core.health.controller if core.health else "",
         processes=processes,
         ring=RingStatus(
@@ -58,25 +58,6 @@ def snapshot_of(
         last_event=last_event,
         boards_missed=core.boards_missed,
     )
-
-
-def _reasons(core: Core, config: StationConfig) -> tuple[Reason, ...]:
-    """What the station has to say for itself, and cameras that are not there."""
-    lost = [
-        Reason(
-            code="camera-lost",
-            message=_not_connected(config.cameras[k].called, camera.message),
-            action="Check its cable and power; it is opened again by itself.",
-        )
-        for k, camera in enumerate(core.health.cameras if core.health else ())
-        if not camera.connected
-    ]
-    return (*core.reasons.all(), *lost)
-
-
-def _not_connected(called: str, why: str) -> str:
-    """The camera is named once, though its own words may begin with its name."""
-    return f"{sentence(called)} is not connected. {sentence(why.removeprefix(f'{called}: '))}".strip()
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:

@@ -1,4 +1,4 @@
-"""Teaching: a finished run becomes the reference of its board type; who may be one, and what is kept of it."""
+"""What is taught: board types as they are listed, and finished runs that become the reference of their board type."""
 
 from __future__ import annotations
 
@@ -12,13 +12,27 @@ from vaoi_station.files.images import Image
 from vaoi_station.model import BoardType, Calibration, Status, Verdict
 from vaoi_station.runs.archive import Dossier
 from vaoi_station.runs.moments import utc
-from vaoi_station.runs.shapes import Reason, ReferenceRecord, ReferenceStatus, StitchingMethod
+from vaoi_station.runs.shapes import BoardTypeSummary, Reason, ReferenceRecord, ReferenceStatus, StitchingMethod
 from vaoi_station.runs.shelf import ReferenceShelf
 from vaoi_station.stitching.small_set import small_set
 from vaoi_station.stitching.taught import write_taught
 
 Pixels = Callable[[int], Image]
 """A copy of the frame in a slot of the ring; raises `GoneError` when its memory goes."""
+
+
+def listed(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> BoardTypeSummary:
+    """One entry of the list of board types; of a file that cannot be used (`board_type` None) its fault."""
+    if board_type is None:
+        assert fault is not None
+        return BoardTypeSummary(name=stem, fault=Reason(code=fault.code, message=fault.message, action=fault.action))
+    return BoardTypeSummary(
+        name=board_type.name,
+        side=board_type.side,
+        unit=board_type.unit,
+        components=len(board_type.components),
+        fiducials=len(board_type.fiducials),
+    )
 
 
 class Teaching:

@@ -56,6 +56,17 @@ def test_orders_that_say_too_little_or_too_much_are_refused(client: Any, order: 
     assert client.post(f"{STATION}/arm", json=order).status_code == 422
 
 
+@pytest.mark.parametrize("by", ["body", "query"])
+def test_arming_without_a_camera_is_refused_unless_it_is_allowed(client: Any, station: Any, by: str) -> None:
+    station.lose(1)
+    assert client.get(STATION).json()["all_cameras_ready"] is False
+    refusal = client.post(f"{STATION}/arm?board_type=demo-board")
+    assert (refusal.status_code, refusal.json()["code"]) == (503, "camera-lost")
+    assert station.armed is None
+    asked = {"json" if by == "body" else "params": {"board_type": "demo-board", "allow_lost_cameras": True}}
+    assert client.post(f"{STATION}/arm", **asked).json()["state"] == "armed"
+
+
 def test_disarming_needs_no_body(client: Any) -> None:
     client.post(f"{STATION}/arm?board_type=demo-board")
     assert client.post(f"{STATION}/disarm").json()["state"] == "idle"

@@ -47,6 +47,27 @@ def test_a_drift_is_told_while_boards_go_on(page: Page, served: Any) -> None:
     expect(page.locator("#warnings")).to_be_hidden()
 
 
+def test_a_lost_camera_is_told_before_a_board_comes_and_arming_without_it_takes_a_second_press(
+    page: Page, served: Any
+) -> None:
+    page.goto(served.url)
+    expect(page.locator("#board-type")).to_have_value("demo-board")
+    served.station.lose(2)
+    page.locator("#arm").click()
+    expect(page.locator("#answer")).to_have_text("The array is not complete. Check its cable.")
+    expect(page.locator("#state-word")).to_have_text("Not armed")
+    expect(page.locator("#arm")).to_have_text("Arm all the same")
+    page.locator("#arm").click()
+    expect(page.locator("#state-word")).to_have_text("Camera missing")
+    expect(page.locator("#state-shape")).to_have_attribute("data-mark", "lacking")
+    expect(page.locator("#state-word")).to_have_css("color", "rgb(122, 75, 0)")
+    expect(page.locator("#what-to-do")).to_have_text("Hold the next board back: it would be filmed with gaps.")
+    expect(page.locator("#reasons li")).to_have_text(["Camera cam2 is not connected. Check its cable."])
+    served.station.lose()
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#arm")).to_have_text("Arm")
+
+
 def test_only_faults_are_red(page: Page, served: Any) -> None:
     page.goto(served.url)
     for state, word in (("armed", "Ready"), ("filming", "Filming"), ("blocked", "Memory full"), ("idle", "Not armed")):

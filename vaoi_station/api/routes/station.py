@@ -35,16 +35,25 @@ def router(services: Services) -> APIRouter:
         board_id: Text = None,
         job_id: Text = None,
         runs: Annotated[int | None, Query(ge=1, le=1_000_000)] = None,
+        allow_lost_cameras: bool | None = None,
     ) -> StationSnapshot:
         """Film every board from now on; by JSON body or by query parameters, whichever is easier.
 
         Answers once cameras and controller are armed. 404: nobody taught the board type; 409: a board is
-        passing, or a device is lost; 503: all memory is in use, with the holders.
+        passing, or the station is faulted; 503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms
+        all the same), or all memory is in use, with the holders.
         """
-        given = {"board_type": board_type, "board_id": board_id, "job_id": job_id, "runs": runs}
+        given = {
+            "board_type": board_type,
+            "board_id": board_id,
+            "job_id": job_id,
+            "runs": runs,
+            "allow_lost_cameras": allow_lost_cameras,
+        }
         order = _merged(request, given)
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.arm, order.board_type, order.board_id, order.job_id, order.runs)
+        despite = bool(order.allow_lost_cameras)
+        return await ask(conductor.arm, order.board_type, order.board_id, order.job_id, order.runs, despite)
 
     @routes.post("/disarm", response_model_exclude_none=True)
     async def disarm_station(response: Response) -> StationSnapshot:

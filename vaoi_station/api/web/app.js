@@ -7,7 +7,7 @@ import { draw } from "./marks.js";
 import { texts } from "./texts.en.js";
 
 const $ = (id) => document.getElementById(id);
-const TONES = { blocked: "caution", faulted: "fault" };
+const TONES = { blocked: "caution", lacking: "caution", faulted: "fault" };
 
 for (const element of document.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
 
@@ -55,7 +55,8 @@ async function refresh() {
 
 function showStation(now) {
   shown = now;
-  const known = now.state in texts.states ? now.state : "unknown";
+  const state = now.state === "armed" && !now.all_cameras_ready ? "lacking" : now.state;
+  const known = state in texts.states ? state : "unknown";
   const [word, sentence] = texts.states[known];
   const [first] = now.reasons;
   document.title = `${word} – ${now.name}`;
@@ -63,9 +64,9 @@ function showStation(now) {
   if (TONES[known]) document.body.classList.add(TONES[known]);
   draw($("state-shape"), known);
   setText($("state-word"), word);
-  setText($("what-to-do"), first?.action || sentence);
+  setText($("what-to-do"), (known !== "lacking" && first?.action) || sentence);
   setText($("armed-with"), now.armed_with ? texts.armedWith(now.armed_with) : "");
-  showLines($("reasons"), now.reasons.map((r) => r.message));
+  showLines($("reasons"), now.reasons.map((r) => (known === "lacking" ? `${r.message} ${r.action}` : r.message)));
   showLines($("warnings"), now.warnings.map((w) => `${w.message} ${w.action}`));
   $("warnings").hidden = now.warnings.length === 0;
   setText($("name"), now.name);

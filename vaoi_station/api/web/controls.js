@@ -7,6 +7,7 @@ const $ = (id) => document.getElementById(id);
 export class Controls {
   #onDone;
   #armedType = null;
+  #despite = false; // the last refusal was for a lost camera: the next press arms all the same
 
   constructor(onDone) {
     this.#onDone = onDone;
@@ -14,6 +15,7 @@ export class Controls {
       event.preventDefault();
       const request = { board_type: $("board-type").value };
       if ($("board-id").value.trim()) request.board_id = $("board-id").value.trim();
+      if (this.#despite) request.allow_lost_cameras = true;
       this.#command(() => rest.arm(request), texts.armedFor(request.board_type));
     });
     $("disarm").addEventListener("click", () => this.#command(() => rest.disarm(), texts.disarmed));
@@ -40,6 +42,7 @@ export class Controls {
     const type = now.armed_with?.board_type ?? null;
     if (type && type !== this.#armedType) $("board-type").value = type;
     this.#armedType = type;
+    if (now.all_cameras_ready) this.#offer(false);
   }
 
   enable(on) {
@@ -51,11 +54,18 @@ export class Controls {
     try {
       await call();
       this.#say(done, false);
+      this.#offer(false);
       $("board-id").value = "";
     } catch (error) {
       this.#say(error instanceof rest.Refusal ? error.message : texts.noAnswer, true);
+      this.#offer(error instanceof rest.Refusal && error.code === "camera-lost");
     }
     this.#onDone();
+  }
+
+  #offer(despite) {
+    this.#despite = despite;
+    $("arm").textContent = despite ? texts.armDespite : texts.arm;
   }
 
   #say(text, refused) {
