@@ -16,6 +16,7 @@ from typing import Any
 import hypothesis
 import pytest
 
+from tests.needs import FILMS, VERDICT, need_films
 from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
 from vaoi_station.model import BoardType, Calibration, Stitch
 from vaoi_station.stitching.offline import stitch_frames
@@ -25,10 +26,7 @@ from vaoi_station.stitching.work import Setup
 # No example has a deadline: the first call of a compiled function waits for the compiler.
 hypothesis.settings.register_profile("desk", deadline=None)
 hypothesis.settings.register_profile("verdict", deadline=None, derandomize=True)
-hypothesis.settings.load_profile("verdict" if os.environ.get("CI") == "true" else "desk")
-
-_FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
-"""Beside the checkout: `make.py` films a case, `score.py` compares a result with the truth."""
+hypothesis.settings.load_profile("verdict" if VERDICT else "desk")
 
 
 @dataclass
@@ -75,7 +73,7 @@ class Cases:
 
     def score_file(self, name: str, path: Path) -> dict[str, Any]:
         """Errors of a written result or calibration, by the same program."""
-        command = [sys.executable, str(_FILMS / "score.py"), str(self._source(name)), str(path)]
+        command = [sys.executable, str(FILMS / "score.py"), str(self._source(name)), str(path)]
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         figures: dict[str, Any] = json.loads(said)
         return figures
@@ -97,10 +95,7 @@ class Cases:
 @pytest.fixture(scope="session")
 def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
     """The recorded cases: those in VAOI_CASES, else filmed when first asked for and kept for later sessions."""
-    if not (_FILMS / "make.py").is_file():
-        if os.environ.get("CI"):
-            pytest.fail(f"the recorded cases must be beside this checkout, in {_FILMS}")
-        pytest.skip("platform: recorded cases are not beside this checkout")
+    need_films()
     kept = os.environ.get("VAOI_CASES")
     filmed = Path(kept) if kept else Path(tempfile.gettempdir()) / f"vaoi-cases-{os.getuid()}-{_fingerprint()}"
     return Cases(filmed, tmp_path_factory.mktemp("cases"))
@@ -109,8 +104,8 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
 def _fingerprint() -> str:
     """Of everything the films are made from."""
     digest = hashlib.sha256()
-    for path in sorted(p for p in _FILMS.rglob("*") if p.is_file() and "__pycache__" not in p.parts):
-        digest.update(str(path.relative_to(_FILMS)).encode() + path.read_bytes())
+    for path in sorted(p for p in FILMS.rglob("*") if p.is_file() and "__pycache__" not in p.parts):
+        digest.update(str(path.relative_to(FILMS)).encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 
 
@@ -119,7 +114,7 @@ def _film(name: str, case: Path) -> None:
     case.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(dir=case.parent, prefix=f".{name}-"))
     try:
-        command = [sys.executable, str(_FILMS / "make.py"), str(aside), name]
+        command = [sys.executable, str(FILMS / "make.py"), str(aside), name]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             pytest.fail(f"make.py could not film {name!r}: {done.stderr.strip()[-400:]}")
@@ -135,7 +130,7 @@ def _film(name: str, case: Path) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Where a verdict hangs on it nothing may be left out: a skipped test is a failed one."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    if reporter is None or os.environ.get("CI") != "true":
+    if reporter is None or not VERDICT:
         return
     skipped = reporter.stats.get("skipped", [])
     if skipped and session.exitstatus == 0:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
-import pytest
 
+from tests.needs import need
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.acquisition.ring_layout import HEADER, INCOMPLETE, OK, FrameShape, RingLayout
 
@@ -25,13 +24,11 @@ def test_the_header_table_is_the_layout() -> None:
 
 
 def test_the_c_program_reads_what_the_station_wrote(tmp_path: Path) -> None:
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("no C compiler on this machine")
+    need("cc")
     (program,) = re.findall(r"```c\n(.*?)```", DOCUMENT, re.DOTALL)
     source, binary = tmp_path / "look.c", tmp_path / "look"
     source.write_text(program)
-    subprocess.run([compiler, "-std=gnu11", "-Wall", "-Werror", "-o", str(binary), str(source)], check=True)
+    subprocess.run(["cc", "-std=gnu11", "-Wall", "-Werror", "-o", str(binary), str(source)], check=True)
     layout = RingLayout(2, 2, (FrameShape(16, 16, "Mono8"), FrameShape(20, 30, "Mono16")))
     with Ring.create(tmp_path / "c.ring", layout) as ring:
         ring.claim(1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.needs import need
 from vaoi_station.files.images import read_image
 
 GUIDE = Path(__file__).parents[2] / "docs" / "rest.md"
@@ -70,8 +70,8 @@ def test_python_tells_the_operator(served: Any, tmp_path: Path) -> None:
         run([sys.executable, "tester.py", "unheard", "U1"], served, tmp_path)
 
 
-@pytest.mark.skipif(not (shutil.which("curl") and shutil.which("sh")), reason="needs curl")
 def test_curl(served: Any, tmp_path: Path) -> None:
+    need("curl")
     with boards_pass(served, 1):
         run(["sh", "-eu", "-c", sample("sh")], served, tmp_path)
     assert read_image(tmp_path / "U1.png").shape == (64, 80)
@@ -79,11 +79,8 @@ def test_curl(served: Any, tmp_path: Path) -> None:
     assert "released" in (tmp_path / "released.json").read_text()
 
 
-HAS_LIBCURL = shutil.which("cc") and any(Path("/usr/include").glob("**/curl/curl.h"))
-
-
-@pytest.mark.skipif(not HAS_LIBCURL, reason="needs a C compiler and libcurl's headers")
 def test_c(served: Any, tmp_path: Path) -> None:
+    need("cc", "curl/curl.h")
     (tmp_path / "tester.c").write_text(sample("c"))
     run(["cc", "-Wall", "-Wextra", "-Werror", "tester.c", "-o", "tester", "-lcurl"], served, tmp_path)
     found = run([str(tmp_path / "tester"), served.station.film(), "U1"], served, tmp_path)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.hw.chip import need
+from tests.needs import need_emulator
 from vaoi_station.rig.network import INSIDE, isolation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What `on_the_rig` saw."""
-    need(["avr-gcc", "make", "gcc"], simavr=True)
+    need_emulator()
     directory = tmp_path_factory.mktemp("doctor") / "rig"
     command = [*isolation(), sys.executable, "-m", "tests.doctor.on_the_rig", str(directory)]
     done = subprocess.run(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -11,19 +9,6 @@ import pytest
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "hw" / "firmware"
 CYCLES_PER_US = 16
-PACKAGES = {"avr-gcc": "gcc-avr avr-libc", "make": "make", "gcc": "gcc"}
-SIMAVR = Path("/usr/include/simavr/sim_avr.h")
-
-
-def need(tools: list[str], simavr: bool = False) -> None:
-    """Where a verdict hangs on it, a tool that is missing is an error; at a desk the test says what to install."""
-    missing = [PACKAGES[tool] for tool in tools if shutil.which(tool) is None]
-    missing += ["libsimavr-dev libelf-dev"] if simavr and not SIMAVR.exists() else []
-    if missing:
-        words = f"install the distribution's packages {' '.join(missing)}"
-        if os.environ.get("CI"):
-            pytest.fail(words)
-        pytest.skip(f"platform: {words}")
 
 
 def make(target: str, build: Path) -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.hw.chip import Chip, make, need
+from tests.hw.chip import Chip, make
 from tests.hw.host import Host
 from tests.hw.paced import PacedChip
+from tests.needs import need, need_emulator
 
 
 @pytest.fixture(scope="session")
@@ -21,14 +22,14 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def logic(build: Path) -> ctypes.CDLL:
     """The logic of the firmware as a library of this computer; see native/bridge.h."""
-    need(["make", "gcc"])
+    need("make", "gcc")
     make("native", build)
     return ctypes.CDLL(str(build / "liblogic.so"))
 
 
 @pytest.fixture(scope="session")
 def built(build: Path) -> Path:
-    need(["avr-gcc", "make", "gcc"], simavr=True)
+    need_emulator()
     make("all", build)
     make("emulator", build)
     return build

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.hw.chip import make, need
+from tests.hw.chip import make
 from tests.hw.line import TIMING, ms, us
+from tests.needs import need
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
@@ -199,7 +200,7 @@ def test_the_boot_counter_survives_a_write_that_failed(logic: ctypes.CDLL) -> No
 
 
 def test_300_000_fuzzed_frames_and_100_000_guided_inputs_under_the_sanitizers(build: Path) -> None:
-    need(["make", "gcc"])
+    need("make", "gcc")
     make("fuzz", build)
     for program, amount, said in (("fuzz", "300000", "frames"), ("guided", "100000", "inputs")):
         done = subprocess.run([str(build / program), amount], capture_output=True, text=True, check=False)

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import sync_playwright
 
+from tests.needs import chromium
 from vaoi_station.reporting import Story, write_report
 
 pytestmark = pytest.mark.browser
 
 
 def test_the_browser_asks_for_nothing_and_complains_of_nothing(story: Story, tmp_path: Path) -> None:
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        if os.environ.get("CI"):
-            pytest.fail("chromium is missing; install the distribution's package 'chromium'")
-        pytest.skip("needs the distribution's chromium")
     path = tmp_path / "report.html"
     write_report(path, story)
     asked: list[str] = []
     complaints: list[str] = []
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox", "--disable-gpu"])
         page = browser.new_page(viewport={"width": 1200, "height": 900})
         page.on("request", lambda r: asked.append(r.url.split(",")[0]))
         page.on("console", lambda m: complaints.append(m.text))

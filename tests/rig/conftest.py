@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.hw.chip import need
+from tests.needs import need_emulator
 from vaoi_station.rig.chip import build
 from vaoi_station.rig.films import Film, films
 from vaoi_station.simulation import Scenario, read_scenario, scenario_path
@@ -25,5 +25,5 @@ def filmed(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[F
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    need(["avr-gcc", "make", "gcc"], simavr=True)
+    need_emulator()
     return build(tmp_path_factory.mktemp("rig") / "firmware")

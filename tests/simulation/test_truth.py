@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.needs import FILMS, need_films
 from vaoi_station.geometry import apply
 from vaoi_station.simulation import Twin
 from vaoi_station.simulation.filming import write_passage
-
-SCORER = Path(__file__).parents[3] / "shared" / "cases" / "score.py"
 
 
 def test_one_rigid_motion_per_row_moves_all_cameras(small: Twin) -> None:
@@ -41,16 +39,14 @@ def test_views_are_the_projected_footprints(small: Twin) -> None:
 
 @pytest.mark.cases
 def test_the_scorer_of_the_cases_accepts_a_recording(small: Twin, tmp_path: Path) -> None:
-    if not SCORER.is_file():
-        assert not os.environ.get("CI"), f"{SCORER} is missing"
-        pytest.skip(f"{SCORER} is not beside the checkout")
+    need_films()
     case = tmp_path / "case"
     write_passage(small.passage(0), case)
     truth = json.loads((case / "truth.json").read_text())
     result = {k: truth[k] for k in ("image_matrices", "cad_matrix", "row_motion")} | {"status": "ok"}
     (tmp_path / "result.json").write_text(json.dumps(result))
     done = subprocess.run(
-        [sys.executable, str(SCORER), str(case), str(tmp_path / "result.json")],
+        [sys.executable, str(FILMS / "score.py"), str(case), str(tmp_path / "result.json")],
         check=True, capture_output=True, text=True,
     )  # fmt: skip
     score = json.loads(done.stdout)

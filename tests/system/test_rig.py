@@ -16,10 +16,8 @@ from typing import Any
 
 import pytest
 
-from tests.hw.chip import need
-from vaoi_station.acquisition.cameras.aravis.library import aravis
+from tests.needs import need_aravis, need_emulator
 from vaoi_station.config import read_config
-from vaoi_station.errors import DeviceError
 from vaoi_station.simulation import scenario_path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,11 +40,8 @@ def roomy(tmp_path: Path) -> Path:
 
 
 def need_all() -> None:
-    need(["avr-gcc", "make", "gcc"], simavr=True)
-    try:
-        aravis()
-    except DeviceError as refusal:
-        pytest.skip(f"platform: {refusal}")
+    need_emulator()
+    need_aravis()
 
 
 def rig_run(folder: Path, films: Path, *options: str) -> tuple[int, dict[str, Any], str]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +13,7 @@ import cv2
 import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
+from tests.needs import chromium
 from vaoi_station.api.serving import WebServer, listener
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.site import build_site
@@ -35,14 +34,9 @@ def newest() -> Newest:
 @pytest.fixture
 def browser() -> Iterator[Page]:
     """A page in chromium; nothing may be complained of on its console."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        if os.environ.get("CI"):
-            pytest.fail("chromium is missing; install the distribution's package 'chromium'")
-        pytest.skip("needs the distribution's chromium")
     complaints: list[str] = []
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox", "--disable-gpu"])
         page = browser.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)

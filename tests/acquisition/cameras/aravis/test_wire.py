@@ -13,8 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.acquisition.cameras.aravis.library import aravis
-from vaoi_station.errors import DeviceError
+from tests.needs import need_aravis
 from vaoi_station.rig.network import INSIDE, isolation
 
 WIRE = Path(__file__).parent / "wire"
@@ -24,10 +23,7 @@ ROOT = Path(__file__).parents[4]
 @pytest.mark.aravis
 @pytest.mark.parametrize("name", sorted(path.name for path in WIRE.glob("wire_*.py")))
 def test_in_a_network_of_its_own(name: str) -> None:
-    try:
-        aravis()
-    except DeviceError as refusal:
-        pytest.skip(f"platform: {refusal}")
+    need_aravis()
     command = [
         *isolation(),
         *(sys.executable, "-m", "pytest", "--quiet", "--no-header", "-p", "no:cacheprovider"),
