@@ -11,7 +11,9 @@ from typing import TypeVar
 
 import pytest
 
+from vaoi_station.acquisition.backends import open_devices
 from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.messages import Arm, Armed, Command, Disarm, Disarmed, Grant, Ready, Report, Shutdown
 from vaoi_station.acquisition.process import run_acquisition
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
@@ -47,13 +49,13 @@ PATIENCE_S = 30.0
 class Bench:
     """The station's end of the pipe, and the ring it owns."""
 
-    def __init__(self, config: StationConfig) -> None:
+    def __init__(self, config: StationConfig, open_them: Callable[[StationConfig], Devices] = open_devices) -> None:
         self.config = config
         self.ring = Ring.create(ring_path(config), RingLayout.of(config))
         self.connection, theirs = multiprocessing.Pipe()
         self.reports: list[Report] = []
         self.generations: dict[int, int] = {}
-        args = (config, self.ring.path, theirs)
+        args = (config, self.ring.path, theirs, open_them)
         self.thread = threading.Thread(target=run_acquisition, args=args, name="acquisition")
         self.thread.start()
 
@@ -143,8 +145,8 @@ def start() -> Iterator[Callable[[StationConfig], Bench]]:
     before = set(threading.enumerate())
     benches: list[Bench] = []
 
-    def begin(config: StationConfig, ready: bool = True) -> Bench:
-        benches.append(Bench(config))
+    def begin(config: StationConfig, ready: bool = True, **devices: Callable[[StationConfig], Devices]) -> Bench:
+        benches.append(Bench(config, **devices))
         if ready:
             benches[-1].until(Ready)
         return benches[-1]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import Arrival, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost, Slot
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -119,6 +119,16 @@ def test_arming_is_refused_while_a_clock_is_unknown(stage: Stage) -> None:
     with pytest.raises(DeviceError, match="camera c1: its clock is known to"):
         stage.session.arm(stage.plan)
     assert stage.controller.plans == []
+
+
+def test_the_clock_of_a_camera_that_is_away_is_not_waited_for(stage: Stage) -> None:
+    stage.session._clocks[2] = ClockModel("camera c1")
+    stage.session.lost(CameraLost(1, 0.5, "it does not answer any more", DeviceError("camera c1: is gone.")))
+    stage.session.arm(stage.plan)
+    assert stage.of(Armed)
+    stage.session.back(CameraBack(1, 0.6, ClockReading(0.0, 0.0, 1e-5)))
+    with pytest.raises(DeviceError, match="camera c1"):
+        stage.session.arm(stage.plan)
 
 
 def test_a_period_too_short_for_exposure_and_read_out_is_refused_with_the_numbers(stage: Stage) -> None:

@@ -120,6 +120,10 @@ class Outages:
         for outage in self._outages[camera]:
             outage.until_s = min(outage.until_s, at_s)
 
+    def away(self, camera: int) -> bool:
+        """Whether it has been lost and is not back."""
+        return any(math.isinf(outage.until_s) for outage in self._outages[camera])
+
     def before(self, camera: int, host_s: float) -> int:
         """How many have ended by then."""
         return sum(outage.until_s <= host_s for outage in self._outages[camera])

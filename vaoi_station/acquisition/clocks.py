@@ -20,6 +20,12 @@ RESOLUTION_S = 1e-7
 """No reading is trusted further than this."""
 
 
+class ClockError(DeviceError):
+    """A clock is not known well enough yet; more readings may mend that."""
+
+    code = "clock-unknown"
+
+
 @dataclass(frozen=True)
 class ClockReading:
     """One comparison of a device's clock with time.monotonic()."""
@@ -81,12 +87,11 @@ class ClockModel:
         return self._slope * 1e6
 
     def require(self, limit_s: float) -> None:
-        """DeviceError while the bound is above the limit."""
+        """ClockError while the bound is above the limit."""
         if (bound_s := self.bound_s()) > limit_s:
-            raise DeviceError(
+            raise ClockError(
                 f"{self.name}: its clock is known to ± {bound_s * 1e3:.3f} ms, but must be to {limit_s * 1e3:.3f} ms.",
                 action="Check the link to the device and the load of this computer, then arm again.",
-                code="clock-unknown",
             )
 
     def _fit(self) -> None:
@@ -107,4 +112,4 @@ class ClockModel:
 
     def _must_know(self) -> None:
         if not self._readings:
-            raise DeviceError(f"{self.name}: its clock has never been read.", code="clock-unknown")
+            raise ClockError(f"{self.name}: its clock has never been read.")

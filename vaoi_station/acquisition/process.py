@@ -14,13 +14,15 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
 from vaoi_station.acquisition.backends import open_devices
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraDevice, CameraLost, DeviceFault
-from vaoi_station.acquisition.clocks import ClockModel, ClockReading
+from vaoi_station.acquisition.clocks import ClockError, ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.messages import Arm, Disarm, FireOne, Grant, Health, Ready, Report, Shutdown
@@ -33,6 +35,11 @@ from vaoi_station.errors import InternalError, StateError, VaoiError
 HEALTH_S = 0.5
 FIRST_READINGS = 8
 """Clock readings before the process is ready."""
+HURRY_S = 0.05
+"""Between readings while somebody waits for them."""
+CLOCK_PATIENCE_S = 10.0
+"""So long an arming or a single pulse waits until the clocks are known well enough. On a busy computer round trips
+are long, and a short one decides."""
 
 
 def run_acquisition(
@@ -64,6 +71,14 @@ class _Disarmed:
     """Put into the inbox behind the last event of an armed controller."""
 
 
+@dataclass(frozen=True)
+class _Waiting:
+    """A command that waits for clocks to be known."""
+
+    command: Arm | FireOne
+    until_s: float
+
+
 class _Loop:
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
@@ -73,6 +88,7 @@ class _Loop:
         sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
         self._clocked = list(zip(self._clocks, sources, strict=True))
         self._closing = threading.Event()
+        self._waiting: _Waiting | None = None
 
     def run(self) -> None:
         """Start the devices, then think about one message after another."""
@@ -111,13 +127,19 @@ class _Loop:
             try:
                 item = self._inbox.get(timeout=min(health_s, self._session.deadline_s(ticked_s)) - now_s)
             except queue.Empty:
-                continue
+                item = None
             if isinstance(item, Shutdown):
                 return
-            try:
-                self._handle(item, time.monotonic())
-            except VaoiError as error:
-                self._send(trouble(error))
+            if item is not None:
+                self._try(partial(self._handle, item))
+            self._try(self._obey)
+
+    def _try(self, step: Callable[[float], None]) -> None:
+        """Do something now; what it refuses is told."""
+        try:
+            step(time.monotonic())
+        except VaoiError as error:
+            self._send(trouble(error))
 
     def _handle(self, item: object, now_s: float) -> None:
         if isinstance(item, Arrival):
@@ -126,11 +148,10 @@ class _Loop:
             self._session.heard(item, now_s)
         elif isinstance(item, Grant):
             self._session.grant(item)
-        elif isinstance(item, Arm):
-            self._session.arm(item.plan)
-        elif isinstance(item, FireOne):
-            self._session.fire_one(now_s)
+        elif isinstance(item, Arm | FireOne):
+            self._waiting = _Waiting(item, now_s + CLOCK_PATIENCE_S)
         elif isinstance(item, Disarm):
+            self._waiting = None
             self._devices.controller.disarm()
             self._inbox.put(_Disarmed())
         elif isinstance(item, _Disarmed):
@@ -148,6 +169,21 @@ class _Loop:
             clock.add(reading)
         else:
             raise InternalError(f"the acquisition process was told {item!r}, which it does not know.")
+
+    def _obey(self, now_s: float) -> None:
+        """Arm, or fire, once the clocks are known well enough; ClockError if they are not in time."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is None:
+            return
+        try:
+            if isinstance(waiting.command, Arm):
+                self._session.arm(waiting.command.plan)
+            else:
+                self._session.fire_one(now_s)
+        except ClockError:
+            if now_s >= waiting.until_s:
+                raise
+            self._waiting = waiting
 
     def _send(self, report: Report) -> None:
         self._connection.send(report)
@@ -169,8 +205,11 @@ class _Loop:
             self._inbox.put(command)
 
     def _watch_clocks(self) -> None:
-        """Readings twice a second, from a thread of their own: a camera that is gone lets one wait for seconds."""
-        while not self._closing.wait(HEALTH_S):
+        """Readings twice a second, from a thread of their own: a camera that is gone lets one wait for seconds.
+
+        While a command waits for them they follow one another at once.
+        """
+        while not self._closing.wait(HURRY_S if self._waiting else HEALTH_S):
             for clock, source in self._clocked:
                 try:
                     reading = source.read_clock()

@@ -110,8 +110,7 @@ class Session:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
             raise InputError.field("trigger plan", "max_rows", plan.max_rows, limit)
         _require_time(plan, self._config)
-        for clock in self._clocks:
-            clock.require(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
+        self._require_clocks(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
         if plan != self._plan:
             if self._run is not None:
                 raise StateError("a board is passing; the plan cannot change now.", action="Arm again in a moment.")
@@ -130,8 +129,7 @@ class Session:
         """Slots into the cameras, then one pulse without the barrier. Raises what forbids it."""
         if self._plan is not None:
             raise StateError("boards are being filmed; single pulses would be among theirs.", action="Disarm first.")
-        for clock in self._clocks:
-            clock.require(CLOCK_LIMIT_S)
+        self._require_clocks(CLOCK_LIMIT_S)
         self._swap()
         if self._next is None:
             raise StateError("there is no memory for a pulse: all of it is in use.", action="Fire again in a moment.")
@@ -170,6 +168,12 @@ class Session:
                 self._send(BoardMissed(self._edge_s, f"no pulse was fired; the run ended with {event.reason!r}"))
             else:
                 self._end_run(event.pulses, event.reason, now_s)
+
+    def _require_clocks(self, limit_s: float) -> None:
+        """ClockError while one is not known well enough; a camera that is away is read when it is back."""
+        for number, clock in enumerate(self._clocks):
+            if number == 0 or not self._recorder.outages.away(number - 1):
+                clock.require(limit_s)
 
     def _comes_too_late(self, event: ControllerEvent) -> bool:
         """Whether it is of a run that has been given up; the next board, or that run's end, closes the matter."""
