@@ -20,6 +20,7 @@ from vaoi_station.api import create_app
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
+from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
 from vaoi_station.rendering import View, render, views_of
@@ -278,6 +279,9 @@ class HeldStation:
         return Stitch(
             method="held", image_matrices=images, cad_matrix=np.eye(3), row_motion=tuple(motion), status=Status.OK
         )
+
+    def stitch_text(self, run: str) -> str:
+        return stitch_text(self.stitch(run))
 
     def timeline(self, run: str) -> f.Timeline:
         raise NotFoundError(f"Run {run!r} has no timeline.")

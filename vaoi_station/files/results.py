@@ -9,6 +9,8 @@ from typing import Any
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.model import Stitch
 
+_OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm", "height_sigma_mm")
+
 
 def read_stitch(path: Path) -> Stitch:
     """Read a result."""
@@ -37,6 +39,12 @@ def stitch_text(stitch: Stitch) -> str:
     if "NaN" in text or "Infinity" in text:  # such a number, or a name that reads like one
         json.dumps(stitch_document(stitch), allow_nan=False)
     return text
+
+
+def gist(stitch: Stitch) -> Stitch:
+    """A result less what it says of every component: a large board's is a tenth of the whole."""
+    quality = {key: value for key, value in stitch.quality.items() if key not in _OF_COMPONENTS}
+    return stitch.model_copy(update={"components": None, "quality": quality})
 
 
 def write_stitch(path: Path, stitch: Stitch) -> None:

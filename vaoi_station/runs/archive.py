@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import TypeVar
 
 from vaoi_station.errors import DeviceError, NotFoundError, StateError
+from vaoi_station.files.results import gist
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.rendering import Album
@@ -35,6 +36,9 @@ class Dossier:
     board_type: BoardType
     cameras: tuple[Camera, ...]
     stitch: Stitch | None
+    """The gist of the result."""
+    document: str | None
+    """The result as JSON text."""
     timeline: Timeline
     head: RecordingHead | None
     """What was filmed; None if the station ended meanwhile."""
@@ -42,19 +46,24 @@ class Dossier:
     @cached_property
     def album(self) -> Album:
         """Which frames show which component; `StateError` without a CAD mapping, `NotFoundError` without a result."""
-        return Album(self.board_type, self.result, self.cameras)
+        return Album(self.board_type, self.stitch or self.result, self.cameras)
+
+    @cached_property
+    def result(self) -> Stitch:
+        """All of the result; `NotFoundError` if the run ended without one."""
+        return Stitch.model_validate_json(self.text)
 
     @property
-    def result(self) -> Stitch:
-        """The stitch; `NotFoundError` with the reasons if the run ended without one."""
-        if self.stitch is None:
+    def text(self) -> str:
+        """The same as JSON text; `NotFoundError` with the reasons if the run ended without one."""
+        if self.document is None:
             raise NotFoundError(
                 f"Run {self.detail.id} ended without a result: "
                 + "; ".join(reason.message for reason in self.detail.reasons),
                 action="Its frames can be had as long as they are kept.",
                 code="no-result",
             )
-        return self.stitch
+        return self.document
 
 
 class Archive:
@@ -89,6 +98,7 @@ class Archive:
             order.board_type,
             order.setup.cameras,
             progress.stitch,
+            progress.result.document if progress.result else None,
             timeline_of(progress),
             progress.head,
         )
@@ -96,8 +106,7 @@ class Archive:
             self._under_way.discard(progress.run)
             self._remember(dossier)
         row = _row(progress, detail, self._finished)
-        document = progress.result.document if progress.result else None
-        saved = self._store.save_run(row, dossier.timeline.model_dump_json(), document)
+        saved = self._store.save_run(row, dossier.timeline.model_dump_json(), dossier.document)
         saved.add_done_callback(lambda future: self._announce(dossier, future))
         return detail
 
@@ -229,7 +238,8 @@ class Archive:
             finish_number=row.finish_number or 0,
             board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
             cameras=calibration.cameras(head.cameras) if head else (),
-            stitch=Stitch.model_validate_json(result) if result else None,
+            stitch=gist(Stitch.model_validate_json(result)) if result else None,
+            document=result,
             timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
             head=head,
         )

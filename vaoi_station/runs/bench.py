@@ -20,7 +20,7 @@ from vaoi_station.drift.check_run import check_run
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
-from vaoi_station.files.results import stitch_text
+from vaoi_station.files.results import gist, stitch_text
 from vaoi_station.rendering import render
 from vaoi_station.runs.jobs import (
     Answer,
@@ -154,7 +154,7 @@ class Bench:
             job.context.generation,
             lambda: opened.desk.conclude(job.head.row_times_s(), tuple(job.slots), opened.evidence.values()),
         )
-        return Concluded(stitch, stitch_text(stitch))
+        return Concluded(gist(stitch), stitch_text(stitch))
 
     def _render(self, job: RenderJob) -> bytes:
         frame = self._ring.frame(job.slot)

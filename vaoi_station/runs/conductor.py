@@ -276,6 +276,10 @@ class StationConductor:
         """The result."""
         return self._parts.archive.get(run).result
 
+    def stitch_text(self, run: str) -> str:
+        """The same as JSON text."""
+        return self._parts.archive.get(run).text
+
     def timeline(self, run: str) -> Timeline:
         """When what happened in a finished run."""
         return self._parts.archive.get(run).timeline

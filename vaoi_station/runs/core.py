@@ -280,7 +280,7 @@ class Core:
             self._grant()
         except BusyError as refusal:
             if self.state is StationState.ARMED:
-                self.reasons.hold(Reason(code=refusal.code, message=refusal.message, action=refusal.action))
+                self.reasons.hold(Reason.of(refusal))
                 if self.memory.held():
                     self._events.add("trouble", refusal.message, code=refusal.code, action=refusal.action)
                 self._step(StationStep.RING_FULL)

@@ -161,6 +161,9 @@ class Conductor(Protocol):
     def stitch(self, run: str) -> Stitch:
         """The result; `StateError` while there is none yet, `NotFoundError` if the run ended without one."""
 
+    def stitch_text(self, run: str) -> str:
+        """The same as JSON text."""
+
     def timeline(self, run: str) -> Timeline:
         """When what happened in a finished run."""
 

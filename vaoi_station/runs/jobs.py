@@ -204,9 +204,9 @@ class Linked:
 
 @dataclass(frozen=True)
 class Concluded:
-    """A result, and its document as it is kept and served."""
+    """A result: its document as it is kept and served, and what the station itself needs of it."""
 
-    stitch: Stitch
+    gist: Stitch
     document: str
 
 

@@ -84,8 +84,8 @@ class Progress:
 
     @property
     def stitch(self) -> Stitch | None:
-        """The result; None while there is none."""
-        return self.result.stitch if self.result else None
+        """The gist of the result; None while there is none."""
+        return self.result.gist if self.result else None
 
     def step(self, event: RunStep) -> None:
         """Follow the table."""
@@ -164,7 +164,7 @@ class Progress:
             self.faults.append(reason)
 
     def _blame(self, error: VaoiError) -> None:
-        self.blame(Reason(code=error.code, message=error.message, action=error.action))
+        self.blame(Reason.of(error))
         self.hopeless = self.hopeless or error.code == "worker-lost"
 
     def _ask(self, camera: int, tasks: Iterable[Task]) -> list[LinkJob]:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict
 
 from vaoi_station.acquisition.proof import TriggerProof
 from vaoi_station.config import MethodName
+from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.state import RunState, StationState
 
@@ -30,6 +31,11 @@ class Reason(Shape):
     code: str
     message: str
     action: str = ""
+
+    @staticmethod
+    def of(error: VaoiError) -> Reason:
+        """What an error says."""
+        return Reason(code=error.code, message=error.message, action=error.action)
 
 
 class ArmedWith(Shape):

@@ -25,7 +25,7 @@ def listed(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> 
     """One entry of the list of board types; of a file that cannot be used (`board_type` None) its fault."""
     if board_type is None:
         assert fault is not None
-        return BoardTypeSummary(name=stem, fault=Reason(code=fault.code, message=fault.message, action=fault.action))
+        return BoardTypeSummary(name=stem, fault=Reason.of(fault))
     return BoardTypeSummary(
         name=board_type.name,
         side=board_type.side,
@@ -52,7 +52,7 @@ class Teaching:
         try:
             self._shelf.open(board_type)
         except VaoiError as error:
-            fault = Reason(code=error.code, message=error.message, action=error.action)
+            fault = Reason.of(error)
         return ReferenceStatus(**record.model_dump(), board_type=board_type.name, usable=fault is None, fault=fault)
 
     def teach(self, board_type: BoardType, dossier: Dossier, calibration: Calibration, pixels: Pixels) -> bool:

@@ -12,7 +12,6 @@ from vaoi_station.api.parameters import RunId, TimeoutS
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import Matrices, RunPage
 from vaoi_station.errors import NotFoundError
-from vaoi_station.files.results import stitch_text
 from vaoi_station.runs.facade import LeaseStatus, RunDetail
 from vaoi_station.runs.state import IN_MEMORY
 
@@ -65,8 +64,7 @@ def router(services: Services) -> APIRouter:
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
         """The result in the format of `docs/formats.md`; 409 while it is not there yet."""
-        stitch = await ask(conductor.stitch, run)
-        content = stitch_text(stitch).encode()
+        content = (await ask(conductor.stitch_text, run)).encode()
         return conditional(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)
