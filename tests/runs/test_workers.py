@@ -243,6 +243,17 @@ def test_the_worker_that_concludes_has_gathered_what_others_found(plant: Plant, 
     assert not any(worker.evidence for worker in plant.pool._workers)
 
 
+def test_what_was_looked_at_in_vain_does_not_count(plant: Plant, make_head: Any) -> None:
+    plant.all_idle()
+    jobs = [plant.link(0, row) for row in range(2)]
+    answers = [plant.submit(job).get() for job in jobs]
+    plant.all_idle()
+    job = conclusion(plant, make_head(3), jobs, answers)
+    assert len(numbers(plant.submit(job).get())["quality"]["unlinked"]) == 2
+    less = dataclasses.replace(job, linked={}, beside=jobs[1].tasks)
+    assert [u["a"] for u in numbers(plant.submit(less).get())["quality"]["unlinked"]] == [[0, 0]]
+
+
 def test_a_conclusion_whose_worker_is_away_is_made_by_another(plant: Plant, make_head: Any) -> None:
     plant.all_idle()
     jobs = [plant.link(camera) for camera in (0, 1)]

@@ -111,13 +111,3 @@ def test_evidence_and_result_do_not_depend_on_the_order_of_work(filmed: Any, ran
     assert again.model_dump(mode="json", exclude={"quality"}) == first.model_dump(mode="json", exclude={"quality"})
     timeless = [{k: v for k, v in s.quality.items() if k != "timings_ms"} for s in (again, first)]
     assert timeless[0] == timeless[1]
-
-
-def test_evidence_of_other_tasks_is_left_aside(filmed: Any) -> None:
-    desk = Desk(filmed.setup, filmed.frame)
-    evidence = [desk.perform(t) for t in filmed.tasks]
-    early = Task("rows", (0, 0), (0, 2), filmed.times_s[2] - filmed.times_s[0])
-    result = desk.conclude(filmed.times_s, filmed.present, [desk.perform(early), *evidence])
-    assert result.model_dump(exclude={"quality"}, mode="json") == filmed.stitch.model_dump(
-        exclude={"quality"}, mode="json"
-    )

@@ -149,10 +149,11 @@ class Bench:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
         self._gather(job)
+        evidence = [found for task, found in opened.evidence.items() if task not in job.beside]
         stitch = self._guarded(
             job.context.bay,
             job.context.generation,
-            lambda: opened.desk.conclude(job.head.row_times_s(), tuple(job.slots), opened.evidence.values()),
+            lambda: opened.desk.conclude(job.head.row_times_s(), tuple(job.slots), evidence),
         )
         return Concluded(gist(stitch), stitch_text(stitch))
 

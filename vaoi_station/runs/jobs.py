@@ -95,6 +95,8 @@ class ConcludeJob:
     """The good frames."""
     linked: Mapping[Task, Linked]
     """All evidence; what the worker has already need not be sent to it."""
+    beside: tuple[Task, ...] = ()
+    """What was looked at while filming and does not count in the end: a row was lost, a bridge took its place."""
 
     priority = Priority.CONCLUDE
     affinity: int | None = None

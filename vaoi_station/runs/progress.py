@@ -141,8 +141,9 @@ class Progress:
         """The last job, once all evidence is there; None before, and if there can be none."""
         if self.film is None or self.concluding or self.hopeless or self.awaited:
             return None
-        self.concluding = True
-        return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical)
+        self.concluding, needed = True, set(self.needed)
+        beside = tuple(task for task in self.linked if task not in needed)
+        return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical, beside)
 
     @property
     def canonical(self) -> dict[Task, Linked]:

@@ -128,15 +128,14 @@ class Desk:
         Args:
             times_s: (m,) time of every row's pulse, in the order of rows.
             present: the good frames.
-            evidence: of `all_tasks`; what else was gathered while filming is left aside.
+            evidence: of `all_tasks`, in any order.
         """
         s = self._setup
-        canonical = set(all_tasks(present, dict(enumerate(times_s)), s))
         return conclude(
             Scene(s.cameras, tuple(sorted(present)), self._get),
             Terms(s.frame, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference),
             np.asarray(times_s, dtype=np.float64),
-            [e for e in evidence if e.task in canonical],
+            list(evidence),
         )
 
     def _referred(self, key: FrameKey) -> Prepared:
