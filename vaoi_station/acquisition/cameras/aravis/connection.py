@@ -240,7 +240,8 @@ class Connection:
 def prove_silence(connections: list[Connection], settle_s: float = 0.15, watch_s: float = 0.4) -> None:
     """After the acquisition has been started and before the first pulse nothing may come; DeviceError names who sends.
 
-    A trigger that was latched before may still yield one frame at once; it is let pass.
+    A trigger that was latched before may still yield one frame at once; it is let pass. Nothing but time shows silence:
+    no slot is queued yet, so the streams count what comes and tell nobody.
     """
     time.sleep(settle_s)
     before = [connection.traffic() for connection in connections]

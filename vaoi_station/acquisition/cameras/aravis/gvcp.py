@@ -8,11 +8,13 @@ cameras that call themselves the same it lists one. So we ask by datagrams of ou
 from __future__ import annotations
 
 import contextlib
+import selectors
 import socket
 import struct
 import time
 from dataclasses import dataclass
 from itertools import count
+from typing import cast
 
 from vaoi_station.acquisition.cameras.aravis.network import CONTROL_PORT, local_addresses
 
@@ -65,7 +67,7 @@ def discover(wait_s: float = DISCOVERY_S) -> tuple[Present, ...]:
     """All GigE cameras on the networks of this computer, by address."""
     request_id = _next_id()
     with contextlib.ExitStack() as stack:
-        askers = []
+        selector = stack.enter_context(selectors.DefaultSelector())
         for local in local_addresses():
             asker = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             asker.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -73,9 +75,12 @@ def discover(wait_s: float = DISCOVERY_S) -> tuple[Present, ...]:
             with contextlib.suppress(OSError):  # an interface that is down
                 asker.bind((local, 0))
                 asker.sendto(command(_DISCOVERY, request_id), ("255.255.255.255", CONTROL_PORT))
-                askers.append(asker)
-        time.sleep(wait_s)
-        found = {camera for asker in askers for camera in _received(asker, request_id)}
+                selector.register(asker, selectors.EVENT_READ)
+        found: set[Present] = set()
+        deadline_s = time.monotonic() + wait_s
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            for key, _ in selector.select(left_s):
+                found.update(_received(cast("socket.socket", key.fileobj), request_id))
     return tuple(sorted(found, key=lambda camera: socket.inet_aton(camera.address)))
 
 
@@ -87,7 +92,7 @@ def present(datagram: bytes) -> Present:
 
 def _received(asker: socket.socket, request_id: int) -> list[Present]:
     received = []
-    with contextlib.suppress(BlockingIOError):  # that was all
+    with contextlib.suppress(BlockingIOError):  # that was all, for now
         while True:
             datagram = asker.recv(1024)
             if is_answer(datagram, _DISCOVERY, request_id) and len(datagram) >= _ANSWER_BYTES:

@@ -66,6 +66,8 @@ class SlotStream:
         self._kind, self._told = kind, told
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
+        self._pulled = threading.Condition(self._lock)
+        """Told of every buffer that has been pulled out."""
         self._out: dict[int, tuple[Any, Slot]] = {}
         """C pointer of a buffer → the buffer, its slot; all that the stream has."""
         self._ending = threading.Event()
@@ -104,9 +106,10 @@ class SlotStream:
         """
         if self._ending.is_set():
             return []
+        unused = self.take_back()  # frames under way are pulled meanwhile
         self._ending.set()
         self._thread.join()
-        return self.take_back()
+        return unused
 
     def counters(self) -> dict[str, int]:
         """The stream's own counters by name; what they count is Aravis' affair."""
@@ -119,10 +122,11 @@ class SlotStream:
             buffer = self._stream.timeout_pop_buffer(POP_US)  # without the interpreter's lock
             if buffer is None:
                 continue
-            with self._lock:
+            with self._pulled:
                 _, slot = self._out.pop(hash(buffer), (None, None))
                 if slot is not None:  # else it has just been taken back, and told of
                     self._told(self._judge(buffer, slot))
+                self._pulled.notify_all()
 
     def _judge(self, buffer: Any, slot: Slot) -> Told:
         host_time_s = time.monotonic()
@@ -136,13 +140,11 @@ class SlotStream:
         return Told(slot, True, buffer.get_frame_id(), buffer.get_timestamp(), host_time_s)
 
     def _wait_for_frames_under_way(self) -> None:
-        deadline_s = time.monotonic() + UNDER_WAY_S
-        while time.monotonic() < deadline_s:
-            with self._lock:
-                buffers = [buffer for buffer, _ in self._out.values()]
-            if not any(buffer.get_status() == self._filling for buffer in buffers):
-                return
-            time.sleep(0.002)
+        with self._pulled:
+            self._pulled.wait_for(self._nothing_is_under_way, UNDER_WAY_S)
+
+    def _nothing_is_under_way(self) -> bool:
+        return not any(buffer.get_status() == self._filling for buffer, _ in self._out.values())
 
 
 def _shown(kind: Kind) -> str:

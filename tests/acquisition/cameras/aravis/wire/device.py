@@ -79,8 +79,8 @@ class Device(camera.VirtualCamera):
         else:
             super().obey(line)
 
-    def tick(self) -> None:
-        """Let the clock run."""
+    def tick(self, over: threading.Event) -> None:
+        """Let the clock run until it is over."""
         library = shared_library()
         library.arv_fake_camera_write_memory.argtypes = [
             ctypes.c_void_p,
@@ -88,10 +88,9 @@ class Device(camera.VirtualCamera):
             ctypes.c_uint32,
             ctypes.c_char_p,
         ]
-        while True:
+        while not over.wait(0.0005):
             now = (time.monotonic_ns() + CLOCK_AHEAD_NS).to_bytes(8, "big")
             library.arv_fake_camera_write_memory(hash(self._fake), CLOCK_ADDRESS, 8, now)
-            time.sleep(0.0005)
 
 
 def main(address: str, serial: str, *changes: str) -> None:
@@ -100,10 +99,14 @@ def main(address: str, serial: str, *changes: str) -> None:
 
     vars(camera)["wired"] = changed
     device = Device(address, serial, sys.stdout)
+    over = threading.Event()
     if "latch" in changes:
-        threading.Thread(target=device.tick, daemon=True).start()
-    for line in sys.stdin:
-        device.obey(line)
+        threading.Thread(target=device.tick, args=(over,)).start()
+    try:
+        for line in sys.stdin:
+            device.obey(line)
+    finally:
+        over.set()
 
 
 if __name__ == "__main__":

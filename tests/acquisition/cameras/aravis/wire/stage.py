@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import threading
@@ -99,11 +100,12 @@ class Stage:
         return dict(self.cameras[number].health().counters)[counter]
 
     def wait(self, condition: Callable[[], bool]) -> None:
-        """Until it holds; it is looked at again and again."""
+        """Until it holds. News are dropped meanwhile; it is looked at between them too, as counters tell nobody."""
         deadline_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < deadline_s, "what was waited for did not happen"
-            time.sleep(0.005)
+            with contextlib.suppress(Empty):
+                self.news.get(timeout=0.005)
 
     def arrival(self) -> Arrival:
         return self.until(Arrival)
