@@ -95,3 +95,4 @@ def test_a_serial_number_ends_with_a_zero_or_with_its_room() -> None:
 
 def test_where_nobody_listens_nobody_answers() -> None:
     assert not gvcp.answers("127.0.0.1", timeout_s=0.01)
+    assert gvcp.control("127.0.0.1", timeout_s=0.01) is gvcp.Control.ABSENT

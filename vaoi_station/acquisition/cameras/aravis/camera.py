@@ -28,6 +28,8 @@ from vaoi_station.errors import DeviceError, InputError, VaoiError
 
 LOOK_S = 0.25
 """Between two looks at whether the camera is there."""
+HEARTBEAT_S = 1.0
+"""Aravis asks a camera so often whether it still is ours; what it says of that may be as old."""
 TEMPERATURE_S = 5.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
 """Between attempts to open a camera that is lost."""
@@ -68,6 +70,8 @@ class AravisCamera:
         self._suspicion: DeviceError | None = None
         self._seen_s = time.monotonic()
         """When it last answered."""
+        self._ours_s = self._seen_s
+        """When it surely was ours."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
         connection.start(self._told, share)
@@ -157,11 +161,17 @@ class AravisCamera:
                 self._lose(error)
 
     def _look(self, connection: Connection) -> None:
-        """DeviceError if the camera is gone, or no longer ours."""
+        """DeviceError if the camera is gone, or no longer ours.
+
+        The camera is asked itself whether anybody controls it: if this process stood still and a board comes right
+        behind, Aravis does not know yet what was lost meanwhile.
+        """
         asked_s = time.monotonic()
-        if self._is_gige and not gvcp.answers(self._identity.address):
+        control = gvcp.control(self._identity.address) if self._is_gige else gvcp.Control.SOMEBODY
+        if control is gvcp.Control.ABSENT:
             raise absent(self.config, self._identity.address, "it does not answer any more")
-        if not connection.is_ours():
+        if control is gvcp.Control.NOBODY or not connection.is_ours():
+            self._seen_s = self._ours_s
             raise DeviceError(
                 f"{self.config.called}: is no longer ours: this computer was silent for too long, or another "
                 "program has taken it.",
@@ -172,6 +182,7 @@ class AravisCamera:
         if suspicion is not None:
             raise suspicion
         self._seen_s = asked_s
+        self._ours_s = max(self._ours_s, asked_s - HEARTBEAT_S)
 
     def _lose(self, error: DeviceError) -> None:
         """Keep the slots, tell everybody, tidy up what is left of the connection."""
@@ -199,7 +210,7 @@ class AravisCamera:
             for slot in waiting:
                 connection.stream.queue(slot)
             self._connection = connection
-        self._seen_s = time.monotonic()
+        self._seen_s = self._ours_s = time.monotonic()
         return True
 
     def _connect(self) -> tuple[Connection, ClockReading]:

@@ -1,8 +1,9 @@
-"""Two questions of GigE Vision's control protocol that anybody may ask: are you there, and who is there?
+"""Questions of GigE Vision's control protocol that anybody may ask: are you there, are you controlled, who is there?
 
 Aravis asks a camera five times half a second before it gives it up, and holds the camera's lock meanwhile; and of two
 cameras that call themselves the same it lists one. So we ask by datagrams of our own: READREG of the protocol's version
-(bootstrap register 0) needs no control of the camera, DISCOVERY goes to everybody.
+(bootstrap register 0) and of the control channel's privilege needs no control of the camera, DISCOVERY goes to
+everybody.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import socket
 import struct
 import time
 from dataclasses import dataclass
+from enum import Enum
 from itertools import count
 from typing import cast
 
@@ -23,12 +25,25 @@ DISCOVERY_S = 1.0
 _KEY, _ACKNOWLEDGE = 0x42, 0x01
 _DISCOVERY, _READ_REGISTER = 0x0002, 0x0080
 """An answer's number is one more."""
-_VERSION_REGISTER = bytes(4)
+_VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
+_CONTROLLED = 0b11
+"""Bits of the privilege: exclusive access, control."""
 _HEADER = struct.Struct(">BBHHH")
 _ADDRESS_AT, _SERIAL_AT = 8 + 0x24, 8 + 0xD8
 """In an answer to DISCOVERY, which holds the bootstrap registers from 0 on."""
 _ANSWER_BYTES = 8 + 0xF8
 _ids = count(1)
+
+
+class Control(Enum):
+    """What a camera says of who controls it."""
+
+    ABSENT = "absent"
+    """It does not answer."""
+    NOBODY = "nobody"
+    """It has heard nothing of its client for too long, and has let go of it."""
+    SOMEBODY = "somebody"
+    """It does not say who."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +69,16 @@ def is_answer(datagram: bytes, number: int, request_id: int) -> bool:
 
 def answers(address: str, timeout_s: float = 0.2, tries: int = 3) -> bool:
     """Whether there is a camera at an address; asks at most `tries` times, `timeout_s` each."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
-        asker.settimeout(timeout_s)
-        try:
-            asker.connect((address, CONTROL_PORT))
-        except OSError:
-            return False
-        return any(_ask(asker) for _ in range(tries))
+    return _read(address, _VERSION_REGISTER, timeout_s, tries) is not None
+
+
+def control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Control:
+    """Whether anybody controls the camera at an address, as it says; one that does not tell strangers is controlled."""
+    answer = _read(address, _PRIVILEGE_REGISTER, timeout_s, tries)
+    if answer is None:
+        return Control.ABSENT
+    told = len(answer) >= 4 and not int.from_bytes(answer[:4], "big") & _CONTROLLED
+    return Control.NOBODY if told else Control.SOMEBODY
 
 
 def discover(wait_s: float = DISCOVERY_S) -> tuple[Present, ...]:
@@ -100,15 +118,26 @@ def _received(asker: socket.socket, request_id: int) -> list[Present]:
     return received
 
 
-def _ask(asker: socket.socket) -> bool:
+def _read(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:
+    """What a camera answers; empty where it refuses, None where there is none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
+        asker.settimeout(timeout_s)
+        try:
+            asker.connect((address, CONTROL_PORT))
+        except OSError:
+            return None
+        return next((answer for _ in range(tries) if (answer := _ask(asker, register)) is not None), None)
+
+
+def _ask(asker: socket.socket, register: int) -> bytes | None:
     request_id = _next_id()
     try:
-        asker.send(command(_READ_REGISTER, request_id, _VERSION_REGISTER))
-        while not is_answer(asker.recv(1024), _READ_REGISTER, request_id):
-            pass  # an answer to an earlier question
+        asker.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))
+        while not is_answer(answer := asker.recv(1024), _READ_REGISTER, request_id):
+            pass  # to an earlier question
     except OSError:  # no answer in time, or nobody listens there
-        return False
-    return True
+        return None
+    return answer[_HEADER.size :]
 
 
 def _next_id() -> int:

@@ -125,6 +125,40 @@ def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: 
     assert stage.arrival().complete
 
 
+def test_lost_control_is_told_before_aravis_knows_and_dated_from_before(
+    device: Plug, station: Make, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that was stopped for longer than the heartbeat runs on: Aravis' word is of before it was stopped."""
+    camera = device(0)
+    stage = opened(station(camera))
+    connection = stage.cameras[0]._connection
+    assert connection is not None
+    monkeypatch.setattr(connection, "is_ours", lambda: True)
+    left_s = time.monotonic()
+    connection._camera.get_device().leave_control()
+    del connection
+    lost = stage.until(CameraLost)
+    assert "no longer ours: this computer was silent for too long" in lost.why
+    assert lost.since_s <= left_s, "what was missed until it was noticed has this cause"
+    stage.until(CameraBack)
+    camera.fire()
+
+
+def test_a_camera_that_another_has_taken_was_lost_before_aravis_asked_again(
+    device: Plug, station: Make, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = device(0)
+    stage = opened(station(camera))
+    connection = stage.cameras[0]._connection
+    assert connection is not None
+    opened_s = stage.cameras[0]._ours_s
+    stage.wait(lambda: stage.cameras[0]._ours_s > opened_s)
+    taken_s = time.monotonic()
+    monkeypatch.setattr(connection, "is_ours", lambda: False)
+    assert stage.until(CameraLost).since_s <= taken_s
+    stage.until(CameraBack)
+
+
 def test_a_camera_that_dies_again_and_again_leaves_nothing_behind(device: Plug, station: Make, opened: Open) -> None:
     mortal = device(0)
     stage = opened(station(mortal))
