@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-import json
-from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.hw.vectors import VECTORS
 from vaoi_station.acquisition.controller.protocol import messages
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, crc16, encode
 from vaoi_station.acquisition.controller.protocol.messages import VERSION, Step, Timing, config_crc, configuration
 
-VECTORS: dict[str, Any] = json.loads(
-    (Path(__file__).resolve().parents[2] / "hw" / "protocol_vectors.json").read_text(encoding="utf-8")
-)
 FRAMES = pytest.mark.parametrize("vector", VECTORS["frames"], ids=lambda v: str(v["name"]))
 NO_FRAMES = pytest.mark.parametrize("vector", VECTORS["no_frames"], ids=lambda v: str(v["name"]))
 CONFIGURATIONS = pytest.mark.parametrize("vector", VECTORS["configurations"])

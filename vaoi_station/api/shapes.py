@@ -7,21 +7,16 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from vaoi_station.config import MethodName
+from vaoi_station.model import Strict
 from vaoi_station.runs.facade import BoardTypeSummary, RunSummary
 
 Matrix3 = list[list[float]]
 
 
-class Shape(BaseModel):
-    """Frozen, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ArmRequest(Shape):
+class ArmRequest(Strict):
     """What the next boards are to be taken for; query parameters of the same names do as well."""
 
     board_type: str | None = Field(default=None, max_length=200, description="A board type that was taught.")
@@ -33,32 +28,32 @@ class ArmRequest(Shape):
     )
 
 
-class BoardTypeList(Shape):
+class BoardTypeList(Strict):
     """All board types, by name."""
 
     board_types: list[BoardTypeSummary]
 
 
-class TeachRequest(Shape):
+class TeachRequest(Strict):
     """Which run is to be the reference of its board type."""
 
     run: str = Field(min_length=1, max_length=64, description="Id of a finished run of the board type.")
 
 
-class MethodRequest(Shape):
+class MethodRequest(Strict):
     """How runs of a board type are to be stitched."""
 
     method: MethodName
 
 
-class RunPage(Shape):
+class RunPage(Strict):
     """Runs, newest first."""
 
     runs: list[RunSummary]
     next: str | None = Field(default=None, description="Ask with `before` = this for older ones; absent at the end.")
 
 
-class ComponentEntry(Shape):
+class ComponentEntry(Strict):
     """One component of a run's board type, and where it was."""
 
     address: str = Field(description="`panel/ref` on a panel, else `ref`.")
@@ -73,13 +68,13 @@ class ComponentEntry(Shape):
     url: str
 
 
-class ComponentList(Shape):
+class ComponentList(Strict):
     """The components of a run's board type."""
 
     components: list[ComponentEntry]
 
 
-class ViewEntry(Shape):
+class ViewEntry(Strict):
     """One frame that shows a component, and its temporary image. Matrices act on columns (x, y, 1)."""
 
     k: int
@@ -110,7 +105,7 @@ class ViewEntry(Shape):
     url: str = Field(description="Where this image is.")
 
 
-class ComponentViews(Shape):
+class ComponentViews(Strict):
     """All views of one component."""
 
     address: str
@@ -134,7 +129,7 @@ class Matrices(BaseModel):
     components: dict[str, list[tuple[int, int, float, float]]] | None = None
 
 
-class Heartbeat(Shape):
+class Heartbeat(Strict):
     """Sent in the event stream when nothing else is: the station is alive."""
 
     time: str
@@ -142,7 +137,7 @@ class Heartbeat(Shape):
     last_event: int
 
 
-class Health(Shape):
+class Health(Strict):
     """Whether the station can film."""
 
     status: Literal["ok", "degraded"]

@@ -6,18 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
+from vaoi_station.model import Strict
 from vaoi_station.simulation import Passage
 
 View = Sequence[float]
 """camera, row, x, y: where the middle of a footprint is, in raw pixels."""
 
 
-class Deviation(BaseModel):
+class Deviation(Strict):
     """Result against truth, over all views of all components: distances in the image, and on the board."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     views: int
     """Views of the truth that have been compared."""

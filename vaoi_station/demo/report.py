@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from vaoi_station.demo.deviation import Deviation
-from vaoi_station.model import Status
+from vaoi_station.model import Status, Strict
 from vaoi_station.runs.shapes import Reason, VerdictCounts
 
 LIMIT_PX = 1.0
 """A result that says ok and errs by more contradicts itself."""
 
 
-class Part(BaseModel):
-    """Frozen, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class LinkCount(Part):
+class LinkCount(Strict):
     """Points found in two frames, and those the adjustment believes."""
 
     found: int
     used: int
 
 
-class Residuals(Part):
+class Residuals(Strict):
     """What is left of the links' and the fiducials' misfits after the adjustment."""
 
     links: dict[str, LinkCount]
@@ -36,7 +30,7 @@ class Residuals(Part):
     """Distance of each fiducial from its place; None where it was not found."""
 
 
-class Belt(Part):
+class Belt(Strict):
     """Speed of the board."""
 
     nominal_mm_s: float
@@ -44,7 +38,7 @@ class Belt(Part):
     true_mm_s: float
 
 
-class DemoTimings(Part):
+class DemoTimings(Strict):
     """Where the time went."""
 
     filming_s: float | None
@@ -62,7 +56,7 @@ class DemoTimings(Part):
     total_s: float
 
 
-class DemoReport(Part):
+class DemoReport(Strict):
     """The document of `vaoi demo --once --json`."""
 
     format: str = "vaoi-demo"

@@ -6,23 +6,19 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from vaoi_station.drift.attribution import Attributed, attributed
 from vaoi_station.drift.displacement import PARAMETERS
 from vaoi_station.drift.equations import Told
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Strict
 
 _DIGITS = 7
 _SEEN = 4
 """Links to neighbours from which a camera is worth a judgement."""
 
 
-class _Kept(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class CameraCheck(_Kept):
+class CameraCheck(Strict):
     """One camera in one run; displacements in px of its frame against its calibration."""
 
     x_px: float
@@ -50,7 +46,7 @@ class CameraCheck(_Kept):
         return self.links >= _SEEN or self.fiducials > 0
 
 
-class RunCheck(_Kept):
+class RunCheck(Strict):
     """One run; `information` and `vector` are those of `equations.Told`."""
 
     run: str

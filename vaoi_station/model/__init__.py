@@ -6,7 +6,7 @@ with `x_` belong to the user: they are kept and ignored. Cameras and rows count 
 
 from vaoi_station.model.board_type import MM_PER_UNIT, BoardType, Component, Fiducial, FixtureMarkShape, Place
 from vaoi_station.model.calibration import Calibration, Distortion
-from vaoi_station.model.noun import Finite, Noun, Positive, Whole
+from vaoi_station.model.noun import Finite, Noun, Positive, Strict, Whole
 from vaoi_station.model.recording import CameraHead, RecordingHead
 from vaoi_station.model.run import FrameRecord, Pulse, Verdict
 from vaoi_station.model.stitch import Status, Stitch, Surface
@@ -29,6 +29,7 @@ __all__ = [
     "RecordingHead",
     "Status",
     "Stitch",
+    "Strict",
     "Surface",
     "Verdict",
     "Whole",

@@ -1,4 +1,4 @@
-"""What every noun is made of: frozen, and numbers that were written as numbers."""
+"""What nouns and other documents are made of: frozen, and numbers that were written as numbers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+
+
+class Strict(BaseModel):
+    """Frozen; unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Noun(BaseModel):

@@ -6,7 +6,6 @@ cycle has a time of this computer, however late we hear of it.
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import shutil
 import subprocess
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import IO
 
 from vaoi_station.errors import DeviceError, NotFoundError
-from vaoi_station.rig.priority import go_first
+from vaoi_station.rig.processes import go_first, see_off
 
 HZ = 16_000_000
 NS_PER_CYCLE = 62.5
@@ -128,16 +127,8 @@ class Chip:
         return self
 
     def __exit__(self, *_: object) -> None:
-        process = self._process
-        assert process is not None
-        assert process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it had ended by itself
-            process.stdin.close()
-        try:
-            process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        assert self._process is not None
+        see_off(self._process, END_S)
         if self._reader is not None:
             self._reader.join()
 

@@ -25,14 +25,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.simulated_board import barrier_edges, predict_pulses, to_bytes
 from vaoi_station.errors import DeviceError, InputError, InternalError
 from vaoi_station.files import read_board_type, read_calibration, write_board_type, write_calibration
 from vaoi_station.files.documents import parse, read_json, write_json
-from vaoi_station.model import BoardType, Calibration
+from vaoi_station.model import BoardType, Calibration, Strict
 from vaoi_station.simulation import Passage, Scenario, Twin
 from vaoi_station.simulation.truth import views
 
@@ -41,10 +40,8 @@ _FORMAT = 1
 """Of the directory; older ones are filmed anew."""
 
 
-class Sheet(BaseModel):
+class Sheet(Strict):
     """What was filmed; all times are seconds since the passage's start."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     board: int
     cameras: int

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
-
 from vaoi_station.demo.deviation import Deviation
+from vaoi_station.model import Strict
 
 LIMIT_PX = 0.10
 """Component positions, root mean square over all boards whose runs are ok; others tell their own uncertainty."""
@@ -14,13 +13,7 @@ READY_LIMIT_S = 12.0
 """From a device that is back to a station that is ready."""
 
 
-class Part(BaseModel):
-    """Frozen, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Named(Part):
+class Named(Strict):
     """A frame that is not whole: what the station says of it, and what was done to it."""
 
     camera: int
@@ -32,7 +25,7 @@ class Named(Part):
     """The rig's; empty: nothing."""
 
 
-class BoardScore(Part):
+class BoardScore(Strict):
     """One board against truth and film."""
 
     board: int
@@ -82,7 +75,7 @@ class BoardScore(Part):
         return self.sound and self.status == "ok" and self.ok == self.rows_due * self.cameras
 
 
-class Recovery(Part):
+class Recovery(Strict):
     """How long it took."""
 
     fault: str
@@ -92,7 +85,7 @@ class Recovery(Part):
     """Until the station was ready again with all its cameras; None: it was not."""
 
 
-class Load(Part):
+class Load(Strict):
     """CPU time over the time from the first board to the last result, in cores."""
 
     over_s: float
@@ -106,7 +99,7 @@ class Load(Part):
     acquisition_ms_per_frame: float
 
 
-class RigReport(Part):
+class RigReport(Strict):
     """The document of `vaoi rig run --json`."""
 
     format: str = "vaoi-rig"

@@ -14,7 +14,7 @@ from typing import IO
 
 from vaoi_station.errors import DeviceError
 from vaoi_station.rig.orders import Order
-from vaoi_station.rig.priority import go_first
+from vaoi_station.rig.processes import go_first, see_off
 
 READY_S = 30.0
 """For a camera to serve GVCP; it takes half a second where nobody else wants the CPU."""
@@ -92,16 +92,9 @@ class CameraWire:
 
     def end(self) -> None:
         """Close its wires and wait for its end."""
-        if self._process is None:
-            return
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it had ended by itself
-            self._process.stdin.close()
-        try:
-            self._process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-        self._gone()
+        if self._process is not None:
+            see_off(self._process, END_S)
+            self._gone()
 
     def __enter__(self) -> CameraWire:
         self.begin()

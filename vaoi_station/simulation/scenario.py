@@ -12,10 +12,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files.documents import parse, read_toml
+from vaoi_station.model import Strict
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -25,10 +26,8 @@ Index = Annotated[int, Field(ge=0)]
 PerCamera = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
 
-class Section(BaseModel):
-    """A table of the file: frozen, no unknown keys, finite numbers."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Section(Strict):
+    """A table of the file; its numbers are finite."""
 
 
 class ArraySection(Section):

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import re
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.controller.protocol.messages import Ident, Nak, Reason, Type
+from tests.hw.vectors import IDENT
+from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Type
 from vaoi_station.acquisition.controller.protocol.refusals import check_ident, sentence
 from vaoi_station.errors import DeviceError
-
-VECTORS: dict[str, Any] = json.loads(
-    (Path(__file__).resolve().parents[4] / "hw" / "protocol_vectors.json").read_text(encoding="utf-8")
-)
-IDENT = Ident.unpack(bytes.fromhex(next(f["payload"] for f in VECTORS["frames"] if f.get("struct") == "Ident")))
 
 
 def test_our_own_controller_is_welcome() -> None:
@@ -56,6 +50,4 @@ def test_old_firmware_is_refused_with_the_remedy() -> None:
     ],
 )
 def test_refusals_are_sentences(nak: Nak, words: str) -> None:
-    import re
-
     assert re.search(words, sentence(nak))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import select
@@ -13,21 +12,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from tests.hw.vectors import IDENT
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
-from vaoi_station.acquisition.controller.protocol.messages import REPLY, Ident, Type
+from vaoi_station.acquisition.controller.protocol.messages import REPLY, Type
 from vaoi_station.acquisition.controller.serial import SerialController
 from vaoi_station.acquisition.controller.serial.port import Alarm, Port
 from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError
-
-VECTORS: dict[str, Any] = json.loads(
-    (Path(__file__).resolve().parents[4] / "hw" / "protocol_vectors.json").read_text(encoding="utf-8")
-)
-IDENT = Ident.unpack(bytes.fromhex(next(f["payload"] for f in VECTORS["frames"] if f.get("struct") == "Ident")))
 
 
 @contextmanager

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.hw.vectors import IDENT
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.controller.protocol.messages import Ident, Nak, Reason, Step, Type
+from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Step, Type
 from vaoi_station.acquisition.controller.serial.program import DARK, explain, program_of
 from vaoi_station.config import ControllerConfig, LightConfig
 
-VECTORS: dict[str, Any] = json.loads(
-    (Path(__file__).resolve().parents[4] / "hw" / "protocol_vectors.json").read_text(encoding="utf-8")
-)
-IDENT = Ident.unpack(bytes.fromhex(next(f["payload"] for f in VECTORS["frames"] if f.get("struct") == "Ident")))
 PLAN = TriggerPlan(start_delay_s=0.3, period_s=0.12, tail_s=0.4, max_rows=40, debounce_s=0.005)
 LIGHTS = {"top": LightConfig(channels=(0, 1), on_us=300.0), "low": LightConfig(channels=(3,), on_us=61.5)}
 

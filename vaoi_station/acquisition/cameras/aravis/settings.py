@@ -19,8 +19,12 @@ from vaoi_station.errors import DeviceError
 EXPOSURE_TOLERANCE, EXPOSURE_TOLERANCE_US = 0.01, 20.0
 """Exposures are whole lines of some sensors: off by so much of itself, or so many microseconds."""
 GAIN_TOLERANCE_DB = 0.3
+FEATURE_TOLERANCE = 0.01
+"""Of what it is, for a feature set by name."""
 
 Value = bool | int | float | str
+_KINDS = {bool: "boolean", int: "integer", float: "float", str: "string"}
+"""As they are called in the names of Aravis' functions."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     device = camera.get_device()
     for feature in ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"):
         if device.is_feature_available(feature):
-            yield _whole(device, feature, 1)
+            yield feature_setting(device, feature, 1)
     yield Setting(
         "PixelFormat",
         config.pixel_format,
@@ -116,7 +120,7 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     yield Setting("Region", region, lambda: camera.set_region(*region), lambda: _region(camera))
     for feature in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable"):
         if device.is_feature_available(feature):
-            yield _boolean(device, feature, False) if feature == "GammaEnable" else _text(device, feature, "Off")
+            yield feature_setting(device, feature, False if feature == "GammaEnable" else "Off")
     yield Setting(
         "ExposureTime",
         config.exposure_us,
@@ -147,9 +151,9 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     recipe = recipe_for(camera.get_vendor_name() or "")
     line = config.trigger_line or recipe.line
     if device.is_feature_available("AcquisitionMode"):
-        yield _text(device, "AcquisitionMode", "Continuous")
+        yield feature_setting(device, "AcquisitionMode", "Continuous")
     if device.is_feature_available("AcquisitionFrameRateEnable"):
-        yield _boolean(device, "AcquisitionFrameRateEnable", False)
+        yield feature_setting(device, "AcquisitionFrameRateEnable", False)
     triggers = camera.dup_available_triggers()
     ours = next((name for name in FRAME_TRIGGERS if name in triggers), None)
     if ours is None:
@@ -159,58 +163,23 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
         )
     for other in triggers:
         if other != ours:
-            yield replace(_text(device, "TriggerSelector", other), passing=True)
-            yield replace(_text(device, "TriggerMode", "Off"), passing=True)
-    yield _text(device, "TriggerSelector", ours)
-    yield replace(_text(device, "TriggerMode", "Off" if recipe.off_while_changing else "On"), passing=True)
-    yield _text(device, "TriggerSource", line)
-    yield _text(device, "TriggerActivation", "RisingEdge")
+            yield replace(feature_setting(device, "TriggerSelector", other), passing=True)
+            yield replace(feature_setting(device, "TriggerMode", "Off"), passing=True)
+    yield feature_setting(device, "TriggerSelector", ours)
+    yield replace(feature_setting(device, "TriggerMode", "Off" if recipe.off_while_changing else "On"), passing=True)
+    yield feature_setting(device, "TriggerSource", line)
+    yield feature_setting(device, "TriggerActivation", "RisingEdge")
     for feature, value in recipe.extra:
         if device.is_feature_available(feature) and device.is_enumeration_entry_available(feature, value):
-            yield _text(device, feature, value)
-    yield _text(device, "TriggerMode", "On")
+            yield feature_setting(device, feature, value)
+    yield feature_setting(device, "TriggerMode", "On")
 
 
 def feature_setting(device: Any, feature: str, value: Value) -> Setting:
-    """A setting by its GenICam name; the type of the value is that of the feature."""
-    if isinstance(value, bool):
-        return _boolean(device, feature, value)
-    if isinstance(value, str):
-        return _text(device, feature, value)
-    node = device.get_feature(feature)
-    if isinstance(value, int) and not isinstance(node, aravis().GcFloat):
-        return _whole(device, feature, value)
-    return Setting(
-        feature,
-        float(value),
-        lambda: device.set_float_feature_value(feature, float(value)),
-        lambda: device.get_float_feature_value(feature),
-        0.01 * abs(value),
-    )
-
-
-def _whole(device: Any, feature: str, value: int) -> Setting:
-    return Setting(
-        feature,
-        value,
-        lambda: device.set_integer_feature_value(feature, value),
-        lambda: device.get_integer_feature_value(feature),
-    )
-
-
-def _boolean(device: Any, feature: str, value: bool) -> Setting:
-    return Setting(
-        feature,
-        value,
-        lambda: device.set_boolean_feature_value(feature, value),
-        lambda: device.get_boolean_feature_value(feature),
-    )
-
-
-def _text(device: Any, feature: str, value: str) -> Setting:
-    return Setting(
-        feature,
-        value,
-        lambda: device.set_string_feature_value(feature, value),
-        lambda: device.get_string_feature_value(feature),
-    )
+    """A setting by its GenICam name; the value has the type of the feature, or is whole where that need not be."""
+    if type(value) is int and isinstance(device.get_feature(feature), aravis().GcFloat):
+        value = float(value)
+    kind = _KINDS[type(value)]
+    write, read = (getattr(device, f"{way}_{kind}_feature_value") for way in ("set", "get"))
+    tolerance = FEATURE_TOLERANCE * abs(value) if isinstance(value, float) else 0.0
+    return Setting(feature, value, lambda: write(feature, value), lambda: read(feature), tolerance)
