@@ -66,7 +66,10 @@ class Bench:
         self.generations[bay] = self.ring.claim(bay)
         self.send(Grant(run, bay))
 
-    def arm(self) -> None:
+    def arm(self, runs: int = 0) -> None:
+        """With memory for so many runs: bay n for `run n`."""
+        for n in range(runs):
+            self.grant(f"run {n}", n)
         self.send(Arm(TriggerPlan.of(self.config.line)))
         self.until(Armed)
 

@@ -80,9 +80,7 @@ def test_runs_come_back_exactly_as_recorded(
     start: Start, make_replay: Callable[..., StationConfig], recordings: list[Recording], pace: str
 ) -> None:
     bench = start(make_replay(pace))
-    bench.grant("run 0", 0)
-    bench.grant("run 1", 1)
-    bench.arm()
+    bench.arm(runs=2)
     for n in range(6):
         finished = bench.until(RunFinished)
         recording = recordings[1 if finished.head.lights else 0]  # a run that waits for frames is overtaken

@@ -64,9 +64,7 @@ def test_a_board_is_filmed_row_by_row_as_the_twin_shows_it(start: Start, make_co
 
 def test_boards_back_to_back_go_into_bays_of_their_own(start: Start, make_config: Make) -> None:
     bench = start(make_config())
-    for n in range(3):
-        bench.grant(f"run {n}", n)
-    bench.arm()
+    bench.arm(runs=3)
     for n in range(3):
         finished = bench.until(RunFinished)
         assert (finished.run, finished.bay) == (f"run {n}", n)
@@ -99,9 +97,7 @@ delay_s = 0.3
 
 def test_every_fault_ends_as_a_verdict_with_its_cause(start: Start, make_config: Make, tiny: str) -> None:
     bench = start(make_config(tiny + FAULTS))
-    for n in range(2):
-        bench.grant(f"run {n}", n)
-    bench.arm()
+    bench.arm(runs=2)
     runs = [bench.until(RunFinished) for _ in range(2)]
     first, second = sorted(runs, key=lambda r: r.run)  # the first one waits for its late frames
     verdicts = {(f.camera, f.row): f for f in first.frames if f.verdict is not Verdict.OK}
@@ -150,9 +146,7 @@ interval_s = 0.033
 def test_what_is_wrong_with_a_trigger_is_named(start: Start, make_config: Make, tiny: str) -> None:
     """Board 4 has no fault. The other camera is proven in every run."""
     bench = start(make_config(tiny + TRIGGER))
-    for n in range(3):
-        bench.grant(f"run {n}", n)
-    bench.arm()
+    bench.arm(runs=3)
     runs = []
     for n in range(5):
         runs.append(bench.until(RunFinished))
@@ -244,9 +238,7 @@ def test_a_bouncing_barrier_is_one_board_and_frames_show_the_pulses_really_fired
 
 def test_a_board_that_sticks_ends_at_the_most_rows(start: Start, make_config: Make, tiny: str) -> None:
     bench = start(make_config(tiny + "[[faults.stuck]]\nboard = 0\nrow = 1\n"))
-    for n in range(2):
-        bench.grant(f"run {n}", n)
-    bench.arm()
+    bench.arm(runs=2)
     stuck, following = bench.until(RunFinished), bench.until(RunFinished)
     assert stuck.reason == "max-rows"
     assert stuck.head.rows == bench.config.line.rows_of_longest_board
