@@ -10,6 +10,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Event,
     Kind,
     Nak,
+    Pacing,
     Request,
     Status,
     Step,
@@ -34,7 +35,7 @@ def ms(value: float) -> int:
 
 
 TIMING = Timing(
-    pacing=0,
+    pacing=Pacing.TIME,
     steps=3,
     max_rows=50,
     start_delay=ms(20),

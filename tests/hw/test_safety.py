@@ -13,6 +13,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Fault,
     Kind,
     Nak,
+    Pacing,
     Reason,
     Request,
     RunEnd,
@@ -203,7 +204,7 @@ def some_frame(dice: random.Random) -> bytes:
     ]
     kind = dice.random()
     if kind < 0.3:
-        sane = replace(timing, pacing=0, period=ms(16), min_period=ms(16))
+        sane = replace(timing, pacing=Pacing.TIME, period=ms(16), min_period=ms(16))
         steps = [Step(1, us(1000)), Step(6, us(500)), Step(15, us(500))]
         requests = [*configuration(sane, steps), arm(1, config_crc(sane, steps))]
     elif kind < 0.4:

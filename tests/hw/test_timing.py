@@ -13,7 +13,7 @@ from tests.hw.line import STEPS, TIMING, Line, ms, us
 from tests.hw.load import full_line
 from tests.hw.timing import film
 from tests.hw.timing_picture import draw
-from vaoi_station.acquisition.controller.protocol.messages import Fault, Kind, RunEnd, Step, Suppressed
+from vaoi_station.acquisition.controller.protocol.messages import Fault, Kind, Pacing, RunEnd, Step, Suppressed
 
 CYCLES_PER_TICK = 8
 
@@ -140,7 +140,7 @@ def test_a_bounce_is_no_board_and_two_boards_need_a_gap(chip: Chip) -> None:
 def test_an_encoder_paces_rows_by_distance(chip: Chip) -> None:
     """Four times the speed in the middle of the board: rows keep their places, not their times."""
     line = Line(chip)
-    timing = replace(TIMING, pacing=1, start_delay=100, period=200, tail=100, min_period=ms(5))
+    timing = replace(TIMING, pacing=Pacing.DISTANCE, start_delay=100, period=200, tail=100, min_period=ms(5))
     line.arm(timing, [Step(1, us(200)), Step(2, us(200)), Step(4, us(200))])
     edge = line.barrier(True)
     slow, fast = 3200, 800
@@ -163,7 +163,8 @@ def test_an_encoder_paces_rows_by_distance(chip: Chip) -> None:
 def test_an_encoder_that_is_too_fast_is_told(chip: Chip) -> None:
     line = Line(chip)
     line.arm(
-        replace(TIMING, pacing=1, steps=1, start_delay=100, period=50, tail=0, min_period=ms(15)), [Step(1, us(200))]
+        replace(TIMING, pacing=Pacing.DISTANCE, steps=1, start_delay=100, period=50, tail=0, min_period=ms(15)),
+        [Step(1, us(200))],
     )
     line.barrier(True)
     chip.do("encoder 1000 3200")

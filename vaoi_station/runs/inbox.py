@@ -43,7 +43,7 @@ class Inbox:
                 answer.set_result(work(*args, **kwargs))
             except VaoiError as refusal:
                 answer.set_exception(refusal)
-            except Exception as fault:
+            except Exception as fault:  # whoever asked must not wait for ever; it is raised again
                 answer.set_exception(InternalError(f"{type(fault).__name__}: {fault}."))
                 raise
 

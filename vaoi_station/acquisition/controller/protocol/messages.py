@@ -14,7 +14,6 @@ from typing import Any, ClassVar, TypeVar
 
 VERSION = (1, 0)
 TICK_S = 0.5e-6
-PROGRAM_STEPS = 16
 ROW_NONE = 0xFFFF
 """Index of a pulse that belongs to no row."""
 REPLY = 0x80

@@ -14,6 +14,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     TICK_S,
     Ident,
     Nak,
+    Pacing,
     Reason,
     Step,
     Timing,
@@ -70,7 +71,7 @@ def program_of(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> Pro
         raise InputError.field(_WHERE, "controller.order", lights, limit)
     steps = tuple(light_step(name, config, ident, plan.period_s) for name in lights) or (DARK,)
     values = (
-        0,
+        Pacing.TIME,
         len(steps),
         plan.max_rows,
         _ticks(plan.start_delay_s),

@@ -1,0 +1,356 @@
+"""A station for the REST tests: it films nothing, but keeps real boards, frames and results, and waits for real."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.api.encoders import ImageFormat, encode_image
+from vaoi_station.config import MethodName
+from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
+from vaoi_station.files.results import stitch_text
+from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
+from vaoi_station.rendering import View, render, views_of
+from vaoi_station.runs import facade as f
+
+CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
+VERSIONS = f.Versions(station="0.1.0", opencv=cv2.__version__, python="3")
+BOARD = {
+    "name": "demo-board",
+    "outline": [[0, 0], [60, 40]],
+    "fiducials": [{"name": "F1", "x": 3, "y": 3, "diameter": 1}, {"name": "F2", "x": 57, "y": 37, "diameter": 1}],
+    "components": [
+        {"ref": "U1", "center": [20, 20], "width": 10, "height": 8},
+        {"ref": "R1", "center": [30, 12], "width": 2, "height": 1.2, "rotation": 90},
+        {"ref": "R1", "center": [50, 12], "width": 2, "height": 1.2, "panel": 2},
+    ],
+}
+NOW = "2026-01-01T12:00:00.000Z"
+
+
+class HeldStation:
+    """Implements `runs.facade.Conductor` over what it is given; `film` makes a run."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()
+        self.state = f.StationState.IDLE
+        self.armed: f.ArmedWith | None = None
+        self.reasons: tuple[f.Reason, ...] = ()
+        self.warnings: tuple[f.Reason, ...] = ()
+        self.lost: tuple[int, ...] = ()
+        self.types = {"demo-board": BoardType.model_validate(BOARD)}
+        self.log: list[f.EventRecord] = []
+        self.filmed: dict[str, f.RunDetail] = {}
+        self.pixels: dict[tuple[str, int, int], NDArray[np.uint8]] = {}
+        self.holders: dict[tuple[str, str], f.LeaseStatus] = {}
+        self.references: dict[str, f.ReferenceStatus] = {}
+        self.methods: dict[str, MethodName] = {}
+        self.broken = False
+        self.closed = False
+        matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
+        n = Projective(matrix, System.IMAGE, System.ROW)
+        self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0)) for _ in range(CAMERAS))
+
+    # what happens to it
+
+    def tell(self, kind: str, message: str = "", **fields: Any) -> None:
+        with self._news:
+            self.log.append(f.EventRecord(number=len(self.log) + 1, time=NOW, kind=kind, message=message, **fields))
+            self._news.notify_all()
+
+    def film(self, *, verdict: Status = Status.OK, board_id: str | None = None, finish: bool = True) -> str:
+        """One board passes: the frame (0, 1) comes with holes, (1, 2) not at all."""
+        run = f"r{len(self.filmed) + 1:06d}"
+        random = np.random.default_rng(len(self.filmed))
+        frames = []
+        for camera in range(CAMERAS):
+            for row in range(ROWS):
+                lost = {(0, 1): Verdict.INCOMPLETE, (1, 2): Verdict.MISSING}.get((camera, row), Verdict.OK)
+                frames.append(FrameRecord(camera=camera, row=row, verdict=lost, cause="" if lost == "ok" else "cable"))
+                self.pixels[run, camera, row] = _scene(random, camera, row)
+        detail = f.RunDetail(
+            id=run, board_type="demo-board", board_id=board_id, job_id=None,
+            state=f.RunState.STITCHING, verdict=None, started=NOW, finished=None, rows=ROWS, cameras=CAMERAS,
+            counts=f.VerdictCounts(ok=CAMERAS * ROWS - 2, incomplete=1, missing=1), reasons=(), belt=None,
+            timings=None, frames_available=True, frames=tuple(frames), ended="clear", strays=0,
+            software=VERSIONS, calibration="c0ffee",
+        )  # fmt: skip
+        self.filmed[run] = detail
+        self.tell("run", f"Run {run} is being stitched.", run=run, state="stitching")
+        if finish:
+            self.finish(run, verdict)
+        return run
+
+    def finish(self, run: str, verdict: Status = Status.OK) -> None:
+        state = {Status.OK: f.RunState.READY, Status.DEGRADED: f.RunState.DEGRADED}.get(verdict, f.RunState.FAILED)
+        belt = f.BeltSpeed(nominal_mm_s=(100, 0), measured_mm_s=(100.5, 0), ratio=1.005)
+        timings = f.Timings(
+            filming_s=1.2, ready_after_last_frame_ms=80, links_ms=300, conclude_ms=40, links=30, links_while_filming=27
+        )
+        update = {"state": state, "verdict": verdict, "finished": NOW, "belt": belt, "timings": timings}
+        self.filmed[run] = self.filmed[run].model_copy(update=update)
+        self.tell("run", f"Run {run} is {state}.", run=run, state=str(state))
+
+    def fault(self, code: str, message: str, action: str) -> None:
+        self.state, self.reasons = f.StationState.FAULTED, (f.Reason(code=code, message=message, action=action),)
+        self.tell("station", message, state="faulted", code=code, action=action)
+
+    def close(self) -> None:
+        with self._news:
+            self.closed = True
+            self._news.notify_all()
+
+    # what callers ask of it
+
+    def snapshot(self) -> f.StationSnapshot:
+        if self.broken:
+            raise RuntimeError("a secret path /etc/passwd")
+        done = self._finished()
+        camera = [f.CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost) for i in range(CAMERAS)]
+        ring = f.RingStatus(path="ring", size_bytes=1, bays=(), leases=())
+        worker = f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
+        return f.StationSnapshot(
+            name="test", state=self.state, since=NOW, reasons=self.reasons, warnings=self.warnings,
+            armed_with=self.armed,
+            cameras=tuple(camera), all_cameras_ready=not self.lost, controller="ok",
+            processes=(worker,), ring=ring, versions=VERSIONS,
+            retention=f.Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
+            last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
+            boards_missed=0,
+        )  # fmt: skip
+
+    def lose(self, *cameras: int) -> None:
+        """Cameras that are not ready from now on."""
+        self.lost = cameras
+        self.reasons = tuple(
+            f.Reason(code="camera-lost", message=f"Camera cam{k} is not connected.", action="Check its cable.")
+            for k in cameras
+        )
+        self.tell("camera", "Cameras were lost, or are back.")
+
+    def arm(
+        self,
+        board_type: str,
+        board_id: str | None = None,
+        job_id: str | None = None,
+        runs: int | None = None,
+        allow_lost_cameras: bool = False,
+    ) -> f.StationSnapshot:
+        self.board_type(board_type)
+        if self.lost and not allow_lost_cameras:
+            raise DeviceError("The array is not complete.", action="Check its cable.", code="camera-lost")
+        if self.state == f.StationState.FILMING:
+            raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
+        self.armed = f.ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
+        self.state = f.StationState.ARMED
+        self.tell("station", "Armed.", state="armed")
+        return self.snapshot()
+
+    def disarm(self) -> f.StationSnapshot:
+        self.state, self.armed = f.StationState.IDLE, None
+        self.tell("station", "Idle.", state="idle")
+        return self.snapshot()
+
+    def board_types(self) -> tuple[f.BoardTypeSummary, ...]:
+        return tuple(f.BoardTypeSummary(name=n, components=len(t.components)) for n, t in sorted(self.types.items()))
+
+    def board_type(self, name: str) -> BoardType:
+        if name not in self.types:
+            raise NotFoundError(f"There is no board type {name!r}.", action="Teach it.", code="unknown-board-type")
+        return self.types[name]
+
+    def put_board_type(self, board_type: BoardType) -> bool:
+        new = board_type.name not in self.types
+        self.types[board_type.name] = board_type
+        return new
+
+    def delete_board_type(self, name: str) -> None:
+        self.board_type(name)
+        if self.armed and self.armed.board_type == name:
+            raise StateError("The station is armed with it.")
+        del self.types[name]
+
+    def calibration(self) -> f.CalibrationStatus:
+        moment = f.CameraMoment(
+            run="r000001", time=NOW, x_px=0.01, y_px=9.4, turn_px=0.0, sigma_px=0.02, rms_px=9.1, links=80, fiducials=2
+        )
+        drift = f.CameraDrift(size_px=9.4, x_px=0.0, y_px=9.4, turn_px=0.0, since_run="r000001", since=NOW, runs=2)
+        drifted = f.CameraCalibration(camera=1, name="cam1", state="drifted", drift=drift, history=(moment,))
+        still = [f.CameraCalibration(camera=i, name=f"cam{i}", state="steady") for i in (0, 2)]
+        return f.CalibrationStatus(digest="c0ffee", created=NOW, runs=2, cameras=(still[0], drifted, still[1]))
+
+    def drift(self) -> None:
+        """A camera was knocked: the station films on, and says so."""
+        message = "Camera cam1 looks 9.40 px beside where it was calibrated."
+        self.warnings = (f.Reason(code="calibration-drift", message=message, action="Call the engineer."),)
+        self.tell("trouble", message, code="calibration-drift")
+
+    def reference(self, board_type: str) -> f.ReferenceStatus:
+        self.board_type(board_type)
+        if board_type not in self.references:
+            raise NotFoundError(f"Board type {board_type!r} has no reference.", code="no-reference")
+        return self.references[board_type]
+
+    def teach_reference(self, board_type: str, run: str) -> bool:
+        self.board_type(board_type)
+        detail = self.run(run)
+        if detail.verdict != Status.OK:
+            raise StateError(f"Run {run} is {detail.verdict}.", code="not-a-reference")
+        if not detail.frames_available:
+            raise GoneError(f"The frames of run {run} were released.", code="frames-gone")
+        new = board_type not in self.references
+        self.references[board_type] = f.ReferenceStatus(
+            run=run, taught=NOW, calibration="c0ffee", cameras=CAMERAS, rows=ROWS, frames=CAMERAS * ROWS,
+            size_bytes=1000, cad_sigma_px=0.01, board_type=board_type, usable=True,
+        )  # fmt: skip
+        return new
+
+    def forget_reference(self, board_type: str) -> None:
+        self.reference(board_type)
+        del self.references[board_type]
+
+    def method(self, board_type: str) -> f.StitchingMethod:
+        self.board_type(board_type)
+        own = self.methods.get(board_type)
+        return f.StitchingMethod(method=own or "auto", chosen="board-type" if own else "station")
+
+    def set_method(self, board_type: str, method: MethodName | None) -> f.StitchingMethod:
+        self.board_type(board_type)
+        self.methods.pop(board_type, None)
+        if method is not None:
+            self.methods[board_type] = method
+        return self.method(board_type)
+
+    def runs(self, limit: int = 50, before: str | None = None) -> tuple[f.RunSummary, ...]:
+        older = [
+            r for r in sorted(self.filmed.values(), key=lambda r: r.id, reverse=True) if not before or r.id < before
+        ]
+        keep = set(f.RunSummary.model_fields)
+        return tuple(f.RunSummary(**{k: v for k, v in r if k in keep}) for r in older[:limit])
+
+    def run(self, run: str) -> f.RunDetail:
+        if run not in self.filmed:
+            raise NotFoundError(f"There is no run {run!r}.")
+        return self.filmed[run]
+
+    def latest(self) -> f.RunDetail | None:
+        return next(reversed(self._finished()), None)
+
+    def next_run(self, after: str | None, timeout_s: float) -> f.RunDetail | None:
+        if timeout_s > 0 or after is None:
+            raise InternalError("the REST service waits by itself, without a thread")
+        self.run(after)
+        return next((r for r in self._finished() if r.id > after), None)
+
+    def release(self, run: str) -> f.RunDetail:
+        detail = self.run(run).model_copy(update={"state": f.RunState.RELEASED, "frames_available": False})
+        self.filmed[run] = detail
+        self.tell("run", f"Run {run} is released.", run=run, state="released")
+        return detail
+
+    def hold(self, run: str, holder: str, purpose: str) -> f.LeaseStatus:
+        self.run(run)
+        lease = f.LeaseStatus(run=run, holder=holder, purpose=purpose, expires_in_s=600)
+        self.holders[run, holder] = lease
+        return lease
+
+    def let_go(self, run: str, holder: str) -> None:
+        self.holders.pop((run, holder), None)
+
+    def stitch(self, run: str) -> Stitch:
+        if self.run(run).verdict is None:
+            raise StateError(f"Run {run} is still being stitched.", action="Ask again in a moment.")
+        m = self.cameras[0].image_from_row.matrix
+        motion = [np.array([[1, 0, -5.0 * j], [0, 1, 0], [0, 0, 1]]) for j in range(ROWS)]
+        images = tuple(tuple(None if (i, j) == (1, 2) else m @ d for j, d in enumerate(motion)) for i in range(CAMERAS))
+        return Stitch(
+            method="held", image_matrices=images, cad_matrix=np.eye(3), row_motion=tuple(motion), status=Status.OK
+        )
+
+    def stitch_text(self, run: str) -> str:
+        return stitch_text(self.stitch(run))
+
+    def timeline(self, run: str) -> f.Timeline:
+        raise NotFoundError(f"Run {run!r} has no timeline.")
+
+    def frame(
+        self, run: str, camera: int, row: int, allow_incomplete: bool = False
+    ) -> tuple[NDArray[Any], FrameRecord]:
+        detail = self.run(run)
+        record = next((r for r in detail.frames if (r.camera, r.row) == (camera, row)), None)
+        if record is None or record.verdict == Verdict.MISSING:
+            raise NotFoundError(f"Frame ({camera}, {row}) of run {run} never arrived.")
+        if not detail.frames_available:
+            raise GoneError(f"The frames of run {run} were released.")
+        if record.verdict == Verdict.INCOMPLETE and not allow_incomplete:
+            raise StateError(f"Frame ({camera}, {row}) has holes.", action="Ask with incomplete=show.")
+        return self.pixels[run, camera, row].copy(), record
+
+    def components(self, run: str) -> tuple[f.ComponentSummary, ...]:
+        self.run(run)
+        return tuple(
+            f.ComponentSummary(
+                address=c.address,
+                ref=c.ref,
+                panel=c.panel,
+                center_mm=c.center,
+                width_mm=c.width,
+                height_mm=c.height,
+                rotation_deg=c.rotation,
+                tester_mm=c.center,
+                views=2,
+            )
+            for c in self.types["demo-board"].components
+        )
+
+    def views(self, run: str, ref: str, px_per_mm: float | None = None, min_coverage: float = 0.5) -> tuple[View, ...]:
+        board_type = self.types["demo-board"]
+        component = board_type.component(ref)
+        if component is None:
+            raise NotFoundError(f"There is no component {ref!r}.", code="unknown-component")
+        found = views_of(
+            component, board_type, self.stitch(run), self.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage
+        )
+        whole = {(r.camera, r.row) for r in self.run(run).frames if r.verdict == Verdict.OK}
+        return tuple(v for v in found if (v.camera, v.row) in whole)
+
+    def image(
+        self,
+        run: str,
+        ref: str,
+        k: int,
+        *,
+        px_per_mm: float | None = None,
+        format: f.ImageFormat = "png",
+        min_coverage: float = 0.5,
+    ) -> bytes:
+        views = self.views(run, ref, px_per_mm, min_coverage)
+        if k >= len(views):
+            raise NotFoundError(f"{ref} has {len(views)} views; there is no view {k}.")
+        pixels, _ = self.frame(run, views[k].camera, views[k].row)
+        crop = render(views[k], pixels)
+        return encode_image(crop, ImageFormat(format))[0]
+
+    def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[f.EventRecord, ...]:
+        until = time.monotonic() + timeout_s
+        with self._news:
+            while len(self.log) <= after and not self.closed and (left := until - time.monotonic()) > 0:
+                self._news.wait(left)
+            return tuple(self.log[after : after + limit])
+
+    def _finished(self) -> list[f.RunDetail]:
+        return [r for _, r in sorted(self.filmed.items()) if r.verdict is not None]
+
+
+def _scene(random: np.random.Generator, camera: int, row: int) -> NDArray[np.uint8]:
+    """A grey frame with something to recognise: noise, a bright square, its camera and row."""
+    image = random.integers(40, 90, (HEIGHT, WIDTH), dtype=np.uint8)
+    image[80:160, 100:200] = 200
+    cv2.putText(image, f"{camera}/{row}", (110, 135), cv2.FONT_HERSHEY_SIMPLEX, 1.2, 20, 2)
+    return image
