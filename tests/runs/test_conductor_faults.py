@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,13 @@ from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.model import Pulse, Status
 from vaoi_station.runs.jobs import Answer
+
+
+@contextmanager
+def asked_to_arm(rig: Any) -> Iterator[Future[object]]:
+    """Somebody waits for the station to be armed, in a thread of their own."""
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(rig.conductor.arm, "small")
 
 
 def test_a_board_type_nobody_taught(rig: Any) -> None:
@@ -101,23 +109,14 @@ def test_a_line_that_loses_a_camera_goes_on_and_says_so_but_takes_no_further_ord
 
 
 def test_a_camera_that_cannot_be_armed(rig: Any) -> None:
-    refused: list[Exception] = []
-
-    def arm() -> None:
-        try:
-            rig.conductor.arm("small")
-        except DeviceError as error:
-            refused.append(error)
-
-    caller = threading.Thread(target=arm)
-    caller.start()
-    grant = rig.peer.expect(said.Grant)
-    rig.peer.expect(said.Arm)
-    rig.peer.say(said.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
-    rig.peer.expect(said.Disarm)
-    rig.peer.say(said.Disarmed((grant,)))
-    caller.join(20)
-    assert "its clock is not known" in str(refused[0])
+    with asked_to_arm(rig) as asked:
+        grant = rig.peer.expect(said.Grant)
+        rig.peer.expect(said.Arm)
+        rig.peer.say(said.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
+        rig.peer.expect(said.Disarm)
+        rig.peer.say(said.Disarmed((grant,)))
+        with pytest.raises(DeviceError, match="its clock is not known"):
+            asked.result(20)
     rig.until("idle")
 
 
@@ -175,20 +174,11 @@ def test_acquisition_dies_before_the_first_pulse(rig: Any) -> None:
 
 
 def test_acquisition_dies_while_arming(rig: Any) -> None:
-    refused: list[Exception] = []
-
-    def arm() -> None:
-        try:
-            rig.conductor.arm("small")
-        except DeviceError as error:
-            refused.append(error)
-
-    caller = threading.Thread(target=arm)
-    caller.start()
-    rig.peer.expect(said.Grant)
-    rig.peer.die()
-    caller.join(20)
-    assert "Arming failed" in str(refused[0])
+    with asked_to_arm(rig) as asked:
+        rig.peer.expect(said.Grant)
+        rig.peer.die()
+        with pytest.raises(DeviceError, match="Arming failed"):
+            asked.result(20)
     assert rig.conductor.snapshot().state == "faulted"
     with pytest.raises(StateError, match="The station is faulted"):
         rig.conductor.arm("small")

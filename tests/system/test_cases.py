@@ -8,52 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.system.real_board import station_of
 from vaoi_station.config import StationConfig
-from vaoi_station.files import open_recording, read_board_type, write_board_type
+from vaoi_station.files import open_recording
 from vaoi_station.geometry import apply
 from vaoi_station.runs.conductor import StationConductor
 from vaoi_station.stitching.offline import stitch_frames
 
 PATIENCE_S = 60.0
 RUNS = 20
-
-
-def config_for(case: Path, directory: Path) -> StationConfig:
-    """A station that could have made the recording."""
-    head, board_type = open_recording(case).head, read_board_type(case / "board.json")
-    write_board_type(directory / "board-types" / f"{board_type.name}.json", board_type)
-    (directory / "shm").mkdir()
-    speed = float(np.hypot(*head.conveyor_mm_s))
-    return StationConfig.model_validate(
-        {
-            "name": "cases",
-            "calibration": case / "calibration.json",
-            "board_types": directory / "board-types",
-            "data": directory / "data",
-            "line": {
-                "conveyor_mm_s": head.conveyor_mm_s,
-                "barrier_mm": 0.0,
-                "start_delay_s": 0.0,
-                "trigger_period_s": head.trigger_period_s,
-                "tail_s": 0.0,
-                "longest_board_mm": speed * head.trigger_period_s * head.rows,
-                "expected_board": {"tolerance_mm": 1000.0},
-            },
-            "cameras": [
-                {
-                    "name": f"camera {n}",
-                    "backend": "replay",
-                    "width": camera.width,
-                    "height": camera.height,
-                    "exposure_us": camera.exposure_us,
-                }
-                for n, camera in enumerate(head.cameras)
-            ],
-            "controller": {"backend": "replay"},
-            "replay": {"recordings": [case], "pace": "fast", "pause_s": 0.01, "runs": RUNS},
-            "ring": {"directory": directory / "shm", "runs": 3},
-        }
-    )
 
 
 @pytest.mark.cases
@@ -63,7 +26,7 @@ def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong
     run_station: Callable[[StationConfig], StationConductor],
 ) -> None:
     directory = cases("ulx3s-top")
-    conductor = run_station(config_for(directory, tmp_path))
+    conductor = run_station(station_of(directory, tmp_path, pace="fast", pause_s=0.01, runs=RUNS))
     recording, board_type = open_recording(directory), conductor.board_types()[0].name
     setup = conductor._make_order(conductor.board_type(board_type), None, None).setup
     expected = stitch_frames(setup, recording.head, recording.frame)

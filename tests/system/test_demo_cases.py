@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.system.real_board import station_of
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.site import as_toml
 from vaoi_station.demo.watching import next_run, until_idle
-from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, write_board_type
+from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
 from vaoi_station.stitching.expectation import expectation_of
@@ -32,42 +33,8 @@ EVERY = 4
 
 
 def station_toml(case: Path, directory: Path) -> Path:
-    """A station that could have made the recording; where the board lies is not known beforehand."""
-    head, board_type = open_recording(case).head, read_board_type(case / "board.json")
-    write_board_type(directory / "board-types" / f"{board_type.name}.json", board_type)
-    (directory / "shm").mkdir()
-    longest_mm = float(np.hypot(*head.conveyor_mm_s)) * head.trigger_period_s * head.rows
-    config = StationConfig.model_validate(
-        {
-            "name": "real-board",
-            "calibration": case / "calibration.json",
-            "board_types": directory / "board-types",
-            "data": directory / "data",
-            "line": {
-                "conveyor_mm_s": head.conveyor_mm_s,
-                "barrier_mm": 0.0,
-                "start_delay_s": 0.0,
-                "trigger_period_s": head.trigger_period_s,
-                "tail_s": 0.0,
-                "longest_board_mm": longest_mm,
-                "expected_board": {"tolerance_mm": 1000.0},
-            },
-            "cameras": [
-                {
-                    "name": f"c{n}",
-                    "backend": "replay",
-                    "width": c.width,
-                    "height": c.height,
-                    "exposure_us": c.exposure_us,
-                }
-                for n, c in enumerate(head.cameras)
-            ],
-            "controller": {"backend": "replay"},
-            "replay": {"recordings": [case], "pace": "original", "pause_s": 0.2, "runs": RUNS},
-            "ring": {"directory": directory / "shm", "runs": 3},
-        }
-    )
     path = directory / "station.toml"
+    config = station_of(case, directory, pace="original", pause_s=0.2, runs=RUNS)
     path.write_text(as_toml(config), encoding="utf-8")
     return path
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from vaoi_station.acquisition.messages import RunFinished
 from vaoi_station.acquisition.ring import Ring
-from vaoi_station.errors import StateError
 from vaoi_station.files import Recording, open_recording, write_recording
+from vaoi_station.files.drafts import drafted
 from vaoi_station.files.images import Image
 from vaoi_station.model import RecordingHead, Verdict
 
@@ -27,19 +26,10 @@ def keep_run(
         generation: of its bay; `GoneError` if the memory goes to another board meanwhile.
         copies: name in the recording → file to copy there ("calibration.json", "board.json").
     """
-    if directory.exists():
-        raise StateError(f"{directory}: exists already.", action="Choose another directory, or remove this one.")
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
-    try:
-        draft.chmod(0o755)
+    with drafted(directory) as draft:
         for name, source in (copies or {}).items():
             shutil.copyfile(source, draft / name)
         write_recording(draft, recording_head(finished), _frames(finished, ring, generation))
-        draft.rename(directory)
-    except BaseException:  # whatever ended it, tidy up; it is raised again
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
     return open_recording(directory)
 
 

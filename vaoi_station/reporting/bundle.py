@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from vaoi_station.errors import StateError
 from vaoi_station.files import write_stitch
 from vaoi_station.files.documents import write_bytes
+from vaoi_station.files.drafts import drafted
 from vaoi_station.reporting.document import write_report
 from vaoi_station.reporting.numbers import link_arrays, sighting_arrays
 from vaoi_station.reporting.story import Story
@@ -28,17 +27,8 @@ def write_bundle(directory: Path, story: Story) -> None:
     Raises:
         StateError: the directory exists.
     """
-    if directory.exists():
-        raise StateError(f"{directory}: exists already.", action="Choose another directory, or remove this one.")
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
-    try:
-        draft.chmod(0o755)
+    with drafted(directory) as draft:
         _fill(draft, story)
-        draft.rename(directory)
-    except BaseException:  # whatever ended it, tidy up; it is raised again
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
 
 
 def replay_command(directory: Path, story: Story) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from vaoi_station.files import (
     write_recording,
     write_stitch,
 )
+from vaoi_station.files.drafts import drafted
 from vaoi_station.files.images import Image
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
@@ -59,13 +59,11 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
     if stitch.status is not Status.OK:
         reasons = "; ".join(stitch.reasons)
         raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
-    part = out.with_name(f".{out.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
-    shutil.copytree(case, part, ignore=shutil.ignore_patterns("truth.json"))
-    shutil.copyfile(calibration, part / "calibration.json")
-    shutil.copyfile(board, part / "board.json")
-    write_stitch(part / RESULT, stitch)
-    part.rename(out)
+    with drafted(out) as draft:
+        shutil.copytree(case, draft, ignore=shutil.ignore_patterns("truth.json"), dirs_exist_ok=True)
+        shutil.copyfile(calibration, draft / "calibration.json")
+        shutil.copyfile(board, draft / "board.json")
+        write_stitch(draft / RESULT, stitch)
     return stitch
 
 
@@ -87,18 +85,11 @@ def write_taught(
         board_type: the run shows.
         stitch: its result.
     """
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
-    try:
-        draft.chmod(0o755)
+    with drafted(directory) as draft:
         write_calibration(draft / "calibration.json", calibration)
         write_board_type(draft / "board.json", board_type)
         write_stitch(draft / RESULT, stitch)
         write_recording(draft, head, frames, suffix=".tiff")
-        draft.rename(directory)
-    except BaseException:  # whatever ended it, tidy up; it is raised again
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
 
 
 def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> Taught:
