@@ -31,7 +31,7 @@ def test_infinite_and_missing_values_keep_their_meaning() -> None:
 
 def test_a_function_whose_code_can_be_kept_nowhere_is_compiled_all_the_same() -> None:
     space: dict[str, Callable[[int], int]] = {}
-    exec(compile("def twice(x):\n    return 2 * x\n", "<no file>", "exec"), space)  # noqa: S102
+    exec(compile("def twice(x):\n    return 2 * x\n", "<no file>", "exec"), space)  # noqa: S102  (a function that is in no file)
     twice = compiled(space["twice"])
     assert twice(21) == 42
 

@@ -10,6 +10,7 @@ import serial
 
 from vaoi_station.acquisition.controller.protocol.link import Link, Refused, Replied
 from vaoi_station.acquisition.controller.protocol.messages import (
+    Pacing,
     Request,
     Step,
     Timing,
@@ -53,7 +54,7 @@ class Host:
     def arm(self, scenario: Scenario, steps: tuple[Step, ...]) -> None:
         line = scenario.line
         timing = Timing(
-            pacing=0,
+            pacing=Pacing.TIME,
             steps=len(steps),
             max_rows=50,
             start_delay=ticks(line.start_delay_s),
