@@ -44,6 +44,7 @@ class HeldStation:
         self.reasons: tuple[f.Reason, ...] = ()
         self.warnings: tuple[f.Reason, ...] = ()
         self.lost: tuple[int, ...] = ()
+        self.next_try: str | None = None
         self.types = {"demo-board": BoardType.model_validate(BOARD)}
         self.log: list[f.EventRecord] = []
         self.filmed: dict[str, f.RunDetail] = {}
@@ -115,11 +116,14 @@ class HeldStation:
         camera = [f.CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost) for i in range(CAMERAS)]
         ring = f.RingStatus(path="ring", size_bytes=1, bays=(), leases=())
         worker = f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
+        acquisition = f.ProcessStatus(
+            name="acquisition", pid=None, alive=False, restarts=1, heartbeat_age_s=None, next_try=self.next_try
+        )
         return f.StationSnapshot(
             name="test", state=self.state, since=NOW, reasons=self.reasons, warnings=self.warnings,
             armed_with=self.armed,
             cameras=tuple(camera), all_cameras_ready=not self.lost, controller="ok",
-            processes=(worker,), ring=ring, versions=VERSIONS,
+            processes=(acquisition, worker), ring=ring, versions=VERSIONS,
             retention=f.Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
             boards_missed=0,

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 
 from vaoi_station.acquisition.messages import Disarm, Ready, Shutdown, Trouble
 from vaoi_station.runs import acquisition_link as module
-from vaoi_station.runs.acquisition_link import AcquisitionLink, pause_s
+from vaoi_station.runs.acquisition_link import AcquisitionLink, longest_s
 
 PATIENCE_S = 20.0
 
@@ -71,32 +73,64 @@ def test_last_words_are_heard(link: AcquisitionLink, peer: Any, ears: Ears) -> N
     assert ears.heard.qsize() == 50
 
 
-def test_who_tells_why_it_cannot_begin_is_started_again_ever_more_slowly(
+def test_who_cannot_begin_or_dies_as_soon_as_it_is_ready_is_started_again_ever_more_slowly(
     monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
 ) -> None:
-    pauses: list[tuple[int, str]] = []
+    pauses: list[float] = []
+    fails = link._backoff.fails
 
-    def no_pause_s(failures: int, cause: str) -> float:
-        pauses.append((failures, cause))
+    def fails_briefly(longest_s: float | None = None) -> float:
+        pauses.append(fails(longest_s))
+        link._backoff.due_s = None
         return 0.0
 
-    monkeypatch.setattr(module, "pause_s", no_pause_s)
-    for life in range(1, 5):
+    monkeypatch.setattr(link._backoff, "fails", fails_briefly)
+    for life in range(1, 7):
         peer.life(life)
-        peer.say(Ready(3)) if life == 3 else peer.say(Trouble("port-absent", "There is no serial port.", ""))
+        peer.say(Ready(3)) if life in (3, 4) else peer.say(Trouble("port-absent", "There is no serial port.", ""))
         peer.die(0)
         told = ears.lost.get(timeout=PATIENCE_S)
         assert told == (
-            "the acquisition process ended (code 0)" if life == 3 else "the acquisition process could not begin"
+            "the acquisition process ended (code 0)" if life in (3, 4) else "the acquisition process could not begin"
         )
-    peer.life(5)
-    assert pauses == [(1, "port-absent"), (2, "port-absent"), (0, ""), (1, "port-absent")]
+    peer.life(7)
+    assert pauses == [0.5, 1, 2, 4, 6, 6]
 
 
-def test_what_is_plugged_in_is_taken_within_seconds_and_wrong_input_is_not_hurried() -> None:
-    assert [pause_s(n, "port-absent") for n in range(6)] == [0.5, 1, 2, 4, 6, 6]
-    assert [pause_s(n, "invalid-input") for n in range(1, 8)] == [1, 2, 4, 8, 16, 30, 30]
-    assert pause_s(10**6, "setting-refused") == 6, "after days as after a minute"
+def test_a_life_that_has_proven_itself_is_followed_by_another_at_once(
+    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
+) -> None:
+    now_s = time.monotonic()
+    monkeypatch.setattr(link._backoff, "_clock", lambda: now_s)
+    for life in (1, 2):
+        peer.life(life)
+        peer.say(Ready(3))
+        ears.heard.get(timeout=PATIENCE_S)
+        now_s += module.PACE.proven_s
+        peer.die(-11)
+        ears.lost.get(timeout=PATIENCE_S)
+        assert link._backoff.due_s in (None, now_s + module.PACE.first_s)
+        now_s += module.PACE.first_s
+
+
+def test_when_it_is_started_again_is_told(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
+    assert link.status().next_try is None
+    for life in (1, 2, 3):
+        peer.life(life)
+        peer.say(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
+        peer.die(0)
+        ears.lost.get(timeout=PATIENCE_S)
+    status = link.status()
+    assert not status.alive
+    assert status.next_try is not None
+    assert 0 < (datetime.fromisoformat(status.next_try) - datetime.now(UTC)).total_seconds() < 2.1
+    peer.life(4)
+    assert link.status().next_try is None
+
+
+def test_what_is_plugged_in_is_taken_within_seconds_and_what_was_refused_is_not_hurried() -> None:
+    assert longest_s("port-absent") == longest_s("camera-in-use") == 6
+    assert longest_s("invalid-input") == longest_s("setting-refused") == longest_s("") == 60
 
 
 def test_silence_is_death(monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears) -> None:

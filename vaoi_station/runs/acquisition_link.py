@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from vaoi_station.acquisition.messages import Command, Ready, Report, Shutdown, Trouble
+from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError
 from vaoi_station.runs.child import settle_in
+from vaoi_station.runs.moments import utc_of_host
 from vaoi_station.runs.shapes import ProcessStatus
 
 SILENCE_S = 10.0
@@ -24,10 +25,22 @@ START_S = 60.0
 """The same before its first word: cameras take their time to open, scenarios to be rendered."""
 LAST_S = 2.0
 """Between the end of its pipe and its own."""
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 6.0
-"""Before it is started again: what is plugged in meanwhile is taken soon."""
-INPUT_PAUSE_S = 30.0
-"""The longest after an `InputError`: nothing that is done to the line mends that."""
+PACE = Pace(first_s=0.5, longest_s=60.0, proven_s=30.0)
+"""How soon it is started again."""
+PLUGGED_S = 6.0
+"""The longest pause while something is only absent: what is plugged in is taken soon. Settings that a camera refuses,
+wrong input, or a process that dies by itself are not mended by hurry."""
+_ABSENT = frozenset(
+    {
+        "camera-absent",
+        "camera-in-use",
+        "camera-lost",
+        "port-absent",
+        "port-in-use",
+        "port-forbidden",
+        "controller-silent",
+    }
+)
 
 
 class Process(Protocol):
@@ -105,10 +118,9 @@ class _Life:
         return "the acquisition process could not begin" if self.cause and code == 0 else f"{how} (code {code})"
 
 
-def pause_s(failures: int, cause: str) -> float:
-    """How long to wait after so many lives in a row that never were ready, the last one because of `cause`."""
-    longest_s = INPUT_PAUSE_S if cause == InputError.code else LONGEST_PAUSE_S
-    return min(FIRST_PAUSE_S * 2.0 ** min(failures, 10), longest_s)
+def longest_s(cause: str) -> float:
+    """The longest pause after a life that ended for this reason (the code of its last trouble; empty: none told)."""
+    return PLUGGED_S if cause in _ABSENT else PACE.longest_s
 
 
 class AcquisitionLink:
@@ -121,7 +133,7 @@ class AcquisitionLink:
         self._lock = threading.Lock()
         self._life: _Life | None = None
         self._restarts = 0
-        self._failures = 0
+        self._backoff = Backoff(PACE)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
 
@@ -148,6 +160,7 @@ class AcquisitionLink:
                 restarts=self._restarts,
                 heartbeat_age_s=time.monotonic() - life.heard_s if life else None,
                 doing="" if life is None or life.spoke else "starting",
+                next_try=None if (due_s := self._backoff.due_s) is None else utc_of_host(due_s),
             )
 
     def stop(self, timeout_s: float = 5.0) -> None:
@@ -182,11 +195,12 @@ class AcquisitionLink:
             if self._stopping.is_set():
                 return
             self._restarts += 1
-            self._failures = 0 if life.ready else self._failures + 1
+            self._backoff.fails(longest_s(life.cause))
             self._lost(life.ending(sentence, code))
-            self._stopping.wait(pause_s(self._failures, life.cause))
+            self._stopping.wait(self._backoff.left_s())
 
     def _begin(self) -> _Life:
+        self._backoff.begin()
         process, connection = self._launch()
         with self._lock:
             self._life = _Life(process, connection, time.monotonic())
@@ -204,6 +218,8 @@ class AcquisitionLink:
                 except (EOFError, ConnectionResetError):
                     return "the acquisition process ended"
                 life.note(report)
+                if life.ready:
+                    self._backoff.works()
                 self._hear(report)
             elif life.process.sentinel in ready:
                 return "the acquisition process ended"

@@ -9,10 +9,13 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.runs.jobs import Answer, ConcludeJob, GatherJob, Job, LinkJob, OpenRun, Priority
 from vaoi_station.stitching.evidence import Task
 
 Done = Callable[[Answer], None]
+PACE = Pace(first_s=0.25, longest_s=30.0, proven_s=30.0)
+"""How soon a worker that died is started again."""
 
 
 @dataclass(eq=False)
@@ -39,8 +42,7 @@ class Worker:
     evidence: dict[str, set[Task]] = field(default_factory=dict)
     """Of each run, the tasks whose evidence it has: found itself, or gathered."""
     restarts: int = 0
-    failed_starts: int = 0
-    start_at_s: float = 0.0
+    backoff: Backoff = field(default_factory=lambda: Backoff(PACE))
     seen_s: float | None = None
     asked_s: float | None = None
     """When it was asked for a sign of life it has not given yet."""

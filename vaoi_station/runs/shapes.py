@@ -63,6 +63,8 @@ class CameraStatus(Shape):
     incomplete: int = 0
     last_frame_age_s: float | None = None
     """Since its last whole frame, at the last sign of life; None before the first."""
+    next_try: str | None = None
+    """When it is opened again; None while it is connected, or is being opened."""
     counters: dict[str, int] = {}
     """What its driver counts, by the driver's names, for diagnosis."""
 
@@ -77,6 +79,8 @@ class ProcessStatus(Shape):
     heartbeat_age_s: float | None
     """Since its last sign of life; None before the first."""
     doing: str = ""
+    next_try: str | None = None
+    """When it is started again; None while it lives, or is being started."""
 
 
 class LeaseStatus(Shape):

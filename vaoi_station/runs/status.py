@@ -8,6 +8,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.runs import readiness
 from vaoi_station.runs.accounts import versions
 from vaoi_station.runs.core import Core
+from vaoi_station.runs.moments import utc_of_host
 from vaoi_station.runs.shapes import (
     CameraStatus,
     LeaseStatus,
@@ -79,6 +80,7 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             last_frame_age_s=None
             if seen.last_frame_s is None
             else max(core.health.host_time_s - seen.last_frame_s, 0.0),
+            next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
             counters=dict(seen.counters),
         )
         for k, seen in enumerate(core.health.cameras)

@@ -32,6 +32,7 @@ from vaoi_station.runs.jobs import (
     Ping,
     Priority,
 )
+from vaoi_station.runs.moments import utc_of_host
 from vaoi_station.runs.queues import Done, Queued, Queues, Worker
 from vaoi_station.runs.shapes import ProcessStatus
 from vaoi_station.runs.worker_process import work
@@ -46,8 +47,6 @@ PULSE_S = 1.0
 """An idle worker is asked for a sign of life so often."""
 LIVES = 2
 """Workers one job may take with it."""
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
-"""Before a worker that died while it was starting is started again."""
 
 
 class WorkerPool:
@@ -112,6 +111,7 @@ class WorkerPool:
                     restarts=w.restarts,
                     heartbeat_age_s=None if w.seen_s is None else now - w.seen_s,
                     doing=str(w.job.job) if w.job else "idle" if w.ready else "starting",
+                    next_try=None if w.backoff.due_s is None else utc_of_host(w.backoff.due_s),
                 )
                 for w in self._workers
             )
@@ -142,15 +142,15 @@ class WorkerPool:
     def _run(self) -> None:
         """Start, listen, notice deaths, until stopped; all of the pool's waiting happens here."""
         while not self._stopping:
-            now = time.monotonic()
             for worker in self._workers:
-                if worker.process is None and worker.start_at_s <= now:
+                if worker.process is None and not worker.backoff.left_s():
                     self._begin(worker)
             sources: dict[Any, Worker] = {}
             for worker in self._workers:
                 if worker.process is not None:
                     sources[worker.connection] = sources[worker.process.sentinel] = worker
-            for source in wait([self._wake_here, *sources], timeout=0.5):
+            pauses_s = [w.backoff.left_s() for w in self._workers if w.process is None]
+            for source in wait([self._wake_here, *sources], timeout=min([0.5, *pauses_s])):
                 if source is self._wake_here:
                     self._wake_here.recv_bytes()
                 elif source is sources[source].connection:
@@ -159,6 +159,7 @@ class WorkerPool:
                 self._look_after(worker)
 
     def _begin(self, worker: Worker) -> None:
+        worker.backoff.begin()
         here, there = self._spawn.Pipe()
         process = self._spawn.Process(
             target=work, args=(there, str(self._ring_path)), name=f"vaoi-worker-{worker.index}", daemon=True
@@ -183,7 +184,8 @@ class WorkerPool:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
                 self._queues.pass_on(worker, queued.job, message)
             if isinstance(message, Hello):
-                worker.ready, worker.failed_starts = True, 0
+                worker.ready = True
+                worker.backoff.works()
                 self._all_ready.notify_all()
             self._dispatch()
         if isinstance(message, Answer) and queued is not None:
@@ -221,7 +223,7 @@ class WorkerPool:
         assert worker.process is not None
         process, code = worker.process, worker.process.exitcode
         with self._lock:
-            queued, was_ready = worker.job, worker.ready
+            queued = worker.job
             for waiting in reversed([*worker.jobs][1:]):
                 self._queues.put_back(waiting)
             worker.jobs.clear()
@@ -231,8 +233,7 @@ class WorkerPool:
             worker.opened.clear()
             worker.evidence.clear()
             worker.restarts += 1
-            worker.failed_starts += not was_ready
-            worker.start_at_s = time.monotonic() + (0.0 if was_ready else _pause_s(worker.failed_starts))
+            worker.backoff.fails()
             spent = queued is not None and self._again(queued)
             self._dispatch()
         sentence = f"Worker {worker.index} ended with code {code}" + (
@@ -310,7 +311,3 @@ def _end(process: BaseProcess, connection: Connection[Any, Any] | None) -> None:
     process.close()
     if connection is not None:
         connection.close()
-
-
-def _pause_s(failed_starts: int) -> float:
-    return float(min(FIRST_PAUSE_S * 2 ** max(failed_starts - 1, 0), LONGEST_PAUSE_S))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -30,6 +32,20 @@ def test_a_fault_is_told_by_word_shape_colour_and_sentence(page: Page, served: A
     expect(page.locator("#reasons li")).to_have_text(["Camera 2 does not answer."])
     expect(page.locator("#state-shape")).to_have_attribute("data-mark", "faulted")
     expect(page.locator("#state-word")).to_have_css("color", "rgb(176, 0, 32)")
+
+
+def test_a_fault_that_is_tried_again_much_later_says_when(page: Page, served: Any) -> None:
+    """And the page asks then, though nothing has happened that it would hear of."""
+    page.goto(served.url)
+    expect(page.locator("#state-word")).to_have_text("Not armed")
+    at = datetime.now(UTC) + timedelta(seconds=8)
+    served.station.next_try = at.isoformat(timespec="milliseconds")
+    served.station.fault("setting-refused", "Camera 2 refuses Gain = 99.", "Set what it can do.")
+    lines = page.locator("#reasons li")
+    expect(lines).to_have_count(2)
+    expect(lines.nth(1)).to_have_text(re.compile(r"^Next try of acquisition: \d+:\d\d:\d\d.*\.$"))
+    served.station.next_try = None
+    expect(lines).to_have_count(1)
 
 
 def test_a_drift_is_told_while_boards_go_on(page: Page, served: Any) -> None:

@@ -59,6 +59,8 @@ class CameraHealth:
     """time.monotonic() when the last whole frame was handed over."""
     counters: tuple[tuple[str, int], ...] = ()
     """The driver's own, by name, for diagnosis."""
+    next_try_s: float | None = None
+    """time.monotonic() when one that is not connected is opened again; None while it is being opened."""
 
 
 @dataclass(frozen=True)

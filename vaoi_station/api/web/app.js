@@ -7,6 +7,7 @@ import { draw } from "./marks.js";
 import { texts } from "./texts.en.js";
 
 const $ = (id) => document.getElementById(id);
+const SOON_MS = 5000; // a next try that is nearer need not be told
 const TONES = { blocked: "caution", lacking: "caution", faulted: "fault" };
 
 for (const element of document.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
@@ -17,6 +18,7 @@ let shown = null;
 let asking = false;
 let again = false;
 let stale = false;
+let asked = 0;
 
 const live = new Live({
   onNews: (record) => {
@@ -66,12 +68,22 @@ function showStation(now) {
   setText($("state-word"), word);
   setText($("what-to-do"), (known !== "lacking" && first?.action) || sentence);
   setText($("armed-with"), now.armed_with ? texts.armedWith(now.armed_with) : "");
-  showLines($("reasons"), now.reasons.map((r) => (known === "lacking" ? `${r.message} ${r.action}` : r.message)));
+  const reasons = now.reasons.map((r) => (known === "lacking" ? `${r.message} ${r.action}` : r.message));
+  showLines($("reasons"), [...reasons, ...nextTries(now)]);
   showLines($("warnings"), now.warnings.map((w) => `${w.message} ${w.action}`));
   $("warnings").hidden = now.warnings.length === 0;
   setText($("name"), now.name);
   setText($("version"), `VAOI station ${now.versions.station}`);
   controls.show(now);
+}
+
+// What is waited for before it is tried again; nothing else may happen until then, so the page asks by itself.
+function nextTries(now) {
+  const cameras = now.cameras.map((c) => ({ name: texts.camera(c.name), next_try: c.next_try }));
+  const far = [...now.processes, ...cameras].filter((p) => p.next_try && board.until(p.next_try) > SOON_MS);
+  clearTimeout(asked);
+  if (far.length) asked = setTimeout(refresh, Math.min(...far.map((p) => board.until(p.next_try))) + SOON_MS);
+  return far.map((p) => texts.nextTry(p.name, new Date(p.next_try).toLocaleTimeString()));
 }
 
 function showLines(list, lines) {

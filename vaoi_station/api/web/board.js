@@ -26,6 +26,10 @@ export class Board {
     this.#offset_ms = Date.parse(time) - Date.now();
   }
 
+  until(time) {
+    return Date.parse(time) - Date.now() - this.#offset_ms;
+  }
+
   tick() {
     if (this.#since && this.#run?.finished) {
       const ago = texts.ago((Date.now() + this.#offset_ms - Date.parse(this.#run.finished)) / 1000);

@@ -62,6 +62,8 @@ export const texts = {
     [`Board type ${armed.board_type}`, armed.board_id && `board ${armed.board_id}`, armed.job_id && `job ${armed.job_id}`]
       .filter(Boolean)
       .join(", ") + ".",
+  camera: (name) => (name.toLowerCase().startsWith("camera") ? name : `camera ${name}`),
+  nextTry: (name, time) => `Next try of ${name}: ${time}.`,
   armedFor: (type) => `Armed for ${type}.`,
   disarmed: "Disarmed.",
   noAnswer: "The station did not answer. Try again.",

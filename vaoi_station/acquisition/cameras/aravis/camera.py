@@ -24,6 +24,7 @@ from vaoi_station.acquisition.cameras.interface import (
     Slot,
 )
 from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 
 LOOK_S = 0.25
@@ -31,8 +32,12 @@ LOOK_S = 0.25
 HEARTBEAT_S = 1.0
 """Aravis asks a camera so often whether it still is ours; what it says of that may be as old."""
 TEMPERATURE_S = 5.0
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
-"""Between attempts to open a camera that is lost."""
+PACE = Pace(first_s=0.25, longest_s=30.0, proven_s=10.0)
+"""How soon a camera that is lost is opened again; one that refuses its settings will do so again …"""
+ABSENT_S = 2.0
+"""… but one that is absent, or in other hands, may be back at any time: the longest pause then, and between two looks
+whether one that has refused has been unplugged meanwhile."""
+_ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
 
 
 @dataclass
@@ -68,6 +73,7 @@ class AravisCamera:
         self._counting = threading.Lock()
         self._trouble: VaoiError | None = None
         self._suspicion: DeviceError | None = None
+        self._backoff = Backoff(PACE)
         self._seen_s = time.monotonic()
         """When it last answered."""
         self._ours_s = self._seen_s
@@ -121,6 +127,7 @@ class AravisCamera:
             incomplete=counts.incomplete,
             last_frame_s=counts.last_frame_s,
             counters=tuple(sorted({**counters, "n_losses": counts.losses}.items())),
+            next_try_s=self._backoff.due_s,
         )
 
     def close(self) -> None:
@@ -147,10 +154,11 @@ class AravisCamera:
         )
 
     def _supervise(self) -> None:
-        pause_s, warm_s = FIRST_PAUSE_S, 0.0
-        while not self._closing.wait(LOOK_S if self._connection else pause_s):
+        warm_s = 0.0
+        self._backoff.works()
+        while not self._closing.wait(LOOK_S if self._connection else min(self._backoff.left_s(), ABSENT_S)):
             if self._connection is None:
-                pause_s = FIRST_PAUSE_S if self._open_again() else min(2 * pause_s, LONGEST_PAUSE_S)
+                self._try_again()
                 continue
             try:
                 self._look(self._connection)
@@ -159,6 +167,21 @@ class AravisCamera:
                     warm_s = time.monotonic() + TEMPERATURE_S
             except DeviceError as error:
                 self._lose(error)
+
+    def _try_again(self) -> None:
+        """Open it if it is time; what has been unplugged since it refused may be mended when it is back."""
+        if self._backoff.left_s() > 0:
+            if self._is_gige and not gvcp.answers(self._identity.address):
+                self._backoff.forget()
+            return
+        self._backoff.begin()
+        if self._open_again():
+            self._backoff.works()
+        else:
+            self._backoff.fails(self._longest_s())
+
+    def _longest_s(self) -> float:
+        return ABSENT_S if self._trouble and self._trouble.code in _ABSENT else PACE.longest_s
 
     def _look(self, connection: Connection) -> None:
         """DeviceError if the camera is gone, or no longer ours.
@@ -192,6 +215,7 @@ class AravisCamera:
             assert connection is not None
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
+        self._backoff.fails(self._longest_s())
         why = error.message.removeprefix(f"{self.config.called}: ").rstrip(".")
         self._arrivals.put(CameraLost(self.number, self._seen_s, why, error))
         connection.close(gone=True)

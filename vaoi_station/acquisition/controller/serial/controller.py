@@ -14,13 +14,14 @@ from vaoi_station.acquisition.controller.protocol.messages import Ident
 from vaoi_station.acquisition.controller.serial.attendant import Attendant
 from vaoi_station.acquisition.controller.serial.line import RefusalError, ResetError
 from vaoi_station.acquisition.controller.serial.port import Alarm
+from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError
 
 T = TypeVar("T")
 
-PAUSES_S = (0.1, 0.2, 0.5, 1.0)
-"""Before a port is opened again; the last one over and over."""
+PACE = Pace(first_s=0.1, longest_s=1.0, proven_s=5.0)
+"""How soon a port is opened again."""
 
 
 def open_serial_controller(config: StationConfig) -> SerialController:
@@ -37,6 +38,7 @@ class SerialController:
         self._broken: DeviceError | None = None
         """What a job has found broken."""
         self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
+        self._backoff = Backoff(PACE)
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         try:
@@ -129,12 +131,12 @@ class SerialController:
             self._lose(DeviceError("The controller is not attended to any more.", action="Restart the station."))
 
     def _keep_at_it(self) -> None:
-        failures = 0
         while not self._closing.is_set():
             try:
                 if self._attendant.down is not None:
+                    self._backoff.begin()
                     self._attendant.meet()
-                failures = 0
+                self._backoff.works()
                 self._serve()
             except ResetError as error:  # told when it is known what it cost
                 self._lose(error)
@@ -142,8 +144,7 @@ class SerialController:
                 self._attendant.teller.complain(error)
                 self._lose(error)
                 self._attendant.hang_up()
-                self._closing.wait(PAUSES_S[min(failures, len(PAUSES_S) - 1)])
-                failures += 1
+                self._closing.wait(self._backoff.fails())
 
     def _serve(self) -> None:
         """Until something breaks: carry out what is asked, hear what comes."""

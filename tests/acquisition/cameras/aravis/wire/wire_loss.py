@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage, noise, thread_names, wait_for_remains
+from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
+from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 
@@ -123,6 +125,30 @@ def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: 
     stage.until(CameraBack)
     camera.fire()
     assert stage.arrival().complete
+
+
+def test_a_camera_that_refuses_its_settings_is_left_in_peace_until_it_is_unplugged(
+    device: Plug, station: Make, opened: Open
+) -> None:
+    mortal = device(0)
+    stage = opened(station(mortal))
+    camera = stage.cameras[0]
+    camera._backoff = Backoff(Pace(first_s=5.0, longest_s=60.0, proven_s=10.0))
+    mortal.unplug()
+    stage.until(CameraLost)
+    stubborn = device(0, "stubborn", serial=mortal.serial)
+    stage.wait(lambda: "ExposureTime" in camera.health().message and next_try_in_s(camera) > 5)
+    assert not camera.health().connected
+    due_s = camera.health().next_try_s
+    stubborn.unplug()
+    stage.wait(lambda: "there is no camera" in camera.health().message)
+    mortal.plug()
+    assert stage.until(CameraBack).at_s < (due_s or 0.0)
+    assert camera.health().next_try_s is None
+
+
+def next_try_in_s(camera: AravisCamera) -> float:
+    return (camera.health().next_try_s or 0.0) - time.monotonic()
 
 
 def test_lost_control_is_told_before_aravis_knows_and_dated_from_before(
