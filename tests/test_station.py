@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import socket
+import time
 from pathlib import Path
 
 import pytest
 
+from vaoi_station import station
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
@@ -95,3 +97,22 @@ def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason
             troubles += [r.message for r in records if r.kind == "trouble" and "recording.json" in r.message]
         assert "there is no such file" in troubles[0]
     assert left_behind(config) == []
+
+
+def test_workers_that_take_long_are_told_and_when_they_are_ready(
+    config: StationConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after an installation, when they compile for longer than a station waits for them."""
+    monkeypatch.setattr(station, "PROMPT_S", 0.0)
+    monkeypatch.setattr(station, "WARM_S", 0.0)
+    with Station(config) as started:
+        late = started.conductor.snapshot().warnings
+        assert [warning.code for warning in late] == ["workers-starting"]
+        deadline_s, seen, told = time.monotonic() + 120.0, 0, list[str]()
+        while "The workers are ready: results come at once." not in told:
+            assert time.monotonic() < deadline_s, told
+            records = started.conductor.events(seen, 1.0)
+            told += [record.message for record in records if record.kind == "workers"]
+            seen = records[-1].number if records else seen
+        assert told[0].startswith("Boards are taken when the workers are ready, or in 0 s. After an installation")
+        assert started.conductor.snapshot().warnings == ()

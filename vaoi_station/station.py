@@ -23,6 +23,7 @@ from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.shelf import ReferenceShelf
+from vaoi_station.runs.status import COMPILING
 from vaoi_station.runs.stopping import StopRequest
 from vaoi_station.runs.systemd import alive, notify
 from vaoi_station.runs.watch import CalibrationWatch
@@ -33,8 +34,9 @@ _log = logging.getLogger(__name__)
 
 GRACE_S = 10.0
 """For runs under way to come to their end when the station is stopped."""
-WARM_S = 60.0
-"""For workers to warm up before a board is taken; one that takes longer finds its jobs waiting."""
+PROMPT_S, WARM_S = 5.0, 60.0
+"""For workers to warm up before a word is said of it, and before a board is taken; one that takes longer finds its jobs
+waiting, and the station says that results will be late."""
 DATABASE, REFERENCES = "station.db", "references"
 
 
@@ -84,8 +86,12 @@ class Station:
             parts.callback(conductor.close)
             conductor.start()
             parts.callback(workers.stop)
-            workers.start(conductor.worker_lost)
-            workers.wait_ready(WARM_S)
+            workers.start(
+                conductor.worker_lost, lambda: events.add("workers", "The workers are ready: results come at once.")
+            )
+            if not workers.wait_ready(PROMPT_S):
+                events.add("workers", f"Boards are taken when the workers are ready, or in {WARM_S:.0f} s. {COMPILING}")
+                workers.wait_ready(WARM_S)
             parts.callback(link.stop)
             link.start(conductor.hear, conductor.acquisition_lost)
             if ring.lock_note:

@@ -1,4 +1,4 @@
-"""What a status page says of cameras that are away."""
+"""What a status page says of cameras that are away, and of workers that are not there yet."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import pytest
 
 from vaoi_station.config import CameraConfig
 from vaoi_station.runs.readiness import not_connected
+from vaoi_station.runs.shapes import STARTING, ProcessStatus
+from vaoi_station.runs.status import late
 
 
 @pytest.mark.parametrize(
@@ -20,3 +22,13 @@ def test_a_camera_is_named_once(name: str, told: str) -> None:
     camera = CameraConfig(name=name, backend="aravis", address="127.0.0.2", width=64, height=48, exposure_us=100.0)
     assert not_connected(camera.called, f"{camera.called}: there is no camera at 127.0.0.2.") == told
     assert not_connected(camera.called, "") == told[: told.index(".") + 1]
+
+
+def test_workers_that_are_not_there_yet_are_a_warning() -> None:
+    def process(name: str, doing: str) -> ProcessStatus:
+        return ProcessStatus(name=name, pid=1, alive=True, restarts=0, heartbeat_age_s=None, doing=doing)
+
+    assert late((process("acquisition", STARTING), process("worker 0", "idle"))) == ()
+    [warning] = late((process("worker 0", "rows of (0, 0)"), process("worker 1", STARTING)))
+    assert warning.code == "workers-starting"
+    assert warning.message == "Results of boards that pass now come late: 1 of 2 workers is still starting."

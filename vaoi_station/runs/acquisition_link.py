@@ -17,7 +17,7 @@ from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.child import settle_in
 from vaoi_station.runs.moments import utc_of_host
-from vaoi_station.runs.shapes import ProcessStatus
+from vaoi_station.runs.shapes import STARTING, ProcessStatus
 
 SILENCE_S = 10.0
 """Without a sign of life for so long (it gives two a second) the process is taken for hung and killed."""
@@ -159,7 +159,7 @@ class AcquisitionLink:
                 alive=life is not None and life.process.exitcode is None,
                 restarts=self._restarts,
                 heartbeat_age_s=time.monotonic() - life.heard_s if life else None,
-                doing="" if life is None or life.spoke else "starting",
+                doing="" if life is None or life.spoke else STARTING,
                 next_try=None if (due_s := self._backoff.due_s) is None else utc_of_host(due_s),
             )
 

@@ -69,6 +69,10 @@ class CameraStatus(Shape):
     """What its driver counts, by the driver's names, for diagnosis."""
 
 
+STARTING = "starting"
+"""What a process does before its first word."""
+
+
 class ProcessStatus(Shape):
     """One of our processes: "acquisition", "worker 0", …"""
 

@@ -10,15 +10,19 @@ from vaoi_station.runs.accounts import versions
 from vaoi_station.runs.core import Core
 from vaoi_station.runs.moments import utc_of_host
 from vaoi_station.runs.shapes import (
+    STARTING,
     CameraStatus,
     LeaseStatus,
     ProcessStatus,
+    Reason,
     Retention,
     RingStatus,
     StationSnapshot,
 )
 from vaoi_station.runs.state import StationState
 from vaoi_station.store.documents import EVENTS_KEPT
+
+COMPILING = "After an installation, or an update, they compile for a minute or two."
 
 
 def snapshot_of(
@@ -37,7 +41,7 @@ def snapshot_of(
         state=core.state,
         since=core.since,
         reasons=(*core.reasons.all(), *readiness.reasons(core.health, config.cameras)),
-        warnings=core.watch.warnings(),
+        warnings=(*core.watch.warnings(), *late(processes)),
         armed_with=core.orders.shown(),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),
@@ -59,6 +63,17 @@ def snapshot_of(
         last_event=last_event,
         boards_missed=core.boards_missed,
     )
+
+
+def late(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
+    """Workers that are not there yet: boards are filmed, and stitched when they are."""
+    workers = [process for process in processes if process.name.startswith("worker ")]
+    away = sum(worker.doing == STARTING for worker in workers)
+    if not away:
+        return ()
+    still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
+    message = f"Results of boards that pass now come late: {still}."
+    return (Reason(code="workers-starting", message=message, action=COMPILING),)
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:

@@ -34,7 +34,7 @@ from vaoi_station.runs.jobs import (
 )
 from vaoi_station.runs.moments import utc_of_host
 from vaoi_station.runs.queues import Done, Queued, Queues, Worker
-from vaoi_station.runs.shapes import ProcessStatus
+from vaoi_station.runs.shapes import STARTING, ProcessStatus
 from vaoi_station.runs.worker_process import work
 
 _log = logging.getLogger(__name__)
@@ -55,6 +55,7 @@ class WorkerPool:
     def __init__(self, count: int, ring_path: Path) -> None:
         self._ring_path = ring_path
         self._lost: Callable[[str], None] = lambda _: None
+        self._all_there: Callable[[], object] = lambda: None
         self._spawn = multiprocessing.get_context("spawn")
         self._workers = [Worker(k) for k in range(count)]
         self._queues = Queues(self._workers)
@@ -64,9 +65,12 @@ class WorkerPool:
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
 
-    def start(self, lost: Callable[[str], None]) -> None:
-        """Start the processes; jobs may be submitted before they are ready. `lost` hears of every death."""
-        self._lost = lost
+    def start(self, lost: Callable[[str], None], all_there: Callable[[], object] = lambda: None) -> None:
+        """Start the processes; jobs may be submitted before they are ready.
+
+        `lost` hears of every death, `all_there` whenever the last of them has become ready.
+        """
+        self._lost, self._all_there = lost, all_there
         atexit.register(self.stop, 0.0)  # workers leave SIGTERM to the station: nobody else would end them
         self._thread.start()
 
@@ -110,7 +114,7 @@ class WorkerPool:
                     alive=w.process is not None and w.process.is_alive(),
                     restarts=w.restarts,
                     heartbeat_age_s=None if w.seen_s is None else now - w.seen_s,
-                    doing=str(w.job.job) if w.job else "idle" if w.ready else "starting",
+                    doing=str(w.job.job) if w.job else "idle" if w.ready else STARTING,
                     next_try=None if w.backoff.due_s is None else utc_of_host(w.backoff.due_s),
                 )
                 for w in self._workers
@@ -178,7 +182,7 @@ class WorkerPool:
             _kill(worker.process)
             return
         worker.seen_s, worker.asked_s = time.monotonic(), None
-        queued = None
+        queued, complete = None, False
         with self._lock:
             if isinstance(message, Answer) and worker.jobs:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
@@ -187,7 +191,10 @@ class WorkerPool:
                 worker.ready = True
                 worker.backoff.works()
                 self._all_ready.notify_all()
+                complete = all(w.ready for w in self._workers)
             self._dispatch()
+        if complete:
+            self._all_there()
         if isinstance(message, Answer) and queued is not None:
             queued.done(message)
 
