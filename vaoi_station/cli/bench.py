@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -130,14 +129,15 @@ def _station(
     from vaoi_station.benchmarks.film import film
     from vaoi_station.benchmarks.paced import paced
     from vaoi_station.benchmarks.tables import shares_table, station_table
+    from vaoi_station.demo.scratch import scratch_folder
     from vaoi_station.simulation import read_scenario
 
-    with tempfile.TemporaryDirectory(prefix="vaoi-bench-") as temporary:
-        board = film(read_scenario(_path(scenario)), (films or Path(temporary)) / Path(scenario).stem, typer.echo)
+    with scratch_folder("bench") as temporary:
+        board = film(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
         figures = []
         for rate in rates:
             typer.echo(f"{boards} boards at {rate:g} times the scenario's rate.")
-            figures.append(paced(board, rate, boards, workers, Path(temporary) / f"station-{rate:g}", ring))
+            figures.append(paced(board, rate, boards, workers, temporary / f"station-{rate:g}", ring))
     typer.echo("\n" + station_table(figures) + "\n\n" + shares_table(figures))
     return {"scenario": scenario, "workers": workers, "rates": [f.document() for f in figures]}
 
@@ -145,10 +145,11 @@ def _station(
 def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[str, Any]:
     from vaoi_station.benchmarks.growth import growth
     from vaoi_station.benchmarks.tables import growth_table
+    from vaoi_station.demo.scratch import scratch_folder
     from vaoi_station.simulation import read_scenario
 
-    with tempfile.TemporaryDirectory(prefix="vaoi-bench-") as temporary:
-        figures = growth(read_scenario(_path(scenario)), films or Path(temporary), rows, typer.echo)
+    with scratch_folder("bench") as temporary:
+        figures = growth(read_scenario(_path(scenario)), films or temporary, rows, typer.echo)
     typer.echo("\n" + growth_table(figures))
     return {"scenario": scenario, "boards": [f.document() for f in figures]}
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import shutil
 import time
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from vaoi_station.demo.assess import Answers, Output, assess
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.pictures import Gallery, fetch_gallery, no_gallery
 from vaoi_station.demo.report import DemoReport, headline
+from vaoi_station.demo.scratch import scratch_folder
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.site import build_site
 from vaoi_station.demo.watching import next_run, until_idle
@@ -37,8 +37,8 @@ def film_once(scenario: Path, out: Path, port: int = 0) -> DemoReport:
     """
     began_s = time.monotonic()
     clear(out)
-    with TemporaryDirectory(prefix="vaoi-demo-") as folder:
-        config, twin = build_site(scenario, Path(folder), boards=1)
+    with scratch_folder("demo") as folder:
+        config, twin = build_site(scenario, folder, boards=1)
         with Service(config, port) as service:
             client = Client(service.address)
             until_idle(client)

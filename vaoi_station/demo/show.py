@@ -5,11 +5,11 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NoReturn
 
 from vaoi_station.config import ApiConfig
 from vaoi_station.demo.client import Client
+from vaoi_station.demo.scratch import scratch_folder
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.site import build_site
 from vaoi_station.demo.watching import poll, until_idle
@@ -26,8 +26,8 @@ def show(scenario: Path, port: int | None, tell: Callable[[str], None]) -> NoRet
         tell: takes one line.
     """
     tell("Drawing the board …")
-    with TemporaryDirectory(prefix="vaoi-demo-") as folder:
-        config, twin = build_site(scenario, Path(folder))
+    with scratch_folder("demo") as folder:
+        config, twin = build_site(scenario, folder)
         with Service(config, usual_port() if port is None else port) as service:
             client = Client(service.address)
             tell(f"The station's page: {service.address}/  (REST: {service.address}/docs). Ctrl-C ends it.")

@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from vaoi_station.demo.client import Client
+from vaoi_station.demo.scratch import scratch_folder
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.watching import until_idle
 from vaoi_station.errors import GoneError, NotFoundError
@@ -78,8 +78,7 @@ def run_rig(plan: Plan, tell: Callable[[str], None]) -> RigReport:
     """
     scenario = befallen(plan.scenario, plan.faults)
     began_s = time.monotonic()
-    with TemporaryDirectory(prefix="vaoi-rig-") as temporary:
-        folder = Path(temporary)
+    with scratch_folder("rig") as folder:
         films = film_boards(scenario, plan.faults, plan.boards, plan.different, plan.films or folder / "films", tell)
         saboteur = Saboteur(plan.faults)
         tell(f"Starting {scenario.array.cameras} cameras and the controller.")
