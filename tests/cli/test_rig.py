@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from vaoi_station import __version__
 from vaoi_station.cli import app
 from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.rig import chip
 from vaoi_station.rig.faults import KINDS
 
 
@@ -48,3 +50,16 @@ def test_up_does_not_write_into_what_others_have_written(tmp_path: Path) -> None
     error = refusal("up", "--out", str(tmp_path))
     assert isinstance(error, InputError)
     assert "must be a new or empty directory" in error.message
+
+
+@pytest.mark.parametrize("arguments", [("run",), ("up", "--out", "rig")])
+def test_an_installed_package_says_that_it_needs_its_sources_before_anything_is_filmed(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(chip, "SOURCES", tmp_path / "hw" / "firmware")
+    error = refusal(*arguments)
+    assert isinstance(error, NotFoundError)
+    assert "sources are not part of an installed package" in error.message
+    assert f"Get the sources of version {__version__}; in their directory: python -m vaoi_station rig" in error.action
+    assert list(tmp_path.iterdir()) == []

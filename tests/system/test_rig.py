@@ -18,6 +18,7 @@ import pytest
 
 from tests.needs import need_aravis, need_emulator
 from vaoi_station.config import read_config
+from vaoi_station.files import open_recording
 from vaoi_station.simulation import scenario_path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -138,3 +139,26 @@ def test_a_rig_that_is_up_gives_a_station_nothing_but_addresses(tmp_path: Path, 
     assert (config.controller.backend, config.controller.port) == ("serial", str(out / "trigger"))
     assert (config.simulation, config.replay) == (None, None)
     assert f"vaoi serve --config {out / 'station.toml'}" in "".join(said)
+
+
+def test_the_first_picture_of_the_calibration_board_comes_in_time(tmp_path: Path) -> None:
+    """By the command line that the rig prints, in the network it has made."""
+    need_all()
+    command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--out", str(tmp_path / "rig"), "--own-network"]
+    command += ["--scenario", "small", "--different", "1", "--still"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            lines: list[str] = []
+            while not (lines and "No board passes" in lines[-1]):
+                lines.append(process.stdout.readline())
+                assert lines[-1], lines
+            [start] = [line for line in lines if line.startswith("Start the station: ")]
+            entrance = start.removeprefix("Start the station: ").split(" vaoi serve ")[0].split()
+            record = [*entrance, sys.executable, "-m", "vaoi_station", "record", "--still"]
+            record += ["--config", str(tmp_path / "rig" / "station.toml"), "--out", str(tmp_path / "still")]
+            done = subprocess.run(record, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
+        finally:
+            process.send_signal(signal.SIGINT)
+    assert (done.returncode, process.returncode) == (0, 0), done.stdout + done.stderr
+    assert open_recording(tmp_path / "still").head.missing == ()

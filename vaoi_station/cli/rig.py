@@ -38,6 +38,7 @@ def run(
     from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
     from vaoi_station.demo.site import find_scenario
     from vaoi_station.files.documents import write_json
+    from vaoi_station.rig.chip import check_sources
     from vaoi_station.rig.faults import check_faults, parse_fault
     from vaoi_station.rig.network import isolate
     from vaoi_station.rig.run import Plan, run_rig
@@ -58,6 +59,7 @@ def run(
     )
     check_playable(plan.scenario)
     check_faults(plan.faults, plan.scenario.array.cameras, boards)
+    check_sources()
     isolate()
     try:
         with interruptible():
@@ -79,6 +81,9 @@ def up(
     fault: FAULTS = None,
     films: FILMS = None,
     different: DIFFERENT = 3,
+    still: Annotated[
+        bool, typer.Option("--still", help="No board passes: for `vaoi record --still`, to calibrate.")
+    ] = False,
     own_network: Annotated[
         bool, typer.Option("--own-network", help="Do not touch this machine's loopback, even if that is allowed.")
     ] = False,
@@ -87,6 +92,7 @@ def up(
     from vaoi_station.demo.interrupting import interruptible
     from vaoi_station.demo.site import find_scenario
     from vaoi_station.errors import InputError
+    from vaoi_station.rig.chip import check_sources
     from vaoi_station.rig.faults import check_faults, parse_fault
     from vaoi_station.rig.network import isolate, may_add
     from vaoi_station.rig.scenarios import check_playable, with_cameras
@@ -99,12 +105,15 @@ def up(
     chosen = with_cameras(read_scenario(find_scenario(scenario)), cameras)
     check_playable(chosen)
     check_faults(faults, chosen.array.cameras, different)
+    check_sources()
     if own_network or not may_add():
         isolate()
     out.mkdir(parents=True, exist_ok=True)
     try:
         with interruptible():
-            keep_up(chosen, faults, out.resolve(), (films or out / "films").resolve(), different, typer.echo)
+            keep_up(
+                chosen, faults, out.resolve(), (films or out / "films").resolve(), different, typer.echo, still=still
+            )
     except KeyboardInterrupt:
         raise typer.Exit(0) from None
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from vaoi_station import __version__
 from vaoi_station.errors import DeviceError, NotFoundError
 from vaoi_station.rig.processes import go_first, see_off
 
@@ -37,6 +38,24 @@ class Edge:
     """CLOCK_MONOTONIC of the cycle."""
 
 
+def check_sources() -> None:
+    """Refuse at once what would be found out when the boards have been filmed.
+
+    Raises:
+        NotFoundError: the package was installed without the firmware's sources.
+        DeviceError: a tool is missing.
+    """
+    if not (SOURCES / "Makefile").is_file():
+        raise NotFoundError(
+            "the rig runs the real firmware, whose sources are not part of an installed package (there is no "
+            f"{SOURCES}).",
+            action=f"Get the sources of version {__version__}; in their directory: python -m vaoi_station rig …",
+        )
+    if missing := [packages for tool, packages in _TOOLS.items() if shutil.which(tool) is None]:
+        words = f"Install the distribution's packages {' '.join(missing)} libsimavr-dev libelf-dev."
+        raise DeviceError("the firmware cannot be built here.", action=words)
+
+
 def build(folder: Path) -> Path:
     """Firmware and emulator, made from `hw/firmware` beside the package.
 
@@ -44,17 +63,9 @@ def build(folder: Path) -> Path:
         The folder, with `firmware.elf` and `emulator`.
 
     Raises:
-        NotFoundError: the package was installed without its sources.
-        DeviceError: a tool is missing, or the build fails; the message has its words.
+        NotFoundError, DeviceError: see `check_sources`; or the build fails, and the message has its words.
     """
-    if not (SOURCES / "Makefile").is_file():
-        raise NotFoundError(
-            f"{SOURCES}: the firmware's sources are not there.",
-            action="In a source checkout: python -m vaoi_station rig …",
-        )
-    if missing := [packages for tool, packages in _TOOLS.items() if shutil.which(tool) is None]:
-        words = f"Install the distribution's packages {' '.join(missing)} libsimavr-dev libelf-dev."
-        raise DeviceError("the firmware cannot be built here.", action=words)
+    check_sources()
     command = ["make", "-C", str(SOURCES), f"BUILD={folder.resolve()}", "all", "emulator"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -82,6 +93,11 @@ class Chip:
         """Of the emulator."""
         assert self._process is not None
         return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether the emulator runs."""
+        return self._process is not None and self._process.poll() is None
 
     def cycle_at(self, host_ns: int) -> int:
         """The chip's cycle at a time of CLOCK_MONOTONIC."""

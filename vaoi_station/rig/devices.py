@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from vaoi_station.rig.chip import Chip, build
-from vaoi_station.rig.darkroom import Darkroom
+from vaoi_station.rig.darkroom import Darkroom, View
 from vaoi_station.rig.faults import Fault
 from vaoi_station.rig.films import Film, films
 from vaoi_station.rig.network import Loopback, addresses
@@ -61,10 +61,10 @@ class Devices:
                 camera.begin()
             for camera in self.cameras:
                 camera.wait()
-            darkroom = Darkroom(self._scenario, self._folder / "late")
-            parts.callback(darkroom.close)
+            self._darkroom = Darkroom(self._scenario, self._folder / "late")
+            parts.callback(self._darkroom.close)
             lamp = lamp_of(self._scenario)
-            self.stage = Stage(self.cameras, lamp, self._mischief, self._noticed, darkroom.develop)
+            self.stage = Stage(self.cameras, lamp, self._mischief, self._noticed, self._darkroom.develop)
             self.chip = parts.enter_context(Chip(built, self.terminal, self.stage.hear, self.stage.chip_restarted))
             self.stage.use(self.chip)
             self._parts = parts.pop_all()
@@ -72,6 +72,10 @@ class Devices:
 
     def __exit__(self, *_: object) -> None:
         self._parts.close()
+
+    def lay_calibration_board(self) -> None:
+        """Have it rendered as it lies under the cameras while no board passes; else its first pictures come late."""
+        self._darkroom.develop(View(None))
 
     def _answered(self, camera: int, word: str, picture: int, _: int) -> None:
         self.stage.answered(camera, word, picture)
