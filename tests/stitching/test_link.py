@@ -63,6 +63,26 @@ def test_neighbours_are_linked_by_their_calibration_though_turned(workshop: Any,
     assert np.hypot(*off_px.T).max() < 0.02 + 10 * abs(angles[0] - angles[1])
 
 
+@pytest.mark.parametrize("overlap_px", [26, 30, 34, 38, 44, 52, 60])
+def test_neighbours_that_hardly_overlap_are_not_said_to_have_moved(workshop: Any, overlap_px: int) -> None:
+    """Patches keep off the borders, so that an overlap of 34 px has room for none, and a somewhat wider one for few."""
+    left, right = (workshop.camera((x, 0), size_px=SIZE) for x in (0.0, (SIZE[0] - overlap_px) / SCALE))
+    frames = filmed(workshop, left, np.eye(3)), filmed(workshop, right, np.eye(3))
+    links = link_neighbours(Task("neighbours", (0, 0), (1, 0)), *frames, left, right)
+    assert not links.unmatched
+    assert (len(links.a_px) > 0) == (overlap_px >= 36)
+
+
+@pytest.mark.parametrize(("overlap_px", "told"), [(30, False), (36, True), (44, True), (60, True)])
+def test_neighbours_that_show_different_things_are_told_wherever_there_is_room(
+    workshop: Any, overlap_px: int, told: bool
+) -> None:
+    left, right = (workshop.camera((x, 0), size_px=SIZE) for x in (0.0, (SIZE[0] - overlap_px) / SCALE))
+    elsewhere = filmed(workshop, right, motion(0.0, 0.0, 200.0))
+    task = Task("neighbours", (0, 0), (1, 0))
+    assert link_neighbours(task, filmed(workshop, left, np.eye(3)), elsewhere, left, right).unmatched is told
+
+
 def test_what_stops_a_link_is_noted(workshop: Any) -> None:
     camera = workshop.camera(size_px=SIZE)
     board = filmed(workshop, camera, np.eye(3))

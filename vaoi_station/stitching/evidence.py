@@ -47,9 +47,9 @@ class Links:
     """The overlap of two cameras shows texture, but little or none of it is in both frames."""
 
     @staticmethod
-    def none(task: Task, note: str) -> Links:
-        """Evidence of having looked and found nothing."""
-        return Links(task, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), note)
+    def none(task: Task, note: str, tried: int = 0) -> Links:
+        """Evidence of having looked, at so many places, and found nothing."""
+        return Links(task, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), note, tried=tried)
 
 
 @dataclass(frozen=True, eq=False)

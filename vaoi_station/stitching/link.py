@@ -71,14 +71,20 @@ def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, came
     found = len(links.a_px)
     if found >= _BEYOND_DOUBT or found >= max(_ENOUGH, _MOST * links.tried):
         return links
-    if min(box[2] - box[0], box[3] - box[1]) <= 2 * MARGIN_PX:
+    if _grid(a, _reduced(box, a.grey.shape, still)) is None:
         return links  # no room for a patch: that two cameras hardly overlap tells nothing of them
     coarse = find_shift(a, b, box, _offset(box, camera_a, camera_b, still), np.full(2, _MOVED_MM * camera_a.px_per_mm))
     if isinstance(coarse, Failure):
-        return replace(links, unmatched=len(links.a_px) < _ENOUGH and isinstance(coarse, NoFit))
+        return replace(links, unmatched=_few(links) and isinstance(coarse, NoFit))
     moved = _fine(task, a, b, camera_a, camera_b, still, box, coarse.px)
     best = moved if len(moved.a_px) > len(links.a_px) else links
-    return replace(best, unmatched=len(best.a_px) < _ENOUGH)
+    return replace(best, unmatched=_few(best))
+
+
+def _few(links: Links) -> bool:
+    """Whether it is less than two cameras show that see the same; a narrow overlap has room for few places."""
+    enough = _ENOUGH if links.tried >= _ENOUGH else max(_MOST * links.tried, 1)
+    return len(links.a_px) < enough
 
 
 def _offset(box: tuple[int, int, int, int], a: Camera, b: Camera, shift_mm: Floats) -> Floats:
@@ -118,7 +124,8 @@ def _fine(
     m = match(a.grey, b.grey, places, guess)
     good = m.found & (m.score >= _LEAST_SCORE) & (m.sigma_px <= _WORST_SIGMA_PX)
     if not good.any():
-        return Links.none(task, f"none of {len(places)} places was found again with correlation ≥ {_LEAST_SCORE}")
+        note = f"none of {len(places)} places was found again with correlation ≥ {_LEAST_SCORE}"
+        return Links.none(task, note, len(places))
     return Links(
         task,
         middles(places[good]),
@@ -132,17 +139,23 @@ def _fine(
 
 def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POINTS) -> NDArray[np.int64]:
     """The best-textured place of each cell of a grid laid over a box of the frame, (k, 2) whole pixels."""
-    grain = (
-        _GRAIN_PX if a.factor >= _GRAIN_PX and min(box[2] - box[0], box[3] - box[1]) >= _AMPLE_PX else _GRAIN_PX // 2
-    )
-    x0, y0, x1, y1 = (-(-v // grain) for v in box[:2] + (box[2] - grain + 1, box[3] - grain + 1))
-    w, h = x1 - x0, y1 - y0
-    if w < 1 or h < 1:
+    grid = _grid(a, box)
+    if grid is None:
         return np.zeros((0, 2), dtype=np.int64)
+    grain, x0, y0, w, h = grid
     cell = max(int(math.sqrt(w * h / count)), _LEAST_CELL_PX // grain)
     nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
     best = best_places(reduced(a, grain), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
     return np.asarray(best * grain + grain // 2)
+
+
+def _grid(a: Prepared, box: tuple[int, int, int, int]) -> tuple[int, int, int, int, int] | None:
+    """Grain in px, and x0, y0, width, height in grains, of what a box of the frame has room for; None: for no place."""
+    grain = (
+        _GRAIN_PX if a.factor >= _GRAIN_PX and min(box[2] - box[0], box[3] - box[1]) >= _AMPLE_PX else _GRAIN_PX // 2
+    )
+    x0, y0, x1, y1 = (-(-v // grain) for v in box[:2] + (box[2] - grain + 1, box[3] - grain + 1))
+    return (grain, x0, y0, x1 - x0, y1 - y0) if x1 > x0 and y1 > y0 else None
 
 
 def _reduced(
