@@ -9,7 +9,7 @@ from vaoi_station.geometry import Euclidean, System
 from vaoi_station.model import BoardType, Surface
 from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.cad import board_frame
-from vaoi_station.stitching.footprints import component_of, footprint_views
+from vaoi_station.stitching.footprints import Views, component_of, footprint_views, landmarks
 from vaoi_station.stitching.parts import Parts
 
 C = np.array([1.0, 0.02, -12.0, -8.0])
@@ -56,7 +56,9 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
     motion = [Euclidean.motion(0.001 * j, (0, 4.0 * j), System.ROW, System.TESTER) for j in range(3)]
     matrix = board_frame(kind, cameras[0]).matrix(C)
     surface = None if lift is None else Surface(lift_mm=lift)
-    views = footprint_views(Parts.of(kind), matrix, cameras, np.array([d.matrix for d in motion]), surface)
+    parts = Parts.of(kind)
+    seen = Views.of(parts.center, matrix, cameras, np.array([d.matrix for d in motion]), surface)
+    views = footprint_views(parts.addresses, seen)
     assert list(views) == ["A", "B", "FAR"]
     for component in kind.components:
         place = matrix @ (*component.center, 1)
@@ -70,8 +72,9 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
                     assert not camera.sees(px)
 
 
-def test_no_parts_no_views(workshop: Any) -> None:
-    assert footprint_views(Parts.of(board([])), np.eye(3), [workshop.camera()], np.zeros((0, 3, 3)), None) == {}
+def test_a_board_without_parts_has_corners(workshop: Any) -> None:
+    names, cad = landmarks(board_frame(board([]), workshop.camera()))
+    assert (len(names), cad.tolist()) == (2, [[0, 0], [30, 20]])
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -126,8 +126,8 @@ class Camera:
     def sees(self, raw_px: ArrayLike, margin_px: float = 0.0) -> np.ndarray:
         """Whether raw pixels (..., 2) lie inside the frame, kept off its border by a margin; equation 22."""
         p = np.asarray(raw_px, dtype=np.float64)
-        limit = np.array([self.width_px - 1, self.height_px - 1]) - margin_px
-        return np.asarray(((p >= margin_px) & (p <= limit)).all(-1))
+        x, y, low = p[..., 0], p[..., 1], margin_px
+        return np.asarray((x >= low) & (y >= low) & (x <= self.width_px - 1 - low) & (y <= self.height_px - 1 - low))
 
 
 def _paired(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:

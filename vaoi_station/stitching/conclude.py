@@ -23,7 +23,7 @@ from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.evidence import Evidence, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.footprints import footprint_views
-from vaoi_station.stitching.mapping import Known, Mapping, map_cad
+from vaoi_station.stitching.mapping import Known, map_cad
 from vaoi_station.stitching.marklinks import mark_links
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.motion import nominal_motion
@@ -32,10 +32,9 @@ from vaoi_station.stitching.problem import Adjusted, Problem
 from vaoi_station.stitching.reference import Reference
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.start import chained
-from vaoi_station.stitching.surface import described
 from vaoi_station.stitching.verdict import Findings, judge, quality_of
 
-_MOTION_MM = 1e-4
+_MOTION_MM = 5e-4
 """So far the motion from links alone converges at first: where the board is found all is adjusted once more."""
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping")
 
@@ -124,14 +123,10 @@ def _result(
     findings: Findings, method: str, status: Status, reasons: tuple[str, ...], quality: dict[str, Any]
 ) -> Stitch:
     rows, placed = findings.adjusted.motion.rows_from_tester, findings.placed
-    matrix = components = surface = None
-    if findings.frame is not None and isinstance(findings.found, Mapping):
-        board_type, adjusted = findings.frame.board_type, findings.found.adjusted
-        assert adjusted.similarity is not None
-        matrix = findings.frame.matrix(adjusted.similarity)
-        if len(adjusted.surface_mm):
-            surface = described(board_type, adjusted.surface_mm)
-        components = footprint_views(findings.frame.parts, matrix, findings.scene.cameras, rows, surface)
+    matrix, components = findings.cad_matrix, None
+    if findings.frame is not None and findings.views is not None:
+        addresses = findings.frame.parts.addresses
+        components = footprint_views(addresses, findings.views) if addresses else {}
     images = (
         tuple(
             m if there else None for m, there in zip(_fixed(camera.image_from_row.matrix @ rows), placed, strict=True)
@@ -147,7 +142,7 @@ def _result(
         status=status,
         reasons=reasons,
         quality=quality,
-        surface=surface,
+        surface=findings.surface,
         components=components,
     )
 

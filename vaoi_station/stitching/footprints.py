@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,6 @@ from vaoi_station.model import Surface
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.motion import places_within
 from vaoi_station.stitching.observations import Ints
-from vaoi_station.stitching.parts import Parts
 
 _BEYOND_PX = 3.0
 """Views are listed until the centre is so far outside the frame."""
@@ -27,28 +27,49 @@ def component_of(frame: Frame, c: Floats, board_mm: Floats) -> Ints:
     return frame.parts.under(np.asarray(np.linalg.inv(frame.matrix(c)), np.float64), board_mm)
 
 
-def footprint_views(
-    parts: Parts, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None
-) -> dict[str, tuple[View, ...]]:
-    """Raw pixels of the centre of each footprint in every frame that shows it: {address: [(camera, row, x, y)]}.
+def landmarks(frame: Frame) -> tuple[tuple[str, ...], Floats]:
+    """Names and CAD places (n, 2) of what is told in which frame it is: components, or the board's corners."""
+    parts = frame.parts
+    if parts.addresses:
+        return parts.addresses, parts.center
+    return ("low corner", "high corner"), np.array(frame.board_type.extent())
 
-    `rows` (m, 3, 3) are the D_j.
-    """
-    n = len(parts.addresses)
-    if not n:
-        return {}
-    height = surface.height_mm(parts.center) if surface else np.zeros(n)
-    between = float(height.min()), float(height.max())
-    board = apply(cad_matrix, parts.center)
-    found = []
-    for i, camera in enumerate(cameras):
-        row, part, place = places_within(rows, board, *camera.view_mm(-_BEYOND_PX, between))
-        px = camera.project(place, height[part])
-        seen = camera.sees(px, -_BEYOND_PX)
-        found.append((part[seen], np.full(int(seen.sum()), i), row[seen], px[seen]))
-    part, camera_of, row_of, px = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
-    order = np.argsort(part, kind="stable")
-    x, y = np.round(px[order], 4).T.tolist()
-    views = list(zip(camera_of[order].tolist(), row_of[order].tolist(), x, y, strict=True))
-    ends = [0, *np.cumsum(np.bincount(part, minlength=n)).tolist()]
-    return {address: tuple(views[a:b]) for address, (a, b) in zip(parts.addresses, pairwise(ends), strict=True)}
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Points of the board in the frames that show them: point by point, of each in the order of cameras and rows."""
+
+    point: Ints
+    """(k,) number of the point."""
+    camera: Ints
+    row: Ints
+    place_mm: Floats
+    """(k, 2) where it is on the conveyor's plane in that row."""
+    px: Floats
+    """(k, 2) raw pixels; a little outside the frame is seen, too."""
+
+    @staticmethod
+    def of(cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None) -> Views:
+        """Of CAD points (n, 2); `rows` (m, 3, 3) are the D_j."""
+        height = surface.height_mm(cad) if surface else np.zeros(len(cad))
+        between = float(height.min()), float(height.max())
+        boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
+        row, point, place = places_within(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
+        (x, y), found = place.T, []
+        for i, (camera, (low, high)) in enumerate(zip(cameras, boxes, strict=True)):
+            near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
+            px = camera.project(place[near], height[point[near]])
+            seen = camera.sees(px, -_BEYOND_PX)
+            at = near[seen]
+            found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
+        point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
+        order = np.argsort(point, kind="stable")
+        return Views(point[order], *(values[order] for values in others))
+
+
+def footprint_views(addresses: Sequence[str], views: Views) -> dict[str, tuple[View, ...]]:
+    """Raw pixels of the centre of each footprint in every frame that shows it: {address: [(camera, row, x, y)]}."""
+    x, y = np.round(views.px, 4).T.tolist()
+    every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))
+    ends = [0, *np.cumsum(np.bincount(views.point, minlength=len(addresses))).tolist()]
+    return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}

@@ -23,7 +23,7 @@ from vaoi_station.stitching.shots import Shots
 
 _STEP_MM, _REACH = 0.05, 70
 """Samples across a piece of the outline are so far apart, and so many are taken to either side."""
-_ALONG = 24
+_ALONG = 12
 """Samples along a piece that are averaged."""
 _GAP, _SIDE = 1, 6
 """A step is the mean of so many samples beyond so many left out, less the same on the other side."""

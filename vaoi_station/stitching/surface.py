@@ -10,23 +10,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.compiled import compiled
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Surface
 
 SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
 """Prior standard deviation of lift, tilt along u and v, and the coefficients of u², uv, v²."""
 
+_EDGE = 1.2
+
 
 def basis(board_type: BoardType, cad: Floats) -> Floats:
     """Values (k, 6) of the basis functions at CAD points (k, 2)."""
-    about, half = frame_of(board_type)
-    u, v = np.clip((np.asarray(cad) - about) / half, -1.2, 1.2).T
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], -1)
+    return _basis(np.eye(3), np.ascontiguousarray(cad, dtype=np.float64), *frame_of(board_type))
 
 
 def basis_on_board(board_type: BoardType, cad_matrix: Floats, board_mm: Floats) -> Floats:
     """The same for points (k, 2) of the board in tester coordinates."""
-    return basis(board_type, apply(np.linalg.inv(cad_matrix), board_mm))
+    cad_from_board = np.ascontiguousarray(np.linalg.inv(cad_matrix), dtype=np.float64)
+    return _basis(cad_from_board, np.ascontiguousarray(board_mm), *frame_of(board_type))
+
+
+@compiled
+def _basis(cad_from_place: Floats, place: Floats, about: Floats, half: Floats) -> Floats:
+    """By an affine map (3, 3) from places (k, 2) to CAD; a little beyond the board the functions stay what they are."""
+    m, out = cad_from_place, np.empty((len(place), 6))
+    for n in range(len(place)):
+        x, y = place[n, 0], place[n, 1]
+        u = min(max((m[0, 0] * x + m[0, 1] * y + m[0, 2] - about[0]) / half[0], -_EDGE), _EDGE)
+        v = min(max((m[1, 0] * x + m[1, 1] * y + m[1, 2] - about[1]) / half[1], -_EDGE), _EDGE)
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3], out[n, 4], out[n, 5] = 1.0, u, v, u * u, u * v, v * v
+    return out
 
 
 def frame_of(board_type: BoardType) -> tuple[Floats, Floats]:

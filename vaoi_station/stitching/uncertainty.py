@@ -17,11 +17,10 @@ import numpy as np
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment import similar
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.certainty import longest
 from vaoi_station.stitching.evidence import FrameKey
-from vaoi_station.stitching.motion import places_within
+from vaoi_station.stitching.footprints import Views, landmarks
 from vaoi_station.stitching.observations import Ints
 from vaoi_station.stitching.problem import Adjusted
 from vaoi_station.stitching.scene import Scene
@@ -43,7 +42,7 @@ class Sigma:
     names: tuple[str, ...]
     """Addresses of the components."""
     part: Ints
-    """(k,) which component a view shows; views of one component stand in the order of cameras and rows."""
+    """(k,) which component a view shows; component by component, of each in the order of cameras and rows."""
     seen_in: Ints
     """(k, 2) camera and row of every view."""
     covariance_px2: Floats
@@ -71,31 +70,54 @@ class Sigma:
         with np.errstate(divide="ignore"):
             digits = _DIGITS - 1 - np.floor(np.log10(np.abs(values)))
         unit = 10.0 ** np.where(np.isfinite(digits), digits, 0)
-        order = np.argsort(self.part, kind="stable")
-        told = zip(*self.seen_in[order].T.tolist(), *(np.round(values * unit) / unit)[order].T.tolist(), strict=True)
+        told = zip(*self.seen_in.T.tolist(), *(np.round(values * unit) / unit).T.tolist(), strict=True)
         entries = [list(entry) for entry in told]
         ends = [0, *np.cumsum(np.bincount(self.part, minlength=len(self.names))).tolist()]
         return {name: entries[a:b] for name, (a, b) in zip(self.names, pairwise(ends), strict=True) if b > a}
 
 
-def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted) -> Sigma:
-    """Covariance of component positions in every image (of the board's corners, if it has no components)."""
+def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted, views: Views | None) -> Sigma:
+    """Covariance of components' positions in every good frame that shows them.
+
+    Args:
+        scene: cameras and good frames.
+        frame: the board type.
+        adjusted: the solution.
+        views: of the frame's `landmarks`; None without C.
+    """
     resolution = float(np.mean([camera.px_per_mm for camera in scene.cameras]))
     motion = np.hypot(longest(adjusted.covariance[:, 1:3, 1:3]) * resolution, MODEL_PX).tolist()
-    if frame is None or adjusted.similarity is None:
+    if frame is None or views is None:
         none = np.zeros(0, dtype=np.int_)
         return Sigma(tuple(motion), None, (), none, np.zeros((0, 2), dtype=np.int_), np.zeros((0, 2, 2)))
-    parts = frame.parts
-    names = parts.addresses or ("low corner", "high corner")
-    cad = parts.center if len(parts.center) else np.array(frame.board_type.extent())
-    places = _Places(frame, adjusted, cad)
-    views = [places.seen_by(number, camera, scene.present) for number, camera in enumerate(scene.cameras)]
-    part, seen_in, covariance = (np.concatenate([v[n] for v in views]) for n in range(3))
+    names, cad = landmarks(frame)
+    whole = np.zeros((len(scene.cameras), len(motion)), dtype=np.bool_)
+    whole[tuple(np.array(scene.present, dtype=np.int_).reshape(-1, 2).T)] = True
+    last = np.array([(c.width_px - 1, c.height_px - 1) for c in scene.cameras])
+    (x, y), (last_x, last_y) = views.px.T, last[views.camera].T
+    inside = (x >= 0) & (y >= 0) & (x <= last_x) & (y <= last_y) & whole[views.camera, views.row]
+    part, camera, row = (numbers[inside] for numbers in (views.point, views.camera, views.row))
+    place = views.place_mm[inside]
+    covariance = position_covariances(
+        *(row, part, place, _leans(scene.cameras, camera, place), frame.flat(cad)),
+        basis(frame.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0)),
+        *(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
+    )
+    px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
+    covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
     rows = np.zeros(len(motion))
-    np.maximum.at(rows, seen_in[:, 1], longest(covariance))
+    np.maximum.at(rows, row, longest(covariance))
     worst = float(rows.max(initial=0)) or None
     by_row = tuple(float(v) or w for v, w in zip(rows, motion, strict=True))
-    return Sigma(by_row, worst, names, part, seen_in, covariance)
+    return Sigma(by_row, worst, names, part, np.column_stack([camera, row]), covariance)
+
+
+def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
+    """`Camera.parallax` (k, 2) of places (k, 2), each seen by the camera of its number (k,)."""
+    lean = np.empty(place.shape)
+    for i in np.unique(camera).tolist():
+        lean[camera == i] = cameras[i].parallax(place[camera == i])
+    return lean
 
 
 def surface_sigma_mm(frame: Frame, adjusted: Adjusted, cad: Floats) -> Floats:
@@ -105,32 +127,6 @@ def surface_sigma_mm(frame: Frame, adjusted: Adjusted, cad: Floats) -> Floats:
         return np.zeros(len(cad))
     b = basis(frame.board_type, cad)
     return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", b, adjusted.covariance[0, -f:, -f:], b)))
-
-
-class _Places:
-    """Points of the board, and how far the adjustment lets them be off in every row."""
-
-    def __init__(self, frame: Frame, adjusted: Adjusted, cad: Floats) -> None:
-        """`cad` (n, 2)."""
-        assert adjusted.similarity is not None
-        self._motion, self._flat = adjusted.motion, frame.flat(cad)
-        self._board = similar(adjusted.similarity, self._flat)
-        self._basis = basis(frame.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0))
-        self._covariance = adjusted.covariance
-
-    def seen_by(self, number: int, camera: Camera, present: Sequence[FrameKey]) -> tuple[Ints, Ints, Floats]:
-        """Points (k,) in view of a camera, camera and row (k, 2), and covariances (k, 2, 2) px² in the image."""
-        rows = np.array([row for i, row in present if i == number], dtype=np.int_)
-        row, point, place = places_within(self._motion.rows_from_tester[rows], self._board, *camera.view_mm())
-        seen = camera.sees(camera.project(place))
-        row, point, place = rows[row[seen]], point[seen], place[seen]
-        motion = self._motion
-        covariance = position_covariances(
-            *(row, point, place, camera.parallax(place), self._flat, self._basis),
-            *(motion.angle, motion.pivot, self._covariance),
-        )
-        covariance = covariance * camera.px_per_mm**2 + MODEL_PX**2 * np.eye(2)
-        return point, np.column_stack([np.full(len(row), number), row]), covariance
 
 
 @compiled

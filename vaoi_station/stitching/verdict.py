@@ -15,13 +15,14 @@ import numpy as np
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Status
+from vaoi_station.model import Status, Surface
 from vaoi_station.stitching.absence import of_absent
 from vaoi_station.stitching.agreement import of_fiducials, of_outline, of_sightings
 from vaoi_station.stitching.cad import Frame, outside_share
 from vaoi_station.stitching.certainty import matrix_sigmas, row_covariances
 from vaoi_station.stitching.evidence import Links
 from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.footprints import Views, landmarks
 from vaoi_station.stitching.heights import Height, component_heights
 from vaoi_station.stitching.mapping import Mapping
 from vaoi_station.stitching.method import Method
@@ -29,6 +30,7 @@ from vaoi_station.stitching.motion import measured_velocity
 from vaoi_station.stitching.problem import FIXTURE, REFERENCE, Adjusted, Problem
 from vaoi_station.stitching.scene import Scene
 from vaoi_station.stitching.start import tied_rows
+from vaoi_station.stitching.surface import described
 from vaoi_station.stitching.uncertainty import Sigma, predicted_sigma, surface_sigma_mm
 
 _OK_SIGMA_PX = 0.20
@@ -81,7 +83,28 @@ class Findings:
     @cached_property
     def sigma(self) -> Sigma:
         """Predicted standard deviations."""
-        return predicted_sigma(self.scene, self.frame if self.mapping else None, self.adjusted)
+        return predicted_sigma(self.scene, self.frame, self.adjusted, self.views)
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """Of the board; None where it was not sought."""
+        if self.frame is None or self.mapping is None or not len(self.adjusted.surface_mm):
+            return None
+        return described(self.frame.board_type, self.adjusted.surface_mm)
+
+    @cached_property
+    def cad_matrix(self) -> Floats | None:
+        """C, 3×3; None without."""
+        c = self.adjusted.similarity
+        return None if self.frame is None or self.mapping is None or c is None else self.frame.matrix(c)
+
+    @cached_property
+    def views(self) -> Views | None:
+        """Of the components, or the board's corners; None without C."""
+        if self.frame is None or self.cad_matrix is None:
+            return None
+        rows = self.adjusted.motion.rows_from_tester
+        return Views.of(landmarks(self.frame)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
 
     @cached_property
     def heights(self) -> dict[str, Height]:
