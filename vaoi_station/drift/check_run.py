@@ -24,9 +24,9 @@ def check_run(
         board_type: name or digest.
         setup: what it was stitched with.
         times_s: (m,) time of every row.
-        evidence: of its tasks.
+        evidence: of its tasks, in any order.
         stitch: its result.
     """
-    few = [thinned(e) for e in evidence]
+    few = [thinned(e) for e in sorted(evidence, key=lambda e: e.task)]
     laid_out = lay_out(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, few, stitch)
     return check_of(run, time, board_type, told_by(laid_out))

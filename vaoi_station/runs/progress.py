@@ -98,21 +98,31 @@ class Progress:
         self.settled_s[key] = report.host_time_s
         if report.frame.verdict is not Verdict.OK or key[1] not in self.pulses:
             return []
-        times_s = {row: pulse.time_s for row, pulse in self.pulses.items()}
         self.linkable.add(key)
-        return self._ask(key[0], possible_tasks(key, self.linkable, times_s, self.order.setup))
+        return self._ask(key[0], possible_tasks(key, self.linkable, self._times_s(), self.order.setup))
 
     def filmed(self, report: RunFinished) -> list[LinkJob]:
         """Every frame has its verdict; the canonical tasks that were not asked for yet."""
         self.step(RunStep.FILMED)
         self.film = report
         self.frames = {(f.camera, f.row): f for f in report.frames}
-        times_s = dict(enumerate(report.head.row_times_s()))
-        self.needed = all_tasks(self.present, times_s, self.order.setup)
+        self.needed = self._canonical_tasks(dict(enumerate(report.head.row_times_s().tolist())))
         unasked = (task for task in self.needed if task not in self.asked_s)
         jobs = [job for task in unasked for job in self._ask(task.a[0], (task,))]
         self.awaited = self.unanswered.intersection(self.needed)
         return jobs
+
+    def _times_s(self) -> dict[int, float]:
+        """Of the pulses so far, after the first that was reported, to a nanosecond: as the film's head has them."""
+        first_s = self.pulses[min(self.pulses)].time_s
+        return {row: round(pulse.time_s - first_s, 9) for row, pulse in self.pulses.items()}
+
+    def _canonical_tasks(self, times_s: dict[int, float]) -> tuple[Task, ...]:
+        """All tasks of the run: those asked for while filming, unless something was lost on the way."""
+        whole = len(self.linkable) == len(self.frames) == len(self.order.setup.cameras) * len(times_s)
+        if whole and self._times_s() == times_s:
+            return tuple(self.asked_s)
+        return all_tasks(self.present, times_s, self.order.setup)
 
     def answered(self, job: LinkJob, answer: Answer, now_s: float) -> None:
         """Tasks are done, or cannot be done."""
@@ -147,7 +157,7 @@ class Progress:
 
     @property
     def canonical(self) -> dict[Task, Linked]:
-        """What the canonical tasks gave, in their order."""
+        """What the canonical tasks gave."""
         return {task: self.linked[task] for task in self.needed if task in self.linked}
 
     def concluded(self, answer: Answer, now_s: float) -> None:
