@@ -47,7 +47,7 @@ class Shots:
         return Shots(
             scene,
             np.array(scene.present, dtype=np.int_).reshape(-1, 2),
-            np.array([motion.row_from_tester(j).matrix for j in range(len(motion.angle))]),
+            motion.rows_from_tester,
             np.array([c.image_from_row.matrix for c in cameras]),
             np.array([[*c.lens.coefficients, *[0.0] * (most - len(c.lens.coefficients))] for c in cameras]),
             np.array([c.lens.shape for c in cameras]),
