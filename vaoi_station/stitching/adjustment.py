@@ -27,8 +27,8 @@ from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem
 from vaoi_station.stitching.scatter import excess
 
 _ITERATIONS = 15
-CONVERGED_MM = 5e-6
-_ENOUGH, _ROUGHLY_MM = 200, 3e-3
+CONVERGED_MM = 5e-5
+_ENOUGH, _ROUGHLY_MM = 100, 3e-3
 """A start is made with so many links per row, until a step moves no row by more."""
 _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""

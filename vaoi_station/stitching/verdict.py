@@ -279,7 +279,7 @@ def quality_of(f: Findings) -> dict[str, Any]:
             {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
         ],
         "residual_px": {
-            "median": _rounded(float(np.median(np.hypot(*a.link_px[used].T)))) if used.any() else None,
+            "median": _rounded(float(np.sqrt(np.median((a.link_px**2).sum(1)[used])))) if used.any() else None,
             "scatter": _rounded(a.floor_px),
             "sigma0": _rounded(a.sigma0),
         },
