@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import count
 
@@ -34,7 +34,7 @@ class Film:
     cameras: int
     controller: DeviceClock = field(default_factory=lambda: DeviceClock(7e5, 40.0, origin_s=1000.0))
     outcomes: list[Outcome] = field(default_factory=list)
-    story: list[tuple[float, int, Callable[[float], list[Outcome]]]] = field(default_factory=list)
+    story: list[tuple[float, int, Callable[[float], Iterable[Outcome]]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.camera_clocks = [DeviceClock(-50.0 * n, 30.0 - 25.0 * n, origin_s=1000.0) for n in range(self.cameras)]
@@ -44,14 +44,14 @@ class Film:
         self.truth: dict[int, tuple[str | None, int, int]] = {}
         """slot → (run, camera, row) of the frame in it; row −1: of no pulse."""
 
-    def at(self, host_s: float, happening: Callable[[float], list[Outcome]]) -> None:
+    def at(self, host_s: float, happening: Callable[[float], Iterable[Outcome]]) -> None:
         heapq.heappush(self.story, (host_s, next(self._order), happening))
 
     def run(self, name: str | None, first_s: float, rows: int, lag_s: float) -> None:
         """Pulses from `first_s` on; the host hears of each `lag_s` later."""
 
-        def pulse(row: int) -> Callable[[float], list[Outcome]]:
-            def happen(now_s: float) -> list[Outcome]:
+        def pulse(row: int) -> Callable[[float], Iterable[Outcome]]:
+            def happen(now_s: float) -> Iterable[Outcome]:
                 if row == 0:
                     self.recorder.begin(name, None if name is None else 0, PERIOD_S)
                 time_s = self.controller.device_s(first_s + row * PERIOD_S)
@@ -59,7 +59,7 @@ class Film:
 
             return happen
 
-        def end(now_s: float) -> list[Outcome]:
+        def end(now_s: float) -> Iterable[Outcome]:
             sheet = next(s for s in self.recorder.open_runs if s.run == name and s.pulse_count is None)
             return self.recorder.end(sheet, rows, "clear", now_s)
 
@@ -84,7 +84,7 @@ class Film:
         number = (counted - 1) % WRAP + 1
         stamp_s = self.camera_clocks[camera].device_s((exposed_s if dated_s is None else dated_s) + 7e-6)
 
-        def happen(now_s: float) -> list[Outcome]:
+        def happen(now_s: float) -> Iterable[Outcome]:
             if complete:
                 return self.recorder.arrive(Arrival(camera, slot, True, number, stamp_s, now_s), now_s)
             return self.recorder.arrive(Arrival(camera, slot, False, None, None, now_s, "torn"), now_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
 from vaoi_station.acquisition.causes import Gap, Outages, explain_missing, gaps
@@ -36,16 +37,19 @@ def conclude(
     """
     missing: list[FrameRecord] = []
     seen, counted = [], []
+    taken: list[set[int]] = [set() for _ in extra]
+    for camera, row in sheet.taken:
+        taken[camera].add(row)
     for camera, strays in enumerate(extra):
         frames = [*sheet.seen[camera], *_about(sheet, strays)]
         seen.append([_dated(f, outages.before(camera, f.host_s)) for f in frames])
-        opening = _opening(sheet, before, camera, strays, outages)
-        counted.append([*opening, *_gaps(sheet, camera, seen[-1])])
+        opening = _opening(sheet, before, camera, strays, outages, taken[camera])
+        counted.append([*opening, *_gaps(sheet, seen[-1], taken[camera])])
         missing += _missing(sheet, camera, counted[-1], outages)
     proof = prove(sheet.pulses, pulse_bound_s, seen, counted)
     for record in missing:
         sheet.frames[record.camera, record.row] = record
-    for camera in range(len(extra)):
+    for camera in {finding.camera for finding in proof.findings}:
         _note(sheet, camera, proof)
     return missing, proof
 
@@ -60,14 +64,14 @@ def _about(sheet: RunSheet, strays: Sequence[Seen]) -> list[Seen]:
     return [s for s in strays if min(times_s) - around_s <= s.host_s <= max(times_s) + around_s]
 
 
-def _gaps(sheet: RunSheet, camera: int, seen: Sequence[Seen]) -> list[Gap]:
-    """A camera that was lost and came back counts anew."""
+def _gaps(sheet: RunSheet, seen: Sequence[Seen], taken: AbstractSet[int]) -> list[Gap]:
+    """Of one camera, with the rows of which something came. One that was lost and came back counts anew."""
     fired = [row for row in range(sheet.rows) if row not in sheet.skipped]
     ids: defaultdict[int, dict[int, int]] = defaultdict(dict)
     for frame in seen:
         if frame.row is not None and frame.frame_id is not None:
             ids[frame.epoch][frame.row] = frame.frame_id
-    torn = {row for n, row in sheet.taken if n == camera} - {row for of_epoch in ids.values() for row in of_epoch}
+    torn = taken - {row for of_epoch in ids.values() for row in of_epoch}
     found: list[Gap] = []
     for epoch, of_epoch in sorted(ids.items()):
         strays = [f.frame_id for f in seen if f.row is None and f.epoch == epoch and f.frame_id is not None]
@@ -76,7 +80,12 @@ def _gaps(sheet: RunSheet, camera: int, seen: Sequence[Seen]) -> list[Gap]:
 
 
 def _opening(
-    sheet: RunSheet, before: RunSheet | None, camera: int, strays: Sequence[Seen], outages: Outages
+    sheet: RunSheet,
+    before: RunSheet | None,
+    camera: int,
+    strays: Sequence[Seen],
+    outages: Outages,
+    taken: AbstractSet[int],
 ) -> list[Gap]:
     """From the last row of the run before to the first frame of this one, if the count of the camera explains it."""
     if before is None:
@@ -88,9 +97,8 @@ def _opening(
     if outages.before(camera, last.host_s) != outages.before(camera, first.host_s):
         return []
     fired = [row for row in range(first.row + 1) if row not in sheet.skipped]
-    torn = {row for n, row in sheet.taken if n == camera}
     between = [f.frame_id for f in strays if f.frame_id is not None and last.host_s < f.host_s < first.host_s]
-    (gap,) = gaps([BEFORE, *fired], {BEFORE: last.frame_id, first.row: first.frame_id}, torn, between)
+    (gap,) = gaps([BEFORE, *fired], {BEFORE: last.frame_id, first.row: first.frame_id}, taken, between)
     return [gap] if gap.missing and 0 <= gap.ignored <= len(gap.missing) else []
 
 

@@ -9,7 +9,7 @@ known in either order, and frames of one run may come while the next is filmed.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import Arrival
@@ -125,7 +125,7 @@ class Recorder:
         """The controller reported something at its time `time_s`; all earlier pulses are known by now."""
         self._known_until_s = max(self._known_until_s, self._controller_clock.host_s(time_s))
 
-    def pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, list[Outcome]]:
+    def pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, Iterator[Outcome]]:
         """A pulse of the newest run; frames that were there before it find their place now."""
         self.heard(event.time_s)
         pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
@@ -133,14 +133,14 @@ class Recorder:
         self._sheets[-1].pulses[event.index] = KnownPulse(pulse, host_s, event.exposures_us, now_s)
         return pulse, self.settle(now_s)
 
-    def end(self, sheet: RunSheet, pulses: int, reason: str, now_s: float) -> list[Outcome]:
+    def end(self, sheet: RunSheet, pulses: int, reason: str, now_s: float) -> Iterator[Outcome]:
         """The last pulse of a run has been fired."""
         if sheet.pulse_count is None:
             sheet.pulse_count, sheet.reason = pulses, reason
             sheet.deadline_s = now_s + sheet.period_s + self.limits.late_s
         return self.settle(now_s)
 
-    def arrive(self, arrival: Arrival, now_s: float) -> list[Outcome]:
+    def arrive(self, arrival: Arrival, now_s: float) -> Iterator[Outcome]:
         """A camera has finished with a slot."""
         if arrival.complete and arrival.time_s is not None:
             self._waiting.append((arrival, self._camera_clocks[arrival.camera].host_s(arrival.time_s)))
@@ -148,8 +148,21 @@ class Recorder:
             self._unnamed.append(arrival)
         return self.settle(now_s)
 
-    def settle(self, now_s: float) -> list[Outcome]:
-        """Everything that can be decided by now; call it again at `next_deadline_s` at the latest."""
+    def settle(self, now_s: float) -> Iterator[Outcome]:
+        """Everything that can be decided by now; call it again at `next_deadline_s` at the latest.
+
+        To be read to its end: a frame's place is told before the proof of its run is worked out.
+        """
+        yield from self._placed(now_s)
+        for sheet in self.open_runs:
+            yield from self._try_finish(sheet, now_s)
+        yield from self._give_up_unnamed(now_s)
+        finished = [s for s in self._sheets if s.finished]
+        for sheet in finished[:-REMEMBERED]:
+            self._sheets.remove(sheet)
+
+    def _placed(self, now_s: float) -> list[Outcome]:
+        """Of frames that wait, those whose place is known now."""
         out: list[Outcome] = []
         waiting, self._waiting = self._waiting, []
         for arrival, host_s in waiting:
@@ -158,12 +171,6 @@ class Recorder:
                 self._waiting.append((arrival, host_s))
             else:
                 out.append(placed)
-        for sheet in self.open_runs:
-            out += self._try_finish(sheet, now_s)
-        out += self._give_up_unnamed(now_s)
-        finished = [s for s in self._sheets if s.finished]
-        for sheet in finished[:-REMEMBERED]:
-            self._sheets.remove(sheet)
         return out
 
     def next_deadline_s(self, after_s: float) -> float | None:

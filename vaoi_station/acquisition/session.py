@@ -7,7 +7,7 @@ One thread uses it. Everything that can happen comes in as a call, with the time
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
 from vaoi_station.acquisition.clocks import ClockModel
@@ -219,7 +219,7 @@ class Session:
         self._tell(self._recorder.end(sheet, pulses, reason, now_s), now_s)
         self._load_next()
 
-    def _tell(self, outcomes: list[Outcome], now_s: float) -> None:
+    def _tell(self, outcomes: Iterable[Outcome], now_s: float) -> None:
         """Carry out and report what the recorder has decided."""
         for outcome in outcomes:
             if isinstance(outcome, Stray):
@@ -244,8 +244,8 @@ class Session:
         if self._magazine.loaded == bay:
             self._magazine.unload()
         self._magazine.close_run(bay)
-        self._load_next()
         self._send(run_finished(self._config, finished, now_s))
+        self._load_next()
 
     def _swap(self) -> None:
         """Pulses come while the last run waits for late frames: the next one's slots must be in the cameras."""
