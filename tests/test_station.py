@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from vaoi_station import station
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.files import write_calibration
 from vaoi_station.model import Calibration
+from vaoi_station.runs import acquisition_link
+from vaoi_station.runs.shapes import StationSnapshot
 from vaoi_station.station import DATABASE, Station, serve
 
 
@@ -99,20 +101,33 @@ def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason
     assert left_behind(config) == []
 
 
-def test_workers_that_take_long_are_told_and_when_they_are_ready(
+def until(started: Station, said: Callable[[StationSnapshot], bool]) -> StationSnapshot:
+    """Wait for something the station says of itself; its events wake us."""
+    deadline_s, seen = time.monotonic() + 120.0, 0
+    while not said(snapshot := started.conductor.snapshot()):
+        assert time.monotonic() < deadline_s, snapshot
+        records = started.conductor.events(seen, 1.0)
+        seen = records[-1].number if records else seen
+    return snapshot
+
+
+def test_boards_are_taken_when_the_workers_are_ready_and_callers_are_answered_before(config: StationConfig) -> None:
+    """After an installation they compile first."""
+    with Station(config) as started:
+        first = started.conductor.snapshot()
+        assert (first.state, first.processes[0].restarts) == ("starting", 0)
+        assert [warning.code for warning in first.warnings] == ["workers-starting"]
+        until(started, lambda snapshot: snapshot.state != "starting")
+        told = [event for event in started.conductor.events() if event.code != "ring-not-locked"]
+        assert told[0].message == "The workers are ready: results come at once.", "cameras were opened afterwards"
+        assert started.conductor.snapshot().warnings == ()
+
+
+def test_workers_that_take_too_long_are_told_and_boards_are_taken_all_the_same(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As after an installation, when they compile for longer than a station waits for them."""
-    monkeypatch.setattr(station, "PROMPT_S", 0.0)
-    monkeypatch.setattr(station, "WARM_S", 0.0)
+    monkeypatch.setattr(acquisition_link, "WARM_S", 0.0)
     with Station(config) as started:
-        late = started.conductor.snapshot().warnings
-        assert [warning.code for warning in late] == ["workers-starting"]
-        deadline_s, seen, told = time.monotonic() + 120.0, 0, list[str]()
-        while "The workers are ready: results come at once." not in told:
-            assert time.monotonic() < deadline_s, told
-            records = started.conductor.events(seen, 1.0)
-            told += [record.message for record in records if record.kind == "workers"]
-            seen = records[-1].number if records else seen
-        assert told[0].startswith("Boards are taken when the workers are ready, or in 0 s. After an installation")
-        assert started.conductor.snapshot().warnings == ()
+        opened = until(started, lambda snapshot: snapshot.processes[0].pid is not None)
+        assert [warning.code for warning in opened.warnings] == ["workers-starting"]
+        until(started, lambda snapshot: not snapshot.warnings)

@@ -23,7 +23,6 @@ from vaoi_station.runs.moments import RunIds
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.salvage import camera_heads
 from vaoi_station.runs.shelf import ReferenceShelf
-from vaoi_station.runs.status import COMPILING
 from vaoi_station.runs.stopping import StopRequest
 from vaoi_station.runs.systemd import alive, notify
 from vaoi_station.runs.watch import CalibrationWatch
@@ -34,9 +33,6 @@ _log = logging.getLogger(__name__)
 
 GRACE_S = 10.0
 """For runs under way to come to their end when the station is stopped."""
-PROMPT_S, WARM_S = 5.0, 60.0
-"""For workers to warm up before a word is said of it, and before a board is taken; one that takes longer finds its jobs
-waiting, and the station says that results will be late."""
 DATABASE, REFERENCES = "station.db", "references"
 
 
@@ -89,11 +85,8 @@ class Station:
             workers.start(
                 conductor.worker_lost, lambda: events.add("workers", "The workers are ready: results come at once.")
             )
-            if not workers.wait_ready(PROMPT_S):
-                events.add("workers", f"Boards are taken when the workers are ready, or in {WARM_S:.0f} s. {COMPILING}")
-                workers.wait_ready(WARM_S)
             parts.callback(link.stop)
-            link.start(conductor.hear, conductor.acquisition_lost)
+            link.start(conductor.hear, conductor.acquisition_lost, workers.all_ready)
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
             self._parts, self._conductor, self._wound_down = parts.pop_all(), conductor, False

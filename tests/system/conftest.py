@@ -16,7 +16,7 @@ from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.filming import write_passage
 from vaoi_station.station import Station
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.model import Status
 from vaoi_station.runs.conductor import StationConductor
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 RunStation = Callable[[StationConfig], StationConductor]
 
 

@@ -61,6 +61,11 @@ class Service:
         assert answer.status_code == 200, answer.text
         return answer.json()
 
+    def until_idle(self) -> None:
+        """Its workers are warm, its cameras open; the stream of events says its state every two seconds."""
+        with self.client.stream("GET", "/events") as stream:
+            assert any('"state":"idle"' in line for line in stream.iter_lines())
+
     def stop(self, number: int) -> int:
         self.client.close()
         self.process.send_signal(number)
@@ -82,10 +87,7 @@ def service(replay_config: Callable[..., StationConfig], tmp_path: Path) -> Iter
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path: Path, number: int) -> None:
-    station = service.get("/station")
-    while station["state"] == "starting":
-        station = service.get("/station")
-    assert station["state"] == "idle"
+    service.until_idle()
     armed = service.client.post("/station/arm", json={"board_type": "small", "board_id": "b 1", "job_id": "j 1"})
     assert armed.status_code == 200, armed.text
     assert armed.json()["state"] == "armed"
@@ -110,6 +112,7 @@ def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path
 def test_a_station_that_is_killed_leaves_no_process_and_its_ring_is_swept(
     service: Service, replay_config: Callable[..., StationConfig], tmp_path: Path
 ) -> None:
+    service.until_idle()
     pids = [p["pid"] for p in service.get("/station")["processes"]]
     service.stop(signal.SIGKILL)
     for pid in pids:
@@ -129,6 +132,8 @@ from vaoi_station.station import Station
 if __name__ == "__main__":
     station = Station(read_config(Path(sys.argv[1])))
     station.start()
+    while station.conductor.snapshot().state == "starting":
+        station.conductor.events(10**9, 0.2)
     print(*(p.pid for p in station.conductor.snapshot().processes if p.pid), flush=True)
 """
 

@@ -15,8 +15,8 @@ from typing import IO
 
 from vaoi_station.errors import DeviceError, InternalError
 
-START_S = 180.0
-"""Until it listens; when first started its workers compile, on a busy machine for minutes."""
+START_S = 60.0
+"""Until it listens, on a busy machine."""
 END_S = 30.0
 """A service that has not ended in order by then is killed; its children end with it."""
 _LOG_LINES = 200

@@ -9,8 +9,8 @@ from vaoi_station.demo.client import Client
 from vaoi_station.errors import DeviceError, NotFoundError
 
 POLL_S = 10.0
-START_S = 120.0
-"""For the twin to open: it draws its board first."""
+START_S = 180.0
+"""For workers to compile, when they are first started, and for the twin to open: it draws its board first."""
 BOARD_S = 180.0
 """For a board to come and pass: its frames are rendered first."""
 

@@ -23,6 +23,8 @@ SILENCE_S = 10.0
 """Without a sign of life for so long (it gives two a second) the process is taken for hung and killed."""
 START_S = 60.0
 """The same before its first word: cameras take their time to open, scenarios to be rendered."""
+WARM_S, LOOK_S = 60.0, 0.1
+"""Workers have so long to warm up before boards are taken all the same, and whether they have is looked at so often."""
 LAST_S = 2.0
 """Between the end of its pipe and its own."""
 PACE = Pace(first_s=0.5, longest_s=60.0, proven_s=30.0)
@@ -130,6 +132,7 @@ class AcquisitionLink:
         self._launch = launch
         self._hear: Callable[[Report], None] = lambda _: None
         self._lost: Callable[[str], None] = lambda _: None
+        self._warm: Callable[[], bool] = lambda: True
         self._lock = threading.Lock()
         self._life: _Life | None = None
         self._restarts = 0
@@ -137,9 +140,11 @@ class AcquisitionLink:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
 
-    def start(self, hear: Callable[[Report], None], lost: Callable[[str], None]) -> None:
-        """Start the process and listen to it."""
-        self._hear, self._lost = hear, lost
+    def start(
+        self, hear: Callable[[Report], None], lost: Callable[[str], None], warm: Callable[[], bool] = lambda: True
+    ) -> None:
+        """Start the process once those are `warm` who will work for it, or take too long, and listen to it."""
+        self._hear, self._lost, self._warm = hear, lost, warm
         atexit.register(self.stop, 0.0)  # the process leaves SIGTERM to the station: nobody else would end it
         self._thread.start()
 
@@ -180,6 +185,9 @@ class AcquisitionLink:
         self._thread.join()
 
     def _run(self) -> None:
+        until_s = time.monotonic() + WARM_S
+        while not self._warm() and time.monotonic() < until_s and not self._stopping.wait(LOOK_S):
+            continue
         while not self._stopping.is_set():
             life = self._begin()
             sentence = self._listen(life)

@@ -22,7 +22,7 @@ from vaoi_station.runs.shapes import (
 from vaoi_station.runs.state import StationState
 from vaoi_station.store.documents import EVENTS_KEPT
 
-COMPILING = "After an installation, or an update, they compile for a minute or two."
+_COMPILING = "After an installation, or an update, they compile for a minute or two."
 
 
 def snapshot_of(
@@ -73,7 +73,7 @@ def late(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
         return ()
     still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
     message = f"Results of boards that pass now come late: {still}."
-    return (Reason(code="workers-starting", message=message, action=COMPILING),)
+    return (Reason(code="workers-starting", message=message, action=_COMPILING),)
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:

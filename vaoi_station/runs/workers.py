@@ -60,7 +60,6 @@ class WorkerPool:
         self._workers = [Worker(k) for k in range(count)]
         self._queues = Queues(self._workers)
         self._lock = threading.RLock()
-        self._all_ready = threading.Condition(self._lock)
         self._wake_here, self._wake_there = multiprocessing.Pipe(duplex=False)
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
@@ -74,10 +73,10 @@ class WorkerPool:
         atexit.register(self.stop, 0.0)  # workers leave SIGTERM to the station: nobody else would end them
         self._thread.start()
 
-    def wait_ready(self, timeout_s: float) -> bool:
-        """Wait until every worker is there and warm; False if that takes too long, which jobs survive: they wait."""
-        with self._all_ready:
-            return self._all_ready.wait_for(lambda: all(w.ready for w in self._workers), timeout_s)
+    def all_ready(self) -> bool:
+        """Whether every worker is there and warm; jobs need not wait for that."""
+        with self._lock:
+            return all(w.ready for w in self._workers)
 
     def submit(self, job: Job, done: Done) -> None:
         """Have a job done; `done` is called once, with a value or a reason."""
@@ -190,8 +189,7 @@ class WorkerPool:
             if isinstance(message, Hello):
                 worker.ready = True
                 worker.backoff.works()
-                self._all_ready.notify_all()
-                complete = all(w.ready for w in self._workers)
+                complete = self.all_ready()
             self._dispatch()
         if complete:
             self._all_there()
