@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
-FAULTS = """
-import resource, sys
-import numpy as np
-from vaoi_station.runs.child import keep_memory
+import pytest
 
-if sys.argv[1] == "kept":
-    keep_memory()
+from vaoi_station.runs.child import keeping_memory
+
+FAULTS = """
+import resource
+import numpy as np
+
 for _ in range(4):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     arrays = [np.ones(1 << 20) for _ in range(4)]
@@ -20,10 +22,23 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
-def faults(how: str) -> int:
-    done = subprocess.run([sys.executable, "-c", FAULTS, how], stdout=subprocess.PIPE, text=True, check=True)
+def faults() -> int:
+    done = subprocess.run([sys.executable, "-c", FAULTS], stdout=subprocess.PIPE, text=True, check=True)
     return int(done.stdout)
 
 
 def test_memory_that_was_given_back_is_not_had_anew() -> None:
-    assert faults("kept") < 100 < faults("as it is")
+    as_it_is = faults()
+    with keeping_memory():
+        kept = faults()
+    assert kept < 100 < as_it_is
+
+
+@pytest.mark.parametrize("before", [None, "glibc.malloc.check=0"])
+def test_the_environment_is_put_back(monkeypatch: pytest.MonkeyPatch, before: str | None) -> None:
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    if before is not None:
+        monkeypatch.setenv("GLIBC_TUNABLES", before)
+    with keeping_memory():
+        assert os.environ["GLIBC_TUNABLES"].startswith(before or "glibc.malloc.hugetlb=1")
+    assert os.environ.get("GLIBC_TUNABLES") == before

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from vaoi_station.runs.logs import start_log
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Numbers of parameters in malloc.h of the GNU C library."""
-_KEPT_BYTES, _LARGEST_BYTES = 512 << 20, 32 << 20
+_TUNABLES = "GLIBC_TUNABLES"
+_MEMORY = {"hugetlb": 1, "trim_threshold": 512 << 20, "mmap_threshold": 32 << 20}
+"""Of the GNU C library's malloc: ask for large pages, keep so many bytes, take arrays up to that size from them."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -27,13 +28,20 @@ def settle_in(one_thread: bool) -> None:
     start_log()
 
 
-def keep_memory() -> None:
-    """What the process gives back stays with it, so that the next board's arrays need not be had anew.
+@contextmanager
+def keeping_memory() -> Iterator[None]:
+    """Processes that are started meanwhile keep the memory they give back, in large pages: the next board needs it.
 
-    The kernel hands out memory page by page, cleared: several ms between the last frame and the matrices of a large
-    board. Other C libraries than GNU's are left as they are.
+    To have it anew, page by page and cleared, and to look up small pages in a large run's arrays takes some ten
+    milliseconds between the last frame and the matrices. Other C libraries than GNU's do not know what this means.
     """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
-        mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES)
+    before = os.environ.get(_TUNABLES)
+    ours = ":".join(f"glibc.malloc.{key}={value}" for key, value in _MEMORY.items())
+    os.environ[_TUNABLES] = f"{before}:{ours}" if before else ours
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_TUNABLES]
+        else:
+            os.environ[_TUNABLES] = before

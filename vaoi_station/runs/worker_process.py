@@ -6,13 +6,12 @@ import gc
 from multiprocessing.connection import Connection
 from typing import Any
 
-from vaoi_station.runs.child import keep_memory, settle_in
+from vaoi_station.runs.child import settle_in
 
 
 def work(connection: Connection[Any, Any], ring_path: str) -> None:
     """Do jobs until there are no more; heavy imports only after the number of threads is set."""
     settle_in(one_thread=True)
-    keep_memory()
     from vaoi_station.runs.bench import Bench
     from vaoi_station.runs.jobs import CloseRun, Ping
     from vaoi_station.runs.warming import warm_up

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InternalError, StateError
+from vaoi_station.runs.child import keeping_memory
 from vaoi_station.runs.jobs import (
     Answer,
     CloseRun,
@@ -167,7 +168,8 @@ class WorkerPool:
         process = self._spawn.Process(
             target=work, args=(there, str(self._ring_path)), name=f"vaoi-worker-{worker.index}", daemon=True
         )
-        process.start()
+        with keeping_memory():
+            process.start()
         there.close()
         with self._lock:
             worker.process, worker.connection, worker.since_s = process, here, time.monotonic()
