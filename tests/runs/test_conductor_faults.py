@@ -69,7 +69,8 @@ def test_arming_before_the_cameras_are_open(make_rig: Callable[..., Any]) -> Non
 
 def _lose(rig: Any, *cameras: int) -> None:
     """The next sign of life says that these cameras are not connected."""
-    health = tuple(CameraHealth(k not in cameras, "" if k not in cameras else "it refuses Gain = 99") for k in range(2))
+    refusal = CameraHealth(False, "it refuses Gain = 99", action="Set a gain that it can do.")
+    health = tuple(refusal if k in cameras else CameraHealth(True) for k in range(2))
     rig.peer.say(said.Health(health, "controller fine", time.monotonic()))
     complete = not cameras
     rig.wait_for(
@@ -82,6 +83,7 @@ def test_without_one_of_its_cameras_the_line_is_not_armed_unless_that_is_allowed
     with pytest.raises(DeviceError, match=r"Camera c1 is not connected\. It refuses Gain = 99") as refusal:
         rig.conductor.arm("small")
     assert refusal.value.code == "camera-lost"
+    assert refusal.value.action.startswith("Set a gain that it can do. To film boards without it")
     assert "allow_lost_cameras" in refusal.value.action
     assert rig.conductor.snapshot().state == "idle"
     assert rig.conductor.snapshot().armed_with is None

@@ -27,8 +27,11 @@ def reasons(health: Health | None, cameras: Sequence[CameraConfig]) -> tuple[Rea
     """Of every camera that is not ready, why."""
     if health is None:
         return ()
-    whys = ((cameras[k].called, health.cameras[k].message) for k in lost(health))
-    return tuple(Reason(code=CODE, message=not_connected(*why), action=_REMEDY) for why in whys)
+    away = ((cameras[k].called, health.cameras[k]) for k in lost(health))
+    return tuple(
+        Reason(code=CODE, message=not_connected(called, camera.message), action=camera.action or _REMEDY)
+        for called, camera in away
+    )
 
 
 def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
@@ -36,7 +39,7 @@ def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
     if why := reasons(health, cameras):
         raise DeviceError(
             f"The array is not complete. {' '.join(reason.message for reason in why)}",
-            action=f"{_REMEDY} To film boards without it all the same, arm with allow_lost_cameras.",
+            action=f"{why[0].action} To film boards without it all the same, arm with allow_lost_cameras.",
             code=CODE,
         )
 

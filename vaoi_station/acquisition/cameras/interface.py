@@ -61,6 +61,8 @@ class CameraHealth:
     """The driver's own, by name, for diagnosis."""
     next_try_s: float | None = None
     """time.monotonic() when one that is not connected is opened again; None while it is being opened."""
+    action: str = ""
+    """What to do about one that is not connected, where that is known."""
 
 
 @dataclass(frozen=True)

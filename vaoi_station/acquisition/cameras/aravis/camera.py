@@ -117,11 +117,12 @@ class AravisCamera:
     def health(self) -> CameraHealth:
         """State, counts, temperature."""
         connection, counts = self._connection, self._counts
-        lost = self._trouble.message if connection is None and self._trouble else ""
+        lost = self._trouble if connection is None else None
         counters = connection.counters() if connection is not None else {}
         return CameraHealth(
             connected=connection is not None,
-            message=lost or (connection.warning(self._share) if connection is not None else ""),
+            message=lost.message if lost else connection.warning(self._share) if connection is not None else "",
+            action=lost.action if lost else "",
             temperature_c=counts.temperature_c if connection is not None else None,
             delivered=counts.delivered,
             incomplete=counts.incomplete,

@@ -139,6 +139,7 @@ def test_a_camera_that_refuses_its_settings_is_left_in_peace_until_it_is_unplugg
     stubborn = device(0, "stubborn", serial=mortal.serial)
     stage.wait(lambda: "ExposureTime" in camera.health().message and next_try_in_s(camera) > 5)
     assert not camera.health().connected
+    assert "cable" not in camera.health().action, "what is to be done is not what one does about a lost camera"
     due_s = camera.health().next_try_s
     stubborn.unplug()
     stage.wait(lambda: "there is no camera" in camera.health().message)
