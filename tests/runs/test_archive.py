@@ -36,8 +36,7 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     archive = Archive(later, EventLog(later))
     dossier = archive.get(grant.run)
     assert dossier.detail == before.model_copy(update={"state": "gone", "frames_available": False})
-    assert dossier.stitch is not None
-    assert dossier.stitch.model_dump_json() == stitch.model_dump_json()
+    assert dossier.result.model_dump_json() == stitch.model_dump_json()
     assert dossier.timeline == timeline
     assert dossier.board_type.components[0].ref == "U1"
     assert (
@@ -45,7 +44,7 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
         == rig.conductor._core.book.filming[0].order.setup.cameras[1].image_from_row.matrix.tolist()
     )
     lost = archive.get(half.run)
-    assert (lost.detail.state, lost.detail.verdict, lost.stitch) == ("gone", None, None)
+    assert (lost.detail.state, lost.detail.verdict, lost.gist) == ("gone", None, None)
     assert lost.detail.reasons[-1].code == "station-restarted"
     latest = archive.latest()
     assert latest is not None

@@ -7,11 +7,13 @@ from typing import Any
 from vaoi_station.acquisition.messages import FrameSettled, PulseSeen, RunStarted
 from vaoi_station.config import StationConfig
 from vaoi_station.model import BoardType, Calibration, FrameRecord, Pulse, Verdict
+from vaoi_station.runs.jobs import Answer, Linked, LinkJob
 from vaoi_station.runs.memory import Bay
 from vaoi_station.runs.order import OrderDesk
 from vaoi_station.runs.progress import Progress
 from vaoi_station.runs.salvage import CAUSE, camera_heads, film_from_pieces
 from vaoi_station.runs.shelf import ReferenceShelf
+from vaoi_station.stitching.evidence import Links
 from vaoi_station.store import Store
 
 
@@ -46,6 +48,13 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
     ]
     assert film.frames[-1].cause == CAUSE
     assert (film.bay, film.reason) == (1, "acquisition lost")
+    progress.filmed(film)
+    for task in progress.needed:
+        nothing = Linked.of(Links.none(task, "scripted"), 0.0)
+        progress.answered(LinkJob(progress.context, task.a[0], (task,), {}), Answer((nothing,), None, 0.0), 60.0)
+    conclusion = progress.conclusion()
+    assert conclusion is not None
+    assert conclusion.beside == {task for task in progress.asked_s if task.a[1] == 3} != set(), "also unanswered ones"
 
 
 def test_without_a_pulse_there_is_no_film(

@@ -43,15 +43,20 @@ class Plant:
             for row in range(3):
                 self.ring.frame(self.ring.slot(0, camera, row))[:] = picture
         self.lost: list[str] = []
+        self.complete = 0
+        """So often the pool has said that all workers are there."""
         self.news = threading.Condition()
         self.pool = WorkerPool(2, self.ring.path)
         self.pool.open_run(OpenRun(self.context, self.setup))
-        self.pool.start(self._note)
+        self.pool.start(self._note, self._count)
 
     def _note(self, sentence: str) -> None:
         with self.news:
             self.lost.append(sentence)
             self.news.notify_all()
+
+    def _count(self) -> None:
+        self.complete += 1
 
     def until(self, true: Callable[[], bool]) -> None:
         with self.news:
@@ -198,6 +203,7 @@ def test_an_idle_worker_gives_signs_of_life_and_one_that_hangs_is_replaced(
     plant.all_idle()
     seen = [worker.seen_s for worker in plant.pool._workers]
     plant.until(lambda: all(w.seen_s != s for w, s in zip(plant.pool._workers, seen, strict=True)))
+    assert plant.complete == 1, "it is told once, not with every sign of life"
     victim = plant.pid(1)
     os.kill(victim, signal.SIGSTOP)
     plant.until(lambda: plant.pool._workers[1].asked_s is not None)
@@ -207,6 +213,7 @@ def test_an_idle_worker_gives_signs_of_life_and_one_that_hangs_is_replaced(
     assert any("Worker 1 ended with code -9" in sentence for sentence in plant.lost)
     plant.all_idle()
     assert plant.pid(1) != victim
+    assert plant.complete == 2
 
 
 def conclusion(plant: Plant, head: Any, jobs: list[LinkJob], answers: list[Answer]) -> ConcludeJob:
@@ -250,7 +257,7 @@ def test_what_was_looked_at_in_vain_does_not_count(plant: Plant, make_head: Any)
     plant.all_idle()
     job = conclusion(plant, make_head(3), jobs, answers)
     assert len(numbers(plant.submit(job).get())["quality"]["unlinked"]) == 2
-    less = dataclasses.replace(job, linked={}, beside=jobs[1].tasks)
+    less = dataclasses.replace(job, linked={}, beside=frozenset(jobs[1].tasks))
     assert [u["a"] for u in numbers(plant.submit(less).get())["quality"]["unlinked"]] == [[0, 0]]
 
 

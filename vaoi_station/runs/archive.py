@@ -35,8 +35,8 @@ class Dossier:
     finish_number: int
     board_type: BoardType
     cameras: tuple[Camera, ...]
-    stitch: Stitch | None
-    """The gist of the result."""
+    gist: Stitch | None
+    """The result less its tables of components."""
     document: str | None
     """The result as JSON text."""
     timeline: Timeline
@@ -46,7 +46,7 @@ class Dossier:
     @cached_property
     def album(self) -> Album:
         """Which frames show which component; `StateError` without a CAD mapping, `NotFoundError` without a result."""
-        return Album(self.board_type, self.stitch or self.result, self.cameras)
+        return Album(self.board_type, self.gist or self.result, self.cameras)
 
     @cached_property
     def result(self) -> Stitch:
@@ -97,7 +97,7 @@ class Archive:
             self._finished,
             order.board_type,
             order.setup.cameras,
-            progress.stitch,
+            progress.gist,
             progress.result.document if progress.result else None,
             timeline_of(progress),
             progress.head,
@@ -238,7 +238,7 @@ class Archive:
             finish_number=row.finish_number or 0,
             board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
             cameras=calibration.cameras(head.cameras) if head else (),
-            stitch=gist(Stitch.model_validate_json(result)) if result else None,
+            gist=gist(Stitch.model_validate_json(result)) if result else None,
             document=result,
             timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
             head=head,

@@ -30,10 +30,10 @@ def settle_in(one_thread: bool) -> None:
 
 @contextmanager
 def keeping_memory() -> Iterator[None]:
-    """Processes that are started meanwhile keep the memory they give back, in large pages: the next board needs it.
+    """Processes that are started meanwhile, by whatever thread, keep the memory they give back, in large pages.
 
-    To have it anew, page by page and cleared, and to look up small pages in a large run's arrays takes some ten
-    milliseconds between the last frame and the matrices. Other C libraries than GNU's do not know what this means.
+    The next board needs it. To have it anew, page by page and cleared, and to look up small pages in a large run's
+    arrays takes some ten milliseconds between the last frame and the matrices. Only the GNU C library knows this.
     """
     before = os.environ.get(_TUNABLES)
     ours = ":".join(f"glibc.malloc.{key}={value}" for key, value in _MEMORY.items())

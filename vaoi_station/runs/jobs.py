@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -95,7 +95,7 @@ class ConcludeJob:
     """The good frames."""
     linked: Mapping[Task, Linked]
     """All evidence; what the worker has already need not be sent to it."""
-    beside: tuple[Task, ...] = ()
+    beside: Set[Task] = frozenset()
     """What was looked at while filming and does not count in the end: a row was lost, a bridge took its place."""
 
     priority = Priority.CONCLUDE

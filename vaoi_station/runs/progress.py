@@ -83,7 +83,7 @@ class Progress:
         return tuple(sorted(key for key, frame in self.frames.items() if frame.verdict is Verdict.OK))
 
     @property
-    def stitch(self) -> Stitch | None:
+    def gist(self) -> Stitch | None:
         """The gist of the result; None while there is none."""
         return self.result.gist if self.result else None
 
@@ -151,8 +151,8 @@ class Progress:
         """The last job, once all evidence is there; None before, and if there can be none."""
         if self.film is None or self.concluding or self.hopeless or self.awaited:
             return None
-        self.concluding, needed = True, set(self.needed)
-        beside = tuple(task for task in self.linked if task not in needed)
+        self.concluding = True
+        beside = frozenset(self.asked_s).difference(self.needed)  # those still under way, too
         return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical, beside)
 
     @property

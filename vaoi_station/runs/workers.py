@@ -188,7 +188,7 @@ class WorkerPool:
             if isinstance(message, Answer) and worker.jobs:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
                 self._queues.pass_on(worker, queued.job, message)
-            if isinstance(message, Hello):
+            if isinstance(message, Hello) and not worker.ready:  # later ones are signs of life
                 worker.ready = True
                 worker.backoff.works()
                 complete = self.all_ready()
