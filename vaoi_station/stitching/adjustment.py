@@ -310,21 +310,25 @@ def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
 
 def _envelope(links: Observations, coupling: Coupling, rows: int, others: int) -> Envelope:
     """Rows share what the belt says of two that follow one another, links, and the components that they see."""
-    furthest = np.minimum(np.arange(rows) + 1, rows - 1)
-    np.maximum.at(furthest, np.minimum(links.p, links.q), np.maximum(links.p, links.q))
+    furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), _begins(links.group)
+    p, q = links.p[first], links.q[first]
+    np.maximum.at(furthest, np.minimum(p, q), np.maximum(p, q))
     np.maximum.at(furthest, coupling.row, coupling.last)
     return Envelope.of(furthest, others)
 
 
 def _rank(group: Ints) -> Ints:
     """(k,) the how manieth of its group each link is; groups stand together."""
-    begins = np.flatnonzero(np.diff(group, prepend=-1))
+    begins = _begins(group)
     return np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
+
+
+def _begins(group: Ints) -> Ints:
+    """Where each group of links begins; those of one are all between the same two rows."""
+    return np.flatnonzero(np.diff(group, prepend=-1))
 
 
 def _tied_steps(links: Observations, rows: int) -> NDArray[np.bool_]:
     """Which steps (rows − 1,) from row to row some link spans."""
-    change = np.zeros(rows, dtype=np.int_)
-    np.add.at(change, links.p, 1)
-    np.add.at(change, links.q, -1)
+    change = np.bincount(links.p, minlength=rows) - np.bincount(links.q, minlength=rows)
     return np.asarray(np.cumsum(change)[:-1] > 0)

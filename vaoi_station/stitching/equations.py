@@ -38,14 +38,22 @@ class Coupling:
     @staticmethod
     def of(component: Ints, p: Ints, q: Ints, count: int, surface: int) -> Coupling:
         """By the component (k,) of every link, or −1, and by its rows p ≤ q."""
-        first, last = np.full(count, np.iinfo(np.int_).max), np.full(count, -1)
-        on = component >= 0
-        np.minimum.at(first, component[on], np.minimum(p[on], q[on]))
-        np.maximum.at(last, component[on], np.maximum(p[on], q[on]))
-        seen = last >= 0
-        first = np.where(seen, first, 0)
-        widths = np.where(seen, 3 * (last - first + 1) + surface, 0)
+        first, last = _rows_that_see(component, p, q, count)
+        widths = np.where(last >= 0, 3 * (last - first + 1) + surface, 0)
         return Coupling(first, last, np.append(0, np.cumsum(widths)))
+
+
+@compiled
+def _rows_that_see(component: Ints, p: Ints, q: Ints, count: int) -> tuple[Ints, Ints]:
+    """First and last row (c,) of each component's links; 0 and −1 without any."""
+    first, last = np.zeros(count, np.int64), np.full(count, -1)
+    for n in range(len(component)):
+        c = component[n]
+        if c >= 0:
+            low, high = min(p[n], q[n]), max(p[n], q[n])
+            first[c] = low if last[c] < 0 else min(first[c], low)
+            last[c] = max(last[c], high)
+    return first, last
 
 
 @compiled
