@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment import adjust, roughly, similar
+from vaoi_station.stitching.adjustment import adjust, looked_at, roughly, similar
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.stitching.motion import Motion, nominal_motion
 from vaoi_station.stitching.observations import observe
@@ -146,15 +146,22 @@ def test_the_motion_comes_out_of_noisy_links(bench: Any) -> None:
 def test_a_start_by_some_of_many_links_leads_to_the_same_and_few_are_not_thinned(bench: Any) -> None:
     truth = bench(1)
     few = truth.problem()
-    assert roughly(few, started(few)).shift.tolist() == started(few).shift.tolist()
+    assert roughly(few, started(few)) is None
     frames = [((i, p), (i, q)) for i in (0, 1) for p, q in pairwise(range(ROWS))] * 5
     many = observe([truth.links(a, b, count=400)[0] for a, b in frames], truth.cameras)
     problem = replace(few, links=many, component=np.full(len(many), -1))
     rough = roughly(problem, started(problem))
+    assert rough is not None
     exact = adjust(problem, started(problem)).motion
     assert not np.array_equal(rough.shift, started(problem).shift)
     assert np.abs(rough.shift - exact.shift).max() < 0.01
     assert np.abs(adjust(problem, rough).motion.shift - exact.shift).max() < 1e-4
+    seen = looked_at(problem, rough)
+    assert seen.motion is rough
+    assert not seen.covariance.any()
+    by_hand = rough.board(many.q, many.b_mm) - rough.board(many.p, many.a_mm)
+    assert seen.link_px == pytest.approx(by_hand * many.px_per_mm[:, None], abs=1e-9)
+    assert (seen.weight > 0.5).mean() > 0.9
 
 
 def test_a_fifth_of_wild_links_does_not_matter(bench: Any) -> None:

@@ -29,7 +29,7 @@ from vaoi_station.stitching.scatter import excess
 _ITERATIONS = 15
 CONVERGED_MM = 5e-5
 _ENOUGH, _ROUGHLY_MM = 100, 3e-3
-"""A start is made with so many links per row, until a step moves no row by more."""
+"""So many links per row are enough at first, until a step moves no row by more; what is left is a tenth of that."""
 _KNEE = 2.0
 """Residuals beyond so many standard deviations lose weight (Huber) …"""
 _CUT = 6.0
@@ -75,18 +75,20 @@ def adjust(
     return solver.result()
 
 
-def roughly(problem: Problem, start: Motion) -> Motion:
-    """The motion to a hundredth of a millimetre, for `adjust` to start from, by some of the links where they are many.
-
-    Where they are few none can be spared, and the start is given back as it is.
-    """
+def roughly(problem: Problem, start: Motion) -> Motion | None:
+    """The motion to a thousandth of a millimetre by some of the links where they are many; None where they are few."""
     every = len(problem.links) // (_ENOUGH * len(start.angle))
     if every < 2:
-        return start
+        return None
     some = np.flatnonzero(_rank(problem.links.group) % every == 0)
     solver = _Solver(replace(problem, links=problem.links.of(some), component=problem.component[some]), start, None)
     solver.run(_ROUGHLY_MM)
     return solver.motion
+
+
+def looked_at(problem: Problem, motion: Motion) -> Adjusted:
+    """All links as a motion leaves them, taken for the solution: its covariance is not known, and 0."""
+    return _Solver(problem, motion, None).result()
 
 
 def _mark_sigma_mm(s: FiducialPoints) -> Floats:
@@ -260,8 +262,10 @@ class _Solver:
     def result(self) -> Adjusted:
         o, s = self.p.links, self.p.fiducials
         envelope = self.envelope
-        covariance = of_rows(envelope, inverse(envelope.first, envelope.at, envelope.rows, self.factor))
-        covariance[0, :3] = covariance[0, :, :3] = 0
+        covariance = np.zeros((self.m, 3 + len(self.tail), 3 + len(self.tail)))
+        if self.steps:
+            covariance = of_rows(envelope, inverse(envelope.first, envelope.at, envelope.rows, self.factor))
+            covariance[0, :3] = covariance[0, :, :3] = 0
         self._look_at_links()
         self._weigh_links()
         px = self.residual * o.px_per_mm[:, None]

@@ -18,7 +18,7 @@ from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
-from vaoi_station.stitching.adjustment import adjust, roughly
+from vaoi_station.stitching.adjustment import adjust, looked_at, roughly
 from vaoi_station.stitching.cad import Frame
 from vaoi_station.stitching.evidence import Evidence, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
@@ -88,7 +88,9 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
     nominal = nominal_motion(times_s, velocity_mm_s, pivot)
     problem = Problem(times_s, velocity_mm_s, observed, np.full(len(observed), -1))
     if method.links:
-        moved = adjust(problem, roughly(problem, chained(nominal, observed)), converged_mm=_MOTION_MM)
+        start = chained(nominal, observed)
+        rough = roughly(problem, start)
+        moved = adjust(problem, start, converged_mm=_MOTION_MM) if rough is None else looked_at(problem, rough)
     else:
         by_marks = observe(mark_links(sightings, scene.cameras, nominal), scene.cameras)
         moved = adjust(

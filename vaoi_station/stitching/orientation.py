@@ -29,7 +29,7 @@ _APART_MM = 0.4
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
 """By which factor, and to how many grey levels, one orientation must stand out; parts are the weaker evidence."""
-_LEAST_PIECES, _MOST_PIECES = 6, 80
+_LEAST_PIECES, _MOST_PIECES = 6, 48
 _LEAST_OUTLINE = 3.0
 """Grey levels; noise alone gives less than one."""
 
