@@ -141,7 +141,7 @@ class Findings:
         return len(np.unique(points.cad[np.isin(points.row, rows)], axis=0)) >= 2
 
     @cached_property
-    def _seam(self) -> np.ndarray:
+    def seam(self) -> np.ndarray:
         """(k,) the left one of the two neighbouring cameras that a link joins, −1 for links from row to row."""
         o = self.problem.links
         left = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in o.groups]
@@ -150,8 +150,8 @@ class Findings:
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
         """Median misfit between neighbouring cameras of one row, on the bare board: height or a moved camera."""
-        bare = np.flatnonzero((self._seam >= 0) & (self.problem.component < 0))
-        seam, off_px, out = self._seam[bare], self.adjusted.link_px[bare], {}
+        bare = np.flatnonzero((self.seam >= 0) & (self.problem.component < 0))
+        seam, off_px, out = self.seam[bare], self.adjusted.link_px[bare], {}
         for i in range(len(self.scene.cameras) - 1):
             mine = off_px[seam == i]
             if len(mine) >= _SEAM_LINKS:
@@ -179,7 +179,7 @@ class Findings:
         out = {}
         for i, rows in sorted(unmatched.items()):
             if rows >= 2 and (i, i + 1) not in self.seams_px:
-                agreeing = (self._seam == i) & (self.adjusted.weight > 0.1) & self._vouching
+                agreeing = (self.seam == i) & (self.adjusted.weight > 0.1) & self._vouching
                 if agreeing.sum() < _SEAM_LINKS:
                     out[i, i + 1] = rows
         return out
@@ -271,8 +271,8 @@ def quality_of(f: Findings) -> dict[str, Any]:
     used, rows = a.weight > 0.1, row_covariances(a)
     return {
         "links": {
-            kind: {"found": sum(len(e.a_px) for e in f.links if e.task.kind == kind), "used": _used(f, kind, used)}
-            for kind in ("rows", "neighbours")
+            kind: {"found": int(mine.sum()), "used": int((mine & used).sum())}
+            for kind, mine in (("rows", f.seam < 0), ("neighbours", f.seam >= 0))
         }
         | _points_used(f),
         "unlinked": [
@@ -307,12 +307,6 @@ def quality_of(f: Findings) -> dict[str, Any]:
             "speed_error": None if velocity is None else _rounded(float(np.hypot(*velocity)) / nominal - 1, 6),
         },
     }
-
-
-def _used(f: Findings, kind: str, used: np.ndarray) -> int:
-    o = f.problem.links
-    count = np.bincount(o.group[used], minlength=len(o.groups)).tolist()
-    return sum(n for n, e in zip(count, o.groups, strict=True) if e.task.kind == kind)
 
 
 def _points_used(f: Findings) -> dict[str, dict[str, int]]:
