@@ -79,14 +79,21 @@ class _Waiting:
     until_s: float
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a device, the controller (0) or a camera (from 1), answered when asked for its time, or why it did not."""
+
+    number: int
+    answer: ClockReading | VaoiError
+
+
 class _Loop:
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._clocks = [ClockModel("controller"), *(ClockModel(c.called) for c in config.cameras)]
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
-        sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
-        self._clocked = list(zip(self._clocks, sources, strict=True))
+        self._sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
         self._closing = threading.Event()
         self._waiting: _Waiting | None = None
 
@@ -164,11 +171,20 @@ class _Loop:
             self._session.back(item)
         elif isinstance(item, DeviceFault):
             self._send(trouble(item.error, item.device))
-        elif isinstance(item, tuple | ClockReading):
-            clock, reading = (self._clocks[0], item) if isinstance(item, ClockReading) else item
-            clock.add(reading)
+        elif isinstance(item, ClockReading):
+            self._clocks[0].add(item)
+        elif isinstance(item, _Asked):
+            self._note_time(item)
         else:
             raise InternalError(f"the acquisition process was told {item!r}, which it does not know.")
+
+    def _note_time(self, asked: _Asked) -> None:
+        """That a lost camera does not answer has been told, and must not end an arming that does without it."""
+        clock = self._clocks[asked.number]
+        if isinstance(asked.answer, ClockReading):
+            clock.add(asked.answer)
+        elif not self._session.is_away(asked.number):
+            self._send(trouble(asked.answer, clock.name))
 
     def _obey(self, now_s: float) -> None:
         """Arm, or fire, once the clocks are known well enough; ClockError if they are not in time."""
@@ -210,16 +226,14 @@ class _Loop:
         While a command waits for them they follow one another at once.
         """
         while not self._closing.wait(HURRY_S if self._waiting else HEALTH_S):
-            for clock, source in self._clocked:
+            for number, source in enumerate(self._sources):
                 try:
-                    reading = source.read_clock()
+                    self._inbox.put(_Asked(number, source.read_clock()))
                 except VaoiError as error:
-                    self._inbox.put(DeviceFault(clock.name, error))
-                else:
-                    self._inbox.put((clock, reading))
+                    self._inbox.put(_Asked(number, error))
 
     def _read_clocks(self) -> None:
-        for clock, source in self._clocked:
+        for clock, source in zip(self._clocks, self._sources, strict=True):
             clock.add(source.read_clock())
 
 

@@ -172,7 +172,7 @@ class Session:
     def _require_clocks(self, limit_s: float) -> None:
         """ClockError while one is not known well enough; a camera that is away is read when it is back."""
         for number, clock in enumerate(self._clocks):
-            if number == 0 or not self._recorder.outages.away(number - 1):
+            if not self.is_away(number):
                 clock.require(limit_s)
 
     def _comes_too_late(self, event: ControllerEvent) -> bool:
@@ -193,6 +193,10 @@ class Session:
     def back(self, news: CameraBack) -> None:
         """A camera films again."""
         self._recorder.outages.back(news.camera, news.at_s)
+
+    def is_away(self, number: int) -> bool:
+        """Whether a device has been lost and is not back: never the controller (0), cameras are counted from 1."""
+        return number > 0 and self._recorder.outages.away(number - 1)
 
     def _begin_run(self, now_s: float) -> None:
         """The first pulse of a passage."""
