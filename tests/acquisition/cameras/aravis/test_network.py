@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import struct
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from hypothesis import given
@@ -82,6 +84,32 @@ def test_only_the_answer_to_our_question_counts() -> None:
     assert not gvcp.is_answer(bytes.fromhex("0000 0081 0004 004e 00010002"), 0x80, 77)
     assert not gvcp.is_answer(bytes.fromhex("0000 0083 0004 004d 00010002"), 0x80, 77)
     assert not gvcp.is_answer(b"\x00\x00", 0x80, 77)
+
+
+@pytest.mark.parametrize(
+    ("answer", "control"),
+    [
+        ("0000 00000000", gvcp.Control.NOBODY),
+        ("0000 00000001", gvcp.Control.SOMEBODY),
+        ("0000 00000002", gvcp.Control.SOMEBODY),
+        ("8006", gvcp.Control.SOMEBODY),
+        ("8006 00000000", gvcp.Control.SOMEBODY),
+    ],
+)
+def test_only_a_camera_that_says_so_is_nobodys(
+    monkeypatch: pytest.MonkeyPatch, answer: str, control: gvcp.Control
+) -> None:
+    """One that refuses the question, with or without content, does not tell."""
+    status, content = bytes.fromhex(answer)[:2], bytes.fromhex(answer)[2:]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera, ThreadPoolExecutor(1) as caller:
+        camera.settimeout(20)
+        camera.bind(("127.0.0.1", 0))
+        monkeypatch.setattr(gvcp, "CONTROL_PORT", camera.getsockname()[1])
+        said = caller.submit(gvcp.control, "127.0.0.1", timeout_s=20, tries=1)
+        question, asker = camera.recvfrom(1024)
+        assert question[8:] == bytes.fromhex("00000a00")
+        camera.sendto(status + struct.pack(">HH", 0x81, len(content)) + question[6:8] + content, asker)
+        assert said.result() is control
 
 
 def test_a_serial_number_ends_with_a_zero_or_with_its_room() -> None:

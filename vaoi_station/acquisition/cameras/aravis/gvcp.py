@@ -29,6 +29,8 @@ _VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
 _CONTROLLED = 0b11
 """Bits of the privilege: exclusive access, control."""
 _HEADER = struct.Struct(">BBHHH")
+_SUCCESS = b"\0\0"
+"""Status, in the first two bytes of an answer; refusals may have content all the same."""
 _ADDRESS_AT, _SERIAL_AT = 8 + 0x24, 8 + 0xD8
 """In an answer to DISCOVERY, which holds the bootstrap registers from 0 on."""
 _ANSWER_BYTES = 8 + 0xF8
@@ -77,8 +79,8 @@ def control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Control:
     answer = _read(address, _PRIVILEGE_REGISTER, timeout_s, tries)
     if answer is None:
         return Control.ABSENT
-    told = len(answer) >= 4 and not int.from_bytes(answer[:4], "big") & _CONTROLLED
-    return Control.NOBODY if told else Control.SOMEBODY
+    free = len(answer) >= 4 and not int.from_bytes(answer[:4], "big") & _CONTROLLED
+    return Control.NOBODY if free else Control.SOMEBODY
 
 
 def discover(wait_s: float = DISCOVERY_S) -> tuple[Present, ...]:
@@ -130,6 +132,7 @@ def _read(address: str, register: int, timeout_s: float, tries: int) -> bytes | 
 
 
 def _ask(asker: socket.socket, register: int) -> bytes | None:
+    """The same, asked once."""
     request_id = _next_id()
     try:
         asker.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))
@@ -137,7 +140,7 @@ def _ask(asker: socket.socket, register: int) -> bytes | None:
             pass  # to an earlier question
     except OSError:  # no answer in time, or nobody listens there
         return None
-    return answer[_HEADER.size :]
+    return answer[_HEADER.size :] if answer.startswith(_SUCCESS) else b""
 
 
 def _next_id() -> int:
