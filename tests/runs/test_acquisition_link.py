@@ -6,16 +6,19 @@ import queue
 import threading
 import time
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
 
 from vaoi_station.acquisition.messages import Disarm, Ready, Shutdown, Trouble
+from vaoi_station.backoff import Pace
 from vaoi_station.runs import acquisition_link as module
 from vaoi_station.runs.acquisition_link import AcquisitionLink, longest_s
+from vaoi_station.runs.shapes import STARTING, WAITING
 
 PATIENCE_S = 20.0
+ROUNDED = timedelta(milliseconds=100)
 
 
 class Ears:
@@ -32,15 +35,20 @@ def ears() -> Ears:
 
 
 @pytest.fixture
-def link(peer: Any, ears: Ears) -> Iterator[AcquisitionLink]:
+def unstarted(peer: Any) -> Iterator[AcquisitionLink]:
     made = AcquisitionLink(peer.launch)
-    made.start(ears.heard.put, ears.lost.put)
-    peer.life(1)
     yield made
     ending = threading.Thread(target=made.stop, args=(PATIENCE_S,))
     ending.start()
     peer.close()
     ending.join()
+
+
+@pytest.fixture
+def link(unstarted: AcquisitionLink, peer: Any, ears: Ears) -> AcquisitionLink:
+    unstarted.start(ears.heard.put, ears.lost.put)
+    peer.life(1)
+    return unstarted
 
 
 def test_commands_go_down_and_reports_come_up(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
@@ -51,6 +59,24 @@ def test_commands_go_down_and_reports_come_up(link: AcquisitionLink, peer: Any, 
     status = link.status()
     assert status.alive
     assert status.heartbeat_age_s is not None
+
+
+def test_before_it_is_begun_it_waits_for_the_workers_and_says_so(
+    unstarted: AcquisitionLink, peer: Any, ears: Ears
+) -> None:
+    warm = threading.Event()
+    unstarted.start(ears.heard.put, ears.lost.put, warm.is_set)
+    status = unstarted.status()
+    assert (status.doing, status.pid, status.alive) == (WAITING, None, False)
+    warm.set()
+    peer.life(1)
+    peer.say(Ready(3))
+    assert ears.heard.get(timeout=PATIENCE_S) == Ready(3)
+    status = unstarted.status()
+    assert (status.doing, status.alive) == ("", True)
+    peer.die()
+    ears.lost.get(timeout=PATIENCE_S)
+    assert unstarted.status().doing in ("", STARTING), "it waits no longer for them"
 
 
 def test_a_death_is_told_and_followed_by_a_new_life(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
@@ -113,19 +139,24 @@ def test_a_life_that_has_proven_itself_is_followed_by_another_at_once(
         now_s += module.PACE.first_s
 
 
-def test_when_it_is_started_again_is_told(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
+def test_when_it_is_started_again_is_told(
+    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
+) -> None:
     assert link.status().next_try is None
-    for life in (1, 2, 3):
-        peer.life(life)
-        peer.say(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
-        peer.die(0)
+    peer.die(0)
+    peer.life(2)
+    assert link.status().next_try is None, "it is being started"
+    monkeypatch.setattr(link._backoff, "_pace", Pace(first_s=60.0, longest_s=60.0, proven_s=30.0))
+    before = datetime.now(UTC)
+    peer.say(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
+    peer.die(0)
+    for _ in range(2):
         ears.lost.get(timeout=PATIENCE_S)
     status = link.status()
     assert not status.alive
     assert status.next_try is not None
-    assert 0 < (datetime.fromisoformat(status.next_try) - datetime.now(UTC)).total_seconds() < 2.1
-    peer.life(4)
-    assert link.status().next_try is None
+    failed = datetime.fromisoformat(status.next_try) - timedelta(seconds=60)
+    assert before - ROUNDED < failed < datetime.now(UTC) + ROUNDED
 
 
 def test_what_is_plugged_in_is_taken_within_seconds_and_what_was_refused_is_not_hurried() -> None:

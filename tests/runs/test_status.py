@@ -6,7 +6,7 @@ import pytest
 
 from vaoi_station.config import CameraConfig
 from vaoi_station.runs.readiness import not_connected
-from vaoi_station.runs.shapes import STARTING, ProcessStatus
+from vaoi_station.runs.shapes import STARTING, WAITING, ProcessStatus
 from vaoi_station.runs.status import late
 
 
@@ -31,4 +31,6 @@ def test_workers_that_are_not_there_yet_are_a_warning() -> None:
     assert late((process("acquisition", STARTING), process("worker 0", "idle"))) == ()
     [warning] = late((process("worker 0", "rows of (0, 0)"), process("worker 1", STARTING)))
     assert warning.code == "workers-starting"
-    assert warning.message == "Results of boards that pass now come late: 1 of 2 workers is still starting."
+    assert warning.message == "Results of boards that pass meanwhile come late: 1 of 2 workers is still starting."
+    [warning] = late((process("acquisition", WAITING), process("worker 0", STARTING), process("worker 1", STARTING)))
+    assert warning.message == "Cameras are not opened yet: 2 of 2 workers are still starting."

@@ -17,7 +17,7 @@ from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.child import settle_in
 from vaoi_station.runs.moments import utc_of_host
-from vaoi_station.runs.shapes import STARTING, ProcessStatus
+from vaoi_station.runs.shapes import STARTING, WAITING, ProcessStatus
 
 SILENCE_S = 10.0
 """Without a sign of life for so long (it gives two a second) the process is taken for hung and killed."""
@@ -135,6 +135,7 @@ class AcquisitionLink:
         self._warm: Callable[[], bool] = lambda: True
         self._lock = threading.Lock()
         self._life: _Life | None = None
+        self._begun = False
         self._restarts = 0
         self._backoff = Backoff(PACE)
         self._stopping = threading.Event()
@@ -164,9 +165,14 @@ class AcquisitionLink:
                 alive=life is not None and life.process.exitcode is None,
                 restarts=self._restarts,
                 heartbeat_age_s=time.monotonic() - life.heard_s if life else None,
-                doing="" if life is None or life.spoke else STARTING,
+                doing=self._doing(),
                 next_try=None if (due_s := self._backoff.due_s) is None else utc_of_host(due_s),
             )
+
+    def _doing(self) -> str:
+        if self._life is not None:
+            return "" if self._life.spoke else STARTING
+        return "" if self._begun or self._stopping.is_set() else WAITING
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """Have the cameras closed and the process ended; harmless when stopped."""
@@ -211,7 +217,7 @@ class AcquisitionLink:
         self._backoff.begin()
         process, connection = self._launch()
         with self._lock:
-            self._life = _Life(process, connection, time.monotonic())
+            self._life, self._begun = _Life(process, connection, time.monotonic()), True
             if self._stopping.is_set():
                 _send(connection, Shutdown())
             return self._life

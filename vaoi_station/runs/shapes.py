@@ -71,6 +71,8 @@ class CameraStatus(Shape):
 
 STARTING = "starting"
 """What a process does before its first word."""
+WAITING = "waiting for the workers"
+"""What the acquisition process does before it is begun for the first time."""
 
 
 class ProcessStatus(Shape):

@@ -143,7 +143,7 @@ STATION: Table[StationState, StationStep] = Table(
 )
 
 ADVICE = {
-    _S.STARTING: "Wait until cameras and controller are open.",
+    _S.STARTING: "Wait: workers start first, then cameras and controller are opened.",
     _S.ARMING: "Wait until the line is armed.",
     _S.FILMING: "Wait until the board has passed; every finished run is told by runs/next.",
     _S.BLOCKED: "Release a run.",

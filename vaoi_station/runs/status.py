@@ -11,6 +11,7 @@ from vaoi_station.runs.core import Core
 from vaoi_station.runs.moments import utc_of_host
 from vaoi_station.runs.shapes import (
     STARTING,
+    WAITING,
     CameraStatus,
     LeaseStatus,
     ProcessStatus,
@@ -66,14 +67,15 @@ def snapshot_of(
 
 
 def late(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
-    """Workers that are not there yet: boards are filmed, and stitched when they are."""
+    """Workers that are not there yet: cameras are opened a while later; then boards are filmed, and stitched later."""
     workers = [process for process in processes if process.name.startswith("worker ")]
     away = sum(worker.doing == STARTING for worker in workers)
     if not away:
         return ()
     still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
-    message = f"Results of boards that pass now come late: {still}."
-    return (Reason(code="workers-starting", message=message, action=_COMPILING),)
+    unopened = any(process.doing == WAITING for process in processes)
+    effect = "Cameras are not opened yet" if unopened else "Results of boards that pass meanwhile come late"
+    return (Reason(code="workers-starting", message=f"{effect}: {still}.", action=_COMPILING),)
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:

@@ -11,7 +11,7 @@ export const texts = {
   unusable: "cannot be used",
 
   states: {
-    starting: ["Starting", "Wait: cameras and controller are being opened."],
+    starting: ["Starting", "Wait: workers start first, then cameras and controller are opened."],
     idle: ["Not armed", "Choose the board type and press Arm."],
     arming: ["Arming", "Wait a moment before the next board."],
     armed: ["Ready", "Let the next board in."],
