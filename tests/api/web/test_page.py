@@ -13,6 +13,7 @@ from playwright.sync_api import Locator, Page, expect
 from vaoi_station.model import Status
 
 pytestmark = pytest.mark.browser
+MUCH_LATER_S = 60
 
 
 def test_it_says_the_state_and_what_to_do(page: Page, served: Any) -> None:
@@ -35,16 +36,27 @@ def test_a_fault_is_told_by_word_shape_colour_and_sentence(page: Page, served: A
 
 
 def test_a_fault_that_is_tried_again_much_later_says_when(page: Page, served: Any) -> None:
-    """And the page asks then, though nothing has happened that it would hear of."""
     page.goto(served.url)
     expect(page.locator("#state-word")).to_have_text("Not armed")
-    at = datetime.now(UTC) + timedelta(seconds=8)
-    served.station.next_try = at.isoformat(timespec="milliseconds")
-    served.station.fault("setting-refused", "Camera 2 refuses Gain = 99.", "Set what it can do.")
+    refuse_its_settings(served.station)
     lines = page.locator("#reasons li")
     expect(lines).to_have_count(2)
     expect(lines.nth(1)).to_have_text(re.compile(r"^Next try of acquisition: \d+:\d\d:\d\d.*\.$"))
     served.station.next_try = None
+    served.station.tell("process", "It is being started again.")
+    expect(lines).to_have_count(1)
+
+
+def test_the_page_asks_when_the_next_try_is_over_though_nobody_tells_it_of_anything(page: Page, served: Any) -> None:
+    page.route("**/events?*", lambda route: route.abort())
+    page.clock.install()
+    refuse_its_settings(served.station)
+    page.goto(served.url)
+    expect(page.locator("#verdict-word")).to_have_text("No board yet")  # it has asked for all it wants to know
+    lines = page.locator("#reasons li")
+    expect(lines).to_have_count(2)
+    served.station.next_try = None
+    page.clock.fast_forward((MUCH_LATER_S + 10) * 1000)
     expect(lines).to_have_count(1)
 
 
@@ -218,6 +230,12 @@ def test_words_stand_out_from_their_ground(page: Page, served: Any) -> None:
 def test_the_drawn_interface_needs_no_network(page: Page, served: Any) -> None:
     page.goto(f"{served.url}/docs")
     expect(page.locator(".opblock")).to_have_count(28)
+
+
+def refuse_its_settings(station: Any) -> None:
+    """A fault that is tried again much later."""
+    station.next_try = (datetime.now(UTC) + timedelta(seconds=MUCH_LATER_S)).isoformat(timespec="milliseconds")
+    station.fault("setting-refused", "Camera 2 refuses Gain = 99.", "Set what it can do.")
 
 
 def wait_for_pictures(page: Page, count: int) -> None:
