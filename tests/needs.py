@@ -15,7 +15,13 @@ import pytest
 from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.errors import DeviceError
 
-VERDICT = bool(os.environ.get("CI"))
+
+def is_yes(setting: str) -> bool:
+    """Whether a variable of the environment is set, and not to what means no."""
+    return setting.strip().lower() not in {"", "0", "false", "no", "off"}
+
+
+VERDICT = is_yes(os.environ.get("CI", ""))
 """Whether a verdict hangs on this session."""
 FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
 """Beside the checkout: `make.py` films a case, `score.py` compares a result with the truth."""
