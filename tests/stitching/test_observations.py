@@ -7,7 +7,7 @@ import pytest
 
 from vaoi_station.geometry import Lens
 from vaoi_station.stitching.evidence import Links, Task
-from vaoi_station.stitching.observations import observe
+from vaoi_station.stitching.observations import Ledger, observe
 
 
 def links(task: Task, a: Any, b: Any, information: Any = None) -> Links:
@@ -52,3 +52,25 @@ def test_nothing_seen_is_nothing_observed(workshop: Any) -> None:
     o = observe([], (workshop.camera(),))
     assert len(o) == 0
     assert o.noise_mm2.shape == (0, 2, 2)
+
+
+def test_links_entered_one_by_one_are_the_same_in_whatever_order_they_are_asked_for(workshop: Any) -> None:
+    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
+    chance = np.random.default_rng(2)
+    found = [
+        links(
+            Task("rows", (k % 2, k), (k % 2, k + 1)), chance.uniform(20, 150, (n, 2)), chance.uniform(20, 150, (n, 2))
+        )
+        for k, n in enumerate((3, 3000, 0, 1, 2500, 80))
+    ]
+    ledger = Ledger(cameras)
+    for k in (4, 1, 5):
+        ledger.enter(found[k])
+    for asked in (found, found[::-1], found[2:], []):
+        once = observe(asked, cameras)
+        again = ledger.observations(asked)
+        for name in ("p", "q", "a_mm", "b_mm", "a_lean", "b_lean", "noise_mm2", "px_per_mm", "group"):
+            assert np.array_equal(getattr(once, name), getattr(again, name)), name
+        assert again.groups == once.groups
+    other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
+    np.testing.assert_allclose(ledger.observations([other]).a_mm, cameras[0].ground([[50.0, 60.0]]))

@@ -143,7 +143,10 @@ class Bench:
         return tuple(Linked.of(evidence, worker_s) for evidence, worker_s in found)
 
     def _gather(self, job: GatherJob | ConcludeJob) -> None:
-        self._runs[job.run].evidence.update((task, linked.evidence) for task, linked in job.linked.items())
+        opened = self._runs[job.run]
+        for task, linked in job.linked.items():
+            opened.evidence[task] = linked.evidence
+            opened.desk.note(opened.evidence[task])
 
     def _conclude(self, job: ConcludeJob) -> Concluded:
         opened = self._runs[job.run]

@@ -27,7 +27,7 @@ from vaoi_station.stitching.mapping import Known, map_cad
 from vaoi_station.stitching.marklinks import mark_links
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.motion import nominal_motion
-from vaoi_station.stitching.observations import Observations, observe
+from vaoi_station.stitching.observations import Ledger, Observations, observe
 from vaoi_station.stitching.problem import Adjusted, Problem
 from vaoi_station.stitching.reference import Reference
 from vaoi_station.stitching.scene import Scene
@@ -68,7 +68,9 @@ class Terms:
     reference: Reference | None = None
 
 
-def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evidence]) -> tuple[Stitch, Findings]:
+def conclude(
+    scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evidence], ledger: Ledger
+) -> tuple[Stitch, Findings]:
     """Make the result of a run from the evidence of its frames; the findings say how it came about.
 
     Args:
@@ -76,6 +78,7 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
         terms: what was known before.
         times_s: (m,) time of every row.
         evidence: of the canonical tasks, in any order.
+        ledger: in which its links may have been entered.
     """
     stages, velocity_mm_s = Stages(), terms.velocity_mm_s
     order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
@@ -83,7 +86,7 @@ def conclude(scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evi
     links = tuple(e for e in order if isinstance(e, Links) and e.task.kind != "reference")
     referred = tuple(e for e in order if isinstance(e, Links) and e.task.kind == "reference")
     method = METHODS[terms.method]
-    observed = observe(links, scene.cameras)
+    observed = ledger.observations(links)
     pivot = np.mean([c.row_from_image(c.center_px) for c in scene.cameras], axis=0)
     nominal = nominal_motion(times_s, velocity_mm_s, pivot)
     problem = Problem(times_s, velocity_mm_s, observed, np.full(len(observed), -1))

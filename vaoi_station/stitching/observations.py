@@ -17,9 +17,12 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.rays import undistorted
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.evidence import Links
+from vaoi_station.stitching.evidence import Links, Task
 
 Ints = NDArray[np.int_]
+
+_ROOM = 4096
+"""Links there is room for at first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,26 +55,54 @@ class Observations:
         )
 
 
+class Ledger:
+    """Links brought to the ground when they are found, and kept side by side in memory until the run is concluded.
+
+    At the end of a large board its evidence, some thousand pieces found in the course of seconds, is in no cache any
+    more: to gather it then takes longer than to compute with it.
+    """
+
+    def __init__(self, cameras: Sequence[Camera]) -> None:
+        self._cameras = _as_arrays(cameras)
+        self._entered: dict[Task, tuple[Links, int]] = {}
+        """And where the entries of each begin."""
+        self._size = 0
+        self._columns = [np.empty((0, 2)) for _ in range(4)] + [np.empty((0, 2, 2)), np.empty(0)]
+        """As of `_grounded`, with room for more."""
+
+    def enter(self, links: Links) -> None:
+        """Note the links of a pair of frames; harmless when they have been."""
+        count, (entered, _) = len(links.a_px), self._entered.get(links.task, (None, 0))
+        if entered is links or not count:
+            return
+        if self._size + count > len(self._columns[0]):
+            more = max(_ROOM, self._size + count)
+            self._columns = [np.concatenate([c, np.empty((more, *c.shape[1:]))]) for c in self._columns]
+        a, b = links.task.a, links.task.b or links.task.a
+        cameras = np.full(count, a[0]), np.full(count, b[0])
+        found = _grounded(links.a_px, links.b_px, links.information, *cameras, *self._cameras)
+        for column, values in zip(self._columns, found, strict=True):
+            column[self._size : self._size + count] = values
+        self._entered[links.task] = links, self._size
+        self._size += count
+
+    def observations(self, links: Sequence[Links]) -> Observations:
+        """Those of some pairs of frames, in this order."""
+        used = tuple(e for e in links if len(e.a_px))
+        for e in used:
+            self.enter(e)
+        each = [(e.task.a[1], (e.task.b or e.task.a)[1], len(e.a_px), self._entered[e.task][1]) for e in used]
+        p, q, count, begin = np.array(each, dtype=np.int_).reshape(-1, 4).T
+        before = np.cumsum(count) - count
+        at = np.repeat(begin - before, count) + np.arange(count.sum())
+        a, b, a_lean, b_lean, noise, resolution = (column[at] for column in self._columns)
+        rows, group = (np.repeat(p, count), np.repeat(q, count)), np.repeat(np.arange(len(used)), count)
+        return Observations(*rows, a, b, a_lean, b_lean, noise, resolution, group, used)
+
+
 def observe(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
     """Bring the links of some pairs of frames to the ground."""
-    used = tuple(e for e in links if len(e.a_px))
-    if not used:
-        none, pairs = np.zeros(0, dtype=np.int_), np.zeros((0, 2))
-        return Observations(none, none, pairs, pairs, pairs, pairs, np.zeros((0, 2, 2)), np.zeros(0), none, ())
-    ends = np.array([(*e.task.a, *(e.task.b or e.task.a), len(e.a_px)) for e in used])
-    camera_a, p, camera_b, q, _ = np.repeat(ends, ends[:, 4], axis=0).T
-    a, b, a_lean, b_lean, noise, resolution = _grounded(
-        np.concatenate([e.a_px for e in used]),
-        np.concatenate([e.b_px for e in used]),
-        np.concatenate([e.information for e in used]),
-        np.ascontiguousarray(camera_a),
-        np.ascontiguousarray(camera_b),
-        *_as_arrays(cameras),
-    )
-    group = np.repeat(np.arange(len(used)), ends[:, 4])
-    return Observations(
-        np.ascontiguousarray(p), np.ascontiguousarray(q), a, b, a_lean, b_lean, noise, resolution, group, used
-    )
+    return Ledger(cameras).observations(links)
 
 
 def _as_arrays(cameras: Sequence[Camera]) -> tuple[Floats, Floats, Floats, Floats, Floats]:

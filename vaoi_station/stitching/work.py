@@ -25,6 +25,7 @@ from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.link import link_frames, link_neighbours, link_reference
 from vaoi_station.stitching.method import METHODS, MethodName
+from vaoi_station.stitching.observations import Ledger
 from vaoi_station.stitching.overlap import overlap_share
 from vaoi_station.stitching.prepare import Prepared
 from vaoi_station.stitching.reference import Reference
@@ -99,9 +100,20 @@ class Desk:
         self._frame = frame
         self._reference_frame = reference_frame
         self._prepared: OrderedDict[FrameKey, Prepared] = OrderedDict()
+        self._ledger = Ledger(setup.cameras)
 
     def perform(self, task: Task) -> Links | Sightings:
         """Do one task; a task that finds nothing returns evidence with a note, never an error."""
+        found = self._perform(task)
+        self.note(found)
+        return found
+
+    def note(self, evidence: Evidence) -> None:
+        """Evidence that was found here, or elsewhere, and will be concluded here: the sooner it is known the better."""
+        if isinstance(evidence, Links) and evidence.task.kind != "reference":
+            self._ledger.enter(evidence)
+
+    def _perform(self, task: Task) -> Links | Sightings:
         setup = self._setup
         if task.kind == "marks":
             fixture = METHODS[setup.method].fixture
@@ -136,6 +148,7 @@ class Desk:
             Terms(s.frame, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference),
             np.asarray(times_s, dtype=np.float64),
             list(evidence),
+            self._ledger,
         )
 
     def _referred(self, key: FrameKey) -> Prepared:
