@@ -73,4 +73,5 @@ def test_links_entered_one_by_one_are_the_same_in_whatever_order_they_are_asked_
             assert np.array_equal(getattr(once, name), getattr(again, name)), name
         assert again.groups == once.groups
     other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
-    np.testing.assert_allclose(ledger.observations([other]).a_mm, cameras[0].ground([[50.0, 60.0]]))
+    both = ledger.observations([found[0], other])
+    np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))

@@ -17,7 +17,7 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.rays import undistorted
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.evidence import Links, Task
+from vaoi_station.stitching.evidence import Links
 
 Ints = NDArray[np.int_]
 
@@ -64,16 +64,16 @@ class Ledger:
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._cameras = _as_arrays(cameras)
-        self._entered: dict[Task, tuple[Links, int]] = {}
-        """And where the entries of each begin."""
+        self._begins: dict[Links, int] = {}
+        """Where the entries of each piece of evidence begin."""
         self._size = 0
         self._columns = [np.empty((0, 2)) for _ in range(4)] + [np.empty((0, 2, 2)), np.empty(0)]
         """As of `_grounded`, with room for more."""
 
     def enter(self, links: Links) -> None:
         """Note the links of a pair of frames; harmless when they have been."""
-        count, (entered, _) = len(links.a_px), self._entered.get(links.task, (None, 0))
-        if entered is links or not count:
+        count = len(links.a_px)
+        if links in self._begins or not count:
             return
         if self._size + count > len(self._columns[0]):
             more = max(_ROOM, self._size + count)
@@ -83,7 +83,7 @@ class Ledger:
         found = _grounded(links.a_px, links.b_px, links.information, *cameras, *self._cameras)
         for column, values in zip(self._columns, found, strict=True):
             column[self._size : self._size + count] = values
-        self._entered[links.task] = links, self._size
+        self._begins[links] = self._size
         self._size += count
 
     def observations(self, links: Sequence[Links]) -> Observations:
@@ -91,7 +91,7 @@ class Ledger:
         used = tuple(e for e in links if len(e.a_px))
         for e in used:
             self.enter(e)
-        each = [(e.task.a[1], (e.task.b or e.task.a)[1], len(e.a_px), self._entered[e.task][1]) for e in used]
+        each = [(e.task.a[1], (e.task.b or e.task.a)[1], len(e.a_px), self._begins[e]) for e in used]
         p, q, count, begin = np.array(each, dtype=np.int_).reshape(-1, 4).T
         before = np.cumsum(count) - count
         at = np.repeat(begin - before, count) + np.arange(count.sum())
