@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -161,3 +162,12 @@ def test_matrices_are_copied_and_read_only() -> None:
     assert made.matrix[0, 0] == 1
     with pytest.raises(ValueError, match="read-only"):
         made.matrix[0, 0] = 2
+
+
+@given(st.one_of(similarities, motions, homographies))
+def test_in_another_process_a_transform_is_the_same_and_cannot_be_changed_either(transform: Projective) -> None:
+    there = pickle.loads(pickle.dumps(transform))
+    assert type(there) is type(transform)
+    assert (there.target, there.source) == (transform.target, transform.source)
+    assert np.array_equal(there.matrix, transform.matrix)
+    assert not there.matrix.flags.writeable

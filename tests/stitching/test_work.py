@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -8,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vaoi_station.model import BoardType
+from vaoi_station.runs.warming import warm_up
 from vaoi_station.stitching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import Desk, Setup, all_tasks, possible_tasks
 
@@ -111,3 +114,18 @@ def test_evidence_and_result_do_not_depend_on_the_order_of_work(filmed: Any, ran
     assert again.model_dump(mode="json", exclude={"quality"}) == first.model_dump(mode="json", exclude={"quality"})
     timeless = [{k: v for k, v in s.quality.items() if k != "timings_ms"} for s in (again, first)]
     assert timeless[0] == timeless[1]
+
+
+def test_a_warm_worker_compiles_nothing_when_a_board_comes(filmed: Any) -> None:
+    """What it is sent has come through a pipe; code for other kinds of arrays would be compiled then, for seconds."""
+    warm_up()
+    modules = [m for name, m in sys.modules.items() if name.startswith("vaoi_station.")]
+    compiled = {id(f): f for m in modules for f in vars(m).values() if hasattr(f, "signatures")}
+    before = {key: set(f.signatures) for key, f in compiled.items()}
+    assert sum(map(len, before.values())) > 40
+    setup, present = pickle.loads(pickle.dumps((filmed.setup, filmed.present)))
+    desk = Desk(setup, filmed.frame)
+    found = [pickle.loads(pickle.dumps(desk.perform(task))) for task in filmed.tasks]
+    desk.conclude(filmed.times_s, present, found)
+    later = {f.py_func.__name__: set(f.signatures) - before[key] for key, f in compiled.items()}
+    assert not {name: new for name, new in later.items() if new}

@@ -68,6 +68,10 @@ class Projective:
         m.setflags(write=False)
         object.__setattr__(self, "matrix", m)
 
+    def __reduce__(self) -> tuple[type[Projective], tuple[Floats, System, System]]:
+        """In another process it cannot be changed either: compiled functions have code of their own for what can."""
+        return type(self), (self.matrix, self.target, self.source)
+
     def __matmul__(self, other: Projective) -> Projective:
         if self.source is not other.target:
             raise InternalError(f"{self.target}_from_{self.source} @ {other.target}_from_{other.source}: no neighbours")

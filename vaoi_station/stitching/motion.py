@@ -39,11 +39,11 @@ class Motion:
 
     def board(self, row: np.ndarray, ground_mm: Floats) -> Floats:
         """Board points (k, 2), in tester coordinates, of ground points (k, 2) seen in rows (k,)."""
-        return _moved(row, ground_mm, self.angle, self.pivot, self.pivot + self.shift)
+        return _moved(row, np.ascontiguousarray(ground_mm), self.angle, self.pivot, self.pivot + self.shift)
 
     def turned(self, row: np.ndarray, arrow: Floats) -> Floats:
         """Directions (k, 2) turned as the board's coordinates are."""
-        return _moved(row, arrow, self.angle, np.zeros(2), np.zeros_like(self.shift))
+        return _moved(row, np.ascontiguousarray(arrow), self.angle, np.zeros(2), np.zeros_like(self.shift))
 
     def row_from_tester(self, row: int) -> Euclidean:
         """The paper's D_j."""
