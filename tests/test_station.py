@@ -16,6 +16,7 @@ from vaoi_station.files import write_calibration
 from vaoi_station.model import Calibration
 from vaoi_station.runs import acquisition_link
 from vaoi_station.runs.shapes import StationSnapshot
+from vaoi_station.runs.workers import WorkerPool
 from vaoi_station.station import DATABASE, Station, serve
 
 
@@ -138,7 +139,11 @@ def test_workers_that_take_too_long_are_told_and_boards_are_taken_all_the_same(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(acquisition_link, "WARM_S", 0.0)
-    with Station(config) as started:
-        opened = until(started, lambda snapshot: snapshot.processes[0].pid is not None)
-        assert [warning.code for warning in opened.warnings] == ["workers-starting"]
-        until(started, lambda snapshot: not snapshot.warnings)
+    with monkeypatch.context() as held:
+        held.setattr(WorkerPool, "_begin", lambda *_: None)
+        with Station(config) as started:
+            opened = until(started, lambda snapshot: snapshot.processes[0].pid is not None)
+            assert [warning.code for warning in opened.warnings] == ["workers-starting"]
+            assert opened.warnings[0].message.startswith("Results of boards that pass meanwhile come late: ")
+            held.undo()
+            until(started, lambda snapshot: not snapshot.warnings)
