@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
+from vaoi_station.stitching import adjustment
 from vaoi_station.stitching.adjustment import adjust, looked_at, roughly, similar
 from vaoi_station.stitching.evidence import Links, Task
 from vaoi_station.stitching.motion import Motion, nominal_motion
 from vaoi_station.stitching.observations import observe
 from vaoi_station.stitching.problem import Adjusted, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.scatter import excess
 from vaoi_station.stitching.start import chained
 from vaoi_station.stitching.surface import SIGMA_MM, basis
 
@@ -162,6 +164,19 @@ def test_a_start_by_some_of_many_links_leads_to_the_same_and_few_are_not_thinned
     by_hand = rough.board(many.q, many.b_mm) - rough.board(many.p, many.a_mm)
     assert seen.link_px == pytest.approx(by_hand * many.px_per_mm[:, None], abs=1e-9)
     assert (seen.weight > 0.5).mean() > 0.9
+
+
+def test_a_sample_of_many_links_is_of_the_kind_that_code_is_compiled_for(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = bench(1)
+    problem = truth.problem()
+    adjust(problem, started(problem))
+    code: Any = excess
+    before = set(code.signatures)
+    monkeypatch.setattr(adjustment, "_TELLING", 40)
+    adjust(problem, started(problem))
+    assert set(code.signatures) == before
 
 
 def test_a_fifth_of_wild_links_does_not_matter(bench: Any) -> None:

@@ -128,7 +128,8 @@ class _Solver:
         self.sigma, self.robust, self.weight = np.zeros(k), np.zeros(k), np.zeros((k, 3))
         self.tied = _tied_steps(problem.links, self.m)
         bare = [np.flatnonzero((problem.component < 0) & (self.kind == kind)) for kind in (0, 1)]
-        self.telling = [links[:: max(len(links) // _TELLING, 1)] for links in bare]
+        # contiguous: for a slice with a step another variant would be compiled, while a board waits
+        self.telling = [np.ascontiguousarray(links[:: max(len(links) // _TELLING, 1)]) for links in bare]
         """Links on the bare board, from row to row and between cameras, that tell how much links scatter."""
         self.steps = 0
 
