@@ -19,7 +19,7 @@ import pytest
 from tests.needs import FILMS, VERDICT, need_films
 from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
 from vaoi_station.model import BoardType, Calibration, Stitch
-from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import Setup
 
 # A verdict on a commit must not depend on the day: there the examples are fixed; at a desk they are new every time.

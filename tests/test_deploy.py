@@ -10,9 +10,9 @@ import pytest
 
 from vaoi_station.acquisition.cameras.aravis.opening import socket_bytes
 from vaoi_station.config import read_config
+from vaoi_station.doctor.checks.network import judge_buffers
+from vaoi_station.doctor.checks.usb import PARAMETER, judge_memory
 from vaoi_station.doctor.finding import Level
-from vaoi_station.doctor.network import judge_buffers
-from vaoi_station.doctor.usb import PARAMETER, judge_memory
 
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
 PAPER = read_config(DEPLOY / "station-paper.toml")

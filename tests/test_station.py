@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.files import write_calibration
 from vaoi_station.model import Calibration
-from vaoi_station.runs import acquisition_link
-from vaoi_station.runs.shapes import StationSnapshot
-from vaoi_station.runs.workers import WorkerPool
+from vaoi_station.runs.control import acquisition_link
+from vaoi_station.runs.states.schemas import StationSnapshot
+from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.station import DATABASE, Station, serve
 
 
@@ -87,14 +87,14 @@ def test_a_port_that_is_taken(config: StationConfig) -> None:
 
 def test_a_station_that_is_down_says_so(config: StationConfig) -> None:
     with pytest.raises(StateError, match="not running"):
-        _ = Station(config).conductor
+        _ = Station(config).coordinator
 
 
 def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason(config: StationConfig) -> None:
     with Station(config) as station:
         seen, troubles = 0, list[str]()
-        while not troubles or station.conductor.snapshot().state != "faulted":
-            records = station.conductor.events(seen, 60.0)
+        while not troubles or station.coordinator.snapshot().state != "faulted":
+            records = station.coordinator.events(seen, 60.0)
             assert records
             seen = records[-1].number
             troubles += [r.message for r in records if r.kind == "trouble" and "recording.json" in r.message]
@@ -109,9 +109,9 @@ COMPILED_S = 600.0
 def until(started: Station, said: Callable[[StationSnapshot], bool]) -> StationSnapshot:
     """Wait for something the station says of itself; its events wake us."""
     deadline_s, seen = time.monotonic() + COMPILED_S, 0
-    while not said(snapshot := started.conductor.snapshot()):
+    while not said(snapshot := started.coordinator.snapshot()):
         assert time.monotonic() < deadline_s, snapshot
-        records = started.conductor.events(seen, 1.0)
+        records = started.coordinator.events(seen, 1.0)
         seen = records[-1].number if records else seen
     return snapshot
 
@@ -123,15 +123,15 @@ def test_boards_are_taken_when_the_workers_are_ready_and_callers_are_answered_be
     """After an installation they compile first."""
     monkeypatch.setattr(acquisition_link, "WARM_S", COMPILED_S)
     with Station(config) as started:
-        first = started.conductor.snapshot()
+        first = started.coordinator.snapshot()
         assert (first.state, first.processes[0].restarts) == ("starting", 0)
         [warning] = first.warnings
         assert warning.code == "workers-starting"
         assert warning.message.startswith("Cameras are not opened yet: ")
         until(started, lambda snapshot: snapshot.state != "starting")
-        told = [event for event in started.conductor.events() if event.code != "ring-not-locked"]
+        told = [event for event in started.coordinator.events() if event.code != "ring-not-locked"]
         assert told[0].message == "The workers are ready: results come at once.", "cameras were opened afterwards"
-        assert started.conductor.snapshot().warnings == ()
+        assert started.coordinator.snapshot().warnings == ()
 
 
 @pytest.mark.timeout(2 * COMPILED_S)

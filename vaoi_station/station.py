@@ -1,6 +1,6 @@
 """The station: its parts built from one configuration, started and stopped in order.
 
-    store → ring → workers → conductor → acquisition, and back again.
+    store → ring → workers → coordinator → acquisition, and back again.
 
 Whatever happens on the way up or down, nothing stays in shared memory and no process is left over.
 """
@@ -10,23 +10,23 @@ from __future__ import annotations
 import logging
 from contextlib import ExitStack
 
-from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError
 from vaoi_station.files import read_calibration
-from vaoi_station.runs.acquisition_link import AcquisitionLink, Launch, spawned
-from vaoi_station.runs.archive import Archive
-from vaoi_station.runs.conductor import StationConductor
-from vaoi_station.runs.core import Parts
-from vaoi_station.runs.events import EventLog
-from vaoi_station.runs.moments import RunIds
-from vaoi_station.runs.order import OrderDesk
-from vaoi_station.runs.salvage import camera_heads
-from vaoi_station.runs.shelf import ReferenceShelf
-from vaoi_station.runs.stopping import StopRequest
-from vaoi_station.runs.systemd import alive, notify
-from vaoi_station.runs.watch import CalibrationWatch
-from vaoi_station.runs.workers import WorkerPool
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawned
+from vaoi_station.runs.control.calibration_watch import CalibrationWatch
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.control.core import Parts
+from vaoi_station.runs.host.stop_request import StopRequest
+from vaoi_station.runs.host.systemd import alive, notify
+from vaoi_station.runs.run.order import OrderDesk
+from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.run.salvage import camera_heads
+from vaoi_station.runs.states.run_ids import RunIds
+from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
 _log = logging.getLogger(__name__)
@@ -44,15 +44,15 @@ class Station:
         self.config = config
         self._launch = launch
         self._parts = ExitStack()
-        self._conductor: StationConductor | None = None
+        self._coordinator: StationCoordinator | None = None
         self._wound_down = False
 
     @property
-    def conductor(self) -> StationConductor:
+    def coordinator(self) -> StationCoordinator:
         """What answers; `StateError` while the station is down."""
-        if self._conductor is None:
+        if self._coordinator is None:
             raise StateError("The station is not running.", action="Start it.")
-        return self._conductor
+        return self._coordinator
 
     def start(self) -> None:
         """Build and start everything; on a failure everything is taken down again and the failure is told."""
@@ -70,7 +70,7 @@ class Station:
             cameras = calibration.cameras(camera_heads(config))
             shelf = ReferenceShelf(config.data / REFERENCES, store, cameras)
             shelf.sweep()
-            conductor = StationConductor(
+            coordinator = StationCoordinator(
                 Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
                 ring,
                 BoardTypeDirectory(config.board_types),
@@ -79,28 +79,28 @@ class Station:
                 lambda: (link.status(), *workers.status()),
                 alive,
             )
-            parts.callback(conductor.close)
-            conductor.start()
+            parts.callback(coordinator.close)
+            coordinator.start()
             parts.callback(workers.stop)
             workers.start(
-                conductor.worker_lost, lambda: events.add("workers", "The workers are ready: results come at once.")
+                coordinator.worker_lost, lambda: events.add("workers", "The workers are ready: results come at once.")
             )
             parts.callback(link.stop)
-            link.start(conductor.hear, conductor.acquisition_lost, workers.all_ready)
+            link.start(coordinator.hear, coordinator.acquisition_lost, workers.all_ready)
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
-            self._parts, self._conductor, self._wound_down = parts.pop_all(), conductor, False
+            self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def wind_down(self) -> None:
         """Film no more; runs under way come to their end. What is there can still be asked for."""
-        if self._conductor is not None and not self._wound_down:
+        if self._coordinator is not None and not self._wound_down:
             self._wound_down = True
-            self._conductor.wind_down(GRACE_S)
+            self._coordinator.wind_down(GRACE_S)
 
     def stop(self) -> None:
         """Take everything down; harmless when down."""
         self.wind_down()
-        self._conductor = None
+        self._coordinator = None
         self._parts.close()
 
     def __enter__(self) -> Station:
@@ -118,7 +118,7 @@ def serve(config: StationConfig, port: int | None = None) -> None:
 
     address = (config.api.host, config.api.port if port is None else port)
     with StopRequest() as stop, listener(*address, "[api]") as socket_, Station(config) as station:
-        web = WebServer(create_app(station.conductor, (config.api.host, *config.api.names)), socket_, stop.ask)
+        web = WebServer(create_app(station.coordinator, (config.api.host, *config.api.names)), socket_, stop.ask)
         web.start()
         notify("READY=1")
         if name := stop.wait():

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-LIMITS = Path(__file__).parents[1] / "firmware" / "logic" / "limits.h"
+LIMITS = Path(__file__).parents[1] / "firmware" / "logic" / "pulses" / "limits.h"
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _RELATIONS = {"≤": operator.le, "≥": operator.ge}
 

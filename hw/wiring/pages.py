@@ -24,7 +24,7 @@ PORTS = {f"D{k}": f"P{'D' if k < 8 else 'B'}{k % 8}" for k in range(14)}
 
 def made(circuit: Circuit) -> dict[Path, str]:
     """Every file that follows from the circuit, with its content; the page keeps its prose."""
-    drawings = {HW / "wiring" / f"{sheet.name}.svg": svg(circuit, sheet) for sheet in circuit.sheets}
+    drawings = {HW / "wiring" / "drawings" / f"{sheet.name}.svg": svg(circuit, sheet) for sheet in circuit.sheets}
     lists = {HW / "bill-of-materials.csv": _csv(("reference", "pieces", "part"), materials(circuit))}
     nets = {HW / "wiring" / "nets.csv": _csv(("net", "pins"), ends(circuit))}
     return drawings | lists | nets | {PAGE: redrawn(PAGE.read_text(encoding="utf-8"), circuit)}

@@ -11,12 +11,22 @@ from typing import TypeVar
 
 import pytest
 
-from vaoi_station.acquisition.backends import open_devices
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.messages import Arm, Armed, Command, Disarm, Disarmed, Grant, Ready, Report, Shutdown
-from vaoi_station.acquisition.process import run_acquisition
-from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.process.backends import open_devices
+from vaoi_station.acquisition.process.main_loop import run_acquisition
+from vaoi_station.acquisition.process.messages import (
+    Arm,
+    Armed,
+    Command,
+    Disarm,
+    Disarmed,
+    Grant,
+    Ready,
+    Report,
+    Shutdown,
+)
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.files import write_calibration
 from vaoi_station.simulation import Twin, read_scenario

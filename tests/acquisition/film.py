@@ -12,8 +12,8 @@ from vaoi_station.acquisition.causes import WRAP
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.device_clock import DeviceClock
-from vaoi_station.acquisition.proof import TriggerProof
-from vaoi_station.acquisition.recorder import Finished, Limits, Outcome, Recorder, Settled, Stray
+from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.recorder import Finished, Limits, Outcome, Recorder, Settled, Stray
 from vaoi_station.model import FrameRecord, Verdict
 
 PERIOD_S = 0.1

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.keeping import keep_run
-from vaoi_station.acquisition.messages import RunFinished
-from vaoi_station.acquisition.ring import Ring, RingLayout
-from vaoi_station.acquisition.ring_layout import FrameShape
+from vaoi_station.acquisition.process.messages import RunFinished
+from vaoi_station.acquisition.process.recording_export import keep_run
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout
+from vaoi_station.acquisition.ring.ring_layout import FrameShape
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
 from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
 

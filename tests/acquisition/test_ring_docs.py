@@ -1,4 +1,4 @@
-"""`docs/ring.md` says what the bytes mean: its table is compared with the layout, its C program is run."""
+"""`docs/internals/ring.md` says what the bytes mean: its table is compared with the layout, its C program is run."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from tests.needs import need
-from vaoi_station.acquisition.ring import Ring
-from vaoi_station.acquisition.ring_layout import HEADER, INCOMPLETE, OK, FrameShape, RingLayout
+from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.acquisition.ring.ring_layout import HEADER, INCOMPLETE, OK, FrameShape, RingLayout
 
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "ring.md").read_text()
+DOCUMENT = (Path(__file__).parents[2] / "docs" / "internals" / "ring.md").read_text()
 SIZES = {"char[8]": 8, "u32": 4, "u64": 8}
 
 

@@ -17,7 +17,7 @@ from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
 from vaoi_station.rendering import View, render, views_of
-from vaoi_station.runs import facade as f
+from vaoi_station.runs.control import facade as f
 
 CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
 VERSIONS = f.Versions(station="0.1.0", opencv=cv2.__version__, python="3")
@@ -35,7 +35,7 @@ NOW = "2026-01-01T12:00:00.000Z"
 
 
 class HeldStation:
-    """Implements `runs.facade.Conductor` over what it is given; `film` makes a run."""
+    """Implements `runs.facade.Coordinator` over what it is given; `film` makes a run."""
 
     def __init__(self) -> None:
         self._news = threading.Condition()

@@ -18,7 +18,7 @@ from vaoi_station.errors import (
     StateError,
     VaoiError,
 )
-from vaoi_station.runs.facade import StationState
+from vaoi_station.runs.control.facade import StationState
 
 API = "/api/v1"
 

@@ -9,7 +9,7 @@ import pytest
 from vaoi_station.benchmarks.frames import Material, of_recording, of_twin
 from vaoi_station.benchmarks.measure import Figures, measure
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.simulation.filming import write_passage
+from vaoi_station.simulation.recording_writer import write_passage
 
 ISSUED = {"stitch_ms_per_frame", "ratio_to_paper_method", "ready_after_last_frame_ms", "render_ratio_to_warp"}
 

@@ -13,7 +13,7 @@ from vaoi_station.drift.checks import RunCheck, joint
 from vaoi_station.drift.displacement import displaced
 from vaoi_station.drift.recorded import check_recording
 from vaoi_station.geometry import Camera
-from vaoi_station.stitching.opening import open_run
+from vaoi_station.stitching.recordings.opening import open_run
 
 pytestmark = pytest.mark.cases
 KNOCKED = 1

@@ -12,7 +12,7 @@ import pytest
 
 from vaoi_station.cli import main
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.simulation.filming import write_passage
+from vaoi_station.simulation.recording_writer import write_passage
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from vaoi_station.demo.assess import Answers, Output, assess
 from vaoi_station.demo.report import DemoReport, as_text, headline
 from vaoi_station.simulation import Passage, Twin
 
-GUIDE = Path(__file__).resolve().parents[2] / "docs" / "demo.md"
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "engineering" / "demo.md"
 OUTPUT = Output("out", "out/contact-sheet.png", 48, 123, 0.4, 9.0)
 RUN: dict[str, Any] = {
     "id": "r1", "board_type": "small", "verdict": "ok", "reasons": [], "cameras": 2, "rows": 6,

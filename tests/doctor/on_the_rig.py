@@ -22,7 +22,7 @@ from typing import Any
 
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.doctor import examine
-from vaoi_station.doctor.running import ask
+from vaoi_station.doctor.checks.running_station import ask
 
 PATIENCE_S = 120.0
 

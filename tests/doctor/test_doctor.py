@@ -13,12 +13,12 @@ from vaoi_station import doctor
 from vaoi_station.cli import main
 from vaoi_station.config import read_config
 from vaoi_station.doctor import examination
+from vaoi_station.doctor.check_context import Patient
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
-from vaoi_station.doctor.patient import Patient
 from vaoi_station.station import Station
 
-PAGE = (Path(__file__).parents[2] / "docs" / "doctor.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "engineering" / "doctor.md").read_text(encoding="utf-8")
 KEYS = (
     "format", "version", "created", "host", "vaoi_station", "station", "config", "running", "worst", "counts",
     "findings",
@@ -101,11 +101,11 @@ def test_beside_a_station_that_runs(station_toml: Path) -> None:
     config = read_config(station_toml)
     with listener("127.0.0.1", config.api.port, "[api]") as bound, Station(config) as station:
         assert isinstance(bound, socket.socket)
-        web = WebServer(create_app(station.conductor, ("127.0.0.1",)), bound, threading.Event().set)
+        web = WebServer(create_app(station.coordinator, ("127.0.0.1",)), bound, threading.Event().set)
         web.start()
-        before = station.conductor.snapshot()
+        before = station.coordinator.snapshot()
         report = doctor.examine(station_toml, Machine())
-        after = station.conductor.snapshot()
+        after = station.coordinator.snapshot()
         web.stop()
     assert report.running is not None
     findings = {(f.check, f.subject): f for f in report.findings}

@@ -13,12 +13,13 @@ import pytest
 
 from tests.doctor.conftest import changed, is_bad, nobody, only
 from tests.needs import lacking
-from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import ReplayConfig, StationConfig
-from vaoi_station.doctor import documents, memory, running, storage
+from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.checks import documents, memory, storage
+from vaoi_station.doctor.checks import running_station as running
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
-from vaoi_station.doctor.patient import Patient
 
 ROOT = Path(__file__).resolve().parents[2]
 

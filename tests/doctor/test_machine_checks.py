@@ -15,12 +15,15 @@ import pytest
 from tests.doctor.conftest import is_bad, nobody, only
 from vaoi_station.acquisition.cameras.aravis import library
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
-from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import ApiConfig, CameraConfig, StationConfig
-from vaoi_station.doctor import aravis, cameras, controller, memory, network, running, software, timekeeping, usb
+from vaoi_station.doctor.check_context import Patient, Running
+from vaoi_station.doctor.checks import camera_library as aravis
+from vaoi_station.doctor.checks import cameras, controller, memory, network, software, usb
+from vaoi_station.doctor.checks import machine_clocks as timekeeping
+from vaoi_station.doctor.checks import running_station as running
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
-from vaoi_station.doctor.patient import Patient, Running
 
 
 @pytest.mark.parametrize(

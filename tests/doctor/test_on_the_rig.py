@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.needs import need_emulator
-from vaoi_station.rig.network import INSIDE, isolation
+from vaoi_station.rig.devices.network import INSIDE, isolation
 
 ROOT = Path(__file__).resolve().parents[2]
 

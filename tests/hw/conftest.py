@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.hw.chip import Chip, make
-from tests.hw.host import Host
-from tests.hw.paced import PacedChip
+from tests.hw.emulated.chip import Chip, make
+from tests.hw.emulated.host import Host
+from tests.hw.emulated.paced import PacedChip
 from tests.needs import need, need_emulator
 
 

@@ -15,18 +15,18 @@ from typing import Any
 import pytest
 
 from tests.doctor.conftest import is_bad, nobody, only
-from tests.hw.paced import PacedChip
+from tests.hw.emulated.paced import PacedChip
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
 from vaoi_station.acquisition.controller.protocol.messages import REPLY, Request, Status, Type
-from vaoi_station.acquisition.controller.serial.line import Line
+from vaoi_station.acquisition.controller.serial.exchange import Line
 from vaoi_station.acquisition.controller.serial.port import Alarm, Port
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.controller import LATENCY, controller, judge_clock, judge_latency
+from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.checks.controller import LATENCY, controller, judge_clock, judge_latency
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
-from vaoi_station.doctor.patient import Patient
 
 RING = {"ring": {"channels": [0, 1], "on_us": 250.0}}
 

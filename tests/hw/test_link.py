@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.hw.line import us
+from tests.hw.emulated.line import us
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import (
     EventsLost,

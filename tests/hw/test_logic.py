@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.hw.chip import make
-from tests.hw.line import TIMING, ms, us
+from tests.hw.emulated.chip import make
+from tests.hw.emulated.line import TIMING, ms, us
 from tests.needs import need
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,

@@ -6,7 +6,7 @@ import time
 
 import serial
 
-from tests.hw.paced import HZ, PATIENCE_S, PacedChip
+from tests.hw.emulated.paced import HZ, PATIENCE_S, PacedChip
 from vaoi_station.acquisition.controller.protocol.link import Link, Replied
 from vaoi_station.acquisition.controller.protocol.messages import Ident, Request, Type
 

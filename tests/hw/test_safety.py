@@ -6,8 +6,8 @@ import itertools
 import random
 from dataclasses import replace
 
-from tests.hw.chip import CYCLES_PER_US, Chip
-from tests.hw.line import STEPS, TIMING, Line, ms, us
+from tests.hw.emulated.chip import CYCLES_PER_US, Chip
+from tests.hw.emulated.line import STEPS, TIMING, Line, ms, us
 from vaoi_station.acquisition.controller.protocol.framing import Message, encode
 from vaoi_station.acquisition.controller.protocol.messages import (
     Fault,

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.hw.host import PLAN, Host
-from tests.hw.paced import HZ, PacedChip
-from vaoi_station.acquisition.backends import open_devices
+from tests.hw.emulated.host import PLAN, Host
+from tests.hw.emulated.paced import HZ, PacedChip
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -24,6 +23,7 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
 )
 from vaoi_station.acquisition.controller.serial import SerialController
+from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.config import ControllerConfig, Line, StationConfig
 from vaoi_station.errors import DeviceError, StateError
 
@@ -180,7 +180,7 @@ def test_a_host_that_was_stopped(paced: PacedChip) -> None:
     """SIGSTOP for longer than the heartbeat's patience: outputs off, told, and armed again."""
     root = Path(__file__).resolve().parents[2]
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.hw.serial_host", str(paced.link)],
+        [sys.executable, "-m", "tests.hw.emulated.serial_host", str(paced.link)],
         stdout=subprocess.PIPE,
         text=True,
         cwd=root,

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hw.host import PLAN, Host
-from tests.hw.paced import PacedChip
+from tests.hw.emulated.host import PLAN, Host
+from tests.hw.emulated.paced import PacedChip
 from vaoi_station.acquisition.controller.serial import SerialController
 from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import InputError, StateError

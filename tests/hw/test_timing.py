@@ -8,11 +8,11 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.hw.chip import CYCLES_PER_US, Chip
-from tests.hw.line import STEPS, TIMING, Line, ms, us
-from tests.hw.load import full_line
-from tests.hw.timing import film
-from tests.hw.timing_picture import draw
+from tests.hw.emulated.chip import CYCLES_PER_US, Chip
+from tests.hw.emulated.line import STEPS, TIMING, Line, ms, us
+from tests.hw.emulated.load import full_line
+from tests.hw.emulated.timing import film
+from tests.hw.emulated.timing_picture import draw
 from vaoi_station.acquisition.controller.protocol.messages import Fault, Kind, Pacing, RunEnd, Step, Suppressed
 
 CYCLES_PER_TICK = 8

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.hw.vectors import VECTORS
+from tests.hw.emulated.vectors import VECTORS
 from vaoi_station.acquisition.controller.protocol import messages
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, crc16, encode
 from vaoi_station.acquisition.controller.protocol.messages import VERSION, Step, Timing, config_crc, configuration

@@ -8,8 +8,8 @@ import pytest
 
 from vaoi_station.reporting import Story, tell
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.simulation.filming import write_passage
-from vaoi_station.stitching.opening import open_run
+from vaoi_station.simulation.recording_writer import write_passage
+from vaoi_station.stitching.recordings.opening import open_run
 
 
 @pytest.fixture(scope="session")

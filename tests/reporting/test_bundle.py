@@ -12,8 +12,8 @@ from vaoi_station.files import open_recording, read_stitch
 from vaoi_station.files.results import stitch_document
 from vaoi_station.reporting import Story, bundle, tell, write_bundle
 from vaoi_station.reporting.bundle import replay_command
-from vaoi_station.stitching.opening import open_run
-from vaoi_station.stitching.taught import teach
+from vaoi_station.stitching.recordings.opening import open_run
+from vaoi_station.stitching.recordings.reference_directory import teach
 
 
 def result_of(story: Story) -> dict[str, object]:

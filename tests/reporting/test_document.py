@@ -17,7 +17,7 @@ from vaoi_station.files import open_recording, write_recording
 from vaoi_station.model import Status, Stitch
 from vaoi_station.reporting import Story, tell, write_report
 from vaoi_station.reporting.document import report
-from vaoi_station.stitching.opening import open_run
+from vaoi_station.stitching.recordings.opening import open_run
 
 SECTIONS = [
     "numbers", "tiles", "frames", "motion", "residuals", "seams", "fiducials", "surface", "components", "timings",

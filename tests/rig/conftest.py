@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.needs import need_emulator
-from vaoi_station.rig.chip import build
-from vaoi_station.rig.films import Film, films
+from vaoi_station.rig.devices.chip import build
+from vaoi_station.rig.line.films import Film, films
 from vaoi_station.simulation import Scenario, read_scenario, scenario_path
 
 

@@ -1,4 +1,4 @@
-"""A conductor on a small ring, with a scripted acquisition process and scripted workers."""
+"""A coordinator on a small ring, with a scripted acquisition process and scripted workers."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from tests.runs.peer import PATIENCE_S, Peer
-from vaoi_station.acquisition import messages as said
-from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import NotFoundError
@@ -34,18 +34,18 @@ from vaoi_station.model import (
     Stitch,
     Verdict,
 )
-from vaoi_station.runs.acquisition_link import AcquisitionLink
-from vaoi_station.runs.archive import Archive
-from vaoi_station.runs.conductor import StationConductor
-from vaoi_station.runs.core import Parts
-from vaoi_station.runs.events import EventLog
-from vaoi_station.runs.jobs import Answer, CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun
-from vaoi_station.runs.moments import RunIds
-from vaoi_station.runs.order import OrderDesk
-from vaoi_station.runs.salvage import camera_heads
-from vaoi_station.runs.shelf import ReferenceShelf
-from vaoi_station.runs.watch import CalibrationWatch
-from vaoi_station.stitching.evidence import Links, Task
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control.acquisition_link import AcquisitionLink
+from vaoi_station.runs.control.calibration_watch import CalibrationWatch
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.control.core import Parts
+from vaoi_station.runs.run.order import OrderDesk
+from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.run.salvage import camera_heads
+from vaoi_station.runs.states.run_ids import RunIds
+from vaoi_station.runs.workers.jobs import Answer, CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun
+from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
 WIDTH, HEIGHT, PX_PER_MM = 64, 48, 2.0
@@ -178,10 +178,10 @@ class ScriptedWorkers:
 
 @dataclass
 class Rig:
-    """A conductor and all it conducts."""
+    """A coordinator and all it conducts."""
 
     config: StationConfig
-    conductor: StationConductor
+    coordinator: StationCoordinator
     ring: Ring
     peer: Peer
     workers: ScriptedWorkers
@@ -196,13 +196,13 @@ class Rig:
 
     def until(self, state: str) -> None:
         """Wait for a state of the station; the event log tells of every change."""
-        self.wait_for(lambda: self.conductor.snapshot().state == state, f"the station to be {state}")
+        self.wait_for(lambda: self.coordinator.snapshot().state == state, f"the station to be {state}")
 
     def wait_for(self, true: Callable[[], bool], what: str) -> None:
         deadline, seen = time.monotonic() + PATIENCE_S, 0
         while not true():
-            assert time.monotonic() < deadline, f"waited for {what}: {self.conductor.snapshot()}"
-            records = self.conductor.events(seen, 0.2)
+            assert time.monotonic() < deadline, f"waited for {what}: {self.coordinator.snapshot()}"
+            records = self.coordinator.events(seen, 0.2)
             seen = records[-1].number if records else seen
 
     def wait_run(self, run: str, true: Callable[[Any], bool], what: str) -> None:
@@ -210,7 +210,7 @@ class Rig:
 
         def met() -> bool:
             try:
-                return true(self.conductor.run(run))
+                return true(self.coordinator.run(run))
             except NotFoundError:
                 return False
 
@@ -219,7 +219,7 @@ class Rig:
     def arm(self, **options: Any) -> said.Grant:
         """Arm, playing the other side; the grant that came with it."""
         with ThreadPoolExecutor(1) as caller:
-            outcome = caller.submit(self.conductor.arm, "small", **options)
+            outcome = caller.submit(self.coordinator.arm, "small", **options)
             grant = self.peer.expect(said.Grant)
             self.peer.expect(said.Arm)
             self.peer.say(said.Armed())
@@ -261,8 +261,8 @@ class Rig:
         self.finish(grant, records)
 
     def result_of(self, run: str) -> Any:
-        self.wait_for(lambda: (latest := self.conductor.latest()) is not None and latest.id >= run, f"{run} to end")
-        return self.conductor.run(run)
+        self.wait_for(lambda: (latest := self.coordinator.latest()) is not None and latest.id >= run, f"{run} to end")
+        return self.coordinator.run(run)
 
 
 def end_link(link: AcquisitionLink, peer: Peer) -> None:
@@ -325,7 +325,7 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         archive, peer, workers = Archive(store, events), Peer(), ScriptedWorkers()
         link = AcquisitionLink(peer.launch)
         watch = CalibrationWatch(store.checks, events, a_calibration(), [c.name for c in config.cameras])
-        conductor = StationConductor(
+        coordinator = StationCoordinator(
             Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
             ring,
             BoardTypeDirectory(config.board_types),
@@ -333,11 +333,11 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
             shelf,
             lambda: (link.status(),),
         )
-        ends.append(conductor.close)
-        conductor.start()
+        ends.append(coordinator.close)
+        coordinator.start()
         ends.append(lambda: end_link(link, peer))
-        link.start(conductor.hear, conductor.acquisition_lost)
-        return Rig(config, conductor, ring, peer, workers, link, store, archive)
+        link.start(coordinator.hear, coordinator.acquisition_lost)
+        return Rig(config, coordinator, ring, peer, workers, link, store, archive)
 
     yield make
     for end in reversed(ends):

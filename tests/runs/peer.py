@@ -1,4 +1,4 @@
-"""The acquisition process as the conductor sees it, played by a test."""
+"""The acquisition process as the coordinator sees it, played by a test."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import threading
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from vaoi_station.acquisition import messages as said
-from vaoi_station.runs.acquisition_link import Process
+from vaoi_station.acquisition.process import messages as said
+from vaoi_station.runs.control.acquisition_link import Process
 
 R = TypeVar("R")
 PATIENCE_S = 20.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.simulation import Twin
-from vaoi_station.simulation.scene import Scene
+from vaoi_station.simulation.imaging.scene import Scene
 
 Make = Callable[..., Twin]
 
@@ -37,7 +37,7 @@ def test_only_bodies_far_off_are_left_out_beforehand(make: Make, monkeypatch: py
 def test_a_board_too_long_for_one_texture_looks_like_any(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     twin = make(board={"density": 2.0}, array={"cameras": 2, "tilt_deg": 1.0})
     whole = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
-    monkeypatch.setattr("vaoi_station.simulation.scene._MOST_PX", 16)
+    monkeypatch.setattr("vaoi_station.simulation.imaging.scene._MOST_PX", 16)
     parts = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
     for a, b in zip(whole, parts, strict=True):
         assert np.abs(a - b).mean() < 0.02, "but for the rounding of large coordinates"

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.simulation import Passage, Twin
-from vaoi_station.simulation.artwork import Artwork
-from vaoi_station.simulation.bodies import Body
-from vaoi_station.simulation.canvas import Canvas, to_bytes
+from vaoi_station.simulation.board.artwork import Artwork
+from vaoi_station.simulation.board.bodies import Body
+from vaoi_station.simulation.board.canvas import Canvas, to_bytes
+from vaoi_station.simulation.imaging.scene import Paint, Placement, Scene
+from vaoi_station.simulation.imaging.sensor import expose
 from vaoi_station.simulation.scenario import LightSection
-from vaoi_station.simulation.scene import Paint, Placement, Scene
-from vaoi_station.simulation.sensor import expose
 
 Make = Callable[..., Twin]
 Floats = NDArray[np.float64]

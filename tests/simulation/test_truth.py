@@ -11,7 +11,7 @@ import pytest
 from tests.needs import FILMS, need_films
 from vaoi_station.geometry import apply
 from vaoi_station.simulation import Twin
-from vaoi_station.simulation.filming import write_passage
+from vaoi_station.simulation.recording_writer import write_passage
 
 
 def test_one_rigid_motion_per_row_moves_all_cameras(small: Twin) -> None:

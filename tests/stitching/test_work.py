@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vaoi_station.model import BoardType
-from vaoi_station.runs.warming import warm_up
-from vaoi_station.stitching.evidence import FrameKey, Task
+from vaoi_station.runs.workers.warmup import warm_up
+from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import Desk, Setup, all_tasks, possible_tasks
 
 BOARD = BoardType.model_validate(

@@ -11,9 +11,9 @@ import pytest
 
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, SimulationConfig, StationConfig
 from vaoi_station.files import write_board_type, write_calibration
-from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.simulation.filming import write_passage
+from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.station import Station
 
 PATIENCE_S = 120.0
@@ -76,31 +76,31 @@ def twin_config(twin: Twin, tmp_path: Path) -> StationConfig:
 
 
 @pytest.fixture
-def run_station() -> Iterator[Callable[[StationConfig], StationConductor]]:
+def run_station() -> Iterator[Callable[[StationConfig], StationCoordinator]]:
     """Starts stations and waits until they are idle; they are stopped after the test."""
     stations: list[Station] = []
 
-    def run(config: StationConfig) -> StationConductor:
+    def run(config: StationConfig) -> StationCoordinator:
         station = Station(config)
         stations.append(station)
         station.start()
-        until_state(station.conductor, "idle")
-        return station.conductor
+        until_state(station.coordinator, "idle")
+        return station.coordinator
 
     yield run
     for station in stations:
         station.stop()
 
 
-def until_state(conductor: StationConductor, state: str) -> None:
+def until_state(coordinator: StationCoordinator, state: str) -> None:
     """Wait for a state, woken by the event log."""
     deadline, seen = time.monotonic() + PATIENCE_S, 0
-    while conductor.snapshot().state != state:
-        assert time.monotonic() < deadline, conductor.snapshot()
-        records = conductor.events(seen, 1.0)
+    while coordinator.snapshot().state != state:
+        assert time.monotonic() < deadline, coordinator.snapshot()
+        records = coordinator.events(seen, 1.0)
         seen = records[-1].number if records else seen
 
 
 @pytest.fixture
-def wait_state() -> Callable[[StationConductor, str], None]:
+def wait_state() -> Callable[[StationCoordinator, str], None]:
     return until_state

@@ -12,8 +12,8 @@ from tests.system.real_board import station_of
 from vaoi_station.config import StationConfig
 from vaoi_station.files import open_recording
 from vaoi_station.geometry import apply
-from vaoi_station.runs.conductor import StationConductor
-from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.stitching.recordings.offline import stitch_frames
 
 PATIENCE_S = 60.0
 RUNS = 20
@@ -23,28 +23,28 @@ RUNS = 20
 def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong_row(
     cases: Callable[[str], Path],
     tmp_path: Path,
-    run_station: Callable[[StationConfig], StationConductor],
+    run_station: Callable[[StationConfig], StationCoordinator],
 ) -> None:
     directory = cases("ulx3s-top")
-    conductor = run_station(station_of(directory, tmp_path, pace="fast", pause_s=0.01, runs=RUNS))
-    recording, board_type = open_recording(directory), conductor.board_types()[0].name
-    setup = conductor._make_order(conductor.board_type(board_type), None, None).setup
+    coordinator = run_station(station_of(directory, tmp_path, pace="fast", pause_s=0.01, runs=RUNS))
+    recording, board_type = open_recording(directory), coordinator.board_types()[0].name
+    setup = coordinator._make_order(coordinator.board_type(board_type), None, None).setup
     expected = stitch_frames(setup, recording.head, recording.frame)
     filmed = {
         (camera, row): recording.frame(camera, row)
         for camera in range(len(recording.head.cameras))
         for row in range(recording.head.rows)
     }
-    before = conductor.snapshot().last_event
-    conductor.arm(board_type, runs=RUNS)
+    before = coordinator.snapshot().last_event
+    coordinator.arm(board_type, runs=RUNS)
     seen: list[str] = []
     while len(seen) < RUNS:
-        records = conductor.events(before, PATIENCE_S)
-        assert records, conductor.snapshot()
+        records = coordinator.events(before, PATIENCE_S)
+        assert records, coordinator.snapshot()
         before = records[-1].number
         for run in [r.run for r in records if r.kind == "run" and r.state in ("ready", "degraded", "failed") and r.run]:
             seen.append(run)
-            stitch = conductor.stitch(run)
+            stitch = coordinator.stitch(run)
             assert stitch.status == expected.status
             for n, rows in enumerate(expected.image_matrices):
                 camera = recording.head.cameras[n]
@@ -54,17 +54,17 @@ def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong
                     assert matrix is not None
                     assert ours is not None
                     assert np.abs(apply(ours @ np.linalg.inv(matrix), corners) - corners).max() <= 1e-6
-            check_frames(conductor, run, filmed)
-    assert conductor.snapshot().boards_missed == 0
+            check_frames(coordinator, run, filmed)
+    assert coordinator.snapshot().boards_missed == 0
 
 
-def check_frames(conductor: StationConductor, run: str, filmed: dict[tuple[int, int], np.ndarray | None]) -> None:
+def check_frames(coordinator: StationCoordinator, run: str, filmed: dict[tuple[int, int], np.ndarray | None]) -> None:
     """Every frame that is still in memory is the one that was filmed there."""
     from vaoi_station.errors import GoneError
 
     for (camera, row), pixels in filmed.items():
         try:
-            ours, record = conductor.frame(run, camera, row)
+            ours, record = coordinator.frame(run, camera, row)
         except GoneError:
             return
         assert (record.camera, record.row) == (camera, row)

@@ -19,8 +19,8 @@ from vaoi_station.demo.watching import next_run, until_idle
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
-from vaoi_station.stitching.expectation import expectation_of
-from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.board.expectation import expectation_of
+from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import Setup
 
 RUNS = 20

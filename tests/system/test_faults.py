@@ -9,25 +9,25 @@ from pathlib import Path
 
 from vaoi_station.config import StationConfig
 from vaoi_station.model import Status
-from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.runs.control.coordinator import StationCoordinator
 
 PATIENCE_S = 120.0
-RunStation = Callable[[StationConfig], StationConductor]
+RunStation = Callable[[StationConfig], StationCoordinator]
 
 
-def wait_for_event(conductor: StationConductor, kind: str, state: str, after: int = 0) -> int:
+def wait_for_event(coordinator: StationCoordinator, kind: str, state: str, after: int = 0) -> int:
     """Number of the next event of a kind."""
     while True:
-        records = conductor.events(after, PATIENCE_S)
-        assert records, conductor.snapshot()
+        records = coordinator.events(after, PATIENCE_S)
+        assert records, coordinator.snapshot()
         for record in records:
             if (record.kind, record.state) == (kind, state):
                 return record.number
         after = records[-1].number
 
 
-def pid_of(conductor: StationConductor, name: str) -> int:
-    [pid] = [p.pid for p in conductor.snapshot().processes if p.name == name]
+def pid_of(coordinator: StationCoordinator, name: str) -> int:
+    [pid] = [p.pid for p in coordinator.snapshot().processes if p.name == name]
     assert pid is not None
     return pid
 
@@ -35,41 +35,41 @@ def pid_of(conductor: StationConductor, name: str) -> int:
 def test_a_worker_killed_while_a_board_passes(
     replay_config: Callable[..., StationConfig], run_station: RunStation
 ) -> None:
-    conductor = run_station(replay_config(pace="original", pause_s=0.2))
-    conductor.arm("small")
-    wait_for_event(conductor, "run", "filming")
-    os.kill(pid_of(conductor, "worker 0"), signal.SIGKILL)
-    run = conductor.next_run(None, PATIENCE_S)
+    coordinator = run_station(replay_config(pace="original", pause_s=0.2))
+    coordinator.arm("small")
+    wait_for_event(coordinator, "run", "filming")
+    os.kill(pid_of(coordinator, "worker 0"), signal.SIGKILL)
+    run = coordinator.next_run(None, PATIENCE_S)
     assert run is not None
     assert (run.state, run.verdict, run.counts.missing) == ("ready", Status.OK, 0), run.reasons
-    [restarts] = [p.restarts for p in conductor.snapshot().processes if p.name == "worker 0"]
+    [restarts] = [p.restarts for p in coordinator.snapshot().processes if p.name == "worker 0"]
     assert restarts == 1
-    assert any("Worker 0 ended with code -9" in e.message for e in conductor.events() if e.kind == "process")
+    assert any("Worker 0 ended with code -9" in e.message for e in coordinator.events() if e.kind == "process")
 
 
 def test_the_acquisition_process_killed_while_a_board_passes(
     replay_config: Callable[..., StationConfig],
     run_station: RunStation,
-    wait_state: Callable[[StationConductor, str], None],
+    wait_state: Callable[[StationCoordinator, str], None],
 ) -> None:
-    conductor = run_station(replay_config(pace="original", pause_s=0.2))
-    conductor.arm("small", "b 1")
-    began = wait_for_event(conductor, "run", "filming")
-    victim = conductor.snapshot().filming
+    coordinator = run_station(replay_config(pace="original", pause_s=0.2))
+    coordinator.arm("small", "b 1")
+    began = wait_for_event(coordinator, "run", "filming")
+    victim = coordinator.snapshot().filming
     assert victim is not None
-    while conductor.run(victim).counts.ok < 4:
-        conductor.events(conductor.snapshot().last_event, 0.02)
-    os.kill(pid_of(conductor, "acquisition"), signal.SIGKILL)
-    wait_for_event(conductor, "station", "faulted", began)
-    first = conductor.next_run(None, 0.0) or conductor.latest() or conductor.next_run(None, PATIENCE_S)
+    while coordinator.run(victim).counts.ok < 4:
+        coordinator.events(coordinator.snapshot().last_event, 0.02)
+    os.kill(pid_of(coordinator, "acquisition"), signal.SIGKILL)
+    wait_for_event(coordinator, "station", "faulted", began)
+    first = coordinator.next_run(None, 0.0) or coordinator.latest() or coordinator.next_run(None, PATIENCE_S)
     assert first is not None
-    run = conductor.run(victim)
+    run = coordinator.run(victim)
     assert run.state in ("degraded", "failed")
     assert run.counts.ok >= 4
     assert any(reason.code == "acquisition-lost" for reason in run.reasons)
-    assert conductor.frame(victim, 0, 0)[0].any()
-    wait_state(conductor, "armed")
-    again = conductor.next_run(victim, PATIENCE_S)
+    assert coordinator.frame(victim, 0, 0)[0].any()
+    wait_state(coordinator, "armed")
+    again = coordinator.next_run(victim, PATIENCE_S)
     assert again is not None
     assert (again.board_id, again.verdict) == ("b 1", Status.OK)
 
@@ -77,27 +77,27 @@ def test_the_acquisition_process_killed_while_a_board_passes(
 def test_a_full_ring_loses_nothing_that_was_filmed(
     replay_config: Callable[..., StationConfig],
     run_station: RunStation,
-    wait_state: Callable[[StationConductor, str], None],
+    wait_state: Callable[[StationCoordinator, str], None],
 ) -> None:
-    conductor = run_station(replay_config(pace="original", pause_s=0.5))
-    conductor.arm("small")
+    coordinator = run_station(replay_config(pace="original", pause_s=0.5))
+    coordinator.arm("small")
     seen, runs = 0, []
     for _ in range(3):
-        seen = wait_for_event(conductor, "run", "filming", seen)
-        run = conductor.snapshot().filming or conductor.runs(1)[0].id
-        conductor.hold(run, "tester", "AOI")
+        seen = wait_for_event(coordinator, "run", "filming", seen)
+        run = coordinator.snapshot().filming or coordinator.runs(1)[0].id
+        coordinator.hold(run, "tester", "AOI")
         runs.append(run)
-    wait_state(conductor, "blocked")
-    missed = conductor.snapshot().boards_missed
-    after = conductor.snapshot().last_event
-    while conductor.snapshot().boards_missed <= missed:
-        records = conductor.events(after, PATIENCE_S)
+    wait_state(coordinator, "blocked")
+    missed = coordinator.snapshot().boards_missed
+    after = coordinator.snapshot().last_event
+    while coordinator.snapshot().boards_missed <= missed:
+        records = coordinator.events(after, PATIENCE_S)
         assert records
         after = records[-1].number
-    assert all(conductor.frame(run, 0, 0)[0].any() for run in runs)
-    conductor.let_go(runs[0], "tester")
-    wait_state(conductor, "armed")
-    assert conductor.next_run(runs[-1], PATIENCE_S) is not None
+    assert all(coordinator.frame(run, 0, 0)[0].any() for run in runs)
+    coordinator.let_go(runs[0], "tester")
+    wait_state(coordinator, "armed")
+    assert coordinator.next_run(runs[-1], PATIENCE_S) is not None
 
 
 def test_nothing_is_left_behind(replay_config: Callable[..., StationConfig]) -> None:
@@ -105,10 +105,10 @@ def test_nothing_is_left_behind(replay_config: Callable[..., StationConfig]) -> 
 
     config = replay_config(pace="original", pause_s=0.1)
     with Station(config) as station:
-        wait_for_event(station.conductor, "station", "idle")
-        station.conductor.arm("small")
-        wait_for_event(station.conductor, "run", "filming")
-        pids = [p.pid for p in station.conductor.snapshot().processes]
+        wait_for_event(station.coordinator, "station", "idle")
+        station.coordinator.arm("small")
+        wait_for_event(station.coordinator, "run", "filming")
+        pids = [p.pid for p in station.coordinator.snapshot().processes]
     assert list(config.ring.directory.iterdir()) == []
     assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
     station.stop()

@@ -14,27 +14,27 @@ from vaoi_station.errors import StateError
 from vaoi_station.files import open_recording, read_calibration, write_calibration
 from vaoi_station.geometry import apply
 from vaoi_station.model import Status, Stitch
-from vaoi_station.runs.conductor import StationConductor
-from vaoi_station.runs.shapes import RunDetail
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.simulation import Twin
 from vaoi_station.station import Station
-from vaoi_station.stitching.offline import stitch_frames
-from vaoi_station.stitching.opening import open_run
+from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.recordings.opening import open_run
 
 PATIENCE_S = 60.0
-RunStation = Callable[[StationConfig], StationConductor]
+RunStation = Callable[[StationConfig], StationCoordinator]
 
 
-def filmed(conductor: StationConductor) -> RunDetail:
+def filmed(coordinator: StationCoordinator) -> RunDetail:
     """The next board."""
-    seen, deadline = conductor.snapshot().last_event, time.monotonic() + PATIENCE_S
-    conductor.arm("small", runs=1)
+    seen, deadline = coordinator.snapshot().last_event, time.monotonic() + PATIENCE_S
+    coordinator.arm("small", runs=1)
     while True:
-        assert time.monotonic() < deadline, conductor.snapshot()
-        for record in conductor.events(seen, 1.0):
+        assert time.monotonic() < deadline, coordinator.snapshot()
+        for record in coordinator.events(seen, 1.0):
             seen = record.number
             if record.kind == "run" and record.run and record.state in ("ready", "degraded", "failed"):
-                return conductor.run(record.run)
+                return coordinator.run(record.run)
 
 
 def used(stitch: Stitch) -> dict[str, int]:
@@ -64,7 +64,7 @@ def offline(reference: Path, recording: Path, method: MethodName) -> Stitch:
     return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, opened.taught.recording.frame)
 
 
-def shows(path: Path, station: StationConductor, run: RunDetail) -> bool:
+def shows(path: Path, station: StationCoordinator, run: RunDetail) -> bool:
     """Whether a run is this recording: boards pass unseen while a station is not armed."""
     frame = open_recording(path).frame(0, run.rows // 2)
     return frame is not None and np.array_equal(frame, station.frame(run.id, 0, run.rows // 2)[0])
@@ -102,22 +102,22 @@ def test_later_boards_are_placed_against_a_taught_run_as_offline(
 
 
 def test_a_reference_survives_a_restart_but_not_another_calibration(
-    config: StationConfig, wait_state: Callable[[StationConductor, str], None]
+    config: StationConfig, wait_state: Callable[[StationCoordinator, str], None]
 ) -> None:
     with Station(config) as life:
-        wait_state(life.conductor, "idle")
-        first = filmed(life.conductor)
-        life.conductor.teach_reference("small", first.id)
+        wait_state(life.coordinator, "idle")
+        first = filmed(life.coordinator)
+        life.coordinator.teach_reference("small", first.id)
     with Station(config) as life:
-        wait_state(life.conductor, "idle")
-        assert life.conductor.reference("small").usable
-        again = filmed(life.conductor)
-        assert life.conductor.stitch(again.id).quality["reference"] == first.id
+        wait_state(life.coordinator, "idle")
+        assert life.coordinator.reference("small").usable
+        again = filmed(life.coordinator)
+        assert life.coordinator.stitch(again.id).quality["reference"] == first.id
     calibration = read_calibration(config.calibration)
     moved = [np.array([[1, 0, 0.4], [0, 1, 0], [0, 0, 1]]) @ m for m in calibration.camera_matrices]
     write_calibration(config.calibration, calibration.model_copy(update={"camera_matrices": tuple(moved)}))
     with Station(config) as life:
-        station = life.conductor
+        station = life.coordinator
         wait_state(station, "idle")
         status = station.reference("small")
         assert not status.usable

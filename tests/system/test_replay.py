@@ -16,30 +16,30 @@ from vaoi_station.config import StationConfig
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
-from vaoi_station.runs.conductor import StationConductor
-from vaoi_station.runs.shapes import RunDetail
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.simulation import Twin
-from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import Setup
 
 PATIENCE_S = 60.0
-RunStation = Callable[[StationConfig], StationConductor]
+RunStation = Callable[[StationConfig], StationCoordinator]
 
 
-def offline(conductor: StationConductor, recording: Recording) -> Stitch:
+def offline(coordinator: StationCoordinator, recording: Recording) -> Stitch:
     """What `vaoi stitch` makes of the recording, knowing what the station knew."""
-    order = conductor._make_order(conductor.board_type("small"), None, None)
+    order = coordinator._make_order(coordinator.board_type("small"), None, None)
     setup: Setup = order.setup
     return stitch_frames(setup, recording.head, recording.frame)
 
 
-def follow(conductor: StationConductor, count: int) -> list[RunDetail]:
+def follow(coordinator: StationCoordinator, count: int) -> list[RunDetail]:
     """The next so many runs, in the order they ended."""
     runs: list[RunDetail] = []
     after = None
     while len(runs) < count:
-        run = conductor.next_run(after, PATIENCE_S)
-        assert run is not None, conductor.snapshot()
+        run = coordinator.next_run(after, PATIENCE_S)
+        assert run is not None, coordinator.snapshot()
         runs.append(run)
         after = run.id
     return runs
@@ -63,18 +63,18 @@ def test_every_run_equals_the_offline_result_and_memory_does_not_grow(
     recordings: tuple[Path, Path],
     twin: Twin,
 ) -> None:
-    conductor = run_station(replay_config(pace="fast", pause_s=0.01, runs=20))
+    coordinator = run_station(replay_config(pace="fast", pause_s=0.01, runs=20))
     opened = [open_recording(path) for path in recordings]
-    expected = [offline(conductor, recording) for recording in opened]
-    conductor.arm("small", "board", "job", runs=20)
+    expected = [offline(coordinator, recording) for recording in opened]
+    coordinator.arm("small", "board", "job", runs=20)
     array, resources = twin.scenario.array, []
     runs: list[RunDetail] = []
     after: str | None = None
     while len(runs) < 20:
-        run = conductor.next_run(after, PATIENCE_S) if after else first_run(conductor)
-        assert run is not None, conductor.snapshot()
+        run = coordinator.next_run(after, PATIENCE_S) if after else first_run(coordinator)
+        assert run is not None, coordinator.snapshot()
         truth = expected[len(runs) % 2]
-        stitch = conductor.stitch(run.id)
+        stitch = coordinator.stitch(run.id)
         assert stitch.status == truth.status, stitch.reasons
         assert corners_apart_px(stitch, truth, array.width_px, array.height_px) <= 1e-6
         assert stitch.cad_matrix is not None
@@ -87,7 +87,7 @@ def test_every_run_equals_the_offline_result_and_memory_does_not_grow(
         )
         runs.append(run)
         after = run.id
-        resources.append(held(conductor))
+        resources.append(held(coordinator))
     assert [run.id for run in runs] == sorted(run.id for run in runs)
     early, late = resources[7], resources[-1]
     assert late["ring"] == early["ring"]
@@ -95,20 +95,20 @@ def test_every_run_equals_the_offline_result_and_memory_does_not_grow(
     assert late["resident"] <= early["resident"] + 40 * 2**20, "station and children together"
 
 
-def first_run(conductor: StationConductor) -> RunDetail | None:
+def first_run(coordinator: StationCoordinator) -> RunDetail | None:
     """The first run of all: after nothing there is nothing to come after."""
     seen = 0
-    while conductor.latest() is None:
-        records = conductor.events(seen, PATIENCE_S)
+    while coordinator.latest() is None:
+        records = coordinator.events(seen, PATIENCE_S)
         assert records
         seen = records[-1].number
-    ids = [run.id for run in conductor.runs(1000)]
-    return conductor.run(ids[-1])
+    ids = [run.id for run in coordinator.runs(1000)]
+    return coordinator.run(ids[-1])
 
 
-def held(conductor: StationConductor) -> dict[str, int]:
+def held(coordinator: StationCoordinator) -> dict[str, int]:
     """What the station holds of the machine: shared memory, open files, resident memory of all its processes."""
-    snapshot = conductor.snapshot()
+    snapshot = coordinator.snapshot()
     pids = [os.getpid(), *(p.pid for p in snapshot.processes if p.pid)]
     pages = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids)
     shared = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[2]) for pid in pids)
@@ -122,10 +122,10 @@ def held(conductor: StationConductor) -> dict[str, int]:
 def test_when_the_last_row_arrives_the_links_of_all_earlier_rows_exist(
     replay_config: Callable[..., StationConfig], run_station: RunStation
 ) -> None:
-    conductor = run_station(replay_config(pace="original", pause_s=0.2))
-    conductor.arm("small")
-    warm_up, run = follow(conductor, 2)
-    timeline = conductor.timeline(run.id)
+    coordinator = run_station(replay_config(pace="original", pause_s=0.2))
+    coordinator.arm("small")
+    warm_up, run = follow(coordinator, 2)
+    timeline = coordinator.timeline(run.id)
     last = run.rows - 1
     last_row_s = max(at for _, row, at in timeline.frames_settled_s if row == last)
     earlier = [t for t in timeline.tasks if last not in (t.row, t.other_row)]
@@ -140,24 +140,24 @@ def test_when_the_last_row_arrives_the_links_of_all_earlier_rows_exist(
 def test_frames_and_pictures_of_a_run(
     replay_config: Callable[..., StationConfig], run_station: RunStation, recordings: tuple[Path, Path]
 ) -> None:
-    conductor = run_station(replay_config(pace="fast", runs=1))
-    conductor.arm("small", runs=1)
-    run = first_run(conductor)
+    coordinator = run_station(replay_config(pace="fast", runs=1))
+    coordinator.arm("small", runs=1)
+    run = first_run(coordinator)
     assert run is not None
     recording = open_recording(recordings[0])
     for frame in run.frames:
         filmed = recording.frame(frame.camera, frame.row)
         assert filmed is not None
-        assert np.array_equal(conductor.frame(run.id, frame.camera, frame.row)[0], filmed)
-    seen: Any = [c for c in conductor.components(run.id) if c.views]
+        assert np.array_equal(coordinator.frame(run.id, frame.camera, frame.row)[0], filmed)
+    seen: Any = [c for c in coordinator.components(run.id) if c.views]
     assert seen
     address = seen[0].address
-    views = conductor.views(run.id, address)
-    png = conductor.image(run.id, address, 0)
+    views = coordinator.views(run.id, address)
+    png = coordinator.image(run.id, address, 0)
     picture = decoded(png)
     assert picture.shape == (views[0].height, views[0].width)
     assert picture.std() > 1
-    twice = conductor.image(run.id, address, 0, px_per_mm=2 * views[0].px_per_mm)
+    twice = coordinator.image(run.id, address, 0, px_per_mm=2 * views[0].px_per_mm)
     assert decoded(twice).shape[1] == pytest.approx(2 * views[0].width, abs=1)
 
 

@@ -132,9 +132,9 @@ from vaoi_station.station import Station
 if __name__ == "__main__":
     station = Station(read_config(Path(sys.argv[1])))
     station.start()
-    while station.conductor.snapshot().state == "starting":
-        station.conductor.events(10**9, 0.2)
-    print(*(p.pid for p in station.conductor.snapshot().processes if p.pid), flush=True)
+    while station.coordinator.snapshot().state == "starting":
+        station.coordinator.events(10**9, 0.2)
+    print(*(p.pid for p in station.coordinator.snapshot().processes if p.pid), flush=True)
 """
 
 

@@ -8,26 +8,26 @@ import numpy as np
 
 from vaoi_station.config import StationConfig
 from vaoi_station.model import Status
-from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import Twin
 
 PATIENCE_S = 90.0
 
 
 def test_boards_of_the_twin_are_where_the_twin_had_them(
-    twin_config: StationConfig, run_station: Callable[[StationConfig], StationConductor], twin: Twin
+    twin_config: StationConfig, run_station: Callable[[StationConfig], StationCoordinator], twin: Twin
 ) -> None:
-    conductor = run_station(twin_config)
-    conductor.arm("small", runs=2)
-    first = conductor.next_run(None, PATIENCE_S)
-    assert first is not None, conductor.snapshot()
-    second = conductor.next_run(first.id, PATIENCE_S)
+    coordinator = run_station(twin_config)
+    coordinator.arm("small", runs=2)
+    first = coordinator.next_run(None, PATIENCE_S)
+    assert first is not None, coordinator.snapshot()
+    second = coordinator.next_run(first.id, PATIENCE_S)
     assert second is not None
     for number, run in enumerate((first, second)):
         assert run.verdict is Status.OK, run.reasons
         truth = twin.passage(number).truth()
         assert run.rows == twin.passage(number).rows
-        found = conductor.stitch(run.id).components
+        found = coordinator.stitch(run.id).components
         assert found is not None
         errors = [
             np.hypot(x - tx, y - ty)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.config import StationConfig
-from vaoi_station.runs.conductor import StationConductor
+from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import scenario_path
 
 PATIENCE_S = 60.0
@@ -22,12 +22,12 @@ angle_deg = 0.1
 """
 
 
-def event(conductor: StationConductor, code: str) -> Any:
+def event(coordinator: StationCoordinator, code: str) -> Any:
     """The first event of a code."""
     after = 0
     while True:
-        records = conductor.events(after, PATIENCE_S)
-        assert records, conductor.snapshot()
+        records = coordinator.events(after, PATIENCE_S)
+        assert records, coordinator.snapshot()
         for record in records:
             if record.code == code:
                 return record
@@ -35,20 +35,20 @@ def event(conductor: StationConductor, code: str) -> Any:
 
 
 def test_a_knock_becomes_a_warning_by_its_second_board(
-    twin_config: StationConfig, run_station: Callable[[StationConfig], StationConductor], tmp_path: Path
+    twin_config: StationConfig, run_station: Callable[[StationConfig], StationCoordinator], tmp_path: Path
 ) -> None:
     knocked = tmp_path / "knocked.toml"
     knocked.write_text(scenario_path("small").read_text() + KNOCK)
     assert twin_config.simulation is not None
     simulation = twin_config.simulation.model_copy(update={"scenario": knocked})
-    conductor = run_station(twin_config.model_copy(update={"simulation": simulation}))
-    conductor.arm("small", runs=5)
-    warned = event(conductor, "calibration-drift")
-    runs = sorted(run.id for run in conductor.runs())
+    coordinator = run_station(twin_config.model_copy(update={"simulation": simulation}))
+    coordinator.arm("small", runs=5)
+    warned = event(coordinator, "calibration-drift")
+    runs = sorted(run.id for run in coordinator.runs())
     assert runs.index(warned.run) == 3
     assert runs[2] in warned.message
-    (warning,) = conductor.snapshot().warnings
+    (warning,) = coordinator.snapshot().warnings
     assert warning.message.startswith("Camera camera ")
-    drifted = [c for c in conductor.calibration().cameras if c.drift is not None]
+    drifted = [c for c in coordinator.calibration().cameras if c.drift is not None]
     assert [c.drift.since_run for c in drifted if c.drift] == [runs[2]]
     assert [c.drift.size_px for c in drifted if c.drift] == [pytest.approx(9.42, abs=0.1)]

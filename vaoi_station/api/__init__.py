@@ -1,4 +1,4 @@
-"""The REST service under `/api/v1` and the operator's page: thin over `runs.facade.Conductor`."""
+"""The REST service under `/api/v1` and the operator's page: thin over `runs.facade.Coordinator`."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from vaoi_station.api.routes import board_types, calibration, components, events
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import Health
 from vaoi_station.api.waiting import Hub
-from vaoi_station.runs.facade import Conductor, StationState
+from vaoi_station.runs.control.facade import Coordinator, StationState
 
 PREFIX = "/api/v1"
 UNWELL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
 
 
-def create_app(conductor: Conductor, names: Iterable[str] = ()) -> FastAPI:
-    """The service over a conductor; the caller starts and stops the conductor.
+def create_app(coordinator: Coordinator, names: Iterable[str] = ()) -> FastAPI:
+    """The service over a coordinator; the caller starts and stops the coordinator.
 
     Callers may address it by `names`, besides loopback, the machine's own names and any bare address.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for their
     callers; an event of kind "station" with state "stopping" does the same.
     """
-    services = Services(conductor, Hub(conductor))
+    services = Services(coordinator, Hub(coordinator))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -63,7 +63,7 @@ def _add_health(app: FastAPI, services: Services) -> None:
     @app.get("/healthz", tags=["station"])
     async def get_health(response: Response) -> Health:
         """200 when the station can film, 503 when it cannot; for supervisors."""
-        state = (await services.commands.ask(services.conductor.snapshot)).state
+        state = (await services.commands.ask(services.coordinator.snapshot)).state
         unwell = state in UNWELL
         response.status_code = 503 if unwell else 200
         response.headers["Cache-Control"] = "no-store"

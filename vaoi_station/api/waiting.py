@@ -18,7 +18,7 @@ import anyio
 import anyio.to_thread
 
 from vaoi_station.errors import BusyError, VaoiError
-from vaoi_station.runs.facade import Conductor, EventRecord, StationState
+from vaoi_station.runs.control.facade import Coordinator, EventRecord, StationState
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
@@ -50,8 +50,8 @@ class Threads:
 class Hub:
     """Wakes everybody who waits for events; one thread, however many wait."""
 
-    def __init__(self, conductor: Conductor) -> None:
-        self._conductor = conductor
+    def __init__(self, coordinator: Coordinator) -> None:
+        self._coordinator = coordinator
         self._readers = Threads(4)
         self._listener = Threads(1)
         self._news = asyncio.Event()
@@ -64,7 +64,7 @@ class Hub:
     async def listening(self) -> AsyncIterator[None]:
         """Listen for events as long as the application lives."""
         self._news = asyncio.Event()
-        self._newest = (await self._readers.ask(self._conductor.snapshot)).last_event
+        self._newest = (await self._readers.ask(self._coordinator.snapshot)).last_event
         task = asyncio.create_task(self._listen())
         try:
             yield
@@ -93,7 +93,7 @@ class Hub:
     async def events(self, after: int, timeout_s: float) -> tuple[EventRecord, ...]:
         """Events numbered above `after`, oldest first; waits for one, and is empty on time-out or at the end."""
         if await self.changed(after, timeout_s):
-            return await self._readers.ask(self._conductor.events, after, 0.0)
+            return await self._readers.ask(self._coordinator.events, after, 0.0)
         return ()
 
     async def changed(self, after: int, timeout_s: float) -> bool:
@@ -118,7 +118,7 @@ class Hub:
         while not self.closed:
             asked = time.monotonic()
             try:
-                records = await self._listener.listen(self._conductor.events, self._newest, LISTEN_S)
+                records = await self._listener.listen(self._coordinator.events, self._newest, LISTEN_S)
             except VaoiError as error:
                 log.error("events cannot be read any more: %s", error)
                 self.close()

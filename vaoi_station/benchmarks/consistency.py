@@ -19,9 +19,9 @@ from vaoi_station.benchmarks.frames import Material, of_recording
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
-from vaoi_station.stitching.surface import basis
-from vaoi_station.stitching.uncertainty import surface_sigma_mm
-from vaoi_station.stitching.verdict import Findings
+from vaoi_station.stitching.adjustment.surface import basis
+from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
+from vaoi_station.stitching.quality.verdict import Findings
 from vaoi_station.stitching.work import Desk, all_tasks
 
 FIRST_SEED = 3000

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from vaoi_station.benchmarks.consistency import Run
-from vaoi_station.reporting.svg import drawing, label, polyline, tag
+from vaoi_station.reporting.drawing.svg import drawing, label, polyline, tag
 
 _SIDE_PX, _LEFT_PX, _TOP_PX, _BETWEEN_PX = 300.0, 56.0, 24.0, 76.0
 _INK, _FAINT, _TWIN, _RECORDED = "#333333", "#cccccc", "#34608d", "#b0552e"

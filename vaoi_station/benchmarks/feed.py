@@ -19,12 +19,12 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.replay import RecordedRow, ReplayController
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.process import run_acquisition
+from vaoi_station.acquisition.process.main_loop import run_acquisition
 from vaoi_station.benchmarks.film import Film
 from vaoi_station.benchmarks.sender import Order
 from vaoi_station.config import StationConfig
-from vaoi_station.runs.acquisition_link import Launch, Process
-from vaoi_station.runs.child import settle_in
+from vaoi_station.runs.control.acquisition_link import Launch, Process
+from vaoi_station.runs.host.process_setup import settle_in
 
 if TYPE_CHECKING:
     Pipe = Connection[Any, Any]

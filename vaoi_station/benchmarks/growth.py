@@ -16,7 +16,7 @@ import numpy as np
 from vaoi_station.benchmarks.film import Film, film
 from vaoi_station.benchmarks.usage import own_memory_bytes
 from vaoi_station.errors import InternalError
-from vaoi_station.runs.child import settle_in
+from vaoi_station.runs.host.process_setup import settle_in
 from vaoi_station.simulation import Scenario
 
 ROWS = (4, 10, 33, 100, 333)
@@ -94,8 +94,8 @@ def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
     settle_in(one_thread=True)
     import cv2
 
-    from vaoi_station.runs.warming import warm_up
-    from vaoi_station.stitching.expectation import expectation_of
+    from vaoi_station.runs.workers.warmup import warm_up
+    from vaoi_station.stitching.board.expectation import expectation_of
     from vaoi_station.stitching.work import Desk, Setup, all_tasks
 
     cv2.setNumThreads(1)

@@ -20,9 +20,9 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, locate
 from vaoi_station.marks.artwork import Shape
 from vaoi_station.marks.baseline import center_of_gravity
-from vaoi_station.stitching.evidence import Task
-from vaoi_station.stitching.prepare import Prepared
-from vaoi_station.stitching.sight import sight_marks
+from vaoi_station.stitching.board.fiducial_detection import sight_marks
+from vaoi_station.stitching.matching.evidence import Task
+from vaoi_station.stitching.matching.prepared_frame import Prepared
 
 SIZES_PX = (12.0, 16.0, 20.0, 24.0, 32.0, 40.0)
 _OFF_SHARE = 0.15

@@ -17,9 +17,9 @@ from vaoi_station.benchmarks.frames import Material
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Stitch
 from vaoi_station.rendering import Album, render
-from vaoi_station.stitching import paper
-from vaoi_station.stitching.evidence import Evidence
-from vaoi_station.stitching.prepare import to_eight_bit, to_grey
+from vaoi_station.stitching.baseline import paper_features as paper
+from vaoi_station.stitching.matching.evidence import Evidence
+from vaoi_station.stitching.matching.prepared_frame import to_eight_bit, to_grey
 from vaoi_station.stitching.work import Desk, all_tasks
 
 

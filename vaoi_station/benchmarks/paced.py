@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.acquisition.ring import ring_path
+from vaoi_station.acquisition.ring.ring import ring_path
 from vaoi_station.benchmarks.feed import launched
 from vaoi_station.benchmarks.film import Film
 from vaoi_station.benchmarks.sender import sender
@@ -20,8 +20,8 @@ from vaoi_station.benchmarks.usage import Meter, own_memory_bytes
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import StateError
 from vaoi_station.files import write_board_type, write_calibration
-from vaoi_station.runs.conductor import StationConductor
-from vaoi_station.runs.shapes import RunDetail, Timeline
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import RunDetail, Timeline
 from vaoi_station.station import Station
 
 PAUSE_S = 1.0
@@ -104,17 +104,17 @@ def paced(film: Film, rate: float, boards: int, workers: int, folder: Path, ring
     with sender(film) as source:
         launch = launched(config, ring_path(config), film, rate, pause_s, source.connection)
         with Station(config, launch) as station:
-            conductor = station.conductor
-            _wait_until(conductor, lambda: _all_ready(conductor), READY_S)
+            coordinator = station.coordinator
+            _wait_until(coordinator, lambda: _all_ready(coordinator), READY_S)
             pids = {"station": os.getpid(), "sender": source.pid}
-            pids |= {p.name: p.pid for p in conductor.snapshot().processes if p.pid is not None}
+            pids |= {p.name: p.pid for p in coordinator.snapshot().processes if p.pid is not None}
             meter = Meter(pids)
-            conductor.arm(film.board_type.name, runs=boards)
-            runs = _follow(conductor, boards)
-            missed = conductor.snapshot().boards_missed
+            coordinator.arm(film.board_type.name, runs=boards)
+            runs = _follow(coordinator, boards)
+            missed = coordinator.snapshot().boards_missed
             cpu = meter.read()
             memory = {name: round(own_memory_bytes(pid) / 1e6, 1) for name, pid in pids.items()}
-            each = tuple(_board(run, conductor.timeline(run.id)) for run in runs)
+            each = tuple(_board(run, coordinator.timeline(run.id)) for run in runs)
     return _rate(film, rate, load, each, missed, cpu, memory)
 
 
@@ -153,26 +153,26 @@ def _faster(line: Line, rate: float) -> Line:
     )
 
 
-def _all_ready(conductor: StationConductor) -> bool:
-    snapshot = conductor.snapshot()
+def _all_ready(coordinator: StationCoordinator) -> bool:
+    snapshot = coordinator.snapshot()
     return snapshot.state == "idle" and not any(p.doing == "starting" for p in snapshot.processes)
 
 
-def _wait_until(conductor: StationConductor, true: Callable[[], bool], limit_s: float) -> None:
+def _wait_until(coordinator: StationCoordinator, true: Callable[[], bool], limit_s: float) -> None:
     """Woken by events, and twice a second, as workers come up without one."""
     deadline, seen = time.monotonic() + limit_s, 0
     while not true():
         if time.monotonic() > deadline:
-            raise StateError(f"The station was not ready within {limit_s:.0f} s: {conductor.snapshot().reasons}.")
-        records = conductor.events(seen, 0.5)
+            raise StateError(f"The station was not ready within {limit_s:.0f} s: {coordinator.snapshot().reasons}.")
+        records = coordinator.events(seen, 0.5)
         seen = records[-1].number if records else seen
 
 
-def _follow(conductor: StationConductor, boards: int) -> list[RunDetail]:
+def _follow(coordinator: StationCoordinator, boards: int) -> list[RunDetail]:
     """So many runs in the order they end."""
     runs: list[RunDetail] = []
     while len(runs) < boards:
-        run = _next(conductor, runs[-1].id if runs else None)
+        run = _next(coordinator, runs[-1].id if runs else None)
         if run is None:
             break
         runs.append(run)
@@ -181,12 +181,12 @@ def _follow(conductor: StationConductor, boards: int) -> list[RunDetail]:
     return runs
 
 
-def _next(conductor: StationConductor, after: str | None) -> RunDetail | None:
+def _next(coordinator: StationCoordinator, after: str | None) -> RunDetail | None:
     if after is not None:
-        return conductor.next_run(after, SILENCE_S)
+        return coordinator.next_run(after, SILENCE_S)
     deadline, seen = time.monotonic() + SILENCE_S, 0
-    while (first := conductor.latest()) is None and time.monotonic() < deadline:
-        records = conductor.events(seen, 1.0)
+    while (first := coordinator.latest()) is None and time.monotonic() < deadline:
+        records = coordinator.events(seen, 1.0)
         seen = records[-1].number if records else seen
     return first
 

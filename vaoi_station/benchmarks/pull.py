@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.benchmarks.s_curve import Panel, draw
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.patches import match, middles
+from vaoi_station.stitching.matching.patches import match, middles
 
 _SIDE_PX, _STEP_PX, _BORDER_PX = 420, 26, 40
 _FINEST_PX, _COARSEST_PX, _WAVES = 4.5, 60.0, 120

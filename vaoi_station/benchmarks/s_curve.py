@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from vaoi_station.reporting.svg import drawing, polyline, tag, text
+from vaoi_station.reporting.drawing.svg import drawing, polyline, tag, text
 
 _WIDTH, _PANEL, _LEFT, _TOP, _GAP = 640.0, 120.0, 64.0, 34.0, 26.0
 _RANGE_PX = 0.02

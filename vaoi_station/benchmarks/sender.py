@@ -13,9 +13,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.acquisition.ring import Ring
+from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.benchmarks.film import Film
-from vaoi_station.runs.child import settle_in
+from vaoi_station.runs.host.process_setup import settle_in
 
 
 @dataclass(frozen=True)

@@ -9,22 +9,22 @@ from typing import Annotated
 import typer
 
 from vaoi_station import __version__
-from vaoi_station.cli.bench import bench
-from vaoi_station.cli.calibrate import calibrate
-from vaoi_station.cli.calibration_board import calibration_board
-from vaoi_station.cli.cut import cut
-from vaoi_station.cli.demo import demo
-from vaoi_station.cli.doctor import doctor
-from vaoi_station.cli.plan import plan
-from vaoi_station.cli.recalibrate import recalibrate
-from vaoi_station.cli.record import record
-from vaoi_station.cli.report import report
-from vaoi_station.cli.rig import rig
-from vaoi_station.cli.serve import serve
-from vaoi_station.cli.simulate import simulate
-from vaoi_station.cli.stitch import stitch
-from vaoi_station.cli.teach import teach
-from vaoi_station.cli.view import view
+from vaoi_station.cli.recordings.calibrate import calibrate
+from vaoi_station.cli.recordings.cut import cut
+from vaoi_station.cli.recordings.recalibrate import recalibrate
+from vaoi_station.cli.recordings.report import report
+from vaoi_station.cli.recordings.simulate import simulate
+from vaoi_station.cli.recordings.stitch import stitch
+from vaoi_station.cli.recordings.teach import teach
+from vaoi_station.cli.station.demo import demo
+from vaoi_station.cli.station.doctor import doctor
+from vaoi_station.cli.station.record import record
+from vaoi_station.cli.station.serve import serve
+from vaoi_station.cli.station.view import view
+from vaoi_station.cli.tools.bench import bench
+from vaoi_station.cli.tools.calibration_board import calibration_board
+from vaoi_station.cli.tools.plan import plan
+from vaoi_station.cli.tools.rig import rig
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
 
 # Our matrices are small: threads of the linear algebra library cost more than they bring, and would take

@@ -9,7 +9,7 @@ from typing import Any
 from vaoi_station.demo.deviation import Deviation, deviation, true_speed_mm_s
 from vaoi_station.demo.report import LIMIT_PX, Belt, DemoReport, DemoTimings, LinkCount, Residuals
 from vaoi_station.model import Status
-from vaoi_station.runs.shapes import Reason, VerdictCounts
+from vaoi_station.runs.states.schemas import Reason, VerdictCounts
 from vaoi_station.simulation import Passage
 
 

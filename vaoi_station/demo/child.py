@@ -14,7 +14,7 @@ from pathlib import Path
 
 from vaoi_station.config import read_config
 from vaoi_station.errors import VaoiError
-from vaoi_station.runs.logs import start_log
+from vaoi_station.runs.host.logs import start_log
 from vaoi_station.station import serve
 
 

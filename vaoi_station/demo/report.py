@@ -6,7 +6,7 @@ from pydantic import Field
 
 from vaoi_station.demo.deviation import Deviation
 from vaoi_station.model import Status, Strict
-from vaoi_station.runs.shapes import Reason, VerdictCounts
+from vaoi_station.runs.states.schemas import Reason, VerdictCounts
 
 LIMIT_PX = 1.0
 """A result that says ok and errs by more contradicts itself."""

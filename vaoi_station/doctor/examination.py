@@ -11,22 +11,22 @@ from typing import TypeVar
 
 from vaoi_station import __version__
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.doctor import (
-    aravis,
+from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.checks import (
+    camera_library,
     cameras,
     controller,
     documents,
+    machine_clocks,
     memory,
     network,
-    running,
+    running_station,
     software,
     storage,
-    timekeeping,
     usb,
 )
 from vaoi_station.doctor.finding import Finding, Report, fault, not_applicable, ok
 from vaoi_station.doctor.machine import Machine
-from vaoi_station.doctor.patient import Patient
 from vaoi_station.errors import VaoiError
 
 T = TypeVar("T")
@@ -34,19 +34,19 @@ ANYWHERE: tuple[tuple[str, Callable[[Machine], Iterable[Finding]]], ...] = (
     ("python", software.python),
     ("libraries", software.libraries),
     ("compiled code", software.kept_code),
-    ("time", timekeeping.wall_clock),
-    ("monotonic clock", timekeeping.monotonic_clock),
+    ("time", machine_clocks.wall_clock),
+    ("monotonic clock", machine_clocks.monotonic_clock),
 )
 """What can be looked at without a configuration."""
 CHECKS: tuple[tuple[str, Callable[[Patient], Iterable[Finding]]], ...] = (
-    ("station", running.station),
+    ("station", running_station.station),
     ("calibration", documents.calibration),
     ("board types", documents.board_types),
     ("stand-ins", documents.stand_ins),
     ("disk", storage.data),
     ("shared memory", memory.ring_space),
     ("memory lock", memory.lock_limit),
-    ("aravis", aravis.aravis),
+    ("aravis", camera_library.aravis),
     ("socket buffers", network.socket_buffers),
     ("USB memory", usb.memory),
     ("cameras", cameras.cameras),
@@ -65,7 +65,7 @@ def examine(path: Path, machine: Machine | None = None) -> Report:
     if config is None:
         findings.append(replace(not_applicable("all others need a station.toml that can be read"), check="others"))
     else:
-        patient = Patient(config, machine, running.find(config))
+        patient = Patient(config, machine, running_station.find(config))
         for name, check in CHECKS:
             findings += _carried_out(name, check, patient)
     return Report(

@@ -89,7 +89,7 @@ class Report:
         return {level: sum(f.level is level for f in self.findings) for level in Level}
 
     def document(self) -> dict[str, Any]:
-        """The report as JSON data; described in docs/doctor.md."""
+        """The report as JSON data; described in docs/engineering/doctor.md."""
         return {
             "format": FORMAT,
             "version": VERSION,

@@ -9,7 +9,7 @@ from vaoi_station.drift.equations import told_by
 from vaoi_station.drift.evidence import lay_out, thinned
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch
-from vaoi_station.stitching.evidence import Evidence
+from vaoi_station.stitching.matching.evidence import Evidence
 from vaoi_station.stitching.work import Setup
 
 

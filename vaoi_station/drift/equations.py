@@ -18,10 +18,10 @@ from vaoi_station.drift.evidence import RunEvidence
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import huber_weights, median_sigma
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment import similar, similar_jacobian
-from vaoi_station.stitching.blocks import Block, belt_blocks, roots, summed, whitened
-from vaoi_station.stitching.motion import Motion
-from vaoi_station.stitching.observations import Ints
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.normal_blocks import Block, belt_blocks, roots, summed, whitened
+from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.adjustment.solver import similar, similar_jacobian
 
 _ITERATIONS = 15
 _HELD_ITERATIONS = 2

@@ -10,14 +10,14 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.cad import Frame, assign, board_frame
-from vaoi_station.stitching.evidence import Evidence, Links, Sightings
-from vaoi_station.stitching.footprints import component_of
-from vaoi_station.stitching.motion import Motion, nominal_motion
-from vaoi_station.stitching.observations import Ints, Observations, observe
-from vaoi_station.stitching.problem import FiducialPoints, SurfaceBasis
-from vaoi_station.stitching.start import chained
-from vaoi_station.stitching.surface import SIGMA_MM, basis_on_board
+from vaoi_station.stitching.adjustment.initial_motion import chained
+from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.adjustment.observations import Ints, Observations, observe
+from vaoi_station.stitching.adjustment.problem import FiducialPoints, SurfaceBasis
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_on_board
+from vaoi_station.stitching.board.fiducial_assignment import Frame, assign, board_frame
+from vaoi_station.stitching.board.footprints import component_of
+from vaoi_station.stitching.matching.evidence import Evidence, Links, Sightings
 
 _LINKS_OF_ROWS = 24
 """Links of one camera from row to row that are looked at."""

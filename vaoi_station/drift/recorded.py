@@ -6,7 +6,7 @@ import hashlib
 
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.stitching.opening import Opened
+from vaoi_station.stitching.recordings.opening import Opened
 from vaoi_station.stitching.work import all_tasks
 
 

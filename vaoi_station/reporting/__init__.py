@@ -2,6 +2,6 @@
 
 from vaoi_station.reporting.bundle import write_bundle
 from vaoi_station.reporting.document import write_report
-from vaoi_station.reporting.story import Story, tell
+from vaoi_station.reporting.restitched import Story, tell
 
 __all__ = ["Story", "tell", "write_bundle", "write_report"]

@@ -12,8 +12,8 @@ from vaoi_station.files import write_stitch
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.files.drafts import drafted
 from vaoi_station.reporting.document import write_report
-from vaoi_station.reporting.numbers import link_arrays, sighting_arrays
-from vaoi_station.reporting.story import Story
+from vaoi_station.reporting.restitched import Story
+from vaoi_station.reporting.sections.numbers import link_arrays, sighting_arrays
 
 REPORT, RESULT, LINKS, REFERENCE = "report.html", "result.json", "links.npz", "reference"
 

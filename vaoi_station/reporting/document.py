@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.reporting import fits, frames, graph, identity, maps, motion, residuals, summary
-from vaoi_station.reporting.numbers import data_block
-from vaoi_station.reporting.page import page
-from vaoi_station.reporting.story import Story
+from vaoi_station.reporting.drawing.page import page
+from vaoi_station.reporting.restitched import Story
+from vaoi_station.reporting.sections import fits, frames, graph, maps, motion, residuals, summary
+from vaoi_station.reporting.sections import provenance as identity
+from vaoi_station.reporting.sections.numbers import data_block
 
 
 def report(story: Story) -> str:

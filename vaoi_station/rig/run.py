@@ -17,19 +17,19 @@ from vaoi_station.demo.scratch import scratch_folder
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.watching import until_idle
 from vaoi_station.errors import GoneError, NotFoundError
-from vaoi_station.rig.conveyor import Conveyor
-from vaoi_station.rig.devices import Devices, film_boards
-from vaoi_station.rig.faults import Fault, befallen
-from vaoi_station.rig.films import Film
-from vaoi_station.rig.load import LoadMeter
-from vaoi_station.rig.report import BoardScore, Load, Recovery, RigReport
-from vaoi_station.rig.sabotage import Saboteur, mischief_of
-from vaoi_station.rig.scenarios import least_interval_s
-from vaoi_station.rig.score import Evidence, run_of, score
+from vaoi_station.rig.fault_injection import Saboteur, mischief_of
+from vaoi_station.rig.line.assembly import Devices, film_boards
+from vaoi_station.rig.line.faults import Fault, befallen
+from vaoi_station.rig.line.feeder import Conveyor
+from vaoi_station.rig.line.films import Film
+from vaoi_station.rig.line.scenarios import least_interval_s
+from vaoi_station.rig.scoring.cpu_load import LoadMeter
+from vaoi_station.rig.scoring.rig_report import BoardScore, Load, Recovery, RigReport
+from vaoi_station.rig.scoring.ring_check import Sighting, attach, filmed_bays, look_at
+from vaoi_station.rig.scoring.score import Evidence, run_of, score
+from vaoi_station.rig.scoring.verdict import failings
 from vaoi_station.rig.site import build_site
-from vaoi_station.rig.verdict import failings
-from vaoi_station.rig.watch import Watch
-from vaoi_station.rig.witness import Sighting, attach, filmed_bays, look_at
+from vaoi_station.rig.status_watch import Watch
 from vaoi_station.simulation import Scenario, Twin
 
 POLL_S = 0.5

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from vaoi_station.acquisition.ring import RingLayout
+from vaoi_station.acquisition.ring.ring import RingLayout
 from vaoi_station.config import CameraConfig, ControllerConfig, LightConfig, RingConfig, StationConfig
 from vaoi_station.demo.site import as_toml, ring_directory
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.rig.films import Film
-from vaoi_station.rig.scenarios import lamp_of
+from vaoi_station.rig.line.films import Film
+from vaoi_station.rig.line.scenarios import lamp_of
 from vaoi_station.simulation import Scenario, Twin
-from vaoi_station.simulation.timetable import line_of
+from vaoi_station.simulation.motion.timetable import line_of
 
 
 def build_site(

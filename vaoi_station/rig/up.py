@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import NoReturn
 
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.conveyor import Conveyor
-from vaoi_station.rig.devices import Devices, film_boards
-from vaoi_station.rig.faults import Fault, befallen
-from vaoi_station.rig.films import Film
-from vaoi_station.rig.network import entrance
-from vaoi_station.rig.sabotage import Saboteur, mischief_of
-from vaoi_station.rig.scenarios import least_interval_s
+from vaoi_station.rig.devices.network import entrance
+from vaoi_station.rig.fault_injection import Saboteur, mischief_of
+from vaoi_station.rig.line.assembly import Devices, film_boards
+from vaoi_station.rig.line.faults import Fault, befallen
+from vaoi_station.rig.line.feeder import Conveyor
+from vaoi_station.rig.line.films import Film
+from vaoi_station.rig.line.scenarios import least_interval_s
 from vaoi_station.rig.site import build_site
 from vaoi_station.simulation import Scenario
 

@@ -15,11 +15,11 @@ from vaoi_station.files import Recording, write_recording
 from vaoi_station.files.documents import write_json
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import RecordingHead
-from vaoi_station.simulation.artwork import Artwork
-from vaoi_station.simulation.canvas import Canvas, to_bytes
+from vaoi_station.simulation.board.artwork import Artwork
+from vaoi_station.simulation.board.canvas import Canvas, to_bytes
+from vaoi_station.simulation.imaging.scene import Paint, Scene
+from vaoi_station.simulation.imaging.sensor import expose, generator
 from vaoi_station.simulation.scenario import BoardSection, LightSection
-from vaoi_station.simulation.scene import Paint, Scene
-from vaoi_station.simulation.sensor import expose, generator
 from vaoi_station.simulation.twin import Twin
 from vaoi_station.simulation.world import TEXTURE_PER_PIXEL
 

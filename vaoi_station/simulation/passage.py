@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import RecordingHead
-from vaoi_station.simulation.faults import PassageFaults, as_knocked
-from vaoi_station.simulation.pinholes import Pinhole
-from vaoi_station.simulation.scene import Placement
-from vaoi_station.simulation.sensor import expose, generator
-from vaoi_station.simulation.timetable import Timetable, timetable
+from vaoi_station.simulation.imaging.pinholes import Pinhole
+from vaoi_station.simulation.imaging.scene import Placement
+from vaoi_station.simulation.imaging.sensor import expose, generator
+from vaoi_station.simulation.motion.faults import PassageFaults, as_knocked
+from vaoi_station.simulation.motion.timetable import Timetable, timetable
 from vaoi_station.simulation.truth import passage_truth
 from vaoi_station.simulation.world import World
 

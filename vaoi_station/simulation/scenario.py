@@ -1,6 +1,6 @@
 """A scenario file (TOML) → one frozen `Scenario`: what the twin films and what goes wrong with it.
 
-Unknown keys and impossible values are refused with file, key, value and limit. `docs/twin.md`
+Unknown keys and impossible values are refused with file, key, value and limit. `docs/engineering/twin.md`
 describes every key; all of them have defaults, so that an empty file is a scenario too. Random
 numbers are pure functions of the seeds given here.
 """

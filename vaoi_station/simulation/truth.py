@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.simulation.layout import board_from_cad
-from vaoi_station.simulation.pinholes import Pinhole
+from vaoi_station.simulation.board.layout import board_from_cad
+from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.world import World
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from vaoi_station.config import Line
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, CameraHead, Distortion
-from vaoi_station.simulation.artwork import Artwork, draw
-from vaoi_station.simulation.canvas import Plane
-from vaoi_station.simulation.layout import Part, board_type
-from vaoi_station.simulation.pinholes import Pinhole, mount
+from vaoi_station.simulation.board.artwork import Artwork, draw
+from vaoi_station.simulation.board.canvas import Plane
+from vaoi_station.simulation.board.layout import Part, board_type
+from vaoi_station.simulation.imaging.pinholes import Pinhole, mount
+from vaoi_station.simulation.imaging.scene import Paint, Scene
+from vaoi_station.simulation.imaging.sensor import vignette
+from vaoi_station.simulation.motion.timetable import line_of
 from vaoi_station.simulation.scenario import BoardSection, Scenario
-from vaoi_station.simulation.scene import Paint, Scene
-from vaoi_station.simulation.sensor import vignette
-from vaoi_station.simulation.timetable import line_of
 
 TEXTURE_PER_PIXEL = 1.1
 """Texture resolution over image resolution: less would blur, much more would alias."""

@@ -18,21 +18,21 @@ from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
-from vaoi_station.stitching.adjustment import adjust, looked_at, roughly
-from vaoi_station.stitching.cad import Frame
-from vaoi_station.stitching.evidence import Evidence, Links, Sightings
-from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.footprints import footprint_views
-from vaoi_station.stitching.mapping import Known, map_cad
-from vaoi_station.stitching.marklinks import mark_links
+from vaoi_station.stitching.adjustment.initial_motion import chained
+from vaoi_station.stitching.adjustment.mark_links import mark_links
+from vaoi_station.stitching.adjustment.motion import nominal_motion
+from vaoi_station.stitching.adjustment.observations import Ledger, Observations, observe
+from vaoi_station.stitching.adjustment.problem import Adjusted, Problem
+from vaoi_station.stitching.adjustment.solver import adjust, looked_at, roughly
+from vaoi_station.stitching.board.cad_mapping import Known, map_cad
+from vaoi_station.stitching.board.expectation import Expectation
+from vaoi_station.stitching.board.fiducial_assignment import Frame
+from vaoi_station.stitching.board.footprints import footprint_views
+from vaoi_station.stitching.board.reference import Reference
+from vaoi_station.stitching.matching.evidence import Evidence, Links, Sightings
+from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS
-from vaoi_station.stitching.motion import nominal_motion
-from vaoi_station.stitching.observations import Ledger, Observations, observe
-from vaoi_station.stitching.problem import Adjusted, Problem
-from vaoi_station.stitching.reference import Reference
-from vaoi_station.stitching.scene import Scene
-from vaoi_station.stitching.start import chained
-from vaoi_station.stitching.verdict import Findings, judge, quality_of
+from vaoi_station.stitching.quality.verdict import Findings, judge, quality_of
 
 _MOTION_MM = 5e-4
 """So far the motion from links alone converges at first: where the board is found all is adjusted once more."""

@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.cad import Frame, board_frame
+from vaoi_station.stitching.adjustment.observations import Ledger
+from vaoi_station.stitching.board.expectation import Expectation
+from vaoi_station.stitching.board.fiducial_assignment import Frame, board_frame
+from vaoi_station.stitching.board.fiducial_detection import sight_marks
+from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.conclude import Terms, conclude
-from vaoi_station.stitching.evidence import Evidence, FrameKey, Links, Sightings, Task
-from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.link import link_frames, link_neighbours, link_reference
+from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Links, Sightings, Task
+from vaoi_station.stitching.matching.link import link_frames, link_neighbours, link_reference
+from vaoi_station.stitching.matching.overlap import overlap_share
+from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS, MethodName
-from vaoi_station.stitching.observations import Ledger
-from vaoi_station.stitching.overlap import overlap_share
-from vaoi_station.stitching.prepare import Prepared
-from vaoi_station.stitching.reference import Reference
-from vaoi_station.stitching.scene import Scene
-from vaoi_station.stitching.sight import sight_marks
-from vaoi_station.stitching.verdict import Findings
+from vaoi_station.stitching.quality.verdict import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
 """Prepared frames a desk remembers: the row being done, the two before it, and a few."""

@@ -11,9 +11,9 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from vaoi_station.acquisition.filming import Finish, Notice, Settle, film, film_pulses
-from vaoi_station.acquisition.messages import FrameSettled, RunFinished
-from vaoi_station.acquisition.ring import Ring
+from vaoi_station.acquisition.process.filming import Finish, Notice, Settle, film, film_pulses
+from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished
+from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.api.serving import WebServer, listener
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError

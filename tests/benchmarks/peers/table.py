@@ -20,7 +20,7 @@ from .strip import STRIPS, Strip, translations
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.json"
-PAGE = HERE.parents[2] / "docs" / "peers.md"
+PAGE = HERE.parents[2] / "docs" / "measured" / "peers.md"
 MARKS = ("<!-- table -->", "<!-- end of table -->")
 TITLES = {
     "ours": "this station",

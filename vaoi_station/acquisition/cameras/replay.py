@@ -8,7 +8,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.delivering import DeliveringCamera, Exposure
+from vaoi_station.acquisition.cameras.virtual import DeliveringCamera, Exposure
 from vaoi_station.acquisition.device_clock import DeviceClock
 
 

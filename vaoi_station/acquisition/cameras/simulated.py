@@ -7,7 +7,7 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.delivering import DeliveringCamera, Exposure
+from vaoi_station.acquisition.cameras.virtual import DeliveringCamera, Exposure
 from vaoi_station.acquisition.causes import WRAP
 from vaoi_station.acquisition.device_clock import DeviceClock
 

@@ -18,18 +18,18 @@ from vaoi_station.model import BoardType
 def router(services: Services) -> APIRouter:
     """Board types as `docs/formats.md` has them."""
     routes = APIRouter(prefix="/board-types", tags=["board types"])
-    conductor, ask = services.conductor, services.commands.ask
+    coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("", response_model_exclude_none=True)
     async def list_board_types(response: Response) -> BoardTypeList:
         """All board types by name; one whose file cannot be used is listed with its fault."""
         response.headers["Cache-Control"] = REVALIDATE
-        return BoardTypeList(board_types=list(await ask(conductor.board_types)))
+        return BoardTypeList(board_types=list(await ask(coordinator.board_types)))
 
     @routes.get("/{name}", response_model=BoardType)
     async def get_board_type(request: Request, name: BoardTypeName) -> Response:
         """One board type, as it was taught."""
-        content = _document(await ask(conductor.board_type, name))
+        content = _document(await ask(coordinator.board_type, name))
         return conditional(request, content, "application/json", cache=REVALIDATE)
 
     @routes.put("/{name}", response_model=BoardType, responses={201: {"model": BoardType, "description": "New."}})
@@ -41,7 +41,7 @@ def router(services: Services) -> APIRouter:
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
         content = _document(board_type)
-        new = await ask(conductor.put_board_type, board_type)
+        new = await ask(coordinator.put_board_type, board_type)
         answer = conditional(request, content, "application/json", cache=REVALIDATE)
         if new:
             answer.status_code = 201
@@ -51,7 +51,7 @@ def router(services: Services) -> APIRouter:
     @routes.delete("/{name}", status_code=204)
     async def delete_board_type(name: BoardTypeName) -> None:
         """Forget a board type; 409 while the station is armed with it."""
-        await ask(conductor.delete_board_type, name)
+        await ask(coordinator.delete_board_type, name)
 
     return routes
 

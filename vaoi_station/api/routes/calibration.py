@@ -6,7 +6,7 @@ from fastapi import APIRouter, Response
 
 from vaoi_station.api.caching import LIVE
 from vaoi_station.api.services import Services
-from vaoi_station.runs.facade import CalibrationStatus
+from vaoi_station.runs.control.facade import CalibrationStatus
 
 
 def router(services: Services) -> APIRouter:
@@ -20,6 +20,6 @@ def router(services: Services) -> APIRouter:
         Displacements are in px of the camera's frame against its calibration, from the boards that have passed.
         """
         response.headers["Cache-Control"] = LIVE
-        return await services.commands.ask(services.conductor.calibration)
+        return await services.commands.ask(services.coordinator.calibration)
 
     return routes

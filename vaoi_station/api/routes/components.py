@@ -14,9 +14,9 @@ from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import ComponentEntry, ComponentList, ComponentViews
 from vaoi_station.api.views import covariances, picture_query, view_entry
-from vaoi_station.runs.facade import ComponentSummary
-from vaoi_station.runs.facade import ImageFormat as Rendered
-from vaoi_station.runs.state import FINISHED
+from vaoi_station.runs.control.facade import ComponentSummary
+from vaoi_station.runs.control.facade import ImageFormat as Rendered
+from vaoi_station.runs.states.tables import FINISHED
 
 Index = Annotated[int, Path(description="Which of the component's views, from 0.", ge=0, le=99_999)]
 
@@ -27,23 +27,23 @@ RENDERED_AS: dict[ImageFormat, Rendered] = {
     ImageFormat.NPY: "npy",
     ImageFormat.RAW: "npy",
 }
-"""What the conductor is asked for; raw is an npy without its header."""
+"""What the coordinator is asked for; raw is an npy without its header."""
 
 
 def router(services: Services) -> APIRouter:
     """Components and their temporary images; `{ref}` is `ref`, or `panel/ref` on a panel."""
     routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
-    conductor, ask = services.conductor, services.commands.ask
+    coordinator, ask = services.coordinator, services.commands.ask
 
     async def answer(request: Request, run: str, content: ComponentList | ComponentViews) -> Response:
-        done = (await ask(conductor.run, run)).state in FINISHED
+        done = (await ask(coordinator.run, run)).state in FINISHED
         body = content.model_dump_json(exclude_none=True).encode()
         return conditional(request, body, "application/json", cache=IMMUTABLE if done else LIVE)
 
     @routes.get("", response_model=ComponentList)
     async def list_components(request: Request, run: RunId) -> Response:
         """Components of the board type the run was filmed with, and where they were."""
-        found = await ask(conductor.components, run)
+        found = await ask(coordinator.components, run)
         entries = [_entry(c, f"{quote(request.url.path)}/{quote(c.address)}") for c in found]
         return await answer(request, run, ComponentList(components=entries))
 
@@ -66,7 +66,7 @@ def router(services: Services) -> APIRouter:
         image_format = choose_format(format, accept)
 
         def picture() -> tuple[bytes, dict[str, str]]:
-            content = conductor.image(
+            content = coordinator.image(
                 run, ref, k, px_per_mm=px_per_mm, format=RENDERED_AS[image_format], min_coverage=min_coverage
             )
             return raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})
@@ -79,11 +79,11 @@ def router(services: Services) -> APIRouter:
         request: Request, run: RunId, ref: Address, px_per_mm: PxPerMm = None, min_coverage: MinCoverage = 0.5
     ) -> Response:
         """The frames that show a component, and the address of the temporary image each gives."""
-        views = await ask(conductor.views, run, ref, px_per_mm, min_coverage)
-        frames = {(f.camera, f.row): f for f in (await ask(conductor.run, run)).frames}
+        views = await ask(coordinator.views, run, ref, px_per_mm, min_coverage)
+        frames = {(f.camera, f.row): f for f in (await ask(coordinator.run, run)).frames}
         address = quote(request.url.path)
         query = picture_query(px_per_mm, min_coverage)
-        certain = covariances((await ask(conductor.stitch, run)).quality, ref) if views else {}
+        certain = covariances((await ask(coordinator.stitch, run)).quality, ref) if views else {}
         entries = [
             view_entry(
                 k,

@@ -12,7 +12,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import Heartbeat
 from vaoi_station.errors import InputError
-from vaoi_station.runs.facade import EventRecord
+from vaoi_station.runs.control.facade import EventRecord
 
 HEARTBEAT_S = 2.0
 RECONNECT_MS = 1000
@@ -29,7 +29,7 @@ def router(services: Services) -> APIRouter:
         last_event_id: Annotated[str | None, Header(description="The same, from a client that reconnects.")] = None,
     ) -> int:
         """Where to begin: behind the last event the caller knows, or behind the newest."""
-        newest = (await services.commands.ask(services.conductor.snapshot)).last_event
+        newest = (await services.commands.ask(services.coordinator.snapshot)).last_event
         if last_event_id:
             if not (last_event_id.isascii() and last_event_id.isdecimal() and len(last_event_id) < 17):
                 raise InputError.field("header", "Last-Event-ID", last_event_id, "the id of an event, a whole number")
@@ -65,7 +65,7 @@ def _message(record: EventRecord) -> ServerSentEvent:
 
 
 async def _heartbeat(services: Services) -> ServerSentEvent:
-    """Asked of the conductor, so that it stops when the conductor hangs, not only when the network does."""
-    now = await services.commands.ask(services.conductor.snapshot)
+    """Asked of the coordinator, so that it stops when the coordinator hangs, not only when the network does."""
+    now = await services.commands.ask(services.coordinator.snapshot)
     beat = Heartbeat(time=datetime.now(UTC).isoformat(), state=now.state, last_event=now.last_event)
     return ServerSentEvent(raw_data=beat.model_dump_json(), event="heartbeat", retry=RECONNECT_MS)

@@ -44,7 +44,7 @@ def router(services: Services) -> APIRouter:
         image_format = choose_format(format, accept)
 
         def picture() -> tuple[bytes, dict[str, str]]:
-            pixels, record = services.conductor.frame(run, camera, row, incomplete == "show")
+            pixels, record = services.coordinator.frame(run, camera, row, incomplete == "show")
             content, headers = encode_image(pixels, image_format)
             return content, headers | {"X-Frame-Verdict": str(record.verdict)}
 

@@ -12,8 +12,8 @@ from vaoi_station.api.parameters import RunId, TimeoutS
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import Matrices, RunPage
 from vaoi_station.errors import NotFoundError
-from vaoi_station.runs.facade import LeaseStatus, RunDetail
-from vaoi_station.runs.state import IN_MEMORY
+from vaoi_station.runs.control.facade import LeaseStatus, RunDetail
+from vaoi_station.runs.states.tables import IN_MEMORY
 
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]
 Holder = Annotated[str, Query(description="Who holds the run.", min_length=1, max_length=80)]
@@ -22,21 +22,21 @@ Holder = Annotated[str, Query(description="Who holds the run.", min_length=1, ma
 def router(services: Services) -> APIRouter:
     """Everything about a run but its pictures."""
     routes = APIRouter(prefix="/runs", tags=["runs"])
-    conductor, ask = services.conductor, services.commands.ask
+    coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("", response_model_exclude_none=True)
     async def list_runs(
         response: Response, limit: Annotated[int, Query(ge=1, le=500)] = 50, before: Cursor = None
     ) -> RunPage:
         """Runs, newest first; `next` is the cursor for the page after."""
-        found = await ask(conductor.runs, limit + 1, before)
+        found = await ask(coordinator.runs, limit + 1, before)
         response.headers["Cache-Control"] = LIVE
         return RunPage(runs=list(found[:limit]), next=found[limit - 1].id if len(found) > limit else None)
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
         """The run that finished last; 404 `no-run-yet` before the first."""
-        run = await ask(conductor.latest)
+        run = await ask(coordinator.latest)
         if run is None:
             raise NotFoundError(
                 "No board has been filmed yet.",
@@ -59,19 +59,19 @@ def router(services: Services) -> APIRouter:
     @routes.get("/{run}", response_model=RunDetail)
     async def get_run(request: Request, run: RunId) -> Response:
         """One run, also while it is filmed, with the verdict of every frame."""
-        return _detail(request, await ask(conductor.run, run))
+        return _detail(request, await ask(coordinator.run, run))
 
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
         """The result in the format of `docs/formats.md`; 409 while it is not there yet."""
-        content = (await ask(conductor.stitch_text, run)).encode()
+        content = (await ask(coordinator.stitch_text, run)).encode()
         return conditional(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)
     async def release_run(response: Response, run: RunId) -> RunDetail:
         """Give up a finished run's frames, so that their memory is free for the next board; the result stays."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.release, run)
+        return await ask(coordinator.release, run)
 
     @routes.put("/{run}/hold", response_model_exclude_none=True)
     async def hold_run(
@@ -82,12 +82,12 @@ def router(services: Services) -> APIRouter:
     ) -> LeaseStatus:
         """Keep a run's frames in memory until the hold expires; the same call again renews it."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.hold, run, holder, purpose)
+        return await ask(coordinator.hold, run, holder, purpose)
 
     @routes.delete("/{run}/hold", status_code=204)
     async def let_go_of_run(run: RunId, holder: Holder) -> None:
         """End a hold; harmless if there is none."""
-        await ask(conductor.let_go, run, holder)
+        await ask(coordinator.let_go, run, holder)
 
     return routes
 
@@ -100,12 +100,12 @@ def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Respon
 
 async def _next(services: Services, after: str | None, timeout_s: float) -> RunDetail | None:
     """Wait on the hub, without a thread, and look whenever something has happened."""
-    hub, ask, conductor = services.hub, services.commands.ask, services.conductor
+    hub, ask, coordinator = services.hub, services.commands.ask, services.coordinator
     until = time.monotonic() + timeout_s
-    seen = hub.newest if after is not None else (await ask(conductor.snapshot)).last_event
+    seen = hub.newest if after is not None else (await ask(coordinator.snapshot)).last_event
     async with hub.place():
         while True:
-            if after is not None and (run := await ask(conductor.next_run, after, 0.0)) is not None:
+            if after is not None and (run := await ask(coordinator.next_run, after, 0.0)) is not None:
                 return run
             records = await hub.events(seen, until - time.monotonic())
             if not records:
@@ -113,4 +113,4 @@ async def _next(services: Services, after: str | None, timeout_s: float) -> RunD
             seen = records[-1].number
             for record in records:
                 if after is None and record.kind == "run" and record.run and record.state in IN_MEMORY:
-                    return await ask(conductor.run, record.run)
+                    return await ask(coordinator.run, record.run)

@@ -10,7 +10,7 @@ from vaoi_station.api.caching import LIVE
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import ArmRequest
 from vaoi_station.errors import InputError
-from vaoi_station.runs.facade import StationSnapshot
+from vaoi_station.runs.control.facade import StationSnapshot
 
 Text = Annotated[str | None, Query(max_length=200)]
 
@@ -18,13 +18,13 @@ Text = Annotated[str | None, Query(max_length=200)]
 def router(services: Services) -> APIRouter:
     """State and commands of the station."""
     routes = APIRouter(prefix="/station", tags=["station"])
-    conductor, ask = services.conductor, services.commands.ask
+    coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("", response_model_exclude_none=True)
     async def get_station(response: Response) -> StationSnapshot:
         """State, health, memory, versions, and what is kept how long."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.snapshot)
+        return await ask(coordinator.snapshot)
 
     @routes.post("/arm", response_model_exclude_none=True)
     async def arm_station(
@@ -53,13 +53,13 @@ def router(services: Services) -> APIRouter:
         order = _merged(request, given)
         response.headers["Cache-Control"] = LIVE
         despite = bool(order.allow_lost_cameras)
-        return await ask(conductor.arm, order.board_type, order.board_id, order.job_id, order.runs, despite)
+        return await ask(coordinator.arm, order.board_type, order.board_id, order.job_id, order.runs, despite)
 
     @routes.post("/disarm", response_model_exclude_none=True)
     async def disarm_station(response: Response) -> StationSnapshot:
         """Ignore the barrier; a run under way is finished with what it has. Harmless when idle."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.disarm)
+        return await ask(coordinator.disarm)
 
     return routes
 

@@ -10,19 +10,19 @@ from vaoi_station.api.caching import LIVE
 from vaoi_station.api.parameters import BoardTypeName
 from vaoi_station.api.services import Services
 from vaoi_station.api.shapes import MethodRequest, TeachRequest
-from vaoi_station.runs.facade import ReferenceStatus, StitchingMethod
+from vaoi_station.runs.control.facade import ReferenceStatus, StitchingMethod
 
 
 def router(services: Services) -> APIRouter:
     """References and methods; what is changed holds from the next arming on."""
     routes = APIRouter(prefix="/board-types/{name}", tags=["board types"])
-    conductor, ask = services.conductor, services.commands.ask
+    coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("/reference", response_model_exclude_none=True)
     async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:
         """The run that boards of this type are placed against, and whether it can be used; 404 `no-reference`."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.reference, name)
+        return await ask(coordinator.reference, name)
 
     @routes.put(
         "/reference",
@@ -38,32 +38,32 @@ def router(services: Services) -> APIRouter:
         yet; 410: its frames are no longer in memory; 422: it shows another board type.
         """
         response.headers["Cache-Control"] = LIVE
-        if await ask(conductor.teach_reference, name, wanted.run):
+        if await ask(coordinator.teach_reference, name, wanted.run):
             response.status_code = 201
             response.headers["Location"] = quote(request.url.path)
-        return await ask(conductor.reference, name)
+        return await ask(coordinator.reference, name)
 
     @routes.delete("/reference", status_code=204)
     async def forget_reference(name: BoardTypeName) -> None:
         """Place boards without a reference, from the next arming on."""
-        await ask(conductor.forget_reference, name)
+        await ask(coordinator.forget_reference, name)
 
     @routes.get("/method", response_model_exclude_none=True)
     async def get_method(response: Response, name: BoardTypeName) -> StitchingMethod:
         """How boards of this type are stitched: by a way of their own, or by the station's."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.method, name)
+        return await ask(coordinator.method, name)
 
     @routes.put("/method", response_model_exclude_none=True)
     async def set_method(response: Response, name: BoardTypeName, wanted: MethodRequest) -> StitchingMethod:
         """Give the board type a way of its own, from the next arming on."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.set_method, name, wanted.method)
+        return await ask(coordinator.set_method, name, wanted.method)
 
     @routes.delete("/method", response_model_exclude_none=True)
     async def forget_method(response: Response, name: BoardTypeName) -> StitchingMethod:
         """The station's way (`method` of station.toml) holds again."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(conductor.set_method, name, None)
+        return await ask(coordinator.set_method, name, None)
 
     return routes

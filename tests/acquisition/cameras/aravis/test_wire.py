@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.needs import need_aravis
-from vaoi_station.rig.network import INSIDE, isolation
+from vaoi_station.rig.devices.network import INSIDE, isolation
 
 WIRE = Path(__file__).parent / "wire"
 ROOT = Path(__file__).parents[4]

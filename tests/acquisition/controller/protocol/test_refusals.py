@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hw.vectors import IDENT
+from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Type
 from vaoi_station.acquisition.controller.protocol.refusals import check_ident, sentence
 from vaoi_station.errors import DeviceError

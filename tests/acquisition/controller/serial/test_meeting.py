@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.hw.vectors import IDENT
+from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.messages import REPLY, Type
 from vaoi_station.acquisition.controller.serial import SerialController

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.model import BoardType, Calibration, RecordingHead
-from vaoi_station.stitching.offline import stitch_frames
+from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import Setup
 
 from ..adapter import Setting

@@ -1,6 +1,7 @@
 """The structs of the protocol, version 1.0: little-endian, packed; times in ticks of 0.5 µs.
 
-`hw/firmware/logic/protocol.h` says the same in C; `hw/protocol_vectors.json` holds examples that both must agree on.
+`hw/firmware/logic/link/protocol.h` defines the same structs in C. `hw/protocol_vectors.json` holds examples that both
+must encode alike.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
 from vaoi_station.acquisition.controller.protocol.messages import Ident
-from vaoi_station.acquisition.controller.serial.attendant import Attendant
-from vaoi_station.acquisition.controller.serial.line import RefusalError, ResetError
+from vaoi_station.acquisition.controller.serial.exchange import RefusalError, ResetError
 from vaoi_station.acquisition.controller.serial.port import Alarm
+from vaoi_station.acquisition.controller.serial.supervisor import Attendant
 from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError

@@ -11,7 +11,7 @@ import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, thread_names, wait_for_remains
 from vaoi_station.config import StationConfig
-from vaoi_station.rig.network import Loopback, addresses
+from vaoi_station.rig.devices.network import Loopback, addresses
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -17,8 +17,8 @@ from functools import reduce
 
 from vaoi_station.acquisition.cameras.aravis.library import shared_library
 from vaoi_station.pixel_formats import PIXEL_FORMATS
-from vaoi_station.rig import camera
-from vaoi_station.rig.description import wired
+from vaoi_station.rig.devices import virtual_camera as camera
+from vaoi_station.rig.devices.camera_description import wired
 
 CLOCK_ADDRESS = 0x8000
 CLOCK_AHEAD_NS = 4_000_000_000_000

@@ -14,11 +14,11 @@ import pytest
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
 from tests.doctor.conftest import is_bad, only
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.aravis import aravis
-from vaoi_station.doctor.cameras import cameras
+from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.checks.camera_library import aravis
+from vaoi_station.doctor.checks.cameras import cameras
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
-from vaoi_station.doctor.patient import Patient
 
 Plug = Callable[..., Device]
 Make = Callable[..., StationConfig]

@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, noise, thread_names
 from vaoi_station.acquisition.cameras.aravis.library import shared_library
-from vaoi_station.acquisition.ring import Ring
+from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
 

@@ -1,0 +1,340 @@
+"""The simulated station end to end: the real main of the process, over a real pipe, in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.process.messages import (
+    Arm,
+    BoardMissed,
+    FireOne,
+    FrameSettled,
+    Health,
+    PulseSeen,
+    RunFinished,
+    RunStarted,
+    Trouble,
+)
+from vaoi_station.acquisition.ring.ring_layout import OK
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
+from vaoi_station.model import Verdict
+from vaoi_station.simulation import Passage, Twin, calibration_board, read_scenario
+
+Start = Callable[[StationConfig], Any]
+Make = Callable[..., StationConfig]
+
+
+def passage(config: StationConfig, number: int = 0) -> Passage:
+    assert config.simulation is not None
+    return Twin(read_scenario(config.simulation.scenario)).passage(number)
+
+
+def test_a_board_is_filmed_row_by_row_as_the_twin_shows_it(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.grant("one", 0)
+    bench.arm()
+    finished = bench.until(RunFinished)
+    truth = passage(bench.config)
+    assert finished.run == "one"
+    assert finished.reason == "clear"
+    assert finished.head.missing == ()
+    assert finished.head.trigger_times_s == truth.head().trigger_times_s
+    assert finished.head.lights == truth.lights
+    assert [(f.camera, f.row) for f in finished.frames] == [(c, r) for c in range(2) for r in range(truth.rows)]
+    for frame in finished.frames:
+        assert (frame.verdict, frame.cause) == (Verdict.OK, "")
+        assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
+        assert bench.ring.record(frame.slot)[:3] == (bench.generations[0], OK, frame.row)
+        assert abs(frame.pulse_error_us) < 10_000
+    assert [p.pulse.index for p in bench.of(PulseSeen)] == list(range(truth.rows))
+    assert len(bench.of(FrameSettled)) == 2 * truth.rows
+    assert len(bench.of(RunStarted)) == 1
+    assert finished.last_frame_host_s >= bench.of(RunStarted)[0].host_time_s
+    bench.until(Health)
+    assert all(c.connected for c in bench.of(Health)[-1].cameras)
+
+
+def test_boards_back_to_back_go_into_bays_of_their_own(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.arm(runs=3)
+    for n in range(3):
+        finished = bench.until(RunFinished)
+        assert (finished.run, finished.bay) == (f"run {n}", n)
+        truth = passage(bench.config, n)
+        for frame in finished.frames:
+            assert bench.ring.layout.place(frame.slot)[:2] == (n, frame.camera)
+            assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
+
+
+FAULTS = """
+[[faults.lost_frames]]
+board = 0
+camera = 0
+row = 1
+[[faults.lost_rows]]
+board = 0
+row = 3
+[[faults.incomplete_frames]]
+board = 0
+camera = 1
+row = 2
+share = 0.4
+[[faults.late_frames]]
+board = 0
+camera = 1
+row = 4
+delay_s = 0.3
+"""
+
+
+def test_every_fault_ends_as_a_verdict_with_its_cause(start: Start, make_config: Make, tiny: str) -> None:
+    bench = start(make_config(tiny + FAULTS))
+    bench.arm(runs=2)
+    runs = [bench.until(RunFinished) for _ in range(2)]
+    first, second = sorted(runs, key=lambda r: r.run)  # the first one waits for its late frames
+    verdicts = {(f.camera, f.row): f for f in first.frames if f.verdict is not Verdict.OK}
+    assert set(verdicts) == {(0, 1), (0, 3), (1, 3), (1, 2)}
+    assert "lost on the way: the camera counted it" in verdicts[0, 1].cause
+    torn = verdicts[1, 2]
+    truth = passage(bench.config)
+    if torn.verdict is Verdict.INCOMPLETE:
+        pixels, whole = bench.ring.frame(torn.slot), truth.frame(1, 2)
+        got_through = round(0.4 * pixels.size)
+        assert np.array_equal(pixels.flat[:got_through], whole.flat[:got_through])
+        assert not pixels.flat[got_through:].any(), "holes are black"
+    else:
+        assert torn.verdict is Verdict.MISSING, "rows 2 and 3 are both possible"
+    late = next(f for f in first.frames if (f.camera, f.row) == (1, 4))
+    assert late.verdict is Verdict.OK
+    for finished, board in ((first, truth), (second, passage(bench.config, 1))):
+        for frame in finished.frames:
+            if frame.verdict is Verdict.OK:
+                assert bench.ring.layout.place(frame.slot)[0] == finished.bay
+                assert np.array_equal(bench.ring.frame(frame.slot), board.frame(frame.camera, frame.row))
+    assert {f.verdict for f in second.frames} == {Verdict.OK}
+
+
+TRIGGER = """
+[[faults.ignored_triggers]]
+board = 0
+camera = 0
+row = 2
+[[faults.extra_frames]]
+board = 1
+camera = 1
+row = 1
+after_s = 0.022
+[[faults.exchanged_frames]]
+board = 2
+camera = 1
+row = 2
+[[faults.free_running]]
+board = 3
+camera = 0
+interval_s = 0.033
+"""
+
+
+def test_what_is_wrong_with_a_trigger_is_named(start: Start, make_config: Make, tiny: str) -> None:
+    """Board 4 has no fault. The other camera is proven in every run."""
+    bench = start(make_config(tiny + TRIGGER))
+    bench.arm(runs=3)
+    runs = []
+    for n in range(5):
+        runs.append(bench.until(RunFinished))
+        if n < 2:
+            bench.grant(f"run {n + 3}", runs[-1].bay)
+    runs.sort(key=lambda finished: str(finished.run))  # those that wait for a frame finish later
+    for finished, afflicted in zip(runs, (0, 1, 1, 0, None), strict=True):
+        for frame in finished.frames:
+            assert (frame.verdict is Verdict.OK and not frame.cause) or frame.camera == afflicted
+    proofs = [finished.proof for finished in runs]
+    named = [{(f.camera, f.row, f.kind) for f in proof.findings} for proof in proofs]
+    assert named[0] == {(0, 2, "ignored-trigger")}
+    assert named[1] == {(1, 1, "extra-frame")}
+    assert named[2] == {(1, 2, "exchanged"), (1, 3, "early")}
+    assert named[3] == {(0, None, "runs-freely")}
+    assert named[4] == set()
+    assert [p.proven for p in proofs] == [True, True, False, False, True]
+    for proof in proofs:
+        for camera in proof.cameras:
+            assert camera.max_residual_us is None or not camera.proven or camera.max_residual_us < 20
+
+
+def test_a_board_without_memory_is_missed_and_the_next_is_filmed(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.arm()
+    missed = bench.until(BoardMissed)
+    assert "no memory" in missed.reason
+    bench.grant("after", 1)
+    finished = bench.until(RunFinished)
+    assert finished.run == "after"
+    boards = len(bench.of(BoardMissed))
+    truth = passage(bench.config, boards)
+    for frame in finished.frames:
+        assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
+
+
+def test_pulses_without_the_barrier_show_the_calibration_board_that_lies_still(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    assert bench.config.simulation is not None
+    twin = Twin(read_scenario(bench.config.simulation.scenario))
+    still = {camera: pixels for camera, _, pixels in calibration_board.frames(twin)}
+    for n in range(3):
+        bench.grant(f"pulse {n}", n % 2)
+        bench.send(FireOne())
+        finished = bench.until(RunFinished)
+        assert (finished.run, finished.head.rows, finished.reason) == (f"pulse {n}", 1, "single")
+        for frame in finished.frames:
+            assert (frame.verdict, frame.cause) == (Verdict.OK, "")
+            assert np.array_equal(bench.ring.frame(frame.slot), still[frame.camera])
+    bench.grant("board", 2)
+    bench.arm()
+    bench.send(FireOne())
+    assert "boards are being filmed" in bench.until(Trouble).message
+    finished = bench.until(RunFinished)
+    assert (finished.run, finished.reason) == ("board", "clear")
+    for frame in finished.frames:
+        assert np.array_equal(bench.ring.frame(frame.slot), passage(bench.config).frame(frame.camera, frame.row))
+
+
+BOUNCES = """
+[[faults.bounces]]
+at_s = 0.1
+duration_s = 0.002
+[[faults.bounces]]
+at_s = 0.001
+duration_s = 0.001
+[[faults.bounces]]
+at_s = -0.05
+duration_s = 0.002
+"""
+
+
+def test_a_bouncing_barrier_is_one_board_and_frames_show_the_pulses_really_fired(
+    start: Start, make_config: Make, tiny: str
+) -> None:
+    bench = start(make_config(tiny + BOUNCES))
+    bench.grant("one", 0)
+    bench.arm()
+    finished = bench.until(RunFinished)
+    assert len(bench.of(RunStarted)) == 1
+    assert bench.of(Trouble) == []
+    assert finished.head.missing == ()
+    truth = passage(bench.config)
+    assert finished.head.rows == truth.rows
+    shifted_s = 0.002  # the edge counts that lasts, after the bounce at the leading edge
+    first = truth.frame_at(0, truth.pulse_times_s[0] + shifted_s, truth.lights[0], 0)
+    assert np.array_equal(bench.ring.frame(finished.frames[0].slot), first)
+
+
+def test_a_board_that_sticks_ends_at_the_most_rows(start: Start, make_config: Make, tiny: str) -> None:
+    bench = start(make_config(tiny + "[[faults.stuck]]\nboard = 0\nrow = 1\n"))
+    bench.arm(runs=2)
+    stuck, following = bench.until(RunFinished), bench.until(RunFinished)
+    assert stuck.reason == "max-rows"
+    assert stuck.head.rows == bench.config.line.rows_of_longest_board
+    assert stuck.head.missing == ()
+    assert following.reason == "clear"
+    assert following.head.missing == ()
+
+
+def test_disarming_gives_unused_memory_back_and_arming_again_films(start: Start, make_config: Make) -> None:
+    config = make_config(interval_s=30.0)
+    bench = start(config)
+    bench.grant("one", 0)
+    bench.grant("two", 1)
+    bench.arm()
+    bench.until(RunFinished)
+    unused = bench.disarm().unused
+    assert [(g.run, g.bay) for g in unused] == [("two", 1)]
+    assert bench.disarm().unused == ()
+
+
+def test_disarming_while_a_board_passes_finishes_the_run_with_what_it_has(
+    start: Start, make_config: Make, slow: str
+) -> None:
+    bench = start(make_config(slow))
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseSeen)
+    bench.disarm()
+    (finished,) = bench.of(RunFinished)
+    assert finished.reason == "disarmed"
+    assert 1 <= finished.head.rows < passage(bench.config).rows
+    bench.grant("two", 1)
+    bench.arm()
+    assert bench.until(RunFinished).head.missing == ()
+
+
+def test_a_plan_the_scenario_was_not_made_for_is_refused_and_the_process_lives(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    plan = TriggerPlan.of(bench.config.line)
+    for change, key in (
+        ({"period_s": 0.2}, "period_s"),
+        ({"max_rows": 500}, "max_rows"),
+        ({"lights": ("x",)}, "lights"),
+    ):
+        bench.send(Arm(replace(plan, **change)))
+        assert key in bench.until(Trouble).message
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(RunFinished)
+
+
+def test_another_plan_is_refused_while_a_board_passes(start: Start, make_config: Make, slow: str) -> None:
+    bench = start(make_config(slow))
+    plan = TriggerPlan.of(bench.config.line)
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseSeen)
+    bench.send(Arm(replace(plan, max_rows=plan.max_rows - 1)))
+    assert "passing" in bench.until(Trouble).message
+    bench.until(RunFinished)
+
+
+def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseSeen)
+    bench.connection.close()
+    bench.thread.join(30)
+    assert not bench.thread.is_alive()
+
+
+def test_a_scenario_of_another_array_is_told_before_anything_starts(
+    start: Callable[..., Any], make_config: Make, tmp_path: Path, tiny: str
+) -> None:
+    config = make_config()
+    (tmp_path / "scenario.toml").write_text(tiny.replace("width_px = 96", "width_px = 80"))
+    bench = start(config, ready=False)
+    trouble = bench.until(Trouble)
+    assert "width_px is 80, but must be 96" in trouble.message
+    assert trouble.action
+
+
+def test_a_ring_of_another_configuration_is_refused(start: Callable[..., Any], make_config: Make) -> None:
+    from vaoi_station.acquisition.process.main_loop import _check_layout
+
+    config = make_config()
+    bench = start(config)
+    with pytest.raises(Exception, match="another configuration"):
+        _check_layout(bench.ring, make_config(ring={"directory": config.ring.directory, "runs": 5}))
+
+
+def test_unknown_lights_are_an_input_error(make_config: Make) -> None:
+    from vaoi_station.acquisition.simulated.twin_devices import accept_plan
+
+    plan = TriggerPlan.of(make_config().line)
+    assert accept_plan(plan, replace(plan, lights=("a",))).lights == ("a",)
+    with pytest.raises(InputError, match="lights"):
+        accept_plan(replace(plan, lights=("b",)), replace(plan, lights=("a",)))

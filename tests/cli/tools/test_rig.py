@@ -1,0 +1,65 @@
+"""`vaoi rig`: what is refused before anything is started, and the list of faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from vaoi_station import __version__
+from vaoi_station.cli import app
+from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.rig.devices import chip
+from vaoi_station.rig.line.faults import KINDS
+
+
+def refusal(*arguments: str) -> Exception:
+    result = CliRunner().invoke(app, ["rig", *arguments])
+    assert isinstance(result.exception, Exception), result.output
+    return result.exception
+
+
+def test_faults_are_listed_with_their_keys() -> None:
+    result = CliRunner().invoke(app, ["rig", "faults"])
+    assert result.exit_code == 0
+    assert [line.split()[0] for line in result.output.splitlines()] == list(KINDS)
+    assert "camera=0,board=1,row=2,for_s=3.0" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "--fault", "flood"), "--fault is 'flood'"),
+        (("run", "--cameras", "1", "--fault", "kill:camera=1"), "camera is 1, but must be from 0 to 0"),
+        (("run", "--boards", "1", "--fault", "reset"), "board is 1, but must be from 0 to 0"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_starts(arguments: tuple[str, ...], words: str) -> None:
+    error = refusal(*arguments)
+    assert isinstance(error, InputError)
+    assert words in error.message
+
+
+def test_a_scenario_must_exist() -> None:
+    assert isinstance(refusal("run", "--scenario", "atlantis"), NotFoundError)
+
+
+def test_up_does_not_write_into_what_others_have_written(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("…")
+    error = refusal("up", "--out", str(tmp_path))
+    assert isinstance(error, InputError)
+    assert "must be a new or empty directory" in error.message
+
+
+@pytest.mark.parametrize("arguments", [("run",), ("up", "--out", "rig")])
+def test_an_installed_package_says_that_it_needs_its_sources_before_anything_is_filmed(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(chip, "SOURCES", tmp_path / "hw" / "firmware")
+    error = refusal(*arguments)
+    assert isinstance(error, NotFoundError)
+    assert "sources are not part of an installed package" in error.message
+    assert f"Get the sources of version {__version__}; in their directory: python -m vaoi_station rig" in error.action
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,83 @@
+"""What follows from a scenario."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from vaoi_station.errors import InputError
+from vaoi_station.rig.devices.pins import Shot
+from vaoi_station.rig.line.films import Film
+from vaoi_station.rig.line.scenarios import check_playable, lamp_of, least_interval_s, with_cameras
+from vaoi_station.simulation import Scenario
+from vaoi_station.simulation.scenario import (
+    ArraySection,
+    FaultSection,
+    IgnoredTrigger,
+    LightSection,
+    LineSection,
+    LostFrame,
+)
+
+
+def test_a_larger_array_sees_a_wider_board() -> None:
+    scenario = Scenario()
+    larger = with_cameras(scenario, 5)
+    assert larger.array.cameras == 5
+    assert larger.board.width_mm == pytest.approx(scenario.board.width_mm + 2 * scenario.array.pitch_mm, abs=1e-3)
+    assert larger.board.name == "demo-5"
+    assert with_cameras(scenario, None) is scenario
+    assert with_cameras(scenario, 3) is scenario
+    with pytest.raises(InputError, match="--cameras is 1, but must be enough to see a board of 8 mm"):
+        with_cameras(scenario.model_copy(update={"board": scenario.board.model_copy(update={"width_mm": 70.0})}), 1)
+
+
+def test_cameras_that_do_wrong_by_themselves_are_asked_for_by_faults() -> None:
+    check_playable(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
+    with pytest.raises(InputError, match=r"faults\.ignored_triggers befall the cameras of the in-process twin only"):
+        check_playable(Scenario(faults=FaultSection(ignored_triggers=(IgnoredTrigger(camera=0, row=1),))))
+
+
+def scenario_of(lights: tuple[str, ...], exposures_us: tuple[float, ...] = (250.0,)) -> Scenario:
+    return Scenario(
+        array=ArraySection(exposures_us=exposures_us),
+        line=LineSection(lights=lights),
+        lights={name: LightSection() for name in lights},
+    )
+
+
+def shot(channels: tuple[int, ...], on_us: float) -> Shot:
+    return Shot(0, 0, channels, on_us)
+
+
+def test_every_light_has_a_channel() -> None:
+    lamp = lamp_of(scenario_of(("ring", "low", "ring")))
+    assert lamp.channels == {"ring": (0,), "low": (1,)}
+    assert lamp.light_of(shot((1,), 250.1)) == "low"
+    assert lamp.brightness(shot((1,), 250.1), 0) == 1.0
+    assert lamp.light_of(shot((0, 1), 250.0)) is None
+    assert lamp.brightness(shot((0, 1), 250.0), 0) == 0.0
+    with pytest.raises(InputError, match="at most 4 different ones"):
+        lamp_of(scenario_of(("a", "b", "c", "d", "e")))
+
+
+def test_a_camera_sees_the_light_within_its_own_exposure() -> None:
+    lamp = lamp_of(scenario_of(("ring",), (250.0, 1000.0)))
+    assert lamp.brightness(shot((0,), 1000.0), 0) == 1.0
+    assert lamp.brightness(shot((0,), 500.0), 1) == 0.5
+
+
+@dataclass(frozen=True)
+class Short(Film):
+    seconds: float = 0.0
+
+    @property
+    def lasts_s(self) -> float:
+        return self.seconds
+
+
+def test_boards_do_not_come_faster_than_they_pass(filmed: tuple[Film, ...]) -> None:
+    scenario = scenario_of(("ring",))
+    assert least_interval_s(scenario, filmed) == scenario.line.interval_s
+    assert least_interval_s(scenario, [Short(filmed[0].directory, 7.13), *filmed]) == 8.0

@@ -1,0 +1,84 @@
+"""The calibration watched by a coordinator: a knocked camera becomes a warning, and stays one over a restart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from vaoi_station.acquisition.process import messages as said
+from vaoi_station.errors import InternalError
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.control.calibration_watch import CalibrationWatch
+from vaoi_station.runs.workers.jobs import Answer, CheckJob
+
+
+def film(rig: Any, grant: said.Grant) -> said.Grant:
+    """A board passes and is looked at; the grant for the next one."""
+    before = rig.coordinator.calibration().runs
+    rig.board(grant)
+    rig.result_of(grant.run)
+    rig.wait_for(lambda: rig.coordinator.calibration().runs == before + 1, "the check")
+    following: said.Grant = rig.peer.expect(said.Grant)
+    return following
+
+
+def test_a_knocked_camera_is_told_by_its_second_board(rig: Any, calibration: Any) -> None:
+    assert [c.state for c in rig.coordinator.calibration().cameras] == ["unknown", "unknown"]
+    grant = film(rig, rig.arm())
+    assert [c.state for c in rig.coordinator.calibration().cameras] == ["steady", "steady"]
+    rig.workers.displacement_px = 3.0
+    first = grant.run
+    grant = film(rig, grant)
+    assert rig.coordinator.snapshot().warnings == ()
+    film(rig, grant)
+    (warning,) = rig.coordinator.snapshot().warnings
+    assert warning.code == "calibration-drift"
+    assert f"looks 3.00 px beside where it was calibrated, since run {first}" in warning.message
+    assert "recalibrate" in warning.action
+    assert rig.coordinator.snapshot().state == "armed", "boards are filmed all the same"
+    still, drifted = rig.coordinator.calibration().cameras
+    assert (still.state, still.drift) == ("steady", None)
+    assert (drifted.state, drifted.drift.y_px, drifted.drift.since_run, drifted.drift.runs) == (
+        "drifted",
+        3.0,
+        first,
+        2,
+    )
+    assert [m.y_px for m in drifted.history] == [0.0, 3.0, 3.0]
+    told = [e for e in rig.coordinator.events() if e.code == "calibration-drift"]
+    assert len(told) == 1
+    again = CalibrationWatch(rig.store.checks, EventLog(rig.store), calibration, ["a", "b"])
+    assert [w.code for w in again.warnings()] == ["calibration-drift"]
+    assert again.status().runs == 3
+
+
+def test_another_calibration_begins_anew(rig: Any, calibration: Any) -> None:
+    rig.workers.displacement_px = 3.0
+    film(rig, film(rig, rig.arm()))
+    corrected = calibration.model_copy(update={"created": "2026-01-02T00:00:00Z"})
+    anew = CalibrationWatch(rig.store.checks, EventLog(rig.store), corrected, ["a", "b"])
+    assert (anew.warnings(), anew.status().runs) == ((), 0)
+
+
+def test_the_result_does_not_wait_for_the_check(rig: Any) -> None:
+    grant = rig.arm()
+    rig.board(grant)
+    assert rig.result_of(grant.run).state == "ready"
+    kinds = [type(job).__name__ for job in rig.workers.done]
+    assert kinds.index("CheckJob") > kinds.index("ConcludeJob")
+    (job,) = (job for job in rig.workers.done if isinstance(job, CheckJob))
+    assert all(len(e.a_px) <= 24 for e in job.evidence if hasattr(e, "a_px") and e.task.kind == "rows")
+
+
+def test_a_check_that_cannot_be_done_is_an_event(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(job: Any, done: Any) -> None:
+        if isinstance(job, CheckJob):
+            done(Answer(None, InternalError("the check failed."), 0.0))
+        else:
+            type(rig.workers).submit(rig.workers, job, done)
+
+    monkeypatch.setattr(rig.workers, "submit", refuse)
+    rig.board(rig.arm())
+    rig.wait_for(lambda: any(e.code == "calibration-not-checked" for e in rig.coordinator.events()), "the event")
+    assert rig.coordinator.snapshot().warnings == ()

@@ -1,0 +1,298 @@
+"""The coordinator against a scripted acquisition process: the life of boards, and what goes wrong."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from vaoi_station.acquisition.cameras.interface import CameraHealth
+from vaoi_station.acquisition.process import messages as said
+from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.model import BoardType, Status, Verdict
+from vaoi_station.runs.control import reasons
+from vaoi_station.runs.workers.jobs import ConcludeJob, LinkJob
+
+
+def test_a_board_passes(rig: Any) -> None:
+    grant = rig.arm(board_id="b 1", job_id="j 7")
+    assert rig.coordinator.snapshot().state == "armed"
+    rig.board(grant, rows=3)
+    run = rig.result_of(grant.run)
+    assert (run.id, run.state, run.verdict) == (grant.run, "ready", Status.OK)
+    assert (run.board_type, run.board_id, run.job_id) == ("small", "b 1", "j 7")
+    assert (run.rows, run.counts.ok, run.counts.missing, run.ended) == (3, 6, 0, "clear")
+    assert run.belt is not None
+    assert run.belt.ratio == pytest.approx(1.01)
+    assert run.timings is not None
+    assert run.timings.links == len(rig.workers.tasks(grant.run)) == len(rig.coordinator.timeline(grant.run).tasks)
+    assert run.timings.ready_after_last_frame_ms > 0
+    assert rig.coordinator.stitch(grant.run).status is Status.OK
+    assert rig.coordinator.next_run(None, 0.0) is None
+    assert rig.workers.closed == [grant.run]
+
+
+def test_links_are_asked_for_as_soon_as_both_frames_are_there(rig: Any) -> None:
+    rig.workers.keep = True
+    grant = rig.arm()
+    rig.begin(grant)
+    rig.row(grant, 0)
+    rig.row(grant, 1)
+    rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
+    asked = {(t.kind, t.a, t.b) for j, _ in rig.workers.kept for t in j.tasks}
+    assert {("rows", (0, 0), (0, 1)), ("rows", (1, 0), (1, 1)), ("neighbours", (0, 0), (1, 0))} <= asked
+    assert rig.coordinator.run(grant.run).state == "filming"
+    with pytest.raises(StateError, match="no result yet"):
+        rig.coordinator.stitch(grant.run)
+
+
+def test_a_run_is_concluded_when_the_last_link_is_there_and_not_before(rig: Any) -> None:
+    rig.workers.keep = True
+    grant = rig.arm()
+    rig.board(grant, rows=2)
+    rig.wait_run(grant.run, lambda run: run.state == "stitching", "the run to be stitched")
+    *links, last = rig.workers.kept
+    assert all(isinstance(job, LinkJob) for job, _ in rig.workers.kept)
+    rig.workers.keep = False
+    for job, done in links:
+        rig.workers.perform(job, done)
+    assert rig.coordinator.run(grant.run).state == "stitching"
+    assert not any(isinstance(job, ConcludeJob) for job in rig.workers.done)
+    rig.workers.perform(*last)
+    assert rig.result_of(grant.run).state == "ready"
+
+
+def test_lost_frames_are_named_and_bridged(rig: Any) -> None:
+    grant = rig.arm()
+    rig.board(grant, rows=3, verdicts={0: Verdict.MISSING, 1: Verdict.INCOMPLETE})
+    run = rig.result_of(grant.run)
+    assert (run.counts.ok, run.counts.incomplete, run.counts.missing) == (4, 1, 1)
+    words = [reason.message for reason in run.reasons]
+    assert any("(0, 1) are missing: scripted" in word for word in words)
+    bridges = {(t.a, t.b) for t in rig.workers.tasks(grant.run) if t.kind == "rows"}
+    assert bridges <= {((0, 0), (0, 2)), ((1, 0), (1, 2))}
+
+
+def test_boards_back_to_back_find_memory_granted_ahead(rig: Any) -> None:
+    grants = [rig.arm(board_id="b")]
+    for _ in range(6):
+        rig.begin(grants[-1])
+        grants.append(rig.peer.expect(said.Grant))
+        records = [r for row in range(2) for r in rig.row(grants[-2], row)]
+        rig.finish(grants[-2], records)
+    last = rig.result_of(grants[-2].run)
+    runs = rig.coordinator.runs()
+    assert [r.id for r in runs] == [g.run for g in reversed(grants[:-1])]
+    states = [r.state for r in runs]
+    assert states[0] == "ready"
+    assert states[-1] == "gone"
+    assert last.frames_available
+    assert rig.coordinator.snapshot().boards_missed == 0
+
+
+def test_every_finished_run_is_told_once_and_in_order(rig: Any) -> None:
+    assert rig.coordinator.latest() is None
+    got: list[str] = []
+    listening = threading.Event()
+
+    def follow() -> None:
+        listening.set()
+        first = rig.coordinator.next_run(None, 20.0)
+        while first is not None and len(got) < 3:
+            got.append(first.id)
+            first = rig.coordinator.next_run(first.id, 20.0)
+
+    follower = threading.Thread(target=follow)
+    follower.start()
+    assert listening.wait(10)
+    grant, expected = rig.arm(), []
+    for _ in range(4):
+        rig.board(grant, rows=2)
+        rig.result_of(grant.run)
+        expected.append(grant.run)
+        grant = rig.peer.expect(said.Grant)
+    follower.join(20)
+    assert got in (expected[:3], expected[1:4])
+    assert rig.coordinator.next_run(expected[-1], 0.01) is None
+    assert rig.coordinator.next_run(expected[0], 0.0).id == expected[1]
+
+
+def test_a_run_that_begins_before_the_last_has_settled(rig: Any) -> None:
+    first = rig.arm()
+    rig.begin(first)
+    records = [r for row in range(2) for r in rig.row(first, row)]
+    second = rig.peer.expect(said.Grant)
+    rig.begin(second)
+    rig.finish(first, records)
+    rig.result_of(first.run)
+    assert rig.coordinator.snapshot().state == "filming"
+    rig.finish(second, rig.row(second, 0))
+    rig.result_of(second.run)
+    rig.until("armed")
+
+
+def test_runs_end_in_the_order_their_boards_came(rig: Any) -> None:
+    rig.workers.keep = True
+    first = rig.arm()
+    rig.board(first, rows=1)
+    second = rig.peer.expect(said.Grant)
+    rig.board(second, rows=1)
+    rig.wait_run(second.run, lambda run: run.state == "stitching", "the second board")
+    waiting, rig.workers.kept = rig.workers.kept, []
+    rig.workers.keep = False
+    for job, done in waiting:
+        if job.run == second.run:
+            rig.workers.perform(job, done)
+    assert rig.coordinator.run(second.run).state == "stitching"
+    for job, done in waiting:
+        if job.run == first.run:
+            rig.workers.perform(job, done)
+    rig.result_of(second.run)
+    assert rig.coordinator.next_run(first.run, 0.0).id == second.run
+
+
+# --- ids, and how long they hold
+
+
+def test_a_new_order_while_armed_is_for_the_boards_that_come_from_then_on(rig: Any) -> None:
+    grant = rig.arm(board_id="b 1")
+    before_s = time.monotonic()
+    rig.coordinator.arm("small", "b 2")
+    rig.begin(grant, at_s=before_s)
+    rig.finish(grant, rig.row(grant, 0))
+    assert rig.result_of(grant.run).board_id == "b 1"
+    second = rig.peer.expect(said.Grant)
+    rig.board(second)
+    assert rig.result_of(second.run).board_id == "b 2"
+
+
+def test_armed_for_one_run_the_line_disarms_by_itself(rig: Any) -> None:
+    grant = rig.arm(runs=1)
+    rig.board(grant)
+    rig.peer.expect(said.Disarm)
+    rig.peer.say(said.Disarmed(()))
+    rig.until("idle")
+    assert rig.result_of(grant.run).state == "ready"
+    assert rig.coordinator.snapshot().armed_with is None
+
+
+def test_arming_while_the_line_disarms_waits_for_that(rig: Any) -> None:
+    grant = rig.arm(runs=1)
+    rig.board(grant)
+    rig.peer.expect(said.Disarm)
+    again = threading.Thread(target=rig.coordinator.arm, args=("small", "next"))
+    again.start()
+    rig.wait_for(lambda: bool(rig.coordinator._core._after_disarm), "the order to wait")
+    rig.peer.say(said.Disarmed(()))
+    rig.peer.expect(said.Grant)
+    rig.peer.expect(said.Arm)
+    rig.peer.say(said.Armed())
+    again.join(20)
+    assert rig.coordinator.snapshot().armed_with.board_id == "next"
+
+
+def test_disarming_gives_the_unused_memory_back(rig: Any) -> None:
+    grant = rig.arm()
+    caller = threading.Thread(target=rig.coordinator.disarm)
+    caller.start()
+    rig.peer.expect(said.Disarm)
+    rig.peer.say(said.Disarmed((grant,)))
+    caller.join(20)
+    snapshot = rig.coordinator.snapshot()
+    assert snapshot.state == "idle"
+    assert {bay.use for bay in snapshot.ring.bays} == {"free"}
+    assert rig.coordinator.disarm().state == "idle"
+
+
+# --- board types, health, the end
+
+
+def test_board_types_are_taught_listed_and_forgotten(rig: Any, board_type: BoardType) -> None:
+    other = board_type.model_copy(update={"name": "other/board"})
+    assert rig.coordinator.put_board_type(other) is True
+    assert rig.coordinator.put_board_type(other) is False
+    (rig.config.board_types / "broken.json").write_text("{")
+    listed = {entry.name: entry for entry in rig.coordinator.board_types()}
+    assert set(listed) == {"small", "other/board", "broken"}
+    assert listed["broken"].fault is not None
+    assert listed["other/board"].components == 1
+    assert rig.coordinator.board_type("other/board") == other
+    rig.arm()
+    with pytest.raises(StateError, match="armed for board type 'small'"):
+        rig.coordinator.delete_board_type("small")
+    rig.coordinator.delete_board_type("other/board")
+    with pytest.raises(NotFoundError):
+        rig.coordinator.board_type("other/board")
+
+
+def test_a_board_keeps_the_type_it_was_filmed_with(rig: Any, board_type: BoardType) -> None:
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    rig.coordinator.put_board_type(board_type.model_copy(update={"components": ()}))
+    assert len(rig.coordinator.components(grant.run)) == 1
+
+
+def test_health_is_shown(rig: Any) -> None:
+    assert [c.connected for c in rig.coordinator.snapshot().cameras] == [False, False]
+    now_s = time.monotonic()
+    fine = CameraHealth(True, delivered=7, temperature_c=41.5, last_frame_s=now_s - 2, counters=(("n_failures", 3),))
+    rig.peer.say(said.Health((fine, CameraHealth(False, "cable pulled")), "controller fine", now_s))
+    rig.wait_for(lambda: rig.coordinator.snapshot().controller == "controller fine", "health")
+    snapshot = rig.coordinator.snapshot()
+    assert snapshot.cameras[0].delivered == 7
+    assert snapshot.cameras[0].last_frame_age_s == pytest.approx(2)
+    assert snapshot.cameras[0].counters == {"n_failures": 3}
+    assert snapshot.cameras[1].last_frame_age_s is None
+    assert snapshot.reasons[0].message == "Camera c1 is not connected. Cable pulled"
+    [acquisition] = snapshot.processes
+    assert acquisition.heartbeat_age_s is not None
+
+
+def test_a_trouble_is_told_once_and_shown_as_long_as_it_lasts(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    trouble = said.Trouble("device", "camera c1: does not answer", "Check its cable.")
+    for _ in range(3):
+        rig.peer.say(trouble)
+    rig.peer.say(said.Health((), "after the troubles", time.monotonic()))
+    rig.wait_for(lambda: rig.coordinator.snapshot().controller == "after the troubles", "the troubles")
+    [reason] = rig.coordinator.snapshot().reasons
+    assert (reason.code, reason.action) == ("device", "Check its cable.")
+    assert len([e for e in rig.coordinator.events() if e.kind == "trouble"]) == 1
+    monkeypatch.setattr(reasons, "TROUBLE_S", 0.0)
+    rig.wait_for(lambda: rig.coordinator.snapshot().reasons == (), "the trouble to be over")
+
+
+def test_the_end_waits_for_the_run_under_way(rig: Any) -> None:
+    rig.workers.keep = True
+    grant = rig.arm()
+    rig.board(grant)
+    rig.wait_run(grant.run, lambda run: run.state == "stitching", "stitching")
+    ending = threading.Thread(target=rig.coordinator.wind_down, args=(20.0,))
+    ending.start()
+    rig.until("stopping")
+    assert rig.peer.expect(said.Grant)
+    assert rig.peer.expect(said.Disarm)
+    rig.workers.let_go()
+    ending.join(20)
+    assert rig.result_of(grant.run).state == "ready"
+    with pytest.raises(StateError, match="stopping"):
+        rig.coordinator.arm("small")
+
+
+def test_a_wind_down_does_not_wait_for_ever(rig: Any) -> None:
+    rig.begin(rig.arm())
+    rig.until("filming")
+    rig.coordinator.wind_down(0.05)
+    assert rig.coordinator.snapshot().state == "stopping"
+
+
+def test_an_armed_line_keeps_its_board_type_when_another_is_taught_and_says_so(rig: Any) -> None:
+    grant = rig.arm()
+    old = rig.coordinator.board_type("small")
+    rig.coordinator.put_board_type(old.model_copy(update={"components": ()}))
+    assert rig.coordinator.events(0)[-1].message.endswith("was replaced. It holds from the next arming on.")
+    rig.board(grant)
+    rig.result_of(grant.run)
+    assert [c.address for c in rig.coordinator.components(grant.run)] == ["U1"]

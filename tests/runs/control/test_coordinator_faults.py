@@ -1,0 +1,240 @@
+"""What the coordinator refuses, and what it makes of processes that die."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.cameras.interface import CameraHealth
+from vaoi_station.acquisition.process import messages as said
+from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
+from vaoi_station.model import Pulse, Status
+from vaoi_station.runs.workers.jobs import Answer
+
+
+@contextmanager
+def asked_to_arm(rig: Any) -> Iterator[Future[object]]:
+    """Somebody waits for the station to be armed, in a thread of their own."""
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(rig.coordinator.arm, "small")
+
+
+def test_a_board_type_nobody_taught(rig: Any) -> None:
+    with pytest.raises(NotFoundError, match="no board type 'unknown'; taught are: 'small'"):
+        rig.coordinator.arm("unknown")
+    assert rig.coordinator.snapshot().state == "idle"
+
+
+def test_no_runs_at_all_is_no_order(rig: Any) -> None:
+    with pytest.raises(InputError, match="runs is 0"):
+        rig.coordinator.arm("small", runs=0)
+
+
+def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
+    grant = rig.arm(board_id="b 1")
+    rig.begin(grant)
+    rig.until("filming")
+    with pytest.raises(StateError, match=r"The station is filming.*arm is not possible"):
+        rig.coordinator.arm("small", "b 2")
+    rig.finish(grant, rig.row(grant, 0))
+    assert rig.result_of(grant.run).board_id == "b 1"
+
+
+def test_a_run_that_was_cut_short_says_where_and_why(rig: Any) -> None:
+    """Whatever could be stitched of it: nobody has seen the rest of the board."""
+    grant = rig.arm()
+    rig.begin(grant)
+    records = [record for row in range(3) for record in rig.row(grant, row)]
+    rig.finish(grant, records, "the controller was reset")
+    run = rig.result_of(grant.run)
+    assert run.ended == "the controller was reset"
+    assert ("run-cut-short", "After row 2 nothing more was filmed: the controller was reset.") in [
+        (reason.code, reason.message) for reason in run.reasons
+    ]
+    assert run.state != "ready"
+
+
+def test_arming_before_the_cameras_are_open(make_rig: Callable[..., Any]) -> None:
+    rig = make_rig()
+    with pytest.raises(StateError, match="The station is starting") as refusal:
+        rig.coordinator.arm("small")
+    assert "Wait" in refusal.value.action
+
+
+def _lose(rig: Any, *cameras: int) -> None:
+    """The next sign of life says that these cameras are not connected."""
+    refusal = CameraHealth(False, "it refuses Gain = 99", action="Set a gain that it can do.")
+    health = tuple(refusal if k in cameras else CameraHealth(True) for k in range(2))
+    rig.peer.say(said.Health(health, "controller fine", time.monotonic()))
+    complete = not cameras
+    rig.wait_for(
+        lambda: (seen := rig.coordinator.snapshot()).controller and seen.all_cameras_ready is complete, "the health"
+    )
+
+
+def test_without_one_of_its_cameras_the_line_is_not_armed_unless_that_is_allowed(rig: Any) -> None:
+    _lose(rig, 1)
+    with pytest.raises(DeviceError, match=r"Camera c1 is not connected\. It refuses Gain = 99") as refusal:
+        rig.coordinator.arm("small")
+    assert refusal.value.code == "camera-lost"
+    assert refusal.value.action.startswith("Set a gain that it can do. To film boards without it")
+    assert "allow_lost_cameras" in refusal.value.action
+    assert rig.coordinator.snapshot().state == "idle"
+    assert rig.coordinator.snapshot().armed_with is None
+    grant = rig.arm(allow_lost_cameras=True)
+    rig.board(grant)
+    assert rig.result_of(grant.run).state == "ready"
+    assert [r.code for r in rig.coordinator.snapshot().reasons] == ["camera-lost"]
+
+
+def test_a_line_that_loses_a_camera_goes_on_and_says_so_but_takes_no_further_order(rig: Any) -> None:
+    """What was ordered goes on: the result names the missing frames. A new order is refused, and the old one holds."""
+    grant = rig.arm(board_id="b 1")
+    _lose(rig, 0)
+    seen = rig.coordinator.snapshot()
+    assert (seen.state, seen.all_cameras_ready) == ("armed", False)
+    assert seen.reasons[0].message.startswith("Camera c0 is not connected.")
+    with pytest.raises(DeviceError, match="The array is not complete"):
+        rig.coordinator.arm("small", "b 2")
+    rig.board(grant)
+    assert rig.result_of(grant.run).board_id == "b 1"
+    _lose(rig)
+    rig.coordinator.arm("small", "b 2")
+    told = [event.message for event in rig.coordinator.events() if event.kind == "camera"]
+    assert told == ["Camera c0 is lost: boards would be filmed without it.", "Camera c0 is ready again."]
+
+
+def test_a_camera_that_cannot_be_armed(rig: Any) -> None:
+    with asked_to_arm(rig) as asked:
+        grant = rig.peer.expect(said.Grant)
+        rig.peer.expect(said.Arm)
+        rig.peer.say(said.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
+        rig.peer.expect(said.Disarm)
+        rig.peer.say(said.Disarmed((grant,)))
+        with pytest.raises(DeviceError, match="its clock is not known"):
+            asked.result(20)
+    rig.until("idle")
+
+
+def test_unknown_runs_and_frames(rig: Any) -> None:
+    for ask in (rig.coordinator.run, rig.coordinator.release, rig.coordinator.stitch, rig.coordinator.components):
+        with pytest.raises(NotFoundError, match="no run 'never'"):
+            ask("never")
+    with pytest.raises(NotFoundError, match="no run 'never'"):
+        rig.coordinator.hold("never", "me", "test")
+    grant = rig.arm()
+    rig.board(grant, rows=2)
+    rig.result_of(grant.run)
+    with pytest.raises(NotFoundError, match="2 cameras and 2 rows"):
+        rig.coordinator.frame(grant.run, 0, 7)
+    with pytest.raises(NotFoundError, match="no component 'R99'"):
+        rig.coordinator.views(grant.run, "R99")
+
+
+def test_acquisition_dies_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) -> None:
+    grant = rig.arm(board_id="b 1")
+    rig.begin(grant)
+    rig.peer.expect(said.Grant)
+    rig.row(grant, 0)
+    rig.row(grant, 1)
+    rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
+    rig.peer.say(said.PulseSeen(grant.run, Pulse(index=2, time_s=100.2)))
+    rig.wait_run(grant.run, lambda run: run.rows == 3, "three rows")
+    rig.peer.die()
+    run = rig.result_of(grant.run)
+    assert run.state == "degraded"
+    assert run.verdict is Status.OK
+    assert (run.counts.ok, run.counts.missing) == (4, 2)
+    assert {reason.code for reason in run.reasons} == {"frames-missing", "acquisition-lost"}
+    assert np.all(rig.coordinator.frame(grant.run, 1, 1)[0] == 31)
+    rig.peer.life(2)
+    rig.peer.say(said.Ready(2))
+    rearmed = rig.peer.expect(said.Grant)
+    rig.peer.expect(said.Arm)
+    rig.peer.say(said.Armed())
+    rig.until("armed")
+    rig.board(rearmed)
+    assert rig.result_of(rearmed.run).board_id == "b 1"
+    assert rig.link.status().restarts == 1
+
+
+def test_acquisition_dies_before_the_first_pulse(rig: Any) -> None:
+    grant = rig.arm()
+    rig.begin(grant)
+    rig.until("filming")
+    rig.peer.die()
+    run = rig.result_of(grant.run)
+    assert (run.state, run.rows, run.timings) == ("failed", 0, None)
+    with pytest.raises(NotFoundError, match="ended without a result: The acquisition process ended"):
+        rig.coordinator.stitch(grant.run)
+
+
+def test_acquisition_dies_while_arming(rig: Any) -> None:
+    with asked_to_arm(rig) as asked:
+        rig.peer.expect(said.Grant)
+        rig.peer.die()
+        with pytest.raises(DeviceError, match="Arming failed"):
+            asked.result(20)
+    assert rig.coordinator.snapshot().state == "faulted"
+    with pytest.raises(StateError, match="The station is faulted"):
+        rig.coordinator.arm("small")
+
+
+def test_why_the_devices_cannot_be_opened_is_told_once_and_stays(rig: Any) -> None:
+    absent = said.Trouble("port-absent", "There is no serial port /dev/ttyUSB0.", "Plug it in.")
+    refused = said.Trouble("setting-refused", "Camera left refuses Gain = 99.", "Set what it can do.")
+    first = rig.coordinator.snapshot().last_event
+    rig.peer.die(-11)
+    for life, cause in enumerate((absent, absent, refused), start=2):
+        rig.peer.life(life)
+        rig.peer.say(cause)
+        rig.peer.die(0)
+    rig.peer.life(5)
+    rig.wait_for(lambda: rig.coordinator.snapshot().reasons[0].code == refused.code, "the second cause")
+    assert [r.code for r in rig.coordinator.snapshot().reasons] == ["setting-refused", "acquisition-lost"]
+    told = [e.message for e in rig.coordinator.events(first) if e.kind == "trouble"]
+    lost = "The acquisition process ended (code -11).", "The acquisition process could not begin."
+    assert told == [lost[0], absent.message, lost[1], refused.message]
+    rig.peer.say(said.Ready(2))
+    rig.until("idle")
+    assert rig.coordinator.snapshot().reasons == ()
+
+
+def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -> None:
+    rig.workers.keep = True
+    grant = rig.arm()
+    rig.board(grant, rows=2)
+    rig.wait_run(grant.run, lambda run: run.state == "stitching", "stitching")
+    job, done = rig.workers.kept.pop()
+    done(Answer(None, InternalError("the link broke"), 0.0))
+    rig.workers.let_go()
+    run = rig.result_of(grant.run)
+    assert run.state == "degraded"
+    assert [r.message for r in run.reasons] == ["the link broke"]
+    second = rig.peer.expect(said.Grant)
+    rig.workers.keep = True
+    rig.board(second, rows=2)
+    rig.wait_run(second.run, lambda run: run.state == "stitching", "stitching")
+    job, done = rig.workers.kept.pop()
+    done(Answer(None, InternalError(f"{job} took 2 workers with it", code="worker-lost"), 0.0))
+    run = rig.result_of(second.run)
+    assert run.state == "failed"
+    assert "took 2 workers with it" in run.reasons[0].message
+    assert np.all(rig.coordinator.frame(second.run, 0, 1)[0] == 11)
+
+
+@pytest.mark.parametrize(("status", "state"), [(Status.DEGRADED, "degraded"), (Status.FAILED, "failed")])
+def test_the_stitchs_verdict_is_the_runs(rig: Any, make_stitch: Callable[..., Any], status: Status, state: str) -> None:
+    rig.workers.result = lambda head: make_stitch(head, status, ("two fiducials only",))
+    grant = rig.arm()
+    rig.board(grant)
+    run = rig.result_of(grant.run)
+    assert (run.state, run.verdict) == (state, status)
+    assert run.reasons[0].message == "two fiducials only"
+    assert rig.coordinator.stitch(grant.run).status is status

@@ -1,0 +1,202 @@
+"""Who may be a reference, and what becomes of references: on a scripted rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
+from vaoi_station.files import open_recording
+from vaoi_station.model import BoardType, RecordingHead, Status, Stitch, Verdict
+
+
+def taught(rig: Any) -> str:
+    """A run that is the board type's reference; the line is idle again."""
+    run = filmed(rig)
+    assert rig.coordinator.teach_reference("small", run)
+    return run
+
+
+def filmed(rig: Any, verdicts: dict[int, Verdict] | None = None) -> str:
+    grant = rig.arm(runs=1)
+    rig.board(grant, verdicts=verdicts)
+    run: str = rig.result_of(grant.run).id
+    disarmed(rig)
+    return run
+
+
+def disarmed(rig: Any) -> None:
+    from vaoi_station.acquisition.process import messages as said
+
+    while not isinstance(rig.peer.connection.recv(), said.Disarm):
+        pass
+    rig.peer.say(said.Disarmed(()))
+    rig.until("idle")
+
+
+def kept(rig: Any) -> set[str]:
+    return {path.name for path in (rig.config.data / "references").glob("*")}
+
+
+def test_what_is_kept_of_a_run(rig: Any) -> None:
+    run = filmed(rig, {0: Verdict.MISSING})
+    assert rig.coordinator.teach_reference("small", run)
+    status = rig.coordinator.reference("small")
+    assert (status.run, status.board_type, status.usable) == (run, "small", True)
+    assert (status.cameras, status.rows) == (2, 3)
+    recording = open_recording(rig.config.data / "references" / run)
+    lost = set(recording.head.missing)
+    assert (0, 1) in lost
+    assert status.frames == 6 - len(lost) > 0
+    for camera, row in {(i, j) for i in (0, 1) for j in (0, 1, 2)} - lost:
+        frame = recording.frame(camera, row)
+        assert frame is not None
+        assert np.array_equal(frame, rig.coordinator.frame(run, camera, row)[0])
+    assert not rig.coordinator.snapshot().ring.leases
+
+
+def test_the_next_order_is_placed_against_it_and_the_workers_are_told_where_it_is(rig: Any) -> None:
+    run = taught(rig)
+    grant = rig.arm()
+    armed = rig.coordinator.snapshot().armed_with
+    assert (armed.method, armed.reference) == ("auto", run)
+    rig.board(grant)
+    rig.result_of(grant.run)
+    tasks = [task for task in rig.workers.tasks(grant.run) if task.kind == "reference"]
+    assert {task.a for task in tasks} == rig.coordinator._make_order(
+        rig.coordinator.board_type("small"), None, None
+    ).reference.reference.present
+    references = {opening.reference for opening in rig.workers.opened if opening.context.run == grant.run}
+    assert references == {rig.config.data / "references" / run}
+
+
+@pytest.mark.parametrize(
+    ("status", "reasons"), [(Status.DEGRADED, ("the marks are pale",)), (Status.FAILED, ("no fiducials",))]
+)
+def test_a_run_that_is_not_ok_is_no_reference(
+    rig: Any, make_stitch: Callable[..., Stitch], status: Status, reasons: tuple[str, ...]
+) -> None:
+    def weak(head: RecordingHead) -> Stitch:
+        return make_stitch(head, status, reasons)
+
+    rig.workers.result = weak
+    run = filmed(rig)
+    with pytest.raises(StateError, match=f"is {status} and cannot be a reference: {reasons[0]}") as refused:
+        rig.coordinator.teach_reference("small", run)
+    assert refused.value.code == "not-a-reference"
+    assert kept(rig) == set()
+
+
+def test_what_cannot_be_taught_is_refused_and_nothing_is_kept(rig: Any, board_type: BoardType) -> None:
+    run = filmed(rig)
+    rig.coordinator.put_board_type(board_type.model_copy(update={"name": "other"}))
+
+    def refusal(board_type: str, run: str) -> VaoiError:
+        with pytest.raises(VaoiError) as refused:
+            rig.coordinator.teach_reference(board_type, run)
+        return refused.value
+
+    assert (type(e := refusal("small", "nosuch")), e.code) == (NotFoundError, "unknown-run")
+    assert (type(e := refusal("nosuch", run)), e.code) == (NotFoundError, "unknown-board-type")
+    assert (type(e := refusal("other", run)), e.code) == (InputError, "other-board-type")
+    rig.coordinator.release(run)
+    assert (type(e := refusal("small", run)), e.code) == (GoneError, "frames-gone")
+    assert kept(rig) == set()
+    with pytest.raises(NotFoundError, match="has no reference"):
+        rig.coordinator.reference("small")
+    with pytest.raises(NotFoundError, match="has no reference"):
+        rig.coordinator.forget_reference("small")
+
+
+def test_a_run_of_a_board_type_that_was_changed_since_is_refused(rig: Any, board_type: BoardType) -> None:
+    run = filmed(rig)
+    moved = board_type.fiducials[0].model_copy(update={"x": 6.0})
+    rig.coordinator.put_board_type(board_type.model_copy(update={"fiducials": (moved, board_type.fiducials[1])}))
+    with pytest.raises(InputError, match="had other fiducials"):
+        rig.coordinator.teach_reference("small", run)
+    with pytest.raises(NotFoundError):
+        rig.coordinator.reference("small")
+    rig.coordinator.put_board_type(board_type)
+    assert rig.coordinator.teach_reference("small", run)
+
+
+def test_a_board_type_that_is_changed_later_is_stitched_without_its_reference(rig: Any, board_type: BoardType) -> None:
+    run = taught(rig)
+    rig.coordinator.put_board_type(board_type.model_copy(update={"y_axis": "down"}))
+    status = rig.coordinator.reference("small")
+    assert (status.run, status.usable) == (run, False)
+    assert "had other y_axis" in status.fault.message
+    grant = rig.arm()
+    assert rig.coordinator.snapshot().armed_with.reference is None
+    rig.board(grant)
+    detail = rig.result_of(grant.run)
+    assert detail.state == "ready"
+    assert [r.code for r in detail.reasons] == ["reference-unusable"]
+    assert not [task for task in rig.workers.tasks(grant.run) if task.kind == "reference"]
+
+
+def test_a_method_that_needs_a_reference_is_not_armed_without_one(rig: Any) -> None:
+    assert (rig.coordinator.method("small").method, rig.coordinator.method("small").chosen) == ("auto", "station")
+    chosen = rig.coordinator.set_method("small", "reference")
+    assert (chosen.method, chosen.chosen) == ("reference", "board-type")
+    with pytest.raises(StateError, match="none was taught") as refused:
+        rig.coordinator.arm("small")
+    assert refused.value.code == "no-reference"
+    rig.coordinator.set_method("small", None)
+    rig.arm()
+
+
+def test_a_method_of_other_evidence_leaves_the_reference_alone(rig: Any) -> None:
+    taught(rig)
+    rig.coordinator.set_method("small", "features")
+    rig.arm()
+    armed = rig.coordinator.snapshot().armed_with
+    assert (armed.method, armed.reference) == ("features", None)
+
+
+def test_a_reference_that_was_replaced_goes_when_no_order_needs_it(rig: Any) -> None:
+    first = taught(rig)
+    second = filmed(rig)
+    assert not rig.coordinator.teach_reference("small", second)
+    assert kept(rig) == {first, second}, "the last order's boards may still come"
+    filmed(rig)
+    filmed(rig)
+    rig.coordinator.forget_reference("small")
+    assert kept(rig) == {second}
+    filmed(rig)
+    filmed(rig)
+    assert rig.coordinator.teach_reference("small", rig.coordinator.latest().id)
+    assert first not in kept(rig)
+
+
+def test_a_board_type_takes_its_reference_with_it(rig: Any, board_type: BoardType) -> None:
+    taught(rig)
+    rig.coordinator.set_method("small", "reference")
+    rig.coordinator.delete_board_type("small")
+    rig.coordinator.put_board_type(board_type)
+    assert rig.coordinator.method("small").chosen == "station"
+    with pytest.raises(NotFoundError):
+        rig.coordinator.reference("small")
+
+
+def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:
+    run = filmed(rig)
+    (rig.config.data / "references").write_text("in the way")
+    with pytest.raises(DeviceError, match="cannot be written") as refused:
+        rig.coordinator.teach_reference("small", run)
+    assert "Check space" in refused.value.action
+    with pytest.raises(NotFoundError):
+        rig.coordinator.reference("small")
+
+
+def test_files_that_are_gone_are_told(rig: Any, make_rig: Callable[..., Any], tmp_path: Path) -> None:
+    run = taught(rig)
+    (rig.config.data / "references" / run / "result.json").write_text("{")
+    rig.coordinator._references._shelf._opened.clear()  # as after a restart
+    status = rig.coordinator.reference("small")
+    assert not status.usable
+    assert "result.json" in status.fault.message

@@ -1,0 +1,157 @@
+"""Memory is never taken from who needs it, and goes to the next board from the oldest."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from vaoi_station.errors import BusyError, GoneError
+from vaoi_station.runs.run.leases import Leases
+from vaoi_station.runs.run.memory import Memory
+
+
+class Claims:
+    """Counts generations as the ring does."""
+
+    def __init__(self) -> None:
+        self.generation = 0
+
+    def claim(self, bay: int) -> int:
+        self.generation += 1
+        return self.generation
+
+
+def memory_of(bays: int) -> tuple[Memory, Leases]:
+    leases = Leases(1e9)
+    return Memory(Claims(), bays, leases), leases
+
+
+def finish(memory: Memory, run: str) -> None:
+    memory.grant(run)
+    for use in ("filming", "stitching", "finished"):
+        memory.use(run, use)
+
+
+def test_the_oldest_finished_run_makes_room() -> None:
+    memory, _ = memory_of(2)
+    finish(memory, "r1")
+    finish(memory, "r2")
+    granted = memory.grant("r3")
+    assert granted.evicted == "r1"
+    assert granted.bay.generation == 3
+    with pytest.raises(GoneError, match="r1 are no longer"):
+        memory.bay("r1")
+    assert memory.has("r2")
+
+
+def test_oldest_means_finished_first_not_begun_first() -> None:
+    memory, _ = memory_of(2)
+    memory.grant("r1")
+    memory.grant("r2")
+    memory.use("r2", "finished")
+    memory.use("r1", "finished")
+    assert memory.grant("r3").evicted == "r2"
+
+
+def test_a_full_ring_names_the_holders() -> None:
+    memory, leases = memory_of(3)
+    finish(memory, "r1")
+    leases.take("r1", "tester 3", "AOI")
+    memory.grant("r2")
+    memory.use("r2", "filming")
+    memory.grant("r3")
+    with pytest.raises(
+        BusyError, match=r"r1 is held by tester 3 \(AOI\); run r2 is being filmed; run r3 is being awai"
+    ):
+        memory.grant("r4")
+    leases.end("r1", "tester 3")
+    assert memory.grant("r4").evicted == "r1"
+
+
+def test_memory_that_comes_back_by_itself_is_told_apart() -> None:
+    memory, leases = memory_of(1)
+    memory.grant("r1")
+    memory.use("r1", "stitching")
+    leases.take("r1", "tester", "AOI")
+    assert not memory.held()
+    with pytest.raises(BusyError) as refusal:
+        memory.grant("r2")
+    assert "passes as soon as" in refusal.value.action
+    memory.use("r1", "finished")
+    assert memory.held()
+    with pytest.raises(BusyError) as refusal:
+        memory.grant("r2")
+    assert "end a hold" in refusal.value.action
+
+
+def test_freeing_ends_leases() -> None:
+    memory, leases = memory_of(2)
+    finish(memory, "r1")
+    leases.take("r1", "tester", "AOI")
+    memory.free("r1")
+    memory.free("never was")
+    assert leases.all() == ()
+    assert [bay.use for bay in memory.bays()] == ["free", "free"]
+
+
+class Line(RuleBasedStateMachine):
+    """Boards come, are finished, held, let go and released in any order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.memory, self.leases = memory_of(3)
+        self.count = 0
+        self.needed: set[str] = set()
+        self.finished: list[str] = []
+        self.held: set[str] = set()
+
+    @rule()
+    def board(self) -> None:
+        self.count += 1
+        run = f"r{self.count}"
+        free = 3 - len(self.needed) - len(self.finished)
+        idle = [r for r in self.finished if r not in self.held]
+        if free or idle:
+            evicted = self.memory.grant(run).evicted
+            assert evicted == (None if free else idle[0])
+            self.needed.add(run)
+            if evicted:
+                self.finished.remove(evicted)
+        else:
+            with pytest.raises(BusyError):
+                self.memory.grant(run)
+
+    @precondition(lambda self: self.needed)
+    @rule(data=st.data())
+    def end(self, data: st.DataObject) -> None:
+        run = data.draw(st.sampled_from(sorted(self.needed)))
+        self.memory.use(run, "finished")
+        self.needed.remove(run)
+        self.finished.append(run)
+
+    @precondition(lambda self: self.finished)
+    @rule(data=st.data(), let_go=st.booleans())
+    def hold(self, data: st.DataObject, let_go: bool) -> None:
+        run = data.draw(st.sampled_from(self.finished))
+        if let_go:
+            self.leases.end(run, "tester")
+            self.held.discard(run)
+        else:
+            self.leases.take(run, "tester", "AOI")
+            self.held.add(run)
+
+    @precondition(lambda self: self.finished)
+    @rule(data=st.data())
+    def release(self, data: st.DataObject) -> None:
+        run = data.draw(st.sampled_from(self.finished))
+        self.memory.free(run)
+        self.finished.remove(run)
+        self.held.discard(run)
+
+    @invariant()
+    def all_are_where_they_should_be(self) -> None:
+        assert {bay.run for bay in self.memory.bays() if bay.run} == self.needed | set(self.finished)
+
+
+TestLine = Line.TestCase

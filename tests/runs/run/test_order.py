@@ -1,0 +1,69 @@
+"""Which order a board belongs to."""
+
+from __future__ import annotations
+
+from vaoi_station.config import StationConfig
+from vaoi_station.model import BoardType, Calibration
+from vaoi_station.runs.run.order import Order, OrderDesk, Orders
+from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.run.salvage import camera_heads
+from vaoi_station.store import Store
+
+
+def order_of(desk: OrderDesk, board_type: BoardType, board_id: str) -> Order:
+    return desk(board_type, board_id, None)
+
+
+def make_desk(config: StationConfig, calibration: Calibration, store: Store) -> OrderDesk:
+    heads = camera_heads(config)
+    shelf = ReferenceShelf(config.data / "references", store, calibration.cameras(heads))
+    return OrderDesk(config.line, calibration, heads, store, shelf)
+
+
+def test_a_board_that_was_there_first_belongs_to_the_order_before(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    desk, orders = make_desk(config, calibration, store), Orders()
+    first, second = order_of(desk, board_type, "b1"), order_of(desk, board_type, "b2")
+    orders.accept(first, None, 10.0)
+    assert orders.take(11.0) is first
+    orders.accept(second, None, 20.0)
+    assert orders.take(19.9) is first
+    assert orders.take(20.1) is second
+
+
+def test_so_many_runs_and_no_more(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    orders = Orders()
+    orders.accept(order_of(make_desk(config, calibration, store), board_type, "b"), 2, 10.0)
+    assert orders.wants_more
+    orders.take(11.0)
+    assert orders.wants_more
+    shown = orders.shown()
+    assert shown is not None
+    assert (shown.board_id, shown.runs_left) == ("b", 1)
+    orders.take(12.0)
+    assert not orders.wants_more
+
+
+def test_a_board_under_the_barrier_when_the_line_is_disarmed_keeps_its_order(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    orders, order = Orders(), order_of(make_desk(config, calibration, store), board_type, "b")
+    assert orders.take(0.0) is None
+    orders.accept(order, None, 10.0)
+    orders.cancel(20.0)
+    orders.cancel(21.0)
+    assert not orders.wants_more
+    assert orders.shown() is None
+    assert orders.take(19.0) is order
+
+
+def test_what_was_used_is_kept_with_its_digest(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    order = order_of(make_desk(config, calibration, store), board_type, "b")
+    assert BoardType.model_validate_json(store.document(order.board_type_digest)) == board_type
+    kept = Calibration.model_validate_json(store.document(order.calibration_digest))
+    assert len(kept.cameras(camera_heads(config))) == len(order.setup.cameras) == 2

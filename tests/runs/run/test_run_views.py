@@ -1,0 +1,61 @@
+"""The belt as a board saw it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof
+from vaoi_station.model import Status, Stitch
+from vaoi_station.runs.run.run_views import belt_speed, trigger_reasons, versions
+
+
+def stitch_of(vx: float, vy: float, turn: float, about: tuple[float, float], times: np.ndarray) -> Stitch:
+    """A board that moves evenly and turns evenly about a point of its own."""
+    rows = []
+    for t in times:
+        a = turn * t
+        r = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+        shift = np.asarray(about) + np.array([vx, vy]) * t - r @ np.asarray(about)
+        rows.append(np.vstack([np.column_stack([r, shift]), [0, 0, 1]]))
+    return Stitch(
+        method="auto",
+        image_matrices=((None,) * len(times),),
+        cad_matrix=None,
+        row_motion=tuple(rows),
+        status=Status.OK,
+    )
+
+
+@given(
+    st.floats(-5, 5), st.floats(50, 200), st.floats(-0.01, 0.01), st.tuples(st.floats(-300, 300), st.floats(-300, 300))
+)
+def test_speed_is_that_of_the_boards_middle_however_it_turns(
+    vx: float, vy: float, turn: float, about: tuple[float, float]
+) -> None:
+    times = np.array([0, 0.1, 0.25, 0.3, 0.4])
+    belt = belt_speed(stitch_of(vx, vy, turn, about, times), times, (0.0, 100.0), np.asarray(about))
+    assert belt.measured_mm_s == pytest.approx((vx, vy), abs=1e-9)
+    assert belt.ratio == pytest.approx(np.hypot(vx, vy) / 100)
+
+
+def test_what_speaks_against_frames_is_a_reason_with_camera_and_row() -> None:
+    """Ignored triggers are missing frames, which are told as such."""
+    findings = (
+        TriggerFinding(camera=2, row=None, kind="runs-freely", text="it sends a frame every 33.3 ms"),
+        TriggerFinding(camera=0, row=4, kind="extra-frame", text="once more"),
+        TriggerFinding(camera=0, row=5, kind="ignored-trigger", text="no answer"),
+    )
+    reasons = list(trigger_reasons(TriggerProof(proven=False, cameras=(), findings=findings)))
+    assert [(r.code, r.message) for r in reasons] == [
+        ("trigger-runs-freely", "Camera 2: it sends a frame every 33.3 ms."),
+        ("trigger-extra-frame", "Camera 0, row 4: once more."),
+    ]
+    assert all(r.action for r in reasons)
+    assert list(trigger_reasons(None)) == []
+
+
+def test_versions_name_what_computed() -> None:
+    assert versions().opencv[0] in "45"

@@ -1,0 +1,66 @@
+"""What is made of a run whose second half never came."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vaoi_station.acquisition.process.messages import FrameSettled, PulseSeen, RunStarted
+from vaoi_station.config import StationConfig
+from vaoi_station.model import BoardType, Calibration, FrameRecord, Pulse, Verdict
+from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.run.order import OrderDesk
+from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.run.salvage import CAUSE, camera_heads, film_from_pieces
+from vaoi_station.runs.workers.jobs import Answer, Linked, LinkJob
+from vaoi_station.stitching.matching.evidence import Links
+from vaoi_station.store import Store
+
+
+def progress_of(config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType) -> Progress:
+    heads = camera_heads(config)
+    shelf = ReferenceShelf(config.data / "references", store, calibration.cameras(heads))
+    order = OrderDesk(config.line, calibration, heads, store, shelf)(board_type, None, None)
+    return Progress.begin(RunStarted("r1", 1, 50.0), Bay(1, "filming", "r1", 7), order)
+
+
+def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    progress = progress_of(config, calibration, store, board_type)
+    for index, time_s in ((0, 9.0), (1, 9.1000000004), (3, 9.3)):
+        progress.pulses[PulseSeen("r1", Pulse(index=index, time_s=time_s)).pulse.index] = Pulse(
+            index=index, time_s=time_s
+        )
+    for camera, row, at in ((0, 0, 51.0), (1, 0, 51.5), (0, 1, 52.0), (0, 3, 53.0)):
+        record = FrameRecord(camera=camera, row=row, verdict=Verdict.OK, slot=row)
+        progress.settle(FrameSettled("r1", record, at))
+    film = film_from_pieces(progress, config)
+    assert film is not None
+    assert film.head.rows == 2
+    assert film.head.trigger_times_s == (0.0, 0.1)
+    assert film.head.missing == ((1, 1),)
+    assert [(f.camera, f.row, f.verdict) for f in film.frames] == [
+        (0, 0, Verdict.OK),
+        (0, 1, Verdict.OK),
+        (1, 0, Verdict.OK),
+        (1, 1, Verdict.MISSING),
+    ]
+    assert film.frames[-1].cause == CAUSE
+    assert (film.bay, film.reason) == (1, "acquisition lost")
+    progress.filmed(film)
+    for task in progress.needed:
+        nothing = Linked.of(Links.none(task, "scripted"), 0.0)
+        progress.answered(LinkJob(progress.context, task.a[0], (task,), {}), Answer((nothing,), None, 0.0), 60.0)
+    conclusion = progress.conclusion()
+    assert conclusion is not None
+    assert conclusion.beside == {task for task in progress.asked_s if task.a[1] == 3} != set(), "also unanswered ones"
+
+
+def test_without_a_pulse_there_is_no_film(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    progress: Any = progress_of(config, calibration, store, board_type)
+    assert film_from_pieces(progress, config) is None
+    progress.pulses[1] = Pulse(index=1, time_s=3.0)
+    assert film_from_pieces(progress, config) is None

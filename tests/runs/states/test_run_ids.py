@@ -1,0 +1,41 @@
+"""Run ids and times."""
+
+from __future__ import annotations
+
+import re
+import time
+from datetime import UTC, datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.runs.states.run_ids import RunIds, utc, utc_of_host
+
+
+def test_times_are_rfc_3339_in_utc() -> None:
+    assert utc(datetime(2026, 11, 3, 14, 1, 2, 345678, tzinfo=UTC)) == "2026-11-03T14:01:02.345Z"
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", utc())
+
+
+def test_host_time_is_told_in_utc() -> None:
+    an_hour_ago = utc_of_host(time.monotonic() - 3600)
+    assert an_hour_ago < utc()
+    assert datetime.fromisoformat(an_hour_ago).tzinfo is not None
+
+
+@given(st.lists(st.integers(0, 2**44), min_size=2, max_size=30))
+def test_ids_rise_whatever_the_clock_does(clock_ms: list[int]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        ids, given_out = RunIds(), []
+        for ms in clock_ms:
+            patch.setattr(time, "time_ns", lambda ms=ms: ms * 1_000_000)
+            given_out.append(ids.next())
+    assert given_out == sorted(set(given_out))
+    assert all(re.fullmatch(r"[0-9a-hjkmnp-tv-z]{10}-[0-9a-hjkmnp-tv-z]{6}", name) for name in given_out)
+
+
+def test_ids_go_on_after_those_of_an_earlier_life(monkeypatch: pytest.MonkeyPatch) -> None:
+    last = RunIds().next()
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    assert RunIds(last).next() > last

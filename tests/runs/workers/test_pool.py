@@ -1,0 +1,317 @@
+"""Real worker processes: they work, they die, and nothing is lost."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import GoneError, InternalError, StateError
+from vaoi_station.model import BoardType, Calibration
+from vaoi_station.rendering import views_of
+from vaoi_station.runs.run.salvage import camera_heads
+from vaoi_station.runs.workers import pool as module
+from vaoi_station.runs.workers.jobs import Answer, ConcludeJob, Job, LinkJob, OpenRun, RenderJob, RunContext
+from vaoi_station.runs.workers.pool import WorkerPool
+from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.work import Setup
+
+PATIENCE_S = 120.0
+
+
+class Plant:
+    """A ring with one textured run, and a pool over it."""
+
+    def __init__(self, config: StationConfig, calibration: Calibration, board_type: BoardType) -> None:
+        self.ring = Ring.create(ring_path(config), RingLayout.of(config))
+        self.cameras = calibration.cameras(camera_heads(config))
+        self.setup = Setup(self.cameras, config.line.conveyor_mm_s, config.line.trigger_period_s, board_type)
+        self.generation = self.ring.claim(0)
+        self.context = RunContext("r1", 0, self.generation)
+        picture = np.random.default_rng(1).integers(0, 255, self.ring.frame(0).shape, dtype=np.uint8)
+        for camera in range(2):
+            for row in range(3):
+                self.ring.frame(self.ring.slot(0, camera, row))[:] = picture
+        self.lost: list[str] = []
+        self.complete = 0
+        """So often the pool has said that all workers are there."""
+        self.news = threading.Condition()
+        self.pool = WorkerPool(2, self.ring.path)
+        self.pool.open_run(OpenRun(self.context, self.setup))
+        self.pool.start(self._note, self._count)
+
+    def _note(self, sentence: str) -> None:
+        with self.news:
+            self.lost.append(sentence)
+            self.news.notify_all()
+
+    def _count(self) -> None:
+        self.complete += 1
+
+    def until(self, true: Callable[[], bool]) -> None:
+        with self.news:
+            while not true():
+                assert self.news.wait(0.05) or self._patient()
+
+    def _patient(self) -> bool:
+        self.waited = getattr(self, "waited", 0.0) + 0.05
+        return self.waited < PATIENCE_S
+
+    def all_idle(self) -> None:
+        self.until(lambda: all(w.doing == "idle" for w in self.pool.status()))
+
+    def pid(self, worker: int) -> int:
+        pid = self.pool.status()[worker].pid
+        assert pid is not None
+        return pid
+
+    def link(self, camera: int = 0, row: int = 0) -> LinkJob:
+        a, b = (camera, row), (camera, row + 1)
+        slots = {a: self.ring.slot(0, *a), b: self.ring.slot(0, *b)}
+        return LinkJob(self.context, camera, (Task("rows", a, b, 0.1),), slots)
+
+    def picture(self, make_stitch: Callable[..., Any], head: Any) -> RenderJob:
+        board_type = self.setup.board_type
+        assert board_type is not None
+        view = views_of(board_type.components[0], board_type, make_stitch(head), self.cameras)[0]
+        slot = self.ring.slot(0, view.camera, view.row)
+        return RenderJob("r1", 0, self.generation, slot, view, "png")
+
+    def submit(self, job: Job) -> Pending:
+        pending = Pending()
+        self.pool.submit(job, pending.take)
+        return pending
+
+    def close(self) -> None:
+        self.pool.stop()
+        self.ring.close()
+
+
+class Pending:
+    """An answer that will come."""
+
+    def __init__(self) -> None:
+        self._there = threading.Event()
+        self.answers: list[Answer] = []
+
+    def take(self, answer: Answer) -> None:
+        self.answers.append(answer)
+        self._there.set()
+
+    def get(self) -> Answer:
+        assert self._there.wait(PATIENCE_S)
+        return self.answers[0]
+
+
+@pytest.fixture
+def plant(config: StationConfig, calibration: Calibration, board_type: BoardType) -> Iterator[Plant]:
+    made = Plant(config, calibration, board_type)
+    yield made
+    made.close()
+
+
+def test_tasks_and_pictures_are_done(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
+    answer = plant.submit(plant.link()).get()
+    assert answer.error is None, answer.error
+    assert isinstance(answer.value[0].evidence, Links)
+    assert answer.worker_s > 0
+    picture = plant.submit(plant.picture(make_stitch, make_head(3))).get()
+    assert picture.value[:4] == b"\x89PNG"
+
+
+def test_frames_of_one_camera_go_to_one_worker_unless_it_is_busy(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    try:
+        pending = [plant.submit(plant.link(camera, row)) for row in range(2) for camera in (0, 1)]
+        doing = [w.doing for w in plant.pool.status()]
+        assert [word.split(" of ")[1].split(" and")[0] for word in doing] == ["(0, 0)", "(1, 0)"]
+    finally:
+        for worker in (0, 1):
+            os.kill(plant.pid(worker), signal.SIGCONT)
+    assert all(p.get().error is None for p in pending)
+
+
+def test_a_busy_worker_has_its_next_links_at_hand_but_no_run_it_has_not_opened(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    try:
+        pending = [plant.submit(plant.link(camera)) for camera in (0, 1)]
+        other = RunContext("r2", 0, plant.generation)
+        plant.pool.open_run(OpenRun(other, plant.setup))
+        pending.append(plant.submit(dataclasses.replace(plant.link(), context=other)))
+        assert [len(w.jobs) for w in plant.pool._workers] == [1, 1]
+        pending.append(plant.submit(plant.link(0, 1)))
+        assert [len(w.jobs) for w in plant.pool._workers] == [2, 1]
+    finally:
+        for worker in (0, 1):
+            os.kill(plant.pid(worker), signal.SIGCONT)
+    assert all(p.get().error is None for p in pending)
+
+
+def test_a_worker_killed_in_mid_task_loses_nothing(plant: Plant) -> None:
+    plant.all_idle()
+    victim = plant.pid(0)
+    os.kill(victim, signal.SIGSTOP)
+    pending = [plant.submit(plant.link(0, row)) for row in (0, 1, 0, 1)]
+    assert "rows of (0, 0)" in plant.pool.status()[0].doing
+    os.kill(victim, signal.SIGKILL)
+    answers = [p.get() for p in pending]
+    assert all(isinstance(answer.value[0].evidence, Links) for answer in answers)
+    plant.until(lambda: len(plant.lost) == 1)
+    assert "Worker 0 ended with code -9 while doing rows of (0, 0)" in plant.lost[0]
+    plant.all_idle()
+    status = plant.pool.status()
+    assert [w.restarts for w in status] == [1, 0]
+    assert status[0].pid != victim
+    assert all(len(p.answers) == 1 for p in pending)
+
+
+def test_a_task_that_takes_two_workers_with_it_is_given_back(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    pending = plant.submit(plant.link())
+    first, second = plant.pid(0), plant.pid(1)
+    os.kill(first, signal.SIGKILL)
+    plant.until(lambda: "rows of" in plant.pool.status()[1].doing)
+    os.kill(second, signal.SIGKILL)
+    answer = pending.get()
+    assert isinstance(answer.error, InternalError)
+    assert answer.error.code == "worker-lost"
+    assert "took 2 workers with it" in answer.error.message
+    plant.all_idle()
+    assert plant.submit(plant.link()).get().error is None
+
+
+def test_an_idle_worker_gives_signs_of_life_and_one_that_hangs_is_replaced(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "PULSE_S", 0.05)
+    plant.all_idle()
+    seen = [worker.seen_s for worker in plant.pool._workers]
+    plant.until(lambda: all(w.seen_s != s for w, s in zip(plant.pool._workers, seen, strict=True)))
+    assert plant.complete == 1, "it is told once, not with every sign of life"
+    victim = plant.pid(1)
+    os.kill(victim, signal.SIGSTOP)
+    plant.until(lambda: plant.pool._workers[1].asked_s is not None)
+    monkeypatch.setattr(module, "JOB_LIMIT_S", 0.0)
+    plant.until(lambda: len(plant.lost) > 0)
+    monkeypatch.setattr(module, "JOB_LIMIT_S", 30.0)
+    assert any("Worker 1 ended with code -9" in sentence for sentence in plant.lost)
+    plant.all_idle()
+    assert plant.pid(1) != victim
+    assert plant.complete == 2
+
+
+def conclusion(plant: Plant, head: Any, jobs: list[LinkJob], answers: list[Answer]) -> ConcludeJob:
+    slots = {(camera, row): plant.ring.slot(0, camera, row) for camera in range(2) for row in range(3)}
+    linked = {job.tasks[0]: answer.value[0] for job, answer in zip(jobs, answers, strict=True)}
+    return ConcludeJob(plant.context, head, slots, linked)
+
+
+def numbers(answer: Answer) -> Any:
+    """What was concluded, but for the time it took."""
+    assert answer.error is None, answer.error
+    document = json.loads(answer.value.document)
+    del document["quality"]["timings_ms"]
+    return document
+
+
+def test_the_worker_that_concludes_has_gathered_what_others_found(plant: Plant, make_head: Any) -> None:
+    plant.all_idle()
+    jobs = [plant.link(camera, row) for row in range(2) for camera in (0, 1)]
+    answers = [plant.submit(job).get() for job in jobs]
+    tasks = {job.tasks[0] for job in jobs}
+    plant.until(lambda: plant.pool._workers[1].evidence.get("r1") == tasks)
+    plant.all_idle()
+    job = conclusion(plant, make_head(3), jobs, answers)
+    assert job.without(plant.pool._workers[1].evidence["r1"]).linked == {}
+    gathered = numbers(plant.submit(job).get())
+    assert len(gathered["quality"]["unlinked"]) == 4, "one picture everywhere: nothing moves, but each was looked at"
+    os.kill(plant.pid(1), signal.SIGKILL)
+    plant.until(lambda: len(plant.lost) == 1)
+    plant.all_idle()
+    assert not plant.pool._workers[1].evidence, "what it had has gone with it"
+    assert numbers(plant.submit(job).get()) == gathered
+    plant.pool.close_run("r1")
+    assert not any(worker.evidence for worker in plant.pool._workers)
+
+
+def test_what_was_looked_at_in_vain_does_not_count(plant: Plant, make_head: Any) -> None:
+    plant.all_idle()
+    jobs = [plant.link(0, row) for row in range(2)]
+    answers = [plant.submit(job).get() for job in jobs]
+    plant.all_idle()
+    job = conclusion(plant, make_head(3), jobs, answers)
+    assert len(numbers(plant.submit(job).get())["quality"]["unlinked"]) == 2
+    less = dataclasses.replace(job, linked={}, beside=frozenset(jobs[1].tasks))
+    assert [u["a"] for u in numbers(plant.submit(less).get())["quality"]["unlinked"]] == [[0, 0]]
+
+
+def test_a_conclusion_whose_worker_is_away_is_made_by_another(plant: Plant, make_head: Any) -> None:
+    plant.all_idle()
+    jobs = [plant.link(camera) for camera in (0, 1)]
+    answers = [plant.submit(job).get() for job in jobs]
+    plant.all_idle()
+    os.kill(plant.pid(1), signal.SIGSTOP)
+    job = conclusion(plant, make_head(3), jobs, answers)
+    pending = plant.submit(job)
+    assert "the conclusion of run r1" in plant.pool.status()[1].doing
+    os.kill(plant.pid(1), signal.SIGKILL)
+    assert numbers(pending.get()) == numbers(plant.submit(job).get())
+
+
+def test_pixels_of_a_later_board_are_not_mistaken_for_this_ones(
+    plant: Plant, make_stitch: Callable[..., Any], make_head: Any
+) -> None:
+    plant.ring.claim(0)
+    for job in (plant.link(), plant.picture(make_stitch, make_head(3))):
+        assert isinstance(plant.submit(job).get().error, GoneError)
+
+
+def test_a_job_that_fails_is_our_fault_and_the_worker_lives_on(plant: Plant) -> None:
+    broken = LinkJob(plant.context, 0, plant.link().tasks, {})
+    answer = plant.submit(broken).get()
+    assert isinstance(answer.error, InternalError)
+    assert "is not there" in answer.error.message
+    assert plant.submit(plant.link()).get().error is None
+    assert [w.restarts for w in plant.pool.status()] == [0, 0]
+
+
+def test_links_that_nobody_needs_any_more_are_dropped(plant: Plant) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    pending = [plant.submit(plant.link(0, 0)) for _ in range(5)]
+    plant.pool.close_run("r1")
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGCONT)
+    assert pending[0].get().error is None
+    plant.all_idle()
+    assert sum(len(p.answers) for p in pending) < len(pending)
+
+
+def test_the_end_gives_everything_back_and_leaves_no_process(plant: Plant) -> None:
+    plant.all_idle()
+    pids = [plant.pid(0), plant.pid(1)]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    pending = [plant.submit(plant.link(0, 0)) for _ in range(4)]
+    plant.pool.stop(timeout_s=0.1)
+    assert all(isinstance(p.get().error, StateError) for p in pending)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert isinstance(plant.submit(plant.link()).get().error, StateError)
+    plant.pool.stop()

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.stitching.adjustment.motion import Motion, measured_velocity, nominal_motion
+
+mm = st.floats(-300, 300)
+rows = st.lists(st.tuples(st.floats(-0.1, 0.1), mm, mm), min_size=1, max_size=6)
+
+
+def motion_of(values: list[tuple[float, float, float]], pivot: tuple[float, float]) -> Motion:
+    v = np.array(values)
+    return Motion(v[:, 0], v[:, 1:], np.array(pivot))
+
+
+@given(rows, st.tuples(mm, mm), st.lists(st.tuples(mm, mm), min_size=1, max_size=4))
+def test_board_and_row_are_each_others_inverse(
+    values: list[tuple[float, float, float]], pivot: tuple[float, float], points: list[tuple[float, float]]
+) -> None:
+    motion, p = motion_of(values, pivot), np.array(points)
+    for j in range(len(values)):
+        there = motion.row_from_tester(j)(p)
+        np.testing.assert_allclose(motion.board(np.full(len(p), j), there), p, atol=1e-9)
+
+
+@given(rows, st.tuples(mm, mm))
+def test_in_gauge_the_first_row_stands_still_and_the_others_keep_their_distance(
+    values: list[tuple[float, float, float]], pivot: tuple[float, float]
+) -> None:
+    motion = motion_of(values, pivot)
+    gauged = motion.in_gauge()
+    np.testing.assert_allclose(gauged.row_from_tester(0).matrix, np.eye(3), atol=1e-9)
+    first = motion.row_from_tester(0).inverse().matrix
+    for j in range(len(values)):
+        expected = motion.row_from_tester(j).matrix @ first
+        np.testing.assert_allclose(gauged.row_from_tester(j).matrix, expected, atol=1e-9)
+    np.testing.assert_allclose(gauged.in_gauge().shift, gauged.shift, atol=1e-9)
+
+
+@given(st.floats(-0.5, 0.5), st.tuples(mm, mm))
+def test_directions_turn_with_the_board(angle: float, arrow: tuple[float, float]) -> None:
+    motion = Motion(np.array([0.0, angle]), np.array([[0.0, 0], [5, 7]]), np.array([3.0, 4]))
+    row, a = np.array([1]), np.array([arrow])
+    both = motion.board(row, motion.pivot + a) - motion.board(row, np.array([motion.pivot]))
+    np.testing.assert_allclose(motion.turned(row, a), both, atol=1e-9)
+
+
+def test_the_belt_as_it_should_be() -> None:
+    times = np.array([2.0, 2.1, 2.3])
+    motion = nominal_motion(times, np.array([0.0, 100.0]), np.array([40.0, 0.0]))
+    np.testing.assert_allclose(motion.row_from_tester(2).matrix, [[1, 0, 0], [0, 1, 30], [0, 0, 1]], atol=1e-9)
+    assert measured_velocity(motion, times, np.array([0, 1, 2])) == pytest.approx([0, 100])
+    assert measured_velocity(motion, times, np.array([1, 2])) == pytest.approx([0, 100])
+    assert measured_velocity(motion, times, np.array([1])) is None

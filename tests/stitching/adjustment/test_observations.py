@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import Lens
+from vaoi_station.stitching.adjustment.observations import Ledger, observe
+from vaoi_station.stitching.matching.evidence import Links, Task
+
+
+def links(task: Task, a: Any, b: Any, information: Any = None) -> Links:
+    k = len(a)
+    return Links(
+        task,
+        np.array(a),
+        np.array(b),
+        np.tile(np.eye(2), (k, 1, 1)) if information is None else information,
+        np.ones(k),
+    )
+
+
+def test_links_come_to_the_ground_with_their_rows(workshop: Any) -> None:
+    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
+    first = links(Task("rows", (0, 1), (0, 2), 0.1), [[20.0, 30.0], [40.0, 50.0]], [[20.0, 90.0], [40.0, 110.0]])
+    second = links(Task("neighbours", (0, 2), (1, 2)), [[180.0, 30.0]], [[30.0, 31.0]])
+    nothing = Links.none(Task("rows", (0, 0), (0, 1), 0.1), "empty")
+    o = observe([first, nothing, second], cameras)
+    assert (o.p.tolist(), o.q.tolist(), o.group.tolist()) == ([1, 1, 2], [2, 2, 2], [0, 0, 1])
+    assert o.groups == (first, second)
+    np.testing.assert_allclose(o.a_mm[0], cameras[0].ground([20.0, 30.0]))
+    np.testing.assert_allclose(o.b_mm[2], cameras[1].ground([30.0, 31.0]))
+    assert o.px_per_mm == pytest.approx(10.0)
+    assert not o.a_lean.any(), "without a working distance nothing leans"
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.003])
+def test_noise_is_carried_to_the_ground(workshop: Any, bend: float) -> None:
+    """Against the scatter of many noisy pixels, for a tilted, turned camera."""
+    lens = Lens((99.5, 79.5), 128.0, (bend,))
+    camera = workshop.camera((3, 1), angle_rad=0.3, tilt=(2e-3, -1e-3), distance_mm=100.0, lens=lens)
+    covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
+    px = np.array([150.0, 120.0])
+    o = observe([links(Task("rows", (0, 0), (0, 1)), [px], [px], np.linalg.inv(covariance)[None])], (camera,))
+    noisy = camera.ground(px + np.random.default_rng(0).multivariate_normal([0, 0], covariance, 20000))
+    np.testing.assert_allclose(o.noise_mm2[0], np.cov(noisy.T), rtol=0.06, atol=1e-5)
+    np.testing.assert_allclose(o.b_lean[0], camera.parallax(camera.ground(px)))
+
+
+def test_nothing_seen_is_nothing_observed(workshop: Any) -> None:
+    o = observe([], (workshop.camera(),))
+    assert len(o) == 0
+    assert o.noise_mm2.shape == (0, 2, 2)
+
+
+def test_links_entered_one_by_one_are_the_same_in_whatever_order_they_are_asked_for(workshop: Any) -> None:
+    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
+    chance = np.random.default_rng(2)
+    found = [
+        links(
+            Task("rows", (k % 2, k), (k % 2, k + 1)), chance.uniform(20, 150, (n, 2)), chance.uniform(20, 150, (n, 2))
+        )
+        for k, n in enumerate((3, 3000, 0, 1, 2500, 80))
+    ]
+    ledger = Ledger(cameras)
+    for k in (4, 1, 5):
+        ledger.enter(found[k])
+    for asked in (found, found[::-1], found[2:], []):
+        once = observe(asked, cameras)
+        again = ledger.observations(asked)
+        for name in ("p", "q", "a_mm", "b_mm", "a_lean", "b_lean", "noise_mm2", "px_per_mm", "group"):
+            assert np.array_equal(getattr(once, name), getattr(again, name)), name
+        assert again.groups == once.groups
+    other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
+    both = ledger.observations([found[0], other])
+    np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))

@@ -1,0 +1,296 @@
+"""The adjustment on links made from a known truth: two cameras, six rows, a board with parts, lifted and bent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment import solver as adjustment
+from vaoi_station.stitching.adjustment.excess_noise import excess
+from vaoi_station.stitching.adjustment.initial_motion import chained
+from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.adjustment.observations import observe
+from vaoi_station.stitching.adjustment.problem import Adjusted, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.solver import adjust, looked_at, roughly, similar
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis
+from vaoi_station.stitching.matching.evidence import Links, Task
+
+Array = NDArray[np.float64]
+ROWS, STEP_MM, PX_PER_MM = 6, 8.0, 10.0
+TIMES: Array = np.arange(ROWS, dtype=np.float64) * 0.1
+VELOCITY = np.array([0.0, STEP_MM / 0.1])
+BOARD = BoardType(name="b", outline=((-16.0, -46.0), (16.0, 8.0)))
+C = np.array([0.9998, 0.012, 0.4, -0.7])
+FIDUCIALS = np.array([[-13.0, -40.0], [12.0, 4.0], [13.0, -38.0]])
+STATED_PX, REAL_PX, PAIR_PX = 0.01, 0.03, 0.006
+MARK_PX = 0.005
+"""What every sighting is off, and once more what all of one fiducial are off."""
+
+
+@dataclass
+class Bench:
+    """A truth, and what would be seen of it."""
+
+    g: np.random.Generator
+    cameras: tuple[Camera, ...]
+    motion: Motion
+    surface: Array
+    heights: Array
+    real_px: float = REAL_PX
+    pair_px: float = PAIR_PX
+
+    def height(self, board: Array, component: NDArray[np.int_]) -> Array:
+        """Of board points: the surface, and the part that stands there."""
+        cad = (board - C[2:]) @ np.array([[C[0], -C[1]], [C[1], C[0]]]) / (C[0] ** 2 + C[1] ** 2)
+        return np.asarray(basis(BOARD, cad) @ self.surface + np.append(self.heights, 0.0)[component])
+
+    def seen(self, camera: int, row: int, board: Array, height: Array) -> Array:
+        return self.cameras[camera].project(self.motion.row_from_tester(row)(board), height)
+
+    def links(self, a: tuple[int, int], b: tuple[int, int], count: int = 40) -> tuple[Links, NDArray[np.int_]]:
+        """Links between two frames with their noise, and the component each lies on."""
+        board = self.g.uniform((-22, -62), (22, 22), (4000, 2))
+        component = np.where(self.g.random(4000) < 0.3, self.g.integers(0, max(len(self.heights), 1), 4000), -1)
+        component = component if len(self.heights) else np.full(4000, -1)
+        height = self.height(board, component)
+        pa, pb = self.seen(*a, board, height), self.seen(*b, board, height)
+        both = np.flatnonzero(self.cameras[a[0]].sees(pa, 5) & self.cameras[b[0]].sees(pb, 5))[:count]
+        shared = self.g.normal(0, self.pair_px, 2)
+        noise = self.g.normal(0, self.real_px, (len(both), 2)) + shared
+        task = Task("rows" if a[0] == b[0] else "neighbours", a, b, 0.1 * (b[1] - a[1]))
+        information = np.tile(np.eye(2) / STATED_PX**2, (len(both), 1, 1))
+        return Links(task, pa[both], pb[both] + noise, information, np.ones(len(both))), component[both]
+
+    def problem(self, *, without: tuple[int, ...] = (), outliers: float = 0.0) -> Problem:
+        """All links of the run, but none that touch some rows."""
+        frames = [((i, p), (i, q)) for i in (0, 1) for p, q in pairwise(range(ROWS))]
+        frames += [((0, j), (1, j)) for j in range(ROWS)]
+        made = [self.links(a, b) for a, b in frames if not {a[1], b[1]} & set(without)]
+        for links, _ in made:
+            wild = self.g.random(len(links.b_px)) < outliers
+            links.b_px[wild] += self.g.uniform(0.5, 4, (int(wild.sum()), 2)) * self.g.choice(
+                [-1, 1], (int(wild.sum()), 2)
+            )
+        component = np.concatenate([c for _, c in made])
+        return Problem(TIMES, VELOCITY, observe([e for e, _ in made], self.cameras), component)
+
+    def with_fiducials(self, problem: Problem, *, surface: bool = False) -> Problem:
+        """The problem with every sighting of the fiducials."""
+        board = similar(C, FIDUCIALS)
+        height = self.height(board, np.full(len(board), -1))
+        artwork = self.g.normal(0, MARK_PX, (len(board), 2))
+        found: list[tuple[int, Array, Array, Array, int]] = []
+        for i, camera in enumerate(self.cameras):
+            for j in range(ROWS):
+                px = self.seen(i, j, board, height)
+                for n in np.flatnonzero(camera.sees(px, 8)):
+                    ground = camera.ground(px[n] + artwork[n] + self.g.normal(0, MARK_PX, 2))
+                    found.append((j, ground, camera.parallax(ground), FIDUCIALS[n], int(n)))
+        row, ground, lean, cad, which = (np.array([f[k] for f in found]) for k in range(5))
+        k = len(found)
+        sigma, resolution = np.full(k, 0.005 / PX_PER_MM), np.full(k, PX_PER_MM)
+        points = FiducialPoints(row, ground, lean, cad, sigma, resolution, which)
+        if not surface:
+            return replace(problem, fiducials=points)
+        o = problem.links
+        on_board = self.motion.board(o.p, o.a_mm)
+        cad_of_links = (on_board - C[2:]) @ np.array([[C[0], -C[1]], [C[1], C[0]]]) / (C[0] ** 2 + C[1] ** 2)
+        return replace(
+            problem, fiducials=points, surface=SurfaceBasis(basis(BOARD, cad_of_links), basis(BOARD, cad), SIGMA_MM)
+        )
+
+    def errors(self, found: Adjusted) -> Array:
+        """Deviation of the unknowns of rows 1 … m−1, in the order of the covariance."""
+        angle, shift = found.motion.angle - self.motion.angle, found.motion.shift - self.motion.shift
+        return np.column_stack([angle, shift])[1:].ravel()
+
+
+@pytest.fixture
+def bench(workshop: Any) -> Any:
+    def make(seed: int = 0, *, surface: tuple[float, ...] = (0.0,) * 6, heights: tuple[float, ...] = ()) -> Bench:
+        g = np.random.default_rng(seed)
+        left, right = (workshop.camera((x, 0.0), distance_mm=100.0, angle_rad=t) for x, t in ((-7, 0.003), (7, -0.004)))
+        pivot = np.array([0.0, 0.0])
+        angle, sway = np.cumsum(g.normal(0, 0.001, ROWS)), np.cumsum(g.normal(0, 0.05, ROWS))
+        along = np.cumsum(g.normal(STEP_MM, 0.1, ROWS))
+        shift = -np.column_stack([sway - sway[0], along - along[0]])
+        motion = Motion(angle - angle[0], shift, pivot)
+        return Bench(g, (left, right), motion, np.array(surface), np.array(heights))
+
+    return make
+
+
+def started(problem: Problem) -> Motion:
+    return chained(nominal_motion(TIMES, VELOCITY, np.array([0.0, 0.0])), problem.links)
+
+
+def test_the_motion_comes_out_of_noisy_links(bench: Any) -> None:
+    truth = bench(1)
+    problem = truth.problem()
+    found = adjust(problem, started(problem))
+    error = truth.errors(found).reshape(-1, 3)
+    assert np.hypot(*error[:, 1:].T).max() * PX_PER_MM < 0.05
+    assert np.abs(error[:, 0]).max() < 2e-4
+    assert found.motion.angle[0] == 0
+    assert not found.motion.shift[0].any()
+    assert found.similarity is None
+    assert found.floor_px == pytest.approx(REAL_PX, rel=0.2)
+    assert found.sigma0 == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_start_by_some_of_many_links_leads_to_the_same_and_few_are_not_thinned(bench: Any) -> None:
+    truth = bench(1)
+    few = truth.problem()
+    assert roughly(few, started(few)) is None
+    frames = [((i, p), (i, q)) for i in (0, 1) for p, q in pairwise(range(ROWS))] * 5
+    many = observe([truth.links(a, b, count=400)[0] for a, b in frames], truth.cameras)
+    problem = replace(few, links=many, component=np.full(len(many), -1))
+    rough = roughly(problem, started(problem))
+    assert rough is not None
+    exact = adjust(problem, started(problem)).motion
+    assert not np.array_equal(rough.shift, started(problem).shift)
+    assert np.abs(rough.shift - exact.shift).max() < 0.01
+    assert np.abs(adjust(problem, rough).motion.shift - exact.shift).max() < 1e-4
+    seen = looked_at(problem, rough)
+    assert seen.motion is rough
+    assert not seen.covariance.any()
+    by_hand = rough.board(many.q, many.b_mm) - rough.board(many.p, many.a_mm)
+    assert seen.link_px == pytest.approx(by_hand * many.px_per_mm[:, None], abs=1e-9)
+    assert (seen.weight > 0.5).mean() > 0.9
+
+
+def test_a_sample_of_many_links_is_of_the_kind_that_code_is_compiled_for(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = bench(1)
+    problem = truth.problem()
+    adjust(problem, started(problem))
+    code: Any = excess
+    before = set(code.signatures)
+    monkeypatch.setattr(adjustment, "_TELLING", 40)
+    adjust(problem, started(problem))
+    assert set(code.signatures) == before
+
+
+def test_a_fifth_of_wild_links_does_not_matter(bench: Any) -> None:
+    truth = bench(2)
+    problem = truth.problem(outliers=0.2)
+    found = adjust(problem, started(problem))
+    error = truth.errors(found).reshape(-1, 3)
+    assert np.hypot(*error[:, 1:].T).max() * PX_PER_MM < 0.08
+    assert (found.weight < 0.05).mean() == pytest.approx(0.2, abs=0.05)
+
+
+def test_without_noise_the_truth_is_met(bench: Any) -> None:
+    truth = replace(bench(3), real_px=0.0, pair_px=0.0)
+    problem = truth.problem()
+    error = truth.errors(adjust(problem, started(problem))).reshape(-1, 3)
+    assert np.abs(error[:, 1:]).max() * PX_PER_MM < 0.005, "the belt's prior pulls that much"
+
+
+def test_the_stated_covariance_is_that_of_the_errors(bench: Any) -> None:
+    normalised = []
+    for seed in range(16):
+        truth = bench(100 + seed)
+        problem = truth.problem()
+        found = adjust(problem, started(problem))
+        errors = truth.errors(found).reshape(-1, 3)
+        of_rows = found.covariance[1:, :3, :3]
+        normalised += [e @ np.linalg.solve(c, e) / 3 for e, c in zip(errors, of_rows, strict=True)]
+    print("mean normalised squared error:", np.mean(normalised))
+    assert 0.5 < np.mean(normalised) < 2.0
+
+
+def test_rows_nobody_sees_stay_where_the_belt_puts_them(bench: Any) -> None:
+    truth = bench(4)
+    problem = truth.problem(without=(5,))
+    found = adjust(problem, started(problem))
+    sigma = np.sqrt(np.diagonal(found.covariance[:, :3, :3], axis1=1, axis2=2))
+    assert sigma[5, 1:].min() * PX_PER_MM > 1.0
+    assert sigma[4, 1:].max() * PX_PER_MM < 0.1
+    error = truth.errors(found).reshape(-1, 3)[-1]
+    assert (np.abs(error) < 4 * sigma[5]).all()
+    mean_step = (found.motion.shift[4] - found.motion.shift[0]) / 4
+    assert found.motion.shift[5] - found.motion.shift[4] == pytest.approx(mean_step, abs=0.3)
+
+
+def test_without_any_link_the_belt_is_all_there_is(bench: Any) -> None:
+    truth = bench(5)
+    problem = Problem(TIMES, VELOCITY, observe([], truth.cameras), np.zeros(0, dtype=np.int_))
+    found = adjust(problem, nominal_motion(TIMES, VELOCITY, np.array([0.0, 0.0])))
+    assert found.motion.shift[:, 1] == pytest.approx(-STEP_MM * np.arange(ROWS))
+    assert np.isfinite(found.covariance).all()
+    sigma = np.sqrt(np.diagonal(found.covariance[:, :3, :3], axis1=1, axis2=2))
+    assert (np.diff(sigma[:, 2]) > 0).all(), "the further, the less sure"
+
+
+def test_one_row_alone(bench: Any) -> None:
+    problem = Problem(TIMES[:1], VELOCITY, observe([], bench().cameras), np.zeros(0, dtype=np.int_))
+    found = adjust(problem, nominal_motion(TIMES[:1], VELOCITY, np.array([0.0, 0.0])))
+    assert not found.motion.shift.any()
+
+
+def test_c_comes_out_of_the_sightings_with_its_uncertainty(bench: Any) -> None:
+    normalised = []
+    for seed in range(12):
+        truth = bench(200 + seed)
+        problem = truth.with_fiducials(truth.problem())
+        found = adjust(problem, started(problem), np.array([1.0, 0.01, 0.2, -0.5]))
+        assert found.similarity is not None
+        off = similar(found.similarity, FIDUCIALS) - similar(C, FIDUCIALS)
+        assert np.abs(off).max() * PX_PER_MM < 0.15
+        assert np.abs(found.fiducial_px).max() < 0.15
+        error = found.similarity - C
+        assert (found.covariance[:, 3:7, 3:7] == found.covariance[0, 3:7, 3:7]).all(), "C is that of all rows"
+        normalised.append(error @ np.linalg.solve(found.covariance[0, 3:7, 3:7], error) / 4)
+    print("mean normalised squared error of C:", np.mean(normalised))
+    assert 0.3 < np.mean(normalised) < 2.0
+
+
+def test_heights_of_parts_are_told_apart_from_motion(bench: Any) -> None:
+    heights = (0.0, 0.1, 0.2, 0.3)
+    truth = bench(7, heights=heights)
+    problem = truth.problem()
+    found = adjust(problem, started(problem))
+    assert found.heights_mm[0] == pytest.approx(heights, abs=0.03)
+    error = truth.errors(found).reshape(-1, 3)
+    assert np.hypot(*error[:, 1:].T).max() * PX_PER_MM < 0.05
+
+
+def test_links_on_tall_parts_are_left_out_and_no_height_is_made_up(bench: Any) -> None:
+    truth = bench(7, heights=(0.1, 3.0))
+    problem = truth.problem()
+    found = adjust(problem, started(problem))
+    along = found.heights_mm[0]
+    assert along[0] == pytest.approx(0.1, abs=0.03)
+    assert np.isnan(along[1]) or along[1] == pytest.approx(3.0, abs=0.1)
+    assert np.hypot(*truth.errors(found).reshape(-1, 3)[:, 1:].T).max() * PX_PER_MM < 0.05
+
+
+def test_parts_without_links_have_no_height(bench: Any) -> None:
+    truth = bench(8, heights=(0.2,))
+    problem = truth.problem()
+    found = adjust(replace(problem, component=np.where(problem.component >= 0, 2, -1)), started(problem))
+    assert np.isnan(found.heights_mm[:, :2]).all()
+    assert found.heights_mm[0, 2] == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("surface", [(0.5, 0, 0, 0, 0, 0), (0.4, 0.05, -0.08, -0.2, 0.03, -0.3)])
+def test_a_lifted_and_bent_board_is_measured(bench: Any, surface: tuple[float, ...]) -> None:
+    truth = bench(9, surface=surface)
+    problem = truth.with_fiducials(truth.problem(), surface=True)
+    found = adjust(problem, started(problem), np.array([1.0, 0.01, 0.2, -0.5]))
+    sigma = np.sqrt(np.diag(found.covariance[0])[-6:])
+    assert (np.abs(found.surface_mm - surface) < 4 * sigma + 0.01).all()
+    assert found.surface_mm[0] == pytest.approx(surface[0], abs=0.06)
+    error = truth.errors(found).reshape(-1, 3)
+    assert np.hypot(*error[:, 1:].T).max() * PX_PER_MM < 0.25
+    blind = adjust(replace(problem, surface=None), started(problem), np.array([1.0, 0.01, 0.2, -0.5]))
+    assert np.abs(truth.errors(blind)).max() > np.abs(truth.errors(found)).max()

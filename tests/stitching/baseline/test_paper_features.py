@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Euclidean, apply
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.stitching.baseline import paper_features as paper
+
+
+def error_mm(motion: Any, truth: Any, points: NDArray[np.float64]) -> float:
+    """The largest deviation of a row's motion, over points of the board."""
+    return max(
+        float(np.hypot(*(apply(d, points) - apply(t, points)).T).max()) for d, t in zip(motion, truth, strict=True)
+    )
+
+
+def test_the_papers_chain_works_and_errs_more_than_ours(filmed: Any) -> None:
+    chained = paper.chain(filmed.setup.cameras, filmed.head.rows, lambda i, j: filmed.frames[i, j])
+    assert not isinstance(chained, Failure)
+    assert np.array_equal(chained[0].matrix, np.eye(3))
+    points = np.array([[0.0, -10.0], [30.0, 0.0], [15.0, 10.0]])
+    theirs = error_mm([d.matrix for d in chained], filmed.truth["row_motion"], points)
+    ours = error_mm(filmed.stitch.row_motion, filmed.truth["row_motion"], points)
+    print(f"largest error of a row: the paper's chain {theirs:.4f} mm, ours {ours:.4f} mm")
+    assert theirs < 0.5
+    assert ours < 0.02
+    assert theirs > 2 * ours
+
+
+def test_six_hundred_corners_at_the_most(filmed: Any) -> None:
+    found = paper.features(filmed.frames[0, 2])
+    assert 100 < len(found.px) <= 600
+    assert found.descriptors.shape == (len(found.px), 128)
+
+
+def test_a_step_of_exactly_moved_features_is_that_motion(workshop: Any) -> None:
+    g = np.random.default_rng(1)
+    camera = workshop.camera()
+    at, descriptors = g.uniform(20, 140, (50, 2)), g.uniform(0, 255, (50, 128)).astype(np.float32)
+    back = np.array([[np.cos(0.01), -np.sin(0.01), 0.3], [np.sin(0.01), np.cos(0.01), -4.0], [0, 0, 1]])
+    later = camera.project(apply(np.linalg.inv(back), camera.ground(at)))
+    step = paper.step([paper.Features(at, descriptors)], [paper.Features(later, descriptors)], [camera])
+    assert isinstance(step, Euclidean)
+    assert step.matrix == pytest.approx(back, abs=1e-4)
+
+
+def test_frames_without_features_fail_with_a_reason(workshop: Any) -> None:
+    grey = np.full((160, 200), 30, dtype=np.uint8)
+    assert len(paper.features(grey).px) == 0
+    failed = paper.chain((workshop.camera(),), 3, lambda camera, row: grey)
+    assert isinstance(failed, Failure)
+    assert failed.reason == "rows 0 and 1: 0 matches between two rows; 6 are needed"

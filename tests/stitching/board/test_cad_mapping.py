@@ -1,0 +1,77 @@
+"""How a board of the twin lies: turned, described without an outline, or with marks that fit both ways."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.model import BoardType, Status
+from vaoi_station.stitching.board.expectation import Expectation
+
+
+def described(board_type: BoardType, *, turned: bool = False, **keys: Any) -> BoardType:
+    """The board type, perhaps as seen from its other end, with some keys replaced; None leaves a key out."""
+    data = board_type.model_dump(mode="json", exclude_none=True)
+    if turned:
+        x, y = np.sum(data["outline"], axis=0).tolist()
+        data["outline"] = [[x - a, y - b] for a, b in data["outline"]]
+        for mark in data["fiducials"]:
+            mark["x"], mark["y"] = x - mark["x"], y - mark["y"]
+        for part in data["components"]:
+            part["center"] = [x - part["center"][0], y - part["center"][1]]
+    data |= keys
+    return BoardType.model_validate({k: v for k, v in data.items() if v is not None})
+
+
+def test_three_fiducials_tell_that_a_board_lies_turned(filmed: Any) -> None:
+    less: list[dict[str, Any]] = [{}, {"outline": None}, {"outline": None, "components": []}]
+    for keys in less:
+        result = filmed.stitched(board_type=described(filmed.board_type, turned=True, **keys))
+        assert result.status is Status.FAILED, result.reasons
+        assert result.cad_matrix is None
+        assert "turned by" in result.reasons[0]
+
+
+def test_a_turned_board_is_found_where_it_is_expected_turned(filmed: Any) -> None:
+    result = filmed.stitched(
+        board_type=described(filmed.board_type, turned=True), expectation=Expectation(angle_rad=np.pi)
+    )
+    assert result.status is Status.OK
+    assert filmed.error_px(result) < 0.2
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_two_fiducials_alone_never_make_an_ok(filmed: Any, turned: bool) -> None:
+    """Neither outline nor parts: the board might lie either way."""
+    marks = described(filmed.board_type, turned=turned).model_dump(mode="json")["fiducials"][:2]
+    kind = described(filmed.board_type, turned=turned, outline=None, components=[], fiducials=marks)
+    result = filmed.stitched(board_type=kind)
+    assert result.status is Status.DEGRADED
+    assert any("turned by 180°" in r for r in result.reasons)
+
+
+def test_two_fiducials_and_an_outline_are_enough(filmed: Any) -> None:
+    marks = filmed.board_type.model_dump(mode="json")["fiducials"][:2]
+    right = filmed.stitched(board_type=described(filmed.board_type, fiducials=marks))
+    assert right.status is Status.OK
+    turned = described(filmed.board_type, turned=True)
+    turned = turned.model_copy(update={"fiducials": turned.fiducials[:2]})
+    assert filmed.stitched(board_type=turned).status is Status.FAILED
+
+
+def test_a_board_where_no_edge_shows_is_doubted(filmed: Any) -> None:
+    """The outline is given 3 mm too large all round: another type, perhaps."""
+    (x0, y0), (x1, y1) = filmed.board_type.outline
+    x0, x1, y0, y1 = min(x0, x1) - 3, max(x0, x1) + 3, min(y0, y1) - 3, max(y0, y1) + 3
+    result = filmed.stitched(board_type=described(filmed.board_type, outline=[[x0, y0], [x1, y1]]))
+    assert result.status is Status.DEGRADED
+    assert any("no edge where the board's outline should be" in r for r in result.reasons)
+
+
+def test_a_board_without_components_is_judged_by_its_corners(filmed: Any) -> None:
+    result = filmed.stitched(board_type=described(filmed.board_type, components=[]))
+    assert result.status is Status.OK
+    assert result.components == {}
+    assert 0 < result.quality["cad_sigma_px"] < 0.2

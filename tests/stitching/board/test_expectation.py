@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from vaoi_station.config import Line
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.board.expectation import expectation_of
+
+BOARD = BoardType(name="b", unit="inch", outline=((0.0, 0.0), (4.0, 2.0)))
+W, L = 101.6, 50.8
+
+
+def line(velocity: tuple[float, float], **expected: Any) -> Line:
+    return Line.model_validate(
+        {
+            "conveyor_mm_s": velocity,
+            "barrier_mm": -40.0,
+            "start_delay_s": 0.1,
+            "trigger_period_s": 0.1,
+            "tail_s": 0.2,
+            "longest_board_mm": 200.0,
+            "expected_board": expected,
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("velocity", "rotation", "corner"),
+    [
+        ((0.0, 100.0), 0.0, (None, -30.0 - L)),
+        ((0.0, -100.0), 0.0, (None, -50.0)),
+        ((100.0, 0.0), 0.0, (-30.0 - W, None)),
+        ((0.0, 100.0), 90.0, (None, -30.0 - W)),
+        ((0.0, 100.0), 180.0, (None, -30.0 - L)),
+    ],
+)
+def test_the_leading_edge_is_where_the_barrier_and_the_delay_put_it(
+    velocity: tuple[float, float], rotation: float, corner: tuple[float | None, float | None]
+) -> None:
+    found = expectation_of(line(velocity, rotation_deg=rotation), BOARD)
+    assert found.corner_mm == pytest.approx(corner)
+    assert found.angle_rad == pytest.approx(-math.radians(rotation))
+
+
+def test_rail_or_middle_say_where_it_lies_across() -> None:
+    assert expectation_of(line((0, 100), rail_mm=-7.0), BOARD).corner_mm[0] == -7.0
+    assert expectation_of(line((0, 100), center_mm=10.0), BOARD).corner_mm[0] == pytest.approx(10 - W / 2)
+    assert expectation_of(line((0, 100), center_mm=10.0, rotation_deg=90.0), BOARD).corner_mm[0] == pytest.approx(
+        10 - L / 2
+    )
+
+
+def test_tolerances_are_those_of_the_line() -> None:
+    found = expectation_of(line((0, 100), tolerance_mm=2.5, rotation_tolerance_deg=3.0), BOARD)
+    assert found.tolerance_mm == 2.5
+    assert found.angle_tolerance_rad == pytest.approx(math.radians(3))

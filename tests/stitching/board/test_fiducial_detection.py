@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vaoi_station.geometry import apply
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.board.fiducial_detection import look_again, look_deeper, mark_kinds, sight_marks
+from vaoi_station.stitching.matching.evidence import Sightings, Task
+from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.scene import Scene
+
+
+def true_places(filmed: Any) -> dict[tuple[int, int], dict[int, Any]]:
+    """Where the twin's fiducials are in every frame that shows all of them."""
+    out: dict[tuple[int, int], dict[int, Any]] = {}
+    fiducials = np.array([(f.x, f.y) for f in filmed.board_type.fiducials])
+    for i, j in filmed.present:
+        px = apply(np.array(filmed.truth["image_matrices"][i][j]) @ filmed.truth["cad_matrix"], fiducials)
+        inside = np.flatnonzero(filmed.setup.cameras[i].sees(px, 30))
+        out[i, j] = {int(n): px[n] for n in inside}
+    return out
+
+
+def test_every_fiducial_in_view_is_among_the_sightings(filmed: Any) -> None:
+    seen = 0
+    for key, truth in true_places(filmed).items():
+        camera = filmed.setup.cameras[key[0]]
+        sightings = sight_marks(Task("marks", key), Prepared(filmed.frames[key]), camera, filmed.board_type)
+        assert len(sightings.px) == len(sightings.sigma_px) == len(sightings.score) == len(sightings.kind)
+        for place in truth.values():
+            assert np.hypot(*(sightings.px - place).T).min() < 0.1
+            seen += 1
+    assert seen >= 6
+
+
+def test_without_a_board_type_nothing_is_sought(filmed: Any) -> None:
+    key = filmed.present[0]
+    sightings = sight_marks(Task("marks", key), Prepared(filmed.frames[key]), filmed.setup.cameras[0], None)
+    assert sightings.px.shape == (0, 2)
+
+
+def test_what_look_alikes_pushed_off_the_list_is_looked_for_where_it_must_be(filmed: Any) -> None:
+    motion = truth_motion(filmed)
+    prepared = {key: Prepared(pixels) for key, pixels in filmed.frames.items()}
+    scene = Scene(filmed.setup.cameras, tuple(filmed.present), prepared.__getitem__)
+    none = np.zeros(0)
+    nothing = [Sightings(Task("marks", k), np.zeros((0, 2)), none, none, none.astype(int)) for k in filmed.present]
+    again = look_again(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, nothing)
+    assert [s.task for s in again] == [s.task for s in nothing]
+    for s in again:
+        for place in true_places(filmed)[s.task.a].values():
+            assert np.hypot(*(s.px - place).T).min() < 0.1
+    twice = look_again(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, again)
+    assert [len(s.px) for s in twice] == [len(s.px) for s in again], "what is known is not listed twice"
+    deep = look_deeper(filmed.board_type, scene, nothing, fixture=False)
+    assert sum(len(s.px) for s in deep) >= sum(len(s.px) for s in again)
+
+
+def truth_motion(filmed: Any) -> Motion:
+    d = np.array(filmed.truth["row_motion"])
+    back = np.linalg.inv(d)
+    return Motion(np.arctan2(back[:, 1, 0], back[:, 0, 0]), back[:, :2, 2], np.zeros(2))
+
+
+def test_marks_of_one_kind_are_sought_once(filmed: Any) -> None:
+    ((shape, size_mm),) = mark_kinds(filmed.board_type)
+    assert (shape, size_mm) == ("circle", 1.0)

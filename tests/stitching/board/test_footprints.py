@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import Euclidean, System
+from vaoi_station.model import BoardType, Surface
+from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.board.component_index import Parts
+from vaoi_station.stitching.board.fiducial_assignment import board_frame
+from vaoi_station.stitching.board.footprints import Views, component_of, footprint_views, landmarks
+
+C = np.array([1.0, 0.02, -12.0, -8.0])
+
+
+def board(parts: list[dict[str, Any]], **keys: Any) -> BoardType:
+    return BoardType.model_validate({"name": "b", "outline": [[0, 0], [30, 20]], "components": parts} | keys)
+
+
+def part(ref: str, x: float, y: float, w: float, h: float, **keys: Any) -> dict[str, Any]:
+    return {"ref": ref, "center": [x, y], "width": w, "height": h} | keys
+
+
+@pytest.mark.parametrize("y_axis", ["up", "down"])
+@pytest.mark.parametrize("rotation", [0.0, 30.0, 90.0, -45.0])
+def test_points_belong_to_the_part_on_whose_footprint_they_lie(workshop: Any, y_axis: str, rotation: float) -> None:
+    kind = board([part("A", 8, 10, 6, 3, rotation=rotation), part("B", 22, 10, 4, 4)], y_axis=y_axis)
+    frame = board_frame(kind, workshop.camera())
+    corners = kind.footprint(kind.components[0])
+    middle = corners.mean(0)
+    inside, outside = middle + 0.95 * (corners - middle), middle + 1.35 * (corners - middle)
+    cad = np.concatenate([inside, outside, [[22, 10], [1, 1]]])
+    assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
+
+
+def test_the_smaller_of_two_parts_wins_and_flat_ones_are_board(workshop: Any) -> None:
+    kind = board([part("BIG", 10, 10, 8, 8), part("SMALL", 10, 10, 2, 2), part("PAD", 25, 10, 2, 2, body_height=0.0)])
+    frame = board_frame(kind, workshop.camera())
+    cad = np.array([[10.0, 10], [13, 13], [25, 10]])
+    assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [1, 0, -1]
+
+
+def test_of_two_alike_that_touch_the_later_one_wins(workshop: Any) -> None:
+    kind = board([part(ref, x, 10, 2, 2) for ref, x in (("A", 10.0), ("B", 12.2), ("C", 14.4))])
+    frame = board_frame(kind, workshop.camera())
+    cad = np.array([[11.1, 10], [13.3, 10], [12.2, 10]])
+    assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [1, 2, 1]
+
+
+@pytest.mark.parametrize("lift", [None, 1.0])
+def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: float | None) -> None:
+    kind = board([part("A", 8, 10, 6, 3), part("B", 22, 10, 4, 4), part("FAR", 29, 19, 1, 1)], y_axis="down")
+    cameras = [workshop.camera((x, 0.0), distance_mm=100.0) for x in (-5, 9)]
+    motion = [Euclidean.motion(0.001 * j, (0, 4.0 * j), System.ROW, System.TESTER) for j in range(3)]
+    matrix = board_frame(kind, cameras[0]).matrix(C)
+    surface = None if lift is None else Surface(lift_mm=lift)
+    parts = Parts.of(kind)
+    seen = Views.of(parts.center, matrix, cameras, np.array([d.matrix for d in motion]), surface)
+    views = footprint_views(parts.addresses, seen)
+    assert list(views) == ["A", "B", "FAR"]
+    for component in kind.components:
+        place = matrix @ (*component.center, 1)
+        given = {(i, j): (x, y) for i, j, x, y in views[component.address]}
+        for i, camera in enumerate(cameras):
+            for j, d in enumerate(motion):
+                px = camera.project(d(place[:2]), lift or 0.0)
+                if (i, j) in given:
+                    assert given[i, j] == pytest.approx(px, abs=1e-4)
+                else:
+                    assert not camera.sees(px)
+
+
+def test_a_board_without_parts_has_corners(workshop: Any) -> None:
+    names, cad = landmarks(board_frame(board([]), workshop.camera()))
+    assert (len(names), cad.tolist()) == (2, [[0, 0], [30, 20]])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_many_points_on_many_parts_are_as_if_looked_at_one_by_one(workshop: Any, seed: int) -> None:
+    g = np.random.default_rng(seed)
+    parts = [
+        part(f"P{n}", *g.uniform((0, 0), (30, 20)), *g.uniform(0.2, 5, 2) ** 1.5, rotation=g.uniform(-180, 180))
+        for n in range(60)
+    ]
+    kind = board(parts)
+    frame = board_frame(kind, workshop.camera())
+    cad = g.uniform((-4, -4), (34, 24), (500, 2))
+    found = component_of(frame, C, similar(C, frame.flat(cad)))
+    for point, n in zip(cad, found, strict=True):
+        on = [k for k, p in enumerate(kind.components) if _on(kind, p, point)]
+        areas = [kind.components[k].width * kind.components[k].height for k in on]
+        assert n == (on[int(np.argmin(areas))] if on else -1)
+
+
+def _on(kind: BoardType, component: Any, point: Any) -> bool:
+    a = np.radians(component.rotation if kind.y_axis == "up" else -component.rotation)
+    u, v = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]) @ (point - component.center)
+    return bool(abs(u) <= component.width / 2 + 0.3 and abs(v) <= component.height / 2 + 0.3)

@@ -1,0 +1,89 @@
+"""The outline is measured where it is, in every direction that it tells, and not where it does not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.board.outline import outline_shift
+from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.scene import Scene
+
+PLACED = np.array([[1.0, 0, -14.0], [0, 1, -10.0], [0, 0, 1]])
+STILL = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
+
+
+def board(w: float = 28.0, h: float = 20.0) -> BoardType:
+    return BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0.0, 0.0], [w, h]]})
+
+
+def scene(workshop: Any, size: tuple[float, float] = (28.0, 20.0), grey: float = 80.0) -> Scene:
+    """One frame of a board at rest, its edges blurred as a lens does, with some texture of its own."""
+    camera = workshop.camera((0.0, 0.0), size_px=(440, 320))
+    y, x = np.mgrid[:320, :440].astype(float)
+    cad = apply(np.linalg.inv(PLACED), camera.ground(np.stack([x, y], -1).reshape(-1, 2))).reshape(320, 440, 2)
+    inside = ((cad >= 0) & (cad <= size)).all(-1)
+    spots = ((np.floor(cad[..., 0] / 1.7) + np.floor(cad[..., 1] / 1.3)) % 3 == 0) * 25.0
+    picture = cv2.GaussianBlur(np.where(inside, grey + spots, 20.0), (0, 0), 0.8)
+    picture += np.random.default_rng(0).normal(0, 2, picture.shape)
+    frame = Prepared(workshop.digitised(picture))
+    return Scene((camera,), ((0, 0),), lambda key: frame)
+
+
+def moved(x_mm: float, y_mm: float) -> Any:
+    return np.array([[1.0, 0, x_mm], [0, 1, y_mm], [0, 0, 1]]) @ PLACED
+
+
+@pytest.mark.parametrize("grey", [80.0, 5.0])
+@pytest.mark.parametrize("off", [(0.0, 0.0), (0.3, -0.2), (1.2, 0.0), (0.0, -2.5), (-2.2, 1.7)])
+def test_the_outline_is_measured_to_a_few_hundredths_of_a_mm(
+    workshop: Any, off: tuple[float, float], grey: float
+) -> None:
+    found = outline_shift(board(), moved(*off), scene(workshop, grey=grey), STILL)
+    assert found is not None
+    assert found.mm == pytest.approx([-v for v in off], abs=0.05)
+    assert found.sigma_mm.max() < 0.12
+    assert abs(found.turn_rad) < 6e-3
+    expected = float(np.linalg.norm([v for v in off if abs(v) > 0.5]))
+    assert found.excess_mm == pytest.approx(expected, abs=0.06)
+
+
+@pytest.mark.parametrize("mrad", [-40, 30, 25, 0])
+def test_a_turn_is_measured(workshop: Any, mrad: float) -> None:
+    c, s = np.cos(1e-3 * mrad), np.sin(1e-3 * mrad)
+    found = outline_shift(board(), np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ PLACED, scene(workshop), STILL)
+    assert found is not None
+    assert 1e3 * found.turn_rad == pytest.approx(-mrad, abs=5)
+    assert found.turned_mm == pytest.approx(1e-3 * abs(mrad) * 17, abs=0.1)
+
+
+def test_a_board_that_is_cut_smaller_all_round_has_not_moved(workshop: Any) -> None:
+    smaller = scene(workshop, (27.6, 20.0))
+    found = outline_shift(board(), PLACED, smaller, STILL)
+    assert found is not None
+    assert found.mm == pytest.approx((-0.2, 0), abs=0.06), "the middle of a board that lost 0.4 mm on one side"
+    assert found.excess_mm == 0.0
+
+
+def test_edges_out_of_view_tell_nothing_of_their_direction(workshop: Any) -> None:
+    """The board is wider than all that is seen of it."""
+    wide = np.array([[1.0, 0, -60.0], [0, 1, -10.0], [0, 0, 1]])
+    found = outline_shift(board(w=120.0), wide, scene(workshop, (500.0, 20.0)), STILL)
+    assert found is not None
+    assert found.sigma_mm[1] < 0.15
+    assert found.sigma_mm[0] > 1.0
+    assert found.excess_mm == 0.0
+
+
+def test_no_edge_no_shift(workshop: Any) -> None:
+    assert outline_shift(board(), PLACED, scene(workshop, (0.0, 0.0)), STILL) is None
+    away = Motion(np.zeros(1), np.array([[500.0, 0.0]]), np.zeros(2))
+    assert outline_shift(board(), PLACED, scene(workshop), away) is None
+    nothing = BoardType.model_validate({"name": "b", "y_axis": "down", "fiducials": []})
+    assert outline_shift(nothing, PLACED, scene(workshop), STILL) is None

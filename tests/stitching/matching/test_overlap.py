@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.geometry import Lens
+from vaoi_station.stitching.matching.overlap import overlap_box, overlap_share, predict
+
+
+def test_a_shift_cuts_off_what_leaves_the_frame(workshop: Any) -> None:
+    camera = workshop.camera()
+    assert overlap_box(camera, camera, np.array([3.0, 0.0])) == (0, 0, 170, 160)
+    assert overlap_box(camera, camera, np.array([-3.0, -4.0])) == (30, 40, 200, 160)
+    assert overlap_box(camera, camera, np.array([0.0, 4.0]), margin_px=10) == (10, 10, 190, 110)
+    assert overlap_share(camera, np.array([10.0, 0.0])) == pytest.approx(0.5)
+
+
+def test_frames_that_do_not_overlap(workshop: Any) -> None:
+    camera = workshop.camera()
+    assert overlap_box(camera, camera, np.array([0.0, 16.5])) is None
+    assert overlap_share(camera, np.array([25.0, 0.0])) == 0
+
+
+@given(
+    angles=st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01)),
+    shift=st.tuples(st.floats(-18, 18), st.floats(-14, 14)),
+    bend=st.floats(-0.002, 0.002),
+)
+def test_what_lies_in_the_box_is_seen_by_both(
+    workshop: Any, angles: tuple[float, float], shift: tuple[float, float], bend: float
+) -> None:
+    lens = Lens((99.5, 79.5), 128.0, (bend,))
+    a = workshop.camera((0, 0), angle_rad=angles[0], lens=lens)
+    b = workshop.camera((4, 1), angle_rad=angles[1], lens=lens)
+    box = overlap_box(a, b, np.array(shift), margin_px=3.0)
+    y, x = np.mgrid[0:160:4, 0:200:4]
+    px = np.stack([x.ravel(), y.ravel()], -1).astype(float)
+    both = b.sees(predict(px, a, b, np.array(shift)), 8.0) & a.sees(px, 8.0)
+    if box is None:
+        assert not both.any()
+        return
+    inside = np.asarray(((px >= box[:2]) & (px < box[2:])).all(1))
+    assert b.sees(predict(px[inside], a, b, np.array(shift))).all()
+    assert inside[both].all(), "nothing that both see well is left out"

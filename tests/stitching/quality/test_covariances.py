@@ -1,0 +1,68 @@
+"""Covariances of D_j and M_ij, against motions drawn from the covariance they come from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.problem import Adjusted
+from vaoi_station.stitching.quality.covariances import longest, matrix_sigmas, row_covariances
+
+PIVOT = np.array([3.0, -2.0])
+MOTION = Motion(np.array([0.0, 0.3, -0.8]), np.array([[0.0, 0.0], [1.0, -8.0], [-2.0, -17.0]]), PIVOT)
+
+
+@pytest.fixture
+def adjusted() -> Adjusted:
+    g = np.random.default_rng(4)
+    blocks = np.zeros((3, 3, 3))
+    for j in (1, 2):
+        spread = g.normal(0, 1, (3, 3)) * ([1e-4], [2e-3], [3e-3])
+        blocks[j] = spread @ spread.T
+    none, pairs = np.zeros(0), np.zeros((0, 2))
+    return Adjusted(MOTION, None, none, np.zeros((2, 0)), blocks, none, pairs, none, pairs, 0.01, 1.0)
+
+
+def drawn(adjusted: Adjusted, count: int) -> list[Motion]:
+    """Motions as they might be."""
+    g = np.random.default_rng(5)
+    rows = np.stack([g.multivariate_normal(np.zeros(3), c, count) for c in adjusted.covariance], 1)
+    return [replace(MOTION, angle=MOTION.angle + r[:, 0], shift=MOTION.shift + r[:, 1:]) for r in rows]
+
+
+def test_rows_vary_as_their_covariance_says(adjusted: Adjusted) -> None:
+    said = row_covariances(adjusted)
+    assert not said[0].any(), "D_0 is the identity"
+    for j in (1, 2):
+        under_pivot = MOTION.board(np.array([j]), PIVOT[None])
+        seen = []
+        for motion in drawn(adjusted, 4000):
+            d = motion.row_from_tester(j)
+            seen.append([np.arctan2(d.matrix[1, 0], d.matrix[0, 0]), *d(under_pivot)[0]])
+        found = np.cov(np.array(seen).T)
+        scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
+        assert said[j] / scale == pytest.approx(found / scale, abs=0.06)
+
+
+def test_images_vary_as_the_sigmas_of_their_matrices_say(adjusted: Adjusted, workshop: Any) -> None:
+    cameras = [workshop.camera((2.0, 1.0), tilt=(1e-3, -2e-3)), workshop.camera((16.0, 1.0), angle_rad=0.02)]
+    sigmas = matrix_sigmas(cameras, PIVOT, row_covariances(adjusted))
+    assert sigmas.shape == (2, 3, 2)
+    motions = drawn(adjusted, 2000)
+    for i, camera in enumerate(cameras):
+        frame = np.array([camera.center_px, (0, 0), (199, 0), (199, 159), (0, 159)])
+        for j in (1, 2):
+            board = MOTION.board(np.full(5, j), camera.ground(frame))
+            px = np.array([camera.project(m.row_from_tester(j)(board)) for m in motions])
+            spread = longest(np.array([np.cov(px[:, k].T) for k in range(5)]))
+            assert sigmas[i, j] == pytest.approx([spread[0], spread[1:].max()], rel=0.07)
+
+
+def test_the_longest_direction() -> None:
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    assert longest(turn @ np.diag([9.0, 4.0]) @ turn.T) == pytest.approx(3.0)
+    assert longest(np.zeros((2, 2, 2))) == pytest.approx([0, 0])

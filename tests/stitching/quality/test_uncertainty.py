@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.adjustment.problem import Adjusted
+from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.board.fiducial_assignment import board_frame
+from vaoi_station.stitching.board.footprints import Views, landmarks
+from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.quality.uncertainty import MODEL_PX, Sigma, position_covariances, predicted_sigma
+
+ROWS = 3
+BOARD = {
+    "name": "b",
+    "y_axis": "down",
+    "outline": [[0, 0], [16, 30]],
+    "components": [{"ref": f"U{y}", "center": [8, y], "width": 1, "height": 1} for y in (2, 15, 28)],
+}
+
+
+def adjusted(shift_sigma_mm: list[float], angle_sigma: float = 0.0, c_sigma_mm: float = 0.0) -> Adjusted:
+    """A solution of which only the covariance matters: rows independent, as said."""
+    of_c = (0.0, 0.0, c_sigma_mm**2, c_sigma_mm**2)
+    covariance = np.array([np.diag([angle_sigma**2, s**2, s**2, *of_c]) for s in shift_sigma_mm])
+    motion = nominal_motion(np.arange(ROWS, dtype=np.float64), np.array([0.0, 8.0]), np.zeros(2))
+    nothing, pairs = np.zeros(0), np.zeros((0, 2))
+    c = np.array([1.0, 0.0, -8.0, -24.0])
+    return Adjusted(motion, c, nothing, nothing, covariance, nothing, pairs, nothing, pairs, 0.02, 1.0)
+
+
+@pytest.fixture
+def scene(workshop: Any) -> Scene:
+    camera = workshop.camera()
+    return Scene((camera,), tuple((0, j) for j in range(ROWS)), lambda key: pytest.fail("no pixels are needed"))
+
+
+@pytest.fixture
+def frame(scene: Scene) -> Any:
+    return board_frame(BoardType.model_validate(BOARD), scene.cameras[0])
+
+
+def predicted(scene: Scene, frame: Any, found: Adjusted) -> Sigma:
+    assert found.similarity is not None
+    rows, matrix = found.motion.rows_from_tester, frame.matrix(found.similarity)
+    return predicted_sigma(scene, frame, found, Views.of(landmarks(frame)[1], matrix, scene.cameras, rows, None))
+
+
+def test_a_shift_of_so_many_mm_is_one_of_so_many_px(scene: Scene, frame: Any) -> None:
+    sigma = predicted(scene, frame, adjusted([0.0, 0.01, 0.03]))
+    assert sigma.rows_px == pytest.approx([MODEL_PX, np.hypot(0.1, MODEL_PX), np.hypot(0.3, MODEL_PX)])
+    assert sigma.worst_px == pytest.approx(np.hypot(0.3, MODEL_PX))
+
+
+def test_c_counts_in_every_row(scene: Scene, frame: Any) -> None:
+    sigma = predicted(scene, frame, adjusted([0.0] * 3, c_sigma_mm=0.02))
+    assert sigma.rows_px == pytest.approx([np.hypot(0.2, MODEL_PX)] * 3)
+
+
+def test_an_angle_counts_by_its_arm(scene: Scene, frame: Any) -> None:
+    """U28 is seen 4 mm from the pivot in row 0: an angle moves it across; the sigma is that across."""
+    sigma = predicted(scene, frame, adjusted([0.0] * 3, angle_sigma=0.01))
+    assert sigma.rows_px[0] == pytest.approx(np.hypot(0.01 * 4 * 10, MODEL_PX), rel=0.01)
+
+
+def test_without_c_rows_have_a_sigma_and_components_none(scene: Scene, frame: Any) -> None:
+    for board in (None, frame):
+        sigma = predicted_sigma(scene, board, adjusted([0.0, 0.01, 0.03]), None)
+        assert sigma.worst_px is None
+        assert sigma.rows_px[2] == pytest.approx(np.hypot(0.3, MODEL_PX))
+
+
+def test_rows_that_show_no_part_count_by_their_motion_alone(scene: Scene, frame: Any) -> None:
+    blind = replace(scene, present=((0, 0), (0, 1)))
+    sigma = predicted(blind, frame, adjusted([0.0, 0.01, 0.5]))
+    assert sigma.rows_px[2] == pytest.approx(np.hypot(5.0, MODEL_PX))
+    assert sigma.worst_px == pytest.approx(np.hypot(0.1, MODEL_PX))
+
+
+def test_covariances_are_those_of_the_misfit_by_differences() -> None:
+    """Row, C and surface all at once, against numpy and derivatives of a sighting's misfit by differences."""
+    g = np.random.default_rng(4)
+    angle, shift, pivot, c = g.normal(0, 0.1, 2), g.normal(0, 5, (2, 2)), np.array([3.0, -2.0]), g.normal(0, 1, 4)
+    flat, functions, place, lean = (
+        g.normal(0, 9, (3, 2)),
+        g.normal(0, 1, (3, 6)),
+        g.normal(0, 9, (4, 2)),
+        g.normal(0, 0.1, (4, 2)),
+    )
+    half = g.normal(0, 1, (2, 13, 13))
+    covariance = half @ half.swapaxes(1, 2)
+    row, point = np.array([0, 1, 1, 0]), np.array([2, 0, 1, 1])
+    found = position_covariances(row, point, place, lean, flat, functions, angle, pivot, covariance)
+
+    def misfit(k: int, unknowns: Any) -> Any:
+        motion = Motion(unknowns[None, 0], unknowns[None, 1:3], pivot)
+        first = np.zeros(1, dtype=np.int_)
+        board = motion.board(first, place[k : k + 1])
+        leaning = Motion(angle[row[k], None], shift[:1], pivot).turned(first, lean[k : k + 1])
+        return (board + leaning * (functions[point[k]] @ unknowns[7:]) - similar(unknowns[3:7], flat[point[k], None]))[
+            0
+        ]
+
+    for k in range(4):
+        at = np.concatenate([angle[row[k], None], shift[row[k]], c, np.zeros(6)])
+        j = np.stack([(misfit(k, at + d) - misfit(k, at - d)) / 2e-6 for d in 1e-6 * np.eye(13)], -1)
+        assert found[k] == pytest.approx(j @ covariance[row[k]] @ j.T, rel=1e-6)

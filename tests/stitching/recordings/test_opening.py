@@ -1,0 +1,63 @@
+"""A recording on disk is opened with what lies beside it, or with what is given instead."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.files import read_calibration, write_calibration
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation.recording_writer import write_passage
+from vaoi_station.stitching.recordings.opening import open_run
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("opening") / "run"
+    write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), out, with_truth=False)
+    return out
+
+
+def test_what_lies_beside_it_is_taken(kept: Path) -> None:
+    opened = open_run(kept)
+    assert opened.calibration_path == kept / "calibration.json"
+    assert opened.board_path == kept / "board.json"
+    assert opened.setup.board_type is not None
+    assert opened.setup.method == "auto"
+    head = opened.recording.head
+    assert len(opened.present) == len(head.cameras) * head.rows
+
+
+def test_what_is_given_comes_first(kept: Path, tmp_path: Path) -> None:
+    write_calibration(tmp_path / "other.json", read_calibration(kept / "calibration.json"))
+    shutil.copyfile(kept / "board.json", tmp_path / "type.json")
+    opened = open_run(kept, calibration=tmp_path / "other.json", board=tmp_path / "type.json", method="features")
+    assert (opened.calibration_path.name, opened.board_path) == ("other.json", tmp_path / "type.json")
+    assert opened.setup.method == "features"
+
+
+def test_without_a_board_type_there_is_none(kept: Path, tmp_path: Path) -> None:
+    shutil.copytree(kept, tmp_path / "bare", ignore=shutil.ignore_patterns("board.json"))
+    opened = open_run(tmp_path / "bare")
+    assert (opened.board_path, opened.setup.board_type) == (None, None)
+    with pytest.raises(InputError, match="--reference needs a board type"):
+        open_run(tmp_path / "bare", reference=kept)
+
+
+def test_a_calibration_of_another_scale_is_refused(kept: Path, tmp_path: Path) -> None:
+    known = read_calibration(kept / "calibration.json")
+    half = tuple(np.diag([0.5, 0.5, 1.0]) @ n for n in known.camera_matrices)
+    write_calibration(tmp_path / "half.json", known.model_copy(update={"camera_matrices": half}))
+    with pytest.raises(InputError, match=r"half\.json: camera_matrices\.0 gives camera 0 .* within a factor of 1\.5"):
+        open_run(kept, calibration=tmp_path / "half.json")
+
+
+def test_what_does_not_go_together_is_refused(kept: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--method reference needs --reference DIR"):
+        open_run(kept, method="reference")
+    with pytest.raises(NotFoundError):
+        open_run(kept, calibration=tmp_path / "absent.json")

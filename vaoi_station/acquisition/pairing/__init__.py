@@ -1,0 +1,1 @@
+"""Pair every pulse with one frame per camera, by time, and prove the result."""

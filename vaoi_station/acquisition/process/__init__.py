@@ -1,0 +1,1 @@
+"""Run the acquisition process: open devices, film boards, report to the station."""

@@ -1,0 +1,1 @@
+"""Hold frames in shared memory: the ring, its file and its layout."""

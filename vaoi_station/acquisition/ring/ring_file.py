@@ -1,0 +1,185 @@
+"""The file behind the ring: made exclusively, allocated before it is used, owned by one process."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import fcntl
+import mmap
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.ring.ring_layout import (
+    CAMERA_RECORD,
+    HEADER,
+    LAYOUT_VERSION,
+    MAGIC,
+    PAGE_BYTES,
+    RingLayout,
+)
+from vaoi_station.errors import BusyError, DeviceError, InputError, NotFoundError, StateError
+
+SUFFIX = ".ring"
+
+
+def start_ticks(pid: int) -> int | None:
+    """When a process started, in kernel ticks since boot; None if there is none of that number.
+
+    With the pid it names one process for good: pids are used again, start times are not.
+    """
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return None
+    state, *fields = stat.rpartition(")")[2].split()
+    return None if state in "ZX" else int(fields[18])
+
+
+def owner_of(path: Path) -> tuple[int, bool] | None:
+    """Pid of a ring's owner and whether it lives; None if the file is no ring.
+
+    An owner keeps the file locked while it lives: that shows even where its pid is not ours to see (containers).
+    """
+    try:
+        with path.open("rb") as file:
+            page = file.read(PAGE_BYTES)
+            locked = _is_locked(file.fileno())
+    except (FileNotFoundError, PermissionError, IsADirectoryError):
+        return None
+    if len(page) < PAGE_BYTES or page[:8] != MAGIC:
+        return None
+    header = np.frombuffer(page, dtype=HEADER)
+    pid = int(header["owner_pid"][0])
+    return pid, locked or start_ticks(pid) == int(header["owner_start_ticks"][0])
+
+
+def sweep(directory: Path) -> list[Path]:
+    """Unlink the rings of owners that died without doing so; returns what was removed."""
+    removed = []
+    for path in sorted(directory.glob(f"*{SUFFIX}")):
+        owner = owner_of(path)
+        if owner is not None and not owner[1]:
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
+                removed.append(path)
+    return removed
+
+
+def create_file(path: Path, layout: RingLayout) -> int:
+    """Make, lock and allocate the file (mode 0640, header written); nothing stays behind on failure.
+
+    The descriptor that is returned holds the lock.
+    """
+    try:
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o640)
+    except FileExistsError:
+        raise _taken(path) from None
+    except OSError as error:
+        raise InputError(
+            f"ring {path}: cannot be made ({error.strerror}).", action="Set [ring] directory to one we may write to."
+        ) from error
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        os.fchmod(handle, 0o640)
+        _allocate(handle, path, layout)
+    except BaseException:  # whatever ended it, tidy up; it is raised again
+        os.close(handle)
+        path.unlink(missing_ok=True)
+        raise
+    return handle
+
+
+def map_file(handle: int, nbytes: int, writable: bool) -> mmap.mmap:
+    """The whole file in memory; page tables are filled now rather than when the first frame comes."""
+    flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
+    return mmap.mmap(handle, nbytes, flags=flags, prot=mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0))
+
+
+def lock(memory: NDArray[np.uint8]) -> str:
+    """Pin the pages in RAM; an empty string, or a sentence why that was not permitted."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlock(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(memory.nbytes)) == 0:
+        return ""
+    reason = os.strerror(ctypes.get_errno())
+    return (
+        f"The ring's {_mib(memory.nbytes)} are not locked in memory ({reason}); under memory pressure frames may be "
+        "late. Raise LimitMEMLOCK of the service."
+    )
+
+
+def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
+    """The layout of an existing ring and its header, checked against the file's real size."""
+    page = os.pread(handle, PAGE_BYTES, 0)
+    if len(page) < PAGE_BYTES or page[:8] != MAGIC:
+        raise InputError(f"{path}: is not a ring of vaoi_station.")
+    header = np.frombuffer(page, dtype=HEADER)
+    if (found := int(header["layout_version"][0])) != LAYOUT_VERSION:
+        raise InputError.field(path, "layout_version", found, str(LAYOUT_VERSION), "Use matching versions.")
+    table = os.pread(handle, int(header["cameras"][0]) * CAMERA_RECORD.itemsize, int(header["camera_table"][0]))
+    layout = RingLayout.read(header, np.frombuffer(table, dtype=CAMERA_RECORD))
+    if os.fstat(handle).st_size != layout.file_bytes:
+        raise InputError(f"{path}: has {os.fstat(handle).st_size} bytes, its header says {layout.file_bytes}.")
+    return layout, header
+
+
+def open_existing(path: Path, writable: bool) -> int:
+    """A descriptor of a ring somebody else made."""
+    try:
+        return os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
+    except FileNotFoundError:
+        raise NotFoundError(f"{path}: there is no such ring.", action="Start the station first.") from None
+    except PermissionError:
+        raise InputError(f"{path}: cannot be opened.", action="Join the group of the station's service.") from None
+
+
+def _is_locked(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    return False
+
+
+def _allocate(handle: int, path: Path, layout: RingLayout) -> None:
+    """Header and cameras first, so that a leftover names its owner; then every block of the file."""
+    pid = os.getpid()
+    free = os.fstatvfs(handle)
+    if (available := free.f_bavail * free.f_frsize) < layout.file_bytes:
+        raise _full(path, layout, f"{_mib(available)} are free")
+    try:
+        os.pwrite(handle, layout.header(pid, start_ticks(pid) or 0).tobytes(), 0)
+        os.posix_fallocate(handle, 0, layout.file_bytes)
+        os.pwrite(handle, layout.camera_records().tobytes(), layout.camera_table)
+    except OverflowError:
+        raise _full(path, layout, "no file can be that large") from None
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.ENOMEM):
+            raise _full(path, layout, str(error.strerror)) from error
+        raise DeviceError(f"ring {path}: cannot be allocated ({error.strerror}).") from error
+
+
+def _full(path: Path, layout: RingLayout, why: str) -> BusyError:
+    return BusyError(
+        f"ring {path}: needs {_mib(layout.file_bytes)} ({layout.bays} runs × {layout.cameras} cameras × "
+        f"{layout.slots_per_camera} rows × {_mib(layout.slot_bytes)}), but {why}.",
+        action="Lower [ring] runs or [line] longest_board_mm, free the shared memory, or give it more room.",
+        code="ring-too-large",
+    )
+
+
+def _taken(path: Path) -> StateError:
+    owner = owner_of(path)
+    who = f"process {owner[0]}" if owner else "another program"
+    return StateError(
+        f"ring {path}: exists already and belongs to {who}.",
+        action="Stop the other station, or give this one another name.",
+    )
+
+
+def _mib(nbytes: int) -> str:
+    return f"{nbytes / 2**20:.1f} MiB"

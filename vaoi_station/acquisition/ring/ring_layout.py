@@ -1,0 +1,192 @@
+"""Where everything lies in the ring's file: pure arithmetic, described for C and C# in `docs/internals/ring.md`.
+
+A **bay** is the memory of one run: for every camera as many slots as the longest board needs. A **slot**
+is the memory of one frame and begins on a page of its own. All numbers are little-endian.
+
+    header page │ camera table │ bay table │ slot table │ bay 0: camera 0: slot 0, slot 1 … │ bay 1 …
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
+from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormat
+
+MAGIC = b"VAOIRING"
+LAYOUT_VERSION = 1
+PAGE_BYTES = 4096
+
+BUILDING, IN_USE, CLOSED = 0, 1, 2
+"""States of the file, in the header."""
+EMPTY, OK, INCOMPLETE = 0, 1, 2
+"""States of a slot, in the slot table."""
+NO_ROW = 0xFFFFFFFF
+
+HEADER = np.dtype(
+    {
+        "names": [
+            "magic", "layout_version", "header_bytes", "file_bytes", "generation", "owner_pid", "state",
+            "owner_start_ticks", "bays", "cameras", "slots_per_camera", "page_bytes", "slot_bytes",
+            "camera_table", "bay_table", "slot_table", "first_slot",
+        ],
+        "formats": ["S8", "<u4", "<u4", "<u8", "<u8", "<u4", "<u4", "<u8", *["<u4"] * 4, *["<u8"] * 5],
+        "offsets": [0, 8, 12, 16, 24, 32, 36, 40, 48, 52, 56, 60, 64, 72, 80, 88, 96],
+        "itemsize": PAGE_BYTES,
+    }
+)  # fmt: skip
+CAMERA_RECORD = np.dtype([("width", "<u4"), ("height", "<u4"), ("pixel_format", "<u4"), ("bytes_per_pixel", "<u4")])
+BAY_RECORD = np.dtype([("generation", "<u8"), ("reserved", "<u8")])
+SLOT_RECORD = np.dtype(
+    [("generation", "<u8"), ("state", "<u4"), ("row", "<u4"), ("frame_id", "<u8"), ("reserved", "<u8")]
+)
+
+
+@dataclass(frozen=True)
+class FrameShape:
+    """Size and pixel format of the frames of one camera."""
+
+    width: int
+    height: int
+    pixel_format: str
+
+    def __post_init__(self) -> None:
+        if self.pixel_format not in PIXEL_FORMATS:
+            raise InputError.field("ring", "pixel_format", self.pixel_format, f"one of {', '.join(PIXEL_FORMATS)}")
+
+    @property
+    def format(self) -> PixelFormat:
+        """What the bytes of a frame mean."""
+        return PIXEL_FORMATS[self.pixel_format]
+
+    @property
+    def nbytes(self) -> int:
+        """Size of one frame."""
+        return self.format.nbytes(self.width, self.height)
+
+
+@dataclass(frozen=True)
+class RingLayout:
+    """Numbers and sizes from which every offset follows."""
+
+    bays: int
+    slots_per_camera: int
+    frames: tuple[FrameShape, ...]
+    """One entry per camera."""
+
+    def __post_init__(self) -> None:
+        for key in ("bays", "slots_per_camera"):
+            if getattr(self, key) < 1:
+                raise InputError.field("ring", key, getattr(self, key), "at least 1")
+        if not self.frames:
+            raise InputError("ring: there is no camera; the ring holds the frames of at least one.")
+
+    @classmethod
+    def of(cls, config: StationConfig) -> RingLayout:
+        """The ring a station needs: `ring.runs` bays of the longest board and its spare rows."""
+        shapes = tuple(FrameShape(c.width, c.height, c.pixel_format) for c in config.cameras)
+        return cls(config.ring.runs, config.rows_per_run, shapes)
+
+    @property
+    def cameras(self) -> int:
+        """The paper's n."""
+        return len(self.frames)
+
+    @property
+    def slots_per_bay(self) -> int:
+        """Slots of one run, all cameras."""
+        return self.cameras * self.slots_per_camera
+
+    @property
+    def slots(self) -> int:
+        """Slots of the whole ring."""
+        return self.bays * self.slots_per_bay
+
+    @cached_property
+    def slot_bytes(self) -> int:
+        """Distance between two slots: the largest frame, rounded up to whole pages."""
+        return _pages(max(f.nbytes for f in self.frames))
+
+    @property
+    def camera_table(self) -> int:
+        """Offset of the camera table."""
+        return PAGE_BYTES
+
+    @property
+    def bay_table(self) -> int:
+        """Offset of the bay table."""
+        return self.camera_table + _pages(self.cameras * CAMERA_RECORD.itemsize)
+
+    @property
+    def slot_table(self) -> int:
+        """Offset of the slot table."""
+        return self.bay_table + _pages(self.bays * BAY_RECORD.itemsize)
+
+    @cached_property
+    def first_slot(self) -> int:
+        """Offset of slot 0."""
+        return self.slot_table + _pages(self.slots * SLOT_RECORD.itemsize)
+
+    @property
+    def file_bytes(self) -> int:
+        """Size of the file."""
+        return self.first_slot + self.slots * self.slot_bytes
+
+    def slot(self, bay: int, camera: int, k: int) -> int:
+        """Number of the k-th slot of a camera in a bay."""
+        limits = (("bay", bay, self.bays), ("camera", camera, self.cameras), ("slot", k, self.slots_per_camera))
+        for what, value, count in limits:
+            if not 0 <= value < count:
+                raise InputError.field("ring", what, value, f"0 … {count - 1}")
+        return (bay * self.cameras + camera) * self.slots_per_camera + k
+
+    def place(self, slot: int) -> tuple[int, int, int]:
+        """Bay, camera and k of a slot: the inverse of `slot`."""
+        if not 0 <= slot < self.slots:
+            raise InputError.field("ring", "slot", slot, f"0 … {self.slots - 1}")
+        rest, k = divmod(slot, self.slots_per_camera)
+        bay, camera = divmod(rest, self.cameras)
+        return bay, camera, k
+
+    def offset(self, slot: int) -> int:
+        """Offset of a slot's first byte in the file."""
+        return self.first_slot + slot * self.slot_bytes
+
+    def header(self, pid: int, start_ticks: int) -> NDArray[Any]:
+        """The header page (1,), state BUILDING."""
+        page = np.zeros(1, dtype=HEADER)
+        page["magic"] = MAGIC
+        for key, value in (
+            ("layout_version", LAYOUT_VERSION), ("header_bytes", PAGE_BYTES), ("file_bytes", self.file_bytes),
+            ("owner_pid", pid), ("owner_start_ticks", start_ticks), ("state", BUILDING), ("bays", self.bays),
+            ("cameras", self.cameras), ("slots_per_camera", self.slots_per_camera), ("page_bytes", PAGE_BYTES),
+            ("slot_bytes", self.slot_bytes), ("camera_table", self.camera_table), ("bay_table", self.bay_table),
+            ("slot_table", self.slot_table), ("first_slot", self.first_slot),
+        ):  # fmt: skip
+            page[key] = value
+        return page
+
+    def camera_records(self) -> NDArray[Any]:
+        """The camera table (cameras,)."""
+        rows = [(f.width, f.height, f.format.code, f.format.bytes_per_pixel) for f in self.frames]
+        return np.array(rows, dtype=CAMERA_RECORD)
+
+    @classmethod
+    def read(cls, header: NDArray[Any], cameras: NDArray[Any]) -> RingLayout:
+        """The layout a file says it has; `header` (1,) HEADER, `cameras` (n,) CAMERA_RECORD."""
+        names = {known.code: name for name, known in PIXEL_FORMATS.items()}
+        frames = tuple(
+            FrameShape(int(c["width"]), int(c["height"]), names.get(int(c["pixel_format"]), hex(c["pixel_format"])))
+            for c in cameras
+        )
+        return cls(int(header["bays"][0]), int(header["slots_per_camera"][0]), frames)
+
+
+def _pages(nbytes: int) -> int:
+    return -(-nbytes // PAGE_BYTES) * PAGE_BYTES

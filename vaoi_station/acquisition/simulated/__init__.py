@@ -1,0 +1,1 @@
+"""Stand in for line, cameras and controller: the digital twin, or recordings."""

@@ -1,0 +1,184 @@
+"""The conveyor of a simulated station: prepares boards and lets one after another pass the barrier.
+
+Boards come only while the controller is armed: whoever feeds the line waits for the station. A board is
+let onto the belt when all its frames are rendered, and nothing is rendered while a board passes, so that
+the twin's arithmetic does not disturb the station it tests. Pulses without the barrier see the calibration
+board, which somebody has laid under the cameras.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
+from vaoi_station.acquisition.controller.interface import EventQueue, PulseFired, TriggerPlan
+from vaoi_station.acquisition.controller.simulated import SimulatedController
+from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.simulated.board import SimulatedBoard, to_bytes
+from vaoi_station.errors import InternalError, VaoiError
+from vaoi_station.simulation import Twin, calibration_board
+
+AHEAD = 2
+"""Boards kept ready."""
+LEAD_S = 0.02
+SAME_TIME_S = 1e-6
+
+
+class SimulatedLine:
+    """Owns the belt; cameras and controller are told what happens on it."""
+
+    def __init__(
+        self,
+        twin: Twin,
+        plan: TriggerPlan,
+        cameras: tuple[SimulatedCamera, ...],
+        clock: DeviceClock,
+        boards: int,
+        interval_s: float,
+    ) -> None:
+        self._twin, self._plan, self._cameras, self._clock = twin, plan, cameras, clock
+        self._boards, self._interval_s = boards, interval_s
+        self._change = threading.Condition()
+        self._ready: deque[SimulatedBoard] = deque()
+        self._prepared = 0
+        self._board: SimulatedBoard | None = None
+        self._still: list[NDArray[np.uint8]] = []
+        """Flat bytes of every camera's frame of what lies still; rendered with the first pulse that shows it."""
+        self._start_s = 0.0
+        self._next_host_s = float("-inf")
+        self._armed = self._passing = self._closing = False
+        self._thread: threading.Thread | None = None
+
+    def start(self, controller: SimulatedController, faults: EventQueue) -> None:
+        """Begin to prepare boards."""
+        self._controller, self._faults = controller, faults
+        self._thread = threading.Thread(target=self._work, name="line")
+        self._thread.start()
+
+    def set_armed(self, armed: bool) -> None:
+        """Boards come, or wait."""
+        with self._change:
+            self._armed = armed
+            self._change.notify()
+
+    def set_over(self) -> None:
+        """The run has ended; the next board may come."""
+        with self._change:
+            self._passing = False
+            self._change.notify()
+
+    def fire(self, event: PulseFired) -> None:
+        """The controller triggers all cameras: they see what the twin shows at this time."""
+        board, row = self._board, event.index
+        if board is None or not self._agrees(board, event):
+            error = InternalError(f"pulse {row} was fired at {event.time_s} s, when the twin did not expect one.")
+            self._faults.put(DeviceFault("simulated line", error))
+            return
+        for n in range(len(self._cameras)):
+            self._expose(board, n, row, self._clock.host_s(event.time_s))
+
+    def fire_still(self, event: PulseFired) -> None:
+        """No board passes: the cameras see the calibration board, which lies still under them."""
+        if not self._still:
+            self._still = [to_bytes(image) for _, _, image in calibration_board.frames(self._twin)]
+        host_s = self._clock.host_s(event.time_s)
+        for camera, pixels in zip(self._cameras, self._still, strict=True):
+            camera.trigger(host_s, pixels)
+
+    def _expose(self, board: SimulatedBoard, n: int, row: int, host_s: float) -> None:
+        """One camera, triggered for a row; with all that goes wrong."""
+        camera, faults = self._cameras[n], board.passage.faults
+        if (interval_s := faults.runs_freely_s(n)) is not None:
+            if row == 0:
+                self._run_freely(board, n, host_s, interval_s)
+            return
+        if faults.ignored(n, row):
+            return
+        other = faults.carries(n, row)
+        last = len(board.pulses) - 1
+        said_s = board.pulses[min(other, last)].time_s - board.pulses[min(row, last)].time_s
+        camera.trigger(
+            host_s,
+            board.pixels(n, row),
+            lost=faults.lost(n, row),
+            late_s=faults.late_s(n, row),
+            share=faults.received_share(n, row),
+            said=(said_s, other - row),
+        )
+        for after_s in faults.extra_s(n, row):
+            camera.trigger(host_s + after_s, board.pixels(n, row))
+
+    def _run_freely(self, board: SimulatedBoard, n: int, host_s: float, interval_s: float) -> None:
+        """Frames from the first pulse on until the last, a third of an interval late."""
+        passing_s = board.pulses[-1].time_s - board.pulses[0].time_s
+        for k in range(math.ceil(passing_s / interval_s)):
+            self._cameras[n].trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._change:
+            self._closing = True
+            self._change.notify()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _agrees(self, board: SimulatedBoard, event: PulseFired) -> bool:
+        if event.index >= len(board.pulses):
+            return board.passage.faults.stuck is not None
+        return abs(board.pulses[event.index].time_s + self._start_s - event.time_s) < SAME_TIME_S
+
+    def _work(self) -> None:
+        try:
+            while not self._closing:
+                if self._may_pass():
+                    self._let_pass()
+                elif not self._passing and self._to_prepare():
+                    self._prepare()
+                else:
+                    self._wait()
+        except VaoiError as error:
+            self._faults.put(DeviceFault("simulated line", error))
+
+    def _may_pass(self) -> bool:
+        ready = bool(self._ready) and self._ready[0].ready
+        return ready and self._armed and not self._passing and time.monotonic() >= self._next_host_s
+
+    def _to_prepare(self) -> bool:
+        if self._still and not self._armed:
+            return False  # somebody looks at what lies still; boards can wait
+        if self._ready and not self._ready[-1].ready:
+            return True
+        return len(self._ready) < AHEAD and (self._boards == 0 or self._prepared < self._boards)
+
+    def _prepare(self) -> None:
+        """One frame more, or the next board begun."""
+        if not self._ready or self._ready[-1].ready:
+            passage = self._twin.passage(self._prepared)
+            self._ready.append(SimulatedBoard(passage, self._plan, len(self._cameras)))
+            self._prepared += 1
+        elif not self._ready[-1].ready:
+            self._ready[-1].render_one()
+
+    def _let_pass(self) -> None:
+        with self._change:
+            if not self._armed:
+                return
+            board, now_s = self._ready.popleft(), time.monotonic()
+            self._start_s = self._clock.device_s(now_s + LEAD_S)
+            self._board, self._passing = board, True
+            self._next_host_s = now_s + self._interval_s
+        self._controller.let_pass([(self._start_s + t, blocked) for t, blocked in board.edges])
+
+    def _wait(self) -> None:
+        with self._change:
+            if self._closing or self._may_pass() or (not self._passing and self._to_prepare()):
+                return
+            waiting_for_time = self._armed and self._ready and not self._passing
+            self._change.wait(max(self._next_host_s - time.monotonic(), 0.0) if waiting_for_time else None)

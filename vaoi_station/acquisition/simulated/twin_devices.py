@@ -1,0 +1,94 @@
+"""The digital twin in place of line, cameras and controller."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
+from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
+from vaoi_station.acquisition.controller.simulated import SimulatedController
+from vaoi_station.acquisition.device_clock import crystal
+from vaoi_station.acquisition.devices import Devices
+from vaoi_station.acquisition.simulated.line import SimulatedLine
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
+from vaoi_station.simulation import Scenario, Twin, read_scenario
+
+
+class _ControllerWithLine(SimulatedController):
+    """The controller, and the line that lives and dies with it."""
+
+    line: SimulatedLine
+
+    def start(self, events: EventQueue) -> None:
+        super().start(events)
+        self.line.start(self, events)
+
+    def close(self) -> None:
+        self.line.close()
+        super().close()
+
+
+def open_simulated(config: StationConfig) -> Devices:
+    """Cameras, controller and line of `config.simulation`; InputError if the scenario is of another station."""
+    assert config.simulation is not None
+    twin = Twin(read_scenario(config.simulation.scenario))
+    _check(twin.scenario, config)
+    cameras = tuple(SimulatedCamera(n, crystal(n), c.exposure_us) for n, c in enumerate(config.cameras))
+    plan = scenario_plan(twin)
+    clock = crystal(-1)
+    line = SimulatedLine(twin, plan, cameras, clock, config.simulation.boards, config.simulation.interval_s)
+    controller = _ControllerWithLine(
+        clock,
+        accept=lambda asked: accept_plan(asked, plan),
+        fire=line.fire,
+        fire_still=line.fire_still,
+        armed=line.set_armed,
+        over=line.set_over,
+    )
+    controller.line = line
+    return Devices(cameras, controller)
+
+
+def scenario_plan(twin: Twin) -> TriggerPlan:
+    """What the scenario expects of the controller."""
+    return TriggerPlan.of(twin.line, twin.scenario.line.lights)
+
+
+def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
+    """The plan with the scenario's lights; InputError where it differs, as frames were rendered for the scenario's."""
+    for key in ("start_delay_s", "period_s", "tail_s", "debounce_s"):
+        value, must = getattr(asked, key), getattr(expected, key)
+        if not math.isclose(value, must, rel_tol=1e-9, abs_tol=1e-12):
+            raise InputError.field("trigger plan", key, value, f"{must}, as in the scenario", "Adapt [line].")
+    if asked.lights and tuple(asked.lights) != tuple(expected.lights):
+        limit = f"{tuple(expected.lights)}, as in the scenario"
+        raise InputError.field("trigger plan", "lights", tuple(asked.lights), limit)
+    return replace(asked, lights=tuple(expected.lights))
+
+
+def check_scenario(config: StationConfig) -> None:
+    """Refuse a scenario that is absent, wrong, or of another station."""
+    assert config.simulation is not None
+    scenario = read_scenario(config.simulation.scenario)
+    _check(scenario, config)
+    accept_plan(TriggerPlan.of(config.line), scenario_plan(Twin(scenario)))
+
+
+def _check(scenario: Scenario, config: StationConfig) -> None:
+    """Refuse a scenario with another array or another line."""
+    where = config.simulation.scenario if config.simulation else "scenario"
+    array, twin = scenario.array, Twin(scenario)
+    pairs: list[tuple[str, object, object]] = [("array.cameras", array.cameras, len(config.cameras))]
+    for camera in config.cameras:
+        pairs += [
+            ("array.width_px", array.width_px, camera.width),
+            ("array.height_px", array.height_px, camera.height),
+            ("array.bits", array.bits, 8 if camera.pixel_format == "Mono8" else 16),
+        ]
+    pairs.append(("its conveyor_mm_s", tuple(twin.line.conveyor_mm_s), tuple(map(float, config.line.conveyor_mm_s))))
+    pairs.append(("line.barrier_mm", twin.line.barrier_mm, config.line.barrier_mm))
+    for key, found, ours in pairs:
+        if found != ours:
+            raise InputError.field(where, key, found, f"{ours}, as in station.toml")

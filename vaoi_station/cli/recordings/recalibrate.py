@@ -1,0 +1,116 @@
+"""`vaoi recalibrate`: corrected N_i from runs of production, as a proposal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vaoi_station.errors import InputError, StateError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vaoi_station.drift.checks import RunCheck
+    from vaoi_station.model import Calibration, CameraHead
+
+
+def recalibrate(
+    cases: Annotated[list[Path] | None, typer.Argument(help="Directories of recordings of boards.")] = None,
+    *,
+    out: Annotated[Path, typer.Option(help="Where the proposed calibration is written; a new file.")],
+    config: Annotated[
+        Path | None, typer.Option(help="station.toml: take the runs this station has filmed, in place of recordings.")
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help="So many of the latest runs [all since a camera moved, 50 at most].")
+    ] = None,
+) -> None:
+    """Propose corrected camera matrices N_i from runs of boards; the calibration in force stays as it is."""
+    if bool(cases) == (config is not None):
+        raise InputError("recalibrate takes recordings or --config, one of the two.", action="Give one of them.")
+    if out.exists():
+        raise StateError(f"{out}: exists already.", action="Choose another --out; put it in force by hand.")
+    from vaoi_station.drift.recalibrate import recalibrate as propose
+    from vaoi_station.files import write_calibration
+
+    calibration, heads, checks = _recorded(cases) if cases else _stored(config or Path())
+    used = _chosen(checks, runs)
+    proposal = propose(calibration, heads, used)
+    typer.echo(f"{len(used)} runs, {used[0].run} to {used[-1].run}")
+    for line in proposal.lines():
+        typer.echo(line)
+    if not proposal.corrected:
+        typer.echo("no camera has moved; the calibration holds, and nothing is written")
+        return
+    write_calibration(out, proposal.calibration)
+    _show(calibration, proposal.calibration, heads, out)
+
+
+def _chosen(checks: Sequence[RunCheck], runs: int | None) -> Sequence[RunCheck]:
+    """The latest runs: so many, or all since the last camera moved."""
+    from vaoi_station.drift.recalibrate import MOST_RUNS
+    from vaoi_station.drift.watch import drifts
+
+    if runs is not None:
+        return checks[-runs:]
+    since = max((drift.since for drift in drifts(checks)), default=0)
+    return checks[since:][-MOST_RUNS:]
+
+
+def _recorded(cases: Sequence[Path]) -> tuple[Calibration, tuple[CameraHead, ...], list[RunCheck]]:
+    from vaoi_station.drift.recorded import check_recording
+    from vaoi_station.stitching.recordings.opening import open_run
+
+    opened = [open_run(case) for case in cases]
+    first = opened[0]
+    in_force = first.calibration.model_dump_json()
+    for other, case in zip(opened, cases, strict=True):
+        if other.calibration.model_dump_json() != in_force:
+            raise InputError(
+                f"{case / 'calibration.json'}: is another calibration than {first.calibration_path}.",
+                action="Take runs that were filmed under one calibration.",
+            )
+    return first.calibration, first.recording.head.cameras, [check_recording(o) for o in opened]
+
+
+def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[RunCheck]]:
+    from vaoi_station.config import read_config
+    from vaoi_station.drift.checks import RunCheck
+    from vaoi_station.files import read_calibration
+    from vaoi_station.runs.control.calibration_watch import FIRST, LATEST
+    from vaoi_station.station import DATABASE
+    from vaoi_station.store import Database, Store
+    from vaoi_station.store.documents import digest_of
+
+    station = read_config(config)
+    calibration = read_calibration(station.calibration, [c.head for c in station.cameras])
+    path = station.data / DATABASE
+    if not path.is_file():
+        raise InputError(f"{path}: is not there; this station has filmed nothing.", action="Let boards pass first.")
+    store = Store(Database(path))
+    try:
+        kept = store.checks.of(digest_of(calibration.model_dump_json()), FIRST, LATEST)
+    finally:
+        store.close()
+    if not kept:
+        raise InputError(
+            f"{path}: has no run under {station.calibration}.",
+            action="Let boards pass under this calibration, or give recordings.",
+            code="too-little-evidence",
+        )
+    return calibration, tuple(c.head for c in station.cameras), [RunCheck.model_validate_json(text) for text in kept]
+
+
+def _show(before: Calibration, after: Calibration, heads: Sequence[CameraHead], out: Path) -> None:
+    from vaoi_station.calibration.compare import compare
+    from vaoi_station.calibration.difference_picture import draw
+    from vaoi_station.files.images import write_image
+
+    difference = compare(before, after, heads, one_board=True)
+    for line in difference.lines():
+        typer.echo(line)
+    picture = out.with_name(f"{out.stem}-difference.png")
+    write_image(picture, draw(difference, heads))
+    typer.echo(f"→ {out}, picture {picture}")

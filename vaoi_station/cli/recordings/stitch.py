@@ -1,0 +1,56 @@
+"""`vaoi stitch CASE --out result.json`: stitch a recording."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+if TYPE_CHECKING:
+    from vaoi_station.stitching.method import MethodName
+
+
+class Method(StrEnum):
+    """Ways to stitch."""
+
+    AUTO = "auto"
+    FIDUCIALS = "fiducials"
+    FEATURES = "features"
+    REFERENCE = "reference"
+    PAPER = "paper"
+
+
+def stitch(
+    case: Annotated[Path, typer.Argument(help="Directory of the recording.")],
+    out: Annotated[Path, typer.Option(help="Where the result is written.")],
+    calibration: Annotated[Path | None, typer.Option(help="By default the recording's own.")] = None,
+    board: Annotated[Path | None, typer.Option(help="Board type; by default the recording's own.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="Directory made by `vaoi teach`.")] = None,
+    method: Annotated[Method, typer.Option(help="Evidence to use.")] = Method.AUTO,
+) -> None:
+    """Stitch a recorded run: one matrix per frame, and C from CAD to tester."""
+    from vaoi_station.errors import InputError
+    from vaoi_station.files import write_stitch
+    from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
+    from vaoi_station.stitching.recordings.offline import stitch_frames
+    from vaoi_station.stitching.recordings.opening import open_run
+
+    evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
+    opened = open_run(case, calibration=calibration, board=board, reference=reference, method=evidence)
+    recording = opened.recording
+    if out.resolve() in {(case / name).resolve() for name in ("recording.json", "calibration.json", "board.json")}:
+        raise InputError(f"{out}: belongs to the recording and is left as it is.", action="Name another --out.")
+    if method is Method.PAPER:
+        result = stitch_by_paper(opened.setup, recording.head, recording.frame)
+    else:
+        reference_frame = opened.taught.recording.frame if opened.taught else None
+        result = stitch_frames(opened.setup, recording.head, recording.frame, reference_frame)
+    write_stitch(out, result)
+    sigma = result.quality.get("cad_sigma_px")
+    typer.echo(f"{result.status}: {recording.head.rows} rows × {len(recording.head.cameras)} cameras → {out}")
+    if sigma is not None:
+        typer.echo(f"positions are good to {sigma:.3f} px (1 σ, worst corner of the board)")
+    for reason in result.reasons:
+        typer.echo(f"- {reason}")

@@ -1,0 +1,1 @@
+"""Commands that run a station or its devices."""

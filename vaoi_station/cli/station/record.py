@@ -1,0 +1,61 @@
+"""`vaoi record`: film boards and keep them as recordings, without the rest of the station."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+STILL_RATE_HZ = 1.0
+"""Of several pictures of a board at rest."""
+
+
+def record(
+    config: Annotated[Path, typer.Option(help="station.toml: cameras, controller and line.")],
+    out: Annotated[Path, typer.Option(help="The recording to write; with several runs, the directory of run-001 ….")],
+    runs: Annotated[int, typer.Option(min=1, help="How many boards to film.")] = 1,
+    still: Annotated[
+        bool, typer.Option("--still", help="Fire once instead, whatever the barrier shows: a board at rest.")
+    ] = False,
+) -> None:
+    """Film boards with the configured devices and keep each as a recording."""
+    from vaoi_station.acquisition.process.filming import film, film_pulses
+    from vaoi_station.acquisition.process.messages import RunFinished
+    from vaoi_station.acquisition.process.recording_export import keep_run
+    from vaoi_station.acquisition.ring.ring import Ring
+    from vaoi_station.config import read_config
+    from vaoi_station.errors import StateError
+    from vaoi_station.files import read_calibration
+
+    station = read_config(config)
+    copies = {"calibration.json": station.calibration}
+    if still and not station.calibration.exists():
+        copies = {}  # how the first one is made
+    else:
+        read_calibration(station.calibration, [c.head for c in station.cameras])
+    targets = [out] if runs == 1 else [out / f"run-{n:03d}" for n in range(1, runs + 1)]
+    for target in targets:
+        if target.exists():
+            raise StateError(f"{target}: exists already.", action="Choose another --out, or remove it.")
+    kept: list[Path] = []
+
+    def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
+        target = targets[len(kept)]
+        keep_run(target, finished, ring, generation, copies)
+        kept.append(target)
+        cameras, rows = len(station.cameras), finished.head.rows
+        whole = cameras * rows - len(finished.head.missing)
+        print(f"{target}: {rows} rows, {whole} of {cameras * rows} frames, ended by {finished.reason!r}")
+        for frame in finished.frames:
+            if frame.cause:
+                print(f"  camera {frame.camera}, row {frame.row}: {frame.verdict}: {frame.cause}")
+
+    def notice(sentence: str) -> None:
+        print(sentence, file=sys.stderr)
+
+    if still:
+        film_pulses(station, runs, STILL_RATE_HZ, keep, notice)
+    else:
+        film(station, runs, keep, notice)

@@ -1,0 +1,27 @@
+"""`vaoi serve --config station.toml`: the whole service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def serve(
+    config: Annotated[Path, typer.Option(help="The station's configuration.")] = Path("station.toml"),
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="In place of the configured port; 0: any free one.")
+    ] = None,
+    log_json: Annotated[bool, typer.Option("--log-json", help="Log JSON objects, one per line.")] = False,
+) -> None:
+    """Film boards, stitch them, and answer by REST, until stopped."""
+    from vaoi_station import station
+    from vaoi_station.acquisition.process.backends import check_backends
+    from vaoi_station.config import read_config
+    from vaoi_station.runs.host.logs import start_log
+
+    settings = read_config(config)
+    check_backends(settings)
+    start_log(log_json)
+    station.serve(settings, port)

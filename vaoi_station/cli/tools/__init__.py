@@ -1,0 +1,1 @@
+"""Commands for planning, artwork, the virtual rig and benchmarks."""

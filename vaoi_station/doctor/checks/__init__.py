@@ -1,0 +1,1 @@
+"""Check one subject per module; a check changes nothing."""

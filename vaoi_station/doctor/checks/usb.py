@@ -1,0 +1,37 @@
+"""What the kernel lets USB cameras have under way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok
+
+PER_CAMERA_MB = 8
+"""Aravis submits so much at a time for each USB camera (ARV_UV_STREAM_MAXIMUM_SUBMIT_TOTAL)."""
+PARAMETER = "sys/module/usbcore/parameters/usbfs_memory_mb"
+
+
+def memory(patient: Patient) -> Iterator[Finding]:
+    """usbfs_memory_mb, for all cameras that may be USB ones: those that are named by serial number."""
+    named = sum(camera.serial is not None for camera in patient.real_cameras)
+    if not named:
+        yield not_applicable("no camera is named by a serial number, as those on USB are")
+        return
+    yield judge_memory(patient.machine.number(PARAMETER), named)
+
+
+def judge_memory(granted_mb: int | None, cameras: int) -> Finding:
+    """Enough for so many cameras? 0 means no limit."""
+    needed_mb = PER_CAMERA_MB * cameras
+    figures: Figures = {"usbfs_memory_mb": granted_mb, "needed_mb": needed_mb}
+    if granted_mb is None:
+        return not_applicable("this machine has no USB")
+    if 0 < granted_mb < needed_mb:
+        return fault(
+            f"usbfs_memory_mb is {granted_mb}, {cameras} cameras on USB need {needed_mb}: the last ones fail.",
+            "echo 256 > /sys/module/usbcore/parameters/usbfs_memory_mb; for good: "
+            "install -m 644 deploy/vaoi-usb-memory.conf /etc/tmpfiles.d/",
+            figures=figures,
+        )
+    return ok(f"usbfs_memory_mb is {granted_mb or 'without limit'}, {needed_mb} are needed", figures=figures)

@@ -1,0 +1,1 @@
+"""Draw HTML and SVG: escaping, axes, curves, thumbnails, the page."""

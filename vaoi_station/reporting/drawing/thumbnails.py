@@ -1,0 +1,52 @@
+"""Frames as small pictures that go into the report itself."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.files.images import encode_jpeg
+from vaoi_station.stitching.matching.prepared_frame import to_eight_bit, to_grey
+
+WIDEST_PX, NARROWEST_PX = 240, 40
+_ALL_PX = 128 * 96 * 600
+"""So many pixels of thumbnails in all: a report of any run stays within a few MB."""
+_QUALITY = 60
+_BRIGHTEST = 99.5
+"""The percentile that becomes white: dark frames are to be seen too."""
+
+
+@dataclass(frozen=True)
+class Thumbnail:
+    """A JPEG and its size in px."""
+
+    jpeg: bytes
+    width: int
+    height: int
+
+    @property
+    def uri(self) -> str:
+        """The picture as the address of itself."""
+        return "data:image/jpeg;base64," + base64.b64encode(self.jpeg).decode("ascii")
+
+
+def thumbnail_width(frames: int) -> int:
+    """How wide the thumbnails of a run may be."""
+    fair = int((_ALL_PX / max(frames, 1) * 4 / 3) ** 0.5)
+    return min(max(fair, NARROWEST_PX), WIDEST_PX)
+
+
+def thumbnail(pixels: NDArray[Any], width: int) -> Thumbnail:
+    """A frame (h, w) or (h, w, 3), 8 or 16 bit, reduced to a width and brightened, never magnified."""
+    grey = to_eight_bit(to_grey(pixels))
+    h, w = grey.shape
+    width = min(width, w)
+    size = (width, max(round(h * width / w), 1))
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    gain = 235 / max(float(np.percentile(small, _BRIGHTEST)), 40.0)
+    return Thumbnail(encode_jpeg(cv2.convertScaleAbs(small, alpha=max(gain, 1.0)), _QUALITY), *size)

@@ -1,0 +1,66 @@
+"""What made this result: times, software, and the documents it rests on, by their digests."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from pathlib import Path
+
+import numpy as np
+
+from vaoi_station.reporting.drawing.page import Section, facts, table
+from vaoi_station.reporting.drawing.scales import number
+from vaoi_station.reporting.drawing.svg import tag
+from vaoi_station.reporting.restitched import Story
+
+_TASKS = {
+    "rows": "links from row to row",
+    "neighbours": "links between cameras",
+    "marks": "marks",
+    "reference": "links to the reference",
+}
+_STAGES = {
+    "motion": "motion from links",
+    "cad": "CAD mapping and the whole adjustment",
+    "verdict": "verdict and uncertainty",
+}
+
+
+def timings(story: Story) -> Section:
+    """Wall time of everything, on one core."""
+    tasks = [[_TASKS.get(k, k), number(ms, 1)] for k, ms in story.task_ms.items()]
+    stages = [[_STAGES.get(k, k), number(ms, 1)] for k, ms in story.stitch.quality["timings_ms"].items()]
+    lead = (
+        "Wall time of this stitch, made for the report: the tasks, which a station does while the board still passes, "
+        "with the reading of frames from the disk; then what is left to do when it has left."
+    )
+    return Section("timings", "Timings", lead, table(["stage", "ms"], [*tasks, *stages], 1))
+
+
+def identity(story: Story) -> Section:
+    """Software and documents."""
+    o, q = story.opened, story.stitch.quality
+    known = o.calibration
+    residual = "–" if known.residual_px is None else ", ".join(number(r) for r in known.residual_px) + " px"
+    height = "not known" if known.working_distance_mm is None else f"{number(known.working_distance_mm, 1)} mm"
+    made = [
+        ("software", str(q["software"])),
+        ("OpenCV, NumPy, Python", f"{q['opencv']}, {np.__version__}, {platform.python_version()}"),
+        ("method", story.stitch.method),
+        ("reference", o.taught.recording.directory.name if o.taught else "none"),
+    ]
+    rests_on = [
+        ("recording", digest(o.recording.directory / "recording.json")),
+        ("calibration", digest(o.calibration_path)),
+        ("… created", known.created or "not told"),
+        ("… working distance", height),
+        ("… residuals", residual),
+        ("board type", digest(o.board_path) if o.board_path else "none"),
+    ]
+    body = tag("div", facts(made), facts(rests_on), class_="columns")
+    return Section("identity", "Identity", "Digests are the first 16 digits of SHA-256 of the files.", body)
+
+
+def digest(path: Path) -> str:
+    """Name of a file and what it holds, in 16 digits."""
+    return f"{path.name} · {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"

@@ -1,0 +1,90 @@
+"""The head of the report: verdict, reasons, and the key numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vaoi_station.reporting.drawing.page import Section, facts
+from vaoi_station.reporting.drawing.scales import number
+from vaoi_station.reporting.drawing.svg import tag, text
+from vaoi_station.reporting.restitched import Story
+
+
+def head(story: Story, name: str) -> str:
+    """Name of the run, verdict, and why."""
+    status = str(story.stitch.status)
+    heading = tag("h1", text(name), tag("span", text(status), class_="verdict"))
+    board_type = story.opened.setup.board_type
+    what = f"board type {board_type.name}" if board_type else "no board type"
+    size = f"{_many(story.cameras, 'camera')} × {_many(story.head.rows, 'row')}"
+    line = tag("p", text(f"{what} · {size} · method {story.stitch.method}"))
+    reasons = tag("ul", *(tag("li", text(r)) for r in story.stitch.reasons)) if story.stitch.reasons else ""
+    return tag("header", heading, line, reasons, class_=status)
+
+
+def key_numbers(story: Story) -> Section:
+    """What the verdict rests on."""
+    q = story.stitch.quality
+    left, right = facts(_accuracy(q)), facts(_evidence(story, q))
+    return Section("numbers", "Key numbers", "", tag("div", left, right, class_="columns"))
+
+
+def _accuracy(q: dict[str, Any]) -> list[tuple[str, str]]:
+    misfit, belt = q["residual_px"], q["belt"]
+    parts = q["component_sigma_px"]
+    worst = max(parts, key=lambda k: parts[k]) if parts else None
+    measured = belt["measured_mm_s"]
+    speed = None if measured is None else (measured[0] ** 2 + measured[1] ** 2) ** 0.5
+    nominal = (belt["nominal_mm_s"][0] ** 2 + belt["nominal_mm_s"][1] ** 2) ** 0.5
+    error = belt["speed_error"]
+    scale = q["scale_error"]
+    return [
+        ("σ of positions, worst view", _px(q["cad_sigma_px"]) + (f" ({worst})" if worst else "")),
+        ("links: median misfit", _px(misfit["median"])),
+        ("links: scatter beyond noise", _px(misfit["scatter"])),
+        ("σ₀ of the adjustment", number(misfit["sigma0"], 2) + " (1: as predicted)"),
+        ("scale against CAD", "–" if scale is None else number(scale * 1e6, 0) + " ppm"),
+        ("belt, measured", "–" if speed is None else f"{number(speed)} mm/s ({number(error * 100, 2)} %)"),
+        ("belt, nominal", f"{number(nominal)} mm/s"),
+        ("contrast along the outline", _grey(q["outline_contrast"])),
+    ]
+
+
+def _evidence(story: Story, q: dict[str, Any]) -> list[tuple[str, str]]:
+    names = {
+        "rows": "links from row to row",
+        "neighbours": "links between cameras",
+        "fiducials": "sightings of fiducials",
+        "fixture": "sightings of fixture marks",
+        "reference": "points of the reference",
+    }
+    found = {kind: c for kind, c in q["links"].items() if c["found"]}
+    counts = [(names.get(kind, kind), f"{c['used']} used of {c['found']}") for kind, c in found.items()]
+    pairs = story.pairs
+    linked = sum(1 for p in pairs if len(p.links.a_px))
+    present, frames = len(story.opened.present), story.cameras * story.head.rows
+    views = story.stitch.components or {}
+    return [
+        ("frames", f"{present} of {frames} arrived, {_placed(story)} placed"),
+        ("pairs of frames linked", f"{linked} of {len(pairs)}"),
+        *counts,
+        ("components in view", f"{sum(1 for v in views.values() if v)} of {len(views)}" if views else "–"),
+        ("components with a height", str(len(q["heights_mm"]))),
+    ]
+
+
+def _placed(story: Story) -> int:
+    placed, present = story.findings.placed, story.opened.present
+    return sum(1 for _, row in present if placed[row])
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def _px(value: float | None) -> str:
+    return "–" if value is None else f"{number(value)} px"
+
+
+def _grey(value: float | None) -> str:
+    return "–" if value is None else f"{number(value, 1)} grey levels"

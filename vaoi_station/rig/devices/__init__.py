@@ -1,0 +1,1 @@
+"""Emulate devices: the firmware on its chip, GigE Vision cameras on loopback."""

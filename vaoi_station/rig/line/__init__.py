@@ -1,0 +1,1 @@
+"""Move boards past the emulated devices, with faults."""

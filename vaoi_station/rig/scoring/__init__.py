@@ -1,0 +1,1 @@
+"""Score a rig run against the truth of the twin."""

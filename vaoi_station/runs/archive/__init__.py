@@ -1,0 +1,1 @@
+"""Keep finished runs: results, the event log, the components of a run."""

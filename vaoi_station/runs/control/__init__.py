@@ -1,0 +1,1 @@
+"""Control the station: one thread decides, every other thread asks it."""

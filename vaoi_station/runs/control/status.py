@@ -1,0 +1,118 @@
+"""The station at one moment, as a status page shows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vaoi_station.config import StationConfig
+from vaoi_station.runs.control import readiness
+from vaoi_station.runs.control.core import Core
+from vaoi_station.runs.run.run_views import versions
+from vaoi_station.runs.states.run_ids import utc_of_host
+from vaoi_station.runs.states.schemas import (
+    STARTING,
+    WAITING,
+    CameraStatus,
+    LeaseStatus,
+    ProcessStatus,
+    Reason,
+    Retention,
+    RingStatus,
+    StationSnapshot,
+)
+from vaoi_station.runs.states.tables import StationState
+from vaoi_station.store.documents import EVENTS_KEPT
+
+_COMPILING = "After an installation, or an update, they compile for a minute or two."
+
+
+def snapshot_of(
+    core: Core,
+    config: StationConfig,
+    *,
+    ring: tuple[Path, int],
+    processes: tuple[ProcessStatus, ...],
+    last_run: str | None,
+    last_event: int,
+) -> StationSnapshot:
+    """Everything a status page shows; `ring` is path and size in bytes. Called in the coordinator's thread."""
+    filming, cameras = core.book.filming, _cameras(core, config)
+    return StationSnapshot(
+        name=config.name,
+        state=core.state,
+        since=core.since,
+        reasons=(*core.reasons.all(), *readiness.reasons(core.health, config.cameras)),
+        warnings=(*core.watch.warnings(), *late(processes)),
+        armed_with=core.orders.shown(),
+        cameras=cameras,
+        all_cameras_ready=all(camera.connected for camera in cameras),
+        controller=core.health.controller if core.health else "",
+        processes=processes,
+        ring=RingStatus(
+            path=str(ring[0]),
+            size_bytes=ring[1],
+            bays=core.memory.bays(),
+            leases=tuple(
+                LeaseStatus(run=le.run, holder=le.holder, purpose=le.purpose, expires_in_s=core.leases.remaining_s(le))
+                for le in core.leases.all()
+            ),
+        ),
+        versions=versions(),
+        retention=_retention(config),
+        last_run=last_run,
+        filming=filming[0].run if filming else None,
+        last_event=last_event,
+        boards_missed=core.boards_missed,
+    )
+
+
+def late(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
+    """Workers that are not there yet: cameras are opened a while later; then boards are filmed, and stitched later."""
+    workers = [process for process in processes if process.name.startswith("worker ")]
+    away = sum(worker.doing == STARTING for worker in workers)
+    if not away:
+        return ()
+    still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
+    unopened = any(process.doing == WAITING for process in processes)
+    effect = "Cameras are not opened yet" if unopened else "Results of boards that pass meanwhile come late"
+    return (Reason(code="workers-starting", message=f"{effect}: {still}.", action=_COMPILING),)
+
+
+def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
+    if core.health is None:
+        waiting = core.state in (StationState.STARTING, StationState.FAULTED)
+        word = "not open yet" if waiting else "no news yet"
+        return tuple(
+            CameraStatus(camera=k, name=c.name, connected=False, message=word) for k, c in enumerate(config.cameras)
+        )
+    return tuple(
+        CameraStatus(
+            camera=k,
+            name=config.cameras[k].name,
+            connected=seen.connected,
+            message=seen.message,
+            temperature_c=seen.temperature_c,
+            delivered=seen.delivered,
+            incomplete=seen.incomplete,
+            last_frame_age_s=None
+            if seen.last_frame_s is None
+            else max(core.health.host_time_s - seen.last_frame_s, 0.0),
+            next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
+            counters=dict(seen.counters),
+        )
+        for k, seen in enumerate(core.health.cameras)
+    )
+
+
+def _retention(config: StationConfig) -> Retention:
+    runs = config.ring.runs
+    return Retention(
+        runs_in_memory=runs,
+        lease_s=config.ring.lease_s,
+        frames=(
+            f"Frames of at most {runs} runs are in memory. While the line is armed, one place is kept for the next "
+            "board; the oldest finished run nobody holds makes room. A restart of the station loses all frames."
+        ),
+        results=f"Results and the records of runs are kept in {config.data}, also over restarts.",
+        events=f"The last {EVENTS_KEPT} events are kept, also over restarts.",
+    )

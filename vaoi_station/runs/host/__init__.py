@@ -1,0 +1,1 @@
+"""Run processes: set-up, logs, garbage collection, systemd, requests to stop."""

@@ -1,0 +1,156 @@
+"""A run's progress as callers see it: summary, detail, timeline; pure."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator
+from functools import cache
+
+import cv2
+import numpy as np
+
+from vaoi_station import __version__
+from vaoi_station.acquisition.pairing.proof import QUESTIONS, TriggerProof
+from vaoi_station.geometry import apply
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Status, Stitch, Verdict
+from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.states.run_ids import utc, utc_of_host
+from vaoi_station.runs.states.schemas import (
+    BeltSpeed,
+    Reason,
+    RunDetail,
+    RunSummary,
+    Timeline,
+    Timings,
+    VerdictCounts,
+    Versions,
+)
+from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
+
+
+@cache
+def versions() -> Versions:
+    """What computes the results."""
+    return Versions(station=__version__, opencv=cv2.__version__, python=platform.python_version())
+
+
+def detail_of(progress: Progress) -> RunDetail:
+    """Everything about a run but its matrices."""
+    order, film = progress.order, progress.film
+    frames = tuple(progress.frames[key] for key in sorted(progress.frames))
+    verdicts = [frame.verdict for frame in frames]
+    finished = progress.state in FINISHED
+    return RunDetail(
+        id=progress.run,
+        board_type=order.board_type.name,
+        board_id=order.board_id,
+        job_id=order.job_id,
+        state=progress.state,
+        verdict=_verdict(progress),
+        started=utc_of_host(progress.barrier_s),
+        finished=utc() if finished else None,
+        rows=film.head.rows if film else 1 + max(progress.pulses, default=-1),
+        cameras=len(order.setup.cameras),
+        counts=VerdictCounts(
+            ok=verdicts.count(Verdict.OK),
+            incomplete=verdicts.count(Verdict.INCOMPLETE),
+            missing=verdicts.count(Verdict.MISSING),
+        ),
+        reasons=reasons_of(progress),
+        belt=_belt(progress),
+        timings=_timings(progress),
+        frames_available=progress.state in IN_MEMORY,
+        frames=frames,
+        ended=film.reason if film else "",
+        strays=film.strays if film else 0,
+        proof=film.proof if film else None,
+        software=versions(),
+        calibration=order.calibration_digest,
+    )
+
+
+def summary_of(detail: RunDetail) -> RunSummary:
+    """A run in a line."""
+    return RunSummary(**{key: getattr(detail, key) for key in RunSummary.model_fields})
+
+
+def timeline_of(progress: Progress) -> Timeline:
+    """When what happened."""
+    zero = progress.barrier_s
+    return Timeline(
+        frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.settled_s.items())),
+        tasks=tuple(progress.timings),
+        last_frame_s=(progress.film.last_frame_host_s if progress.film else zero) - zero,
+        ready_s=None if progress.ready_s is None else progress.ready_s - zero,
+    )
+
+
+def reasons_of(progress: Progress) -> tuple[Reason, ...]:
+    """Why a run is not simply ready: the stitch's own reasons, faults, frames that did not arrive whole."""
+    stitch = progress.gist
+    words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in stitch.reasons] if stitch else []
+    bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
+    causes = {(f.verdict, f.cause) for f in bad}
+    for verdict, cause in sorted(causes):
+        where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
+        words.append(Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}."))
+    proof = progress.film.proof if progress.film else None
+    return (*words, *trigger_reasons(proof), *progress.faults, *progress.order.notes)
+
+
+def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
+    """What speaks against frames, and frames that nobody asked for; those that are missing are told elsewhere."""
+    for f in proof.findings if proof else ():
+        where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
+        if f.kind in QUESTIONS:
+            yield Reason(
+                code=f"trigger-{f.kind}",
+                message=f"{where}: {f.text}.",
+                action="Check the camera's trigger settings and its trigger line; do not rely on these frames.",
+            )
+        elif f.kind == "extra-frame":
+            action = "Check the trigger line for bounces and crosstalk."
+            yield Reason(code="trigger-extra-frame", message=f"{where}: {f.text}.", action=action)
+
+
+def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:
+    """The straight line through the places, row by row, of the board's point that was at `about_mm` first."""
+    places_mm = np.array([apply(m, about_mm) for m in stitch.row_motion])
+    centred_s = times_s - times_s.mean()
+    vx, vy = centred_s @ places_mm / (centred_s @ centred_s)
+    ratio = float(np.hypot(vx, vy) / np.hypot(*nominal_mm_s))
+    return BeltSpeed(nominal_mm_s=nominal_mm_s, measured_mm_s=(float(vx), float(vy)), ratio=ratio)
+
+
+def _belt(progress: Progress) -> BeltSpeed | None:
+    """Measured at the board's middle: rotations of the rows are about it, not about the tester's origin."""
+    stitch, film = progress.gist, progress.film
+    if stitch is None or film is None or len(stitch.row_motion) < 2:
+        return None
+    setup, from_cad = progress.order.setup, stitch.tester_from_cad
+    if from_cad is None:
+        about_mm = np.mean([c.row_from_image(c.center_px) for c in setup.cameras], axis=0)
+    else:
+        about_mm = from_cad(np.mean(progress.order.board_type.extent(), axis=0))
+    return belt_speed(stitch, film.head.row_times_s(), setup.conveyor_mm_s, about_mm)
+
+
+def _verdict(progress: Progress) -> Status | None:
+    if progress.gist is not None:
+        return progress.gist.status
+    return Status.FAILED if progress.state in FINISHED else None
+
+
+def _timings(progress: Progress) -> Timings | None:
+    if progress.film is None:
+        return None
+    last_s, ready_s = progress.film.last_frame_host_s, progress.ready_s
+    return Timings(
+        filming_s=last_s - progress.barrier_s,
+        ready_after_last_frame_ms=None if ready_s is None else (ready_s - last_s) * 1e3,
+        links_ms=sum(t.worker_ms for t in progress.timings),
+        conclude_ms=progress.conclude_ms,
+        links=len(progress.timings),
+        links_while_filming=sum(t.done_s + progress.barrier_s < last_s for t in progress.timings),
+    )

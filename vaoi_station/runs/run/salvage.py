@@ -1,0 +1,56 @@
+"""Runs whose second half never came: what is said of them, and the film if the acquisition process has died."""
+
+from __future__ import annotations
+
+from vaoi_station.acquisition.process.messages import RunFinished
+from vaoi_station.config import StationConfig
+from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
+from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.states.schemas import Reason
+
+_AS_PLANNED = frozenset({"clear", "max-rows", "single"})
+"""Ends of pulses that are no accident; see controller.RunEnded."""
+CAUSE = "the acquisition process ended before it arrived"
+
+
+def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
+    """What a recording of this station says of its cameras."""
+    return tuple(c.head for c in config.cameras)
+
+
+def cut_short(report: RunFinished) -> Reason | None:
+    """What is to be told of a run whose pulses ended while the board may have been passing; None for all others."""
+    if report.reason in _AS_PLANNED:
+        return None
+    return Reason(
+        code="run-cut-short",
+        message=f"After row {report.head.rows - 1} nothing more was filmed: {report.reason}.",
+        action="Film the board again if the pictures do not suffice.",
+    )
+
+
+def film_from_pieces(progress: Progress, config: StationConfig) -> RunFinished | None:
+    """Pulses and frames that were told of, the rest missing; None if not one row was known."""
+    rows = 0
+    while rows in progress.pulses:  # rows after a gap in the pulses have no certain time
+        rows += 1
+    if not rows:
+        return None
+    keys = [(camera, row) for camera in range(len(config.cameras)) for row in range(rows)]
+    frames = tuple(
+        progress.frames.get(key) or FrameRecord(camera=key[0], row=key[1], verdict=Verdict.MISSING, cause=CAUSE)
+        for key in keys
+    )
+    first_s = progress.pulses[0].time_s
+    head = RecordingHead(
+        format="vaoi-recording",
+        version=1,
+        cameras=camera_heads(config),
+        rows=rows,
+        trigger_period_s=config.line.trigger_period_s,
+        conveyor_mm_s=config.line.conveyor_mm_s,
+        missing=tuple((f.camera, f.row) for f in frames if f.verdict is Verdict.MISSING),
+        trigger_times_s=tuple(round(progress.pulses[row].time_s - first_s, 9) for row in range(rows)),
+    )
+    last_s = max((at for key, at in progress.settled_s.items() if key in progress.present), default=progress.barrier_s)
+    return RunFinished(progress.run, progress.context.bay, head, frames, last_s, "acquisition lost")

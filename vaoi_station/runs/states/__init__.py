@@ -1,0 +1,1 @@
+"""Define states and schemas: the state tables, what the station reports, run ids."""

@@ -1,0 +1,1 @@
+"""Generate a board: its parts, copper and artwork."""

@@ -1,0 +1,198 @@
+"""What a generated board looks like: its surface as one texture, and one small texture per body.
+
+Greys are those of a red solder mask under red light, at gain 1. The surface texture has a rim of belt,
+so that the board ends where it should.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vaoi_station.errors import InputError
+from vaoi_station.files.images import read_image
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.simulation.board.bodies import Body, build_bodies
+from vaoi_station.simulation.board.canvas import Bytes, Canvas, bands, to_bytes
+from vaoi_station.simulation.board.layout import Part, mounting_holes, place_parts
+from vaoi_station.simulation.board.packages import Look
+from vaoi_station.simulation.board.routing import Copper, route
+from vaoi_station.simulation.scenario import BoardSection, FiducialMark
+
+RIM_PX = 2
+MASK, MASK_ON_COPPER, GAP = 62.0, 70.0, 50.0
+TRACE, SILK, GOLD, TIN, COPPER, LAMINATE, HOLE = 88.0, 205.0, 172.0, 186.0, 222.0, 46.0, 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Artwork:
+    """The board type's looks; shared by all boards of the type."""
+
+    parts: tuple[Part, ...]
+    bodies: tuple[Body, ...]
+    surface: Bytes
+    """(h, w) grey at gain 1."""
+    metal: Bytes
+    """(h, w) how metallic, 0 to 255."""
+    px_per_mm: float
+    origin_mm: tuple[float, float]
+
+    def to_px(self, places_mm: Floats) -> Floats:
+        """Texture pixels (..., 2) of board places (..., 2) mm."""
+        return np.asarray((places_mm - self.origin_mm) * self.px_per_mm - 0.5)
+
+
+def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
+    """Generate the board and paint it."""
+    parts = place_parts(section)
+    rim = RIM_PX / px_per_mm
+    size = (section.width_mm + 2 * rim, section.length_mm + 2 * rim)
+    canvas = Canvas.blank((-rim, -rim), size, px_per_mm, MASK)
+    if section.photograph is None:
+        _paint_surface(canvas, section, parts)
+    else:
+        _paint_photograph(canvas, section)
+    for mark in section.marks:
+        _paint_fiducial(canvas, mark)
+    _paint_belt(canvas, section, belt_grey)
+    bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
+    surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal, 255)
+    return Artwork(parts, bodies, surface, metal, px_per_mm, canvas.origin_mm)
+
+
+def _paint_surface(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
+    copper = route(section, parts)
+    _paint_copper(canvas, section, parts, copper)
+    _weave(canvas, section.seed)
+    _paint_silk(canvas, section, parts)
+    for place in copper.vias:
+        canvas.disc(place, 0.62, GOLD, metal=1.0)
+        canvas.disc(place, 0.3, HOLE)
+    for place in mounting_holes(section):
+        canvas.disc(place, 4.6, GOLD, metal=1.0)
+        canvas.disc(place, 3.2, HOLE)
+    for part in parts:
+        _paint_pads(canvas, part)
+
+
+def _paint_copper(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...], copper: Copper) -> None:
+    w, h = section.width_mm, section.length_mm
+    canvas.box((w / 2, h / 2), (w - 1.0, h - 1.0), MASK_ON_COPPER)
+    canvas.strokes(list(copper.traces), 0.6, GAP)
+    for part in parts:
+        for u, v, pw, ph in part.package.pads:
+            canvas.box(part.to_board_point(u, v), (pw + 0.4, ph + 0.4), GAP, turned_deg=part.turned_deg)
+    for place in copper.vias:
+        canvas.disc(place, 0.9, GAP)
+    canvas.strokes(list(copper.traces), 0.24, TRACE)
+
+
+def _weave(canvas: Canvas, seed: int) -> None:
+    """Solder mask is not quite even: blotches of a millimetre and a fine grain."""
+    g, (h, w), k = np.random.default_rng([seed, 7030]), canvas.grey.shape, canvas.px_per_mm
+    coarse = g.standard_normal((int(h / k) + 3, int(w / k) + 3), dtype=np.float32)
+    fine = cv2.GaussianBlur(g.standard_normal((h, w), dtype=np.float32), (0, 0), max(0.035 * k, 0.6))
+    blotches, scatter = cv2.resize(coarse, (w, h), interpolation=cv2.INTER_LINEAR), fine.std()
+    for band in bands(h):
+        canvas.grey[band] += 1.6 * blotches[band] + 1.3 * fine[band] / scatter
+
+
+def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
+    outlines = []
+    for part in parts:
+        w, h = part.package.body
+        if part.package.round:
+            a = np.linspace(0, 2 * np.pi, 49)
+            local = np.column_stack([np.cos(a), np.sin(a)]) * (w / 2 + 0.2)
+        else:
+            x, y = w / 2 + 0.18, h / 2 + 0.18
+            local = np.array([[-x, -y], [x, -y], [x, y], [-x, y], [-x, -y]])
+        outlines.append(part.to_board(local))
+        _paint_ref(canvas, part)
+        if part.package.look is Look.EPOXY and part.package.size[0] > 4:
+            u, v, *_ = part.package.pads[0]
+            canvas.disc(part.to_board_point(u, v - 0.9), 0.35, SILK)
+    canvas.strokes(outlines, 0.13, SILK)
+    w, h = section.width_mm, section.length_mm
+    if w >= 30:
+        canvas.text(section.name.upper(), (w * 0.5, h - 2.2), min(1.6, h / 25), SILK)
+        canvas.text("REV B  MADE BY NOBODY", (w * 0.5 + 0.25 * w, h - 2.0), min(0.9, h / 40), SILK)
+
+
+def _paint_ref(canvas: Canvas, part: Part) -> None:
+    """The name beside the part: for chips, which stand side by side in groups, on the side that is free."""
+    half_w, half_h = part.half_extent
+    x, y = part.place
+    tall = 1.0 if min(part.package.size) > 1.5 else 0.65
+    away = 0.65 * tall + 0.1
+    beside = part.turned_deg % 180 == 0 if part.package.small else half_w < half_h
+    if not beside and part.package.small:
+        canvas.text(part.ref, (x, y - half_h - 0.15 - 0.38 * tall * len(part.ref)), tall, SILK, 90.0)
+    elif not beside:
+        y += -(half_h + away) if y > half_h + 2 * tall else half_h + away
+        canvas.text(part.ref, (x, y), tall, SILK)
+    elif part.package.small:
+        canvas.text(part.ref, (x - half_w - 0.15 - 0.38 * tall * len(part.ref), y), tall, SILK)
+    else:
+        x += -(half_w + away) if x > half_w + 2 * tall else half_w + away
+        canvas.text(part.ref, (x, y), tall, SILK, 90.0)
+
+
+def _paint_pads(canvas: Canvas, part: Part) -> None:
+    g = np.random.default_rng([len(part.ref), *part.ref.encode()])
+    for u, v, w, h in part.package.pads:
+        x, y = part.to_board(np.array([u, v]))
+        shine = float(g.normal(0, 7))
+        canvas.box((x, y), (w, h), TIN - 18 + shine, metal=1.0, turned_deg=part.turned_deg)
+        canvas.box((x, y), (w * 0.72, h * 0.72), TIN + 14 + shine, metal=1.0, turned_deg=part.turned_deg)
+    for u, v, w, h in part.package.leads:
+        canvas.box(part.to_board_point(u, v), (w, h), 214.0, metal=1.0, turned_deg=part.turned_deg)
+        canvas.box(
+            part.to_board_point(u * 1.02, v * 1.02), (w * 0.35, h * 0.8), 128.0, metal=1.0, turned_deg=part.turned_deg
+        )
+
+
+def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
+    """Bare copper inside a ring without mask; drawn last, on even ground, at its exact place."""
+    place, d = (mark.x_mm, mark.y_mm), mark.diameter_mm
+    canvas.disc(place, 2.2 * d, LAMINATE)
+    if mark.shape == "circle":
+        canvas.disc(place, d, COPPER, metal=1.0)
+    elif mark.shape == "cross":
+        canvas.cross(place, d, d / 4, COPPER, metal=1.0)
+    else:
+        side = d if mark.shape == "square" else d / np.sqrt(2)
+        canvas.box(place, (side, side), COPPER, metal=1.0, turned_deg=0.0 if mark.shape == "square" else 45.0)
+
+
+def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
+    """Everything off the board, with its edge at its exact place."""
+    mask = Canvas(np.zeros_like(canvas.grey), np.zeros_like(canvas.metal), canvas.origin_mm, canvas.px_per_mm)
+    w, h = section.width_mm, section.length_mm
+    mask.box((w / 2, h / 2), (w, h), 1.0)
+    for band in bands(len(canvas.grey)):
+        inside = mask.grey[band]
+        canvas.grey[band] = canvas.grey[band] * inside + np.float32(grey) * (1 - inside)
+        canvas.metal[band] *= inside
+
+
+def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:
+    """A photograph of a board, stretched over the board's outline."""
+    assert section.photograph is not None
+    image = read_image(section.photograph)
+    if min(image.shape[:2]) < 16:
+        raise InputError.field(section.photograph, "its size", image.shape[:2], "at least 16 × 16 px")
+    eight = image if image.dtype == np.uint8 else np.asarray(image >> 8, np.uint8)
+    grey = cv2.cvtColor(eight, cv2.COLOR_BGR2GRAY) if eight.ndim == 3 else eight
+    k = canvas.px_per_mm
+    to_photo = np.array([[grey.shape[1] / section.width_mm, 0, -0.5], [0, grey.shape[0] / section.length_mm, -0.5]])
+    from_px = np.array(
+        [[1 / k, 0, canvas.origin_mm[0] + 0.5 / k], [0, 1 / k, canvas.origin_mm[1] + 0.5 / k], [0, 0, 1]]
+    )
+    h, w = canvas.grey.shape
+    shrink = min(k / to_photo[0, 0], 1.0)
+    soft = cv2.GaussianBlur(grey, (0, 0), 0.4 / shrink) if shrink < 1 else grey
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    canvas.grey[:] = cv2.warpAffine(soft, to_photo @ from_px, (w, h), flags=flags, borderMode=cv2.BORDER_REPLICATE)

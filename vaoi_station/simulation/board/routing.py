@@ -1,0 +1,149 @@
+"""Copper of a generated board: short traces from pads to vias, bundles across free places.
+
+A raster of what is taken keeps traces from crossing; its cells are coarse, since nobody measures them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.simulation.board.layout import Part, mounting_holes
+from vaoi_station.simulation.scenario import BoardSection
+
+_CELLS_PER_MM = 8
+_CLEARANCE_MM = 0.22
+_DIRECTIONS = np.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Copper:
+    """Traces (polylines, mm), and vias (middles, mm)."""
+
+    traces: tuple[Floats, ...]
+    vias: tuple[tuple[float, float], ...]
+
+
+def route(section: BoardSection, parts: tuple[Part, ...]) -> Copper:
+    """Draw copper where there is room for it."""
+    router = _Router(section)
+    for part in parts:
+        router.keep_off(part)
+    for part in parts:
+        router.fan_out(part)
+    router.bundles(round(section.density * section.width_mm * section.length_mm / 400))
+    for part in parts:
+        router.keep_vias_off(part)
+    router.stitching_vias(round(section.density * section.width_mm * section.length_mm / 60))
+    return Copper(tuple(router.traces), tuple(router.vias))
+
+
+class _Router:
+    def __init__(self, section: BoardSection) -> None:
+        self.g = np.random.default_rng([section.seed, 7020])
+        self.size = np.array([section.width_mm, section.length_mm])
+        w, h = (int(s * _CELLS_PER_MM) + 1 for s in self.size)
+        self.taken: NDArray[np.uint8] = np.zeros((h, w), np.uint8)
+        self.traces: list[Floats] = []
+        self.vias: list[tuple[float, float]] = []
+        for mark in section.marks:
+            self._take_disc((mark.x_mm, mark.y_mm), 1.5 * mark.diameter_mm)
+        for hole in mounting_holes(section):
+            self._take_disc(hole, 2.6)
+
+    def keep_off(self, part: Part) -> None:
+        """Pads are taken."""
+        for u, v, w, h in part.package.pads:
+            corners = np.array([[-w, -h], [w, -h], [w, h], [-w, h]]) / 2 + (u, v)
+            cv2.fillConvexPoly(self.taken, self._cells(part.to_board(corners)), 1)
+
+    def keep_vias_off(self, part: Part) -> None:
+        """No stitching vias under a part or its name."""
+        (x, y), (w, h) = part.place, part.half_extent
+        box = np.array([[x - w - 1.6, y - h - 1.6], [x + w, y - h - 1.6], [x + w, y + h], [x - w - 1.6, y + h]])
+        cv2.fillConvexPoly(self.taken, self._cells(box), 1)
+
+    def fan_out(self, part: Part) -> None:
+        """From most pads a trace goes out, bends, and ends in a via."""
+        for u, v, w, h in part.package.pads:
+            if self.g.random() < 0.15:
+                continue
+            outward = (
+                np.array([u, 0.0])
+                if abs(u) / part.package.size[0] >= abs(v) / part.package.size[1]
+                else np.array([0.0, v])
+            )
+            if not outward.any():
+                outward = np.array([0.0, 1.0])
+            start = part.to_board(np.array([u, v]))
+            heading = part.to_board(np.array([u, v]) + outward / np.abs(outward).max()) - start
+            k = int(np.argmax(_DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True) @ heading))
+            for _ in range(3):
+                if self._try(start, k, skip_mm=max(w, h) / 2 + 0.3, via=True):
+                    break
+
+    def bundles(self, count: int) -> None:
+        """Parallel traces across free places."""
+        for _ in range(count):
+            start, k = self.g.uniform(2, self.size - 2), int(self.g.integers(8))
+            lengths, bends = self.g.uniform([3, 1, 3], [14, 6, 14]), self.g.choice([-1, 1], 2)
+            side = _DIRECTIONS[(k + 2) % 8] / np.linalg.norm(_DIRECTIONS[k])
+            for n in range(int(self.g.integers(3, 9))):
+                path = _path(start + n * 0.45 * side, k, lengths, bends)
+                if self._is_free(path, 0.0):
+                    self._lay(path, via=True)
+
+    def stitching_vias(self, count: int) -> None:
+        """Vias that tie copper areas together, scattered."""
+        for _ in range(count):
+            place = self.g.uniform(1, self.size - 1)
+            if self._is_free(np.array([place, place + 0.01]), 0.0):
+                self.vias.append((float(place[0]), float(place[1])))
+                self._take_disc(self.vias[-1], 0.7)
+
+    def _try(self, start: Floats, k: int, skip_mm: float, *, via: bool) -> bool:
+        lengths = self.g.uniform([0.6, 0.5, 0.5], [3, 4, 9])
+        path = _path(start, k, lengths[: int(self.g.integers(1, 4))], self.g.choice([-1, 1], 2))
+        if not self._is_free(path, skip_mm):
+            return False
+        self._lay(path, via=via)
+        return True
+
+    def _is_free(self, path: Floats, skip_mm: float) -> bool:
+        steps = [np.linspace(a, b, max(int(np.hypot(*(b - a)) * _CELLS_PER_MM * 1.4), 2)) for a, b in pairwise(path)]
+        points = np.vstack(steps)
+        if (points < 0.8).any() or (points > self.size - 0.8).any():
+            return False
+        points = points[np.hypot(*(points - path[0]).T) >= skip_mm]
+        x, y = (points * _CELLS_PER_MM).astype(int).T
+        return not self.taken[y, x].any()
+
+    def _lay(self, path: Floats, *, via: bool) -> None:
+        self.traces.append(path)
+        width = max(round(2 * _CLEARANCE_MM * _CELLS_PER_MM), 2) + 1
+        cv2.polylines(self.taken, [self._cells(path)], False, 1, width)
+        if via:
+            self.vias.append((float(path[-1][0]), float(path[-1][1])))
+            self._take_disc(self.vias[-1], 0.7)
+
+    def _take_disc(self, place: tuple[float, float], radius_mm: float) -> None:
+        middle = self._cells(np.array(place)).tolist()
+        cv2.circle(self.taken, middle, int(np.ceil(radius_mm * _CELLS_PER_MM)), 1, -1)
+
+    def _cells(self, places: Floats) -> NDArray[np.int32]:
+        return np.asarray(np.round(places * _CELLS_PER_MM - 0.5), np.int32)
+
+
+def _path(start: Floats, k: int, lengths: Floats, bends: NDArray[np.int64]) -> Floats:
+    """A polyline that bends by 45° and back."""
+    turns = [k, k + int(bends[0]), k + int(bends[0]) + (int(bends[1]) if bends[0] != bends[1] else -int(bends[0]))]
+    points = [start]
+    for length, turn in zip(lengths, turns, strict=False):
+        d = _DIRECTIONS[turn % 8]
+        points.append(points[-1] + length * d / np.linalg.norm(d))
+    return np.array(points)

@@ -1,0 +1,1 @@
+"""Render what a camera sees: rays, light, optics, sensor."""

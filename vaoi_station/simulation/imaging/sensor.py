@@ -1,0 +1,86 @@
+"""From rays to grey values: pixel area, motion during the exposure, lens blur, brightness, noise, clipping."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.simulation.board.canvas import Plane
+from vaoi_station.simulation.imaging.lattice import OVERSAMPLING
+from vaoi_station.simulation.scenario import ArraySection
+
+_LEAST_MOTION = 1e-3
+_STEPS_PER_SAMPLE = 64
+
+
+def expose(
+    samples: Plane,
+    array: ArraySection,
+    *,
+    motion_px: Floats,
+    brightness: float,
+    shade: Plane,
+    noise: np.random.Generator | None,
+) -> NDArray[Any]:
+    """One frame, (h, w) uint8 or uint16.
+
+    Args:
+        samples: (2h, 2w) grey values the rays meet.
+        array: the sensor's properties.
+        motion_px: (2,) way of the picture across the sensor during the exposure, centred on the pulse.
+        brightness: light × exposure relative to the reference × gain.
+        shade: (h, w) vignetting.
+        noise: source of shot and read noise; None for a noiseless sensor.
+    """
+    h, w = samples.shape[0] // OVERSAMPLING, samples.shape[1] // OVERSAMPLING
+    kernel = motion_kernel(motion_px * OVERSAMPLING)
+    moved: Plane = cv2.filter2D(samples, -1, kernel) if kernel.size > 1 else samples
+    image: Plane = cv2.resize(moved, (w, h), interpolation=cv2.INTER_AREA)
+    if array.psf_px:
+        image = cv2.GaussianBlur(image, (0, 0), array.psf_px)
+    image = image * shade * np.float32(brightness)
+    if noise is not None and (array.shot_noise or array.read_noise):
+        sigma = np.sqrt(np.maximum(image, 0) * np.float32(array.shot_noise) + np.float32(array.read_noise**2))
+        image = image + noise.standard_normal(image.shape, dtype=np.float32) * sigma
+    image = image + np.float32(array.black_level)
+    if array.bits == 16:
+        return np.asarray(np.clip(np.rint(image * np.float32(256)), 0, 65535).astype(np.uint16))
+    return np.asarray(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+
+
+def motion_kernel(way: Floats) -> Plane:
+    """The integral of a bilinearly interpolated picture along a straight way, centred; sums to 1.
+
+    Args:
+        way: (2,) x and y, in samples.
+    """
+    length = math.hypot(*way)
+    if length < _LEAST_MOTION:
+        return np.ones((1, 1), np.float32)
+    steps = max(int(length * _STEPS_PER_SAMPLE), _STEPS_PER_SAMPLE)
+    at = (np.arange(steps) + 0.5) / steps - 0.5
+    hats = []
+    for part in way:
+        reach = math.ceil(abs(part) / 2)
+        cells = np.arange(-reach, reach + 1)
+        hats.append(np.clip(1 - np.abs(cells[None] - at[:, None] * part), 0, 1))
+    kernel = hats[1].T @ hats[0] / steps
+    return np.asarray(kernel / kernel.sum(), np.float32)
+
+
+def vignette(array: ArraySection, camera: int) -> Plane:
+    """Brightness over the frame: falls with the square of the distance from a point near the middle."""
+    g = np.random.default_rng([array.seed, 7004, camera])
+    x0, y0 = g.normal(0, 0.15, 2)
+    x, y = np.linspace(-1, 1, array.width_px) - x0, np.linspace(-1, 1, array.height_px) - y0
+    return np.asarray(1 - array.vignetting * (x[None] ** 2 + y[:, None] ** 2) / 2, np.float32)
+
+
+def generator(*key: int) -> np.random.Generator:
+    """The random numbers of one key, whatever was drawn before."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(key)))

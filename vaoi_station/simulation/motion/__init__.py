@@ -1,0 +1,1 @@
+"""Move the board: belt, pulses, faults of one passage."""

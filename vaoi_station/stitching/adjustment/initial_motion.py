@@ -1,0 +1,40 @@
+"""A first motion, good to a pixel: the medians of the links, chained over the rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.observations import Observations
+
+
+def chained(nominal: Motion, links: Observations) -> Motion:
+    """Nominal motion, corrected row by row by the median of the links that lead there.
+
+    Medians over all cameras: a frame full of tall parts or reflections is outvoted by its row.
+    """
+    shift = nominal.shift.copy()
+    rows = len(shift)
+    by_pair = np.argsort(links.q * rows + links.p, kind="stable")
+    p, q = links.p[by_pair], links.q[by_pair]
+    for row in range(1, rows):
+        first, last = np.searchsorted(q, (row, row + 1))
+        last = first + np.searchsorted(p[first:last], row)  # those from earlier rows
+        if last > first:
+            latest = by_pair[first + np.searchsorted(p[first:last], p[last - 1]) : last]
+            step = links.a_mm[latest] - links.b_mm[latest]
+            shift[row] = shift[p[last - 1]] + np.median(step, axis=0)
+        else:
+            shift[row] = shift[row - 1] + nominal.shift[row] - nominal.shift[row - 1]
+    return replace(nominal, shift=shift)
+
+
+def tied_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.ndarray]:
+    """Rows that links tie to one another, as groups; a run in one piece has one group."""
+    label = np.arange(rows)
+    for pair in np.unique(links.p[used] * rows + links.q[used]):
+        a, b = label[pair // rows], label[pair % rows]
+        label[label == max(a, b)] = min(a, b)
+    return [np.flatnonzero(label == k) for k in np.unique(label)]

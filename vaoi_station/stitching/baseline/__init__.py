@@ -1,0 +1,1 @@
+"""Stitch as the paper does, as a baseline to compare with."""

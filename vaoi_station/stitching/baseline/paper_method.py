@@ -1,0 +1,99 @@
+"""`--method paper`: a run stitched as the paper does it, from whole frames, row by row, in the plane.
+
+Kept to compare with: no prior, no common adjustment, no uncertainty. C is solved from the fiducials alone
+(equation 21).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station import __version__
+from vaoi_station.geometry import Camera, Euclidean
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.model import RecordingHead, Status, Stitch
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.baseline.paper_features import chain
+from vaoi_station.stitching.board.fiducial_assignment import board_frame, expected_angle, find_board, gather
+from vaoi_station.stitching.board.fiducial_detection import sight_marks
+from vaoi_station.stitching.matching.evidence import Task
+from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.recordings.offline import Frames
+from vaoi_station.stitching.work import Setup
+
+NO_MEASURE = "the paper's method has no measure of its own error"
+_BLANK = np.zeros((64, 64), dtype=np.uint8)
+
+
+def stitch_by_paper(setup: Setup, head: RecordingHead, frame: Frames) -> Stitch:
+    """Stitch frames of a finished run by Harris corners, SIFT descriptors and RANSAC, each row to the one before."""
+    start = time.perf_counter()
+    frames = _prepared(head, frame)
+
+    def grey(camera: int, row: int) -> NDArray[np.uint8]:
+        return frames[camera, row].grey if (camera, row) in frames else _BLANK
+
+    motion = chain(setup.cameras, head.rows, grey)
+    if isinstance(motion, Failure):
+        identity = tuple(np.eye(3) for _ in range(head.rows))
+        nothing = tuple(tuple(None for _ in range(head.rows)) for _ in setup.cameras)
+        return _result(nothing, None, identity, (f"the chain of rows is broken: {motion.reason}",), start)
+    images = tuple(
+        tuple(c.image_from_row.matrix @ d.matrix if (i, j) in frames else None for j, d in enumerate(motion))
+        for i, c in enumerate(setup.cameras)
+    )
+    found = _cad_matrix(setup, frames, as_motion(motion, setup.cameras))
+    rows = tuple(d.matrix for d in motion)
+    if isinstance(found, Failure):
+        return _result(images, None, rows, (found.reason,), start)
+    return _result(images, found, rows, (), start)
+
+
+def as_motion(rows: Sequence[Euclidean], cameras: Sequence[Camera]) -> Motion:
+    """D_j of every row as the motion that `stitching` computes with."""
+    pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
+    back = [d.inverse() for d in rows]
+    return Motion(np.array([b.angle_rad for b in back]), np.array([b(pivot) - pivot for b in back]), pivot)
+
+
+def _prepared(head: RecordingHead, frame: Frames) -> dict[tuple[int, int], Prepared]:
+    keys = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
+    return {key: Prepared(pixels) for key in keys if (pixels := frame(*key)) is not None}
+
+
+def _cad_matrix(setup: Setup, frames: dict[tuple[int, int], Prepared], motion: Motion) -> NDArray[np.float64] | Failure:
+    if setup.board_type is None:
+        return Failure("no board type was given, so there is no CAD mapping")
+    frame = board_frame(setup.board_type, setup.cameras[0])
+    sightings = [sight_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
+    places = gather(sightings, setup.cameras, motion)
+    angle = expected_angle(frame, setup.cameras[0], setup.expectation)
+    guess = find_board(frame, places, angle, setup.expectation, np.zeros((0, 2)))
+    return guess if isinstance(guess, Failure) else frame.matrix(guess.c)
+
+
+def _result(
+    images: tuple[tuple[NDArray[np.float64] | None, ...], ...],
+    cad_matrix: NDArray[np.float64] | None,
+    rows: tuple[NDArray[np.float64], ...],
+    reasons: tuple[str, ...],
+    start: float,
+) -> Stitch:
+    return Stitch(
+        method="paper",
+        image_matrices=images,
+        cad_matrix=cad_matrix,
+        row_motion=rows,
+        status=Status.FAILED if reasons else Status.DEGRADED,
+        reasons=reasons or (NO_MEASURE,),
+        quality={
+            "timings_ms": {"whole": round((time.perf_counter() - start) * 1e3, 3)},
+            "software": f"vaoi_station {__version__}",
+            "opencv": cv2.__version__,
+        },
+    )

@@ -1,0 +1,327 @@
+"""The CAD mapping (section 3.3.4): which sightings are the board's fiducials, and a first C.
+
+Handedness follows from board type and cameras, never from the data. The board's fiducials are the
+set of sightings whose distances, direction and likeness fit the CAD data best; with the outline known,
+the texture that was linked must lie on the board.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.problem import FIXTURE, FiducialPoints
+from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.board.component_index import Parts
+from vaoi_station.stitching.board.expectation import Expectation
+from vaoi_station.stitching.board.fiducial_detection import fixture_kind, kind_of, mark_kinds
+from vaoi_station.stitching.matching.evidence import Sightings
+
+_SAME_PLACE_MM = 0.4
+_SCALE_SIGMA = 1.0e-3
+_SCORE_SIGMA = 0.02
+_TEXTURE_MARGIN_MM = 1.0
+_MOST_OUTSIDE = 0.25
+"""With more of the texture off the board it is not this board."""
+_SCALE_LIMIT = 4e-3
+_SLACK_MM = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The board type's plane, in mm and turned so that no mirror is left between it and the tester."""
+
+    board_type: BoardType
+    mirrored: bool
+    """Whether C changes handedness."""
+
+    @cached_property
+    def parts(self) -> Parts:
+        """The components as arrays."""
+        return Parts.of(self.board_type)
+
+    def flat(self, cad: Floats) -> Floats:
+        """CAD points (k, 2) in CAD units with y flipped where C mirrors: what `adjustment.similar` takes."""
+        return np.asarray(cad, dtype=np.float64) * (1.0, -1.0 if self.mirrored else 1.0)
+
+    def cad(self, flat: Floats) -> Floats:
+        """The inverse of `flat`."""
+        return self.flat(flat)
+
+    def matrix(self, c: Floats) -> Floats:
+        """C as a 3×3 matrix, CAD → tester."""
+        a, b, x, y = c
+        f = -1.0 if self.mirrored else 1.0
+        return np.array([[a, -b * f, x], [b, a * f, y], [0, 0, 1.0]])
+
+    @property
+    def fiducials(self) -> Floats:
+        """(k, 2) flat places of the board's fiducials."""
+        return self.flat(np.array([(f.x, f.y) for f in self.board_type.fiducials]).reshape(-1, 2))
+
+
+def board_frame(board_type: BoardType, camera: Camera) -> Frame:
+    """Handedness by `formats.md`: CAD → image mirrors exactly when y up differs from bottom side."""
+    return Frame(board_type, board_type.mirrors != camera.image_from_row.mirrors)
+
+
+def expected_angle(frame: Frame, camera: Camera, expectation: Expectation) -> float:
+    """Direction in the tester of the flat x axis, if the board lies as expected."""
+    upright = np.pi if frame.board_type.side == "bottom" else 0.0
+    turn = upright + expectation.angle_rad
+    middle = np.asarray(camera.center_px)
+    way = camera.row_from_image(np.stack([middle, middle + (np.cos(turn), np.sin(turn))]))
+    return float(np.arctan2(*(way[1] - way[0])[::-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Sightings gathered over frames: places on the board (tester mm), kind, likeness."""
+
+    mm: Floats
+    kind: NDArray[np.int_]
+    score: Floats
+
+
+def gather(sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion) -> Places:
+    """One place per mark of the board, however many frames saw it."""
+    mm, kind, score = (np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
+    seen = [s for s in sightings if len(s.px)]
+    if seen:
+        _, _, mm = _grounded(seen, cameras, motion)
+        kind, score = np.concatenate([s.kind for s in seen]), np.concatenate([s.score for s in seen])
+    best_first = np.argsort(-score, kind="stable")
+    mm, kind, score = mm[best_first], kind[best_first].astype(np.int_), score[best_first]
+    kept = distinct(mm, kind, _SAME_PLACE_MM)
+    return Places(mm[kept], kind[kept], score[kept])
+
+
+def _grounded(
+    sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion
+) -> tuple[NDArray[np.int_], Floats, Floats]:
+    """Camera (k,), place on the ground (k, 2) and place on the board (k, 2) of all sightings, in their order."""
+    count = [len(s.px) for s in sightings]
+    camera = np.repeat(np.array([s.task.a[0] for s in sightings], dtype=np.int_), count)
+    px, ground = np.concatenate([s.px for s in sightings]), np.empty((sum(count), 2))
+    for i in np.unique(camera).tolist():
+        ground[camera == i] = cameras[i].ground(px[camera == i])
+    return camera, ground, motion.board(np.repeat([s.task.a[1] for s in sightings], count), ground)
+
+
+@compiled
+def distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArray[np.bool_]:
+    """Which of k places are no nearer than that to an earlier one of their kind that is kept."""
+    kept = np.zeros(len(mm), np.bool_)
+    for n in range(len(mm)):
+        kept[n] = True
+        for m in range(n):
+            if kept[m] and kind[m] == kind[n] and math.hypot(mm[m, 0] - mm[n, 0], mm[m, 1] - mm[n, 1]) < apart_mm:
+                kept[n] = False
+                break
+    return kept
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A first C and how it was chosen."""
+
+    c: Floats
+    cost: float
+    fiducials: tuple[int, ...]
+    """Numbers of the fiducials it rests on."""
+    either_way: bool = False
+    """Turned by 180° the board would fit as well, and the pictures do not tell."""
+
+
+def find_board(
+    frame: Frame, places: Places, angle_rad: float, expectation: Expectation, texture_mm: Floats
+) -> Hypothesis | Failure:
+    """The similarity under which sightings are the board's fiducials.
+
+    Args:
+        frame: the board type.
+        places: sightings on the board.
+        angle_rad: expected direction of the flat x axis.
+        expectation: tolerances, and where the board should lie.
+        texture_mm: (k, 2) places with texture (linked points), all of which lie on the board.
+    """
+    board_type, flat = frame.board_type, frame.fiducials
+    if len(flat) < 2:
+        return Failure(f"board type {board_type.name!r} has {len(flat)} fiducials; two are needed for the CAD mapping")
+    kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
+    best: Hypothesis | None = None
+    nearest: tuple[float, str] = (np.inf, "")
+    for i, j in combinations(range(len(flat)), 2):
+        for c, pair in _pairs(flat[i], flat[j], places, kinds[i], kinds[j], board_type.mm_per_unit):
+            turn = _wrapped(float(np.arctan2(c[1], c[0])) - angle_rad)
+            scale = float(np.hypot(c[0], c[1])) / board_type.mm_per_unit - 1
+            off = max(abs(turn) / expectation.angle_tolerance_rad, abs(scale) / _SCALE_LIMIT)
+            if off > 1:
+                what = f"turned by {np.degrees(turn):.1f}°, scale off by {scale:.2%}"
+                nearest = min(nearest, (off, what))
+                continue
+            cost, used = _cost(frame, c, places, kinds, pair, (i, j))
+            cost += (scale / _SCALE_SIGMA) ** 2 + (2 * turn / expectation.angle_tolerance_rad) ** 2
+            cost += _misplaced(frame, c, texture_mm, expectation)
+            if np.isfinite(cost) and (best is None or cost < best.cost):
+                best = Hypothesis(c, cost, used)
+    if best is not None:
+        return best
+    seen = f"{len(places.mm)} place(s) look like fiducials"
+    hint = f"; the nearest fit is {nearest[1]}" if nearest[1] else ""
+    return Failure(f"the fiducials of {board_type.name!r} are not where they should be: {seen}, no pair fits{hint}")
+
+
+def assign(
+    frame: Frame, c: Floats, sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion
+) -> FiducialPoints:
+    """The sightings that are fiducials, or marks of the fixture, under a first C."""
+    board_type = frame.board_type
+    kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
+    flat, number = frame.fiducials, np.arange(len(kinds))
+    if fixture_kind(board_type) is not None:
+        marks = frame.flat(np.array([(m.x, m.y) for m in board_type.fixture_marks]))
+        kinds += [len(mark_kinds(board_type))] * len(marks)
+        flat, number = np.vstack([flat, marks]), np.append(number, np.full(len(marks), FIXTURE))
+    seen = [s for s in sightings if len(s.px)]
+    if not seen:
+        return FiducialPoints.none()
+    camera, ground, board = _grounded(seen, cameras, motion)
+    ends = np.append(0, np.cumsum([len(s.px) for s in seen]))
+    of_seen = np.concatenate([s.kind for s in seen]).astype(np.int_)
+    at, mark = together(board, of_seen, ends, similar(c, flat), np.array(kinds, dtype=np.int_), _SAME_PLACE_MM)
+    row = np.repeat([s.task.a[1] for s in seen], np.diff(ends))[at]
+    camera, ground, lean, resolution = camera[at], ground[at], np.empty((len(at), 2)), np.empty(len(at))
+    for i in np.unique(camera).tolist():
+        mine = camera == i
+        lean[mine] = cameras[i].parallax(ground[mine])
+        resolution[mine] = [cameras[i].image_from_row.scale_at(p) for p in ground[mine]]
+    sigma = np.concatenate([s.sigma_px for s in seen])[at] / resolution
+    return FiducialPoints(row, ground, lean, flat[mark], sigma, resolution, number[mark])
+
+
+@compiled
+def together(
+    board_mm: Floats,
+    kind: NDArray[np.int_],
+    ends: NDArray[np.int_],
+    expected_mm: Floats,
+    expected_kind: NDArray[np.int_],
+    apart_mm: float,
+) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Sightings (n,) and marks (n,) that lie together: of each mark, in each frame, the nearest of its kind.
+
+    Args:
+        board_mm: (k, 2) where sightings are, frame by frame.
+        kind: (k,).
+        ends: (f + 1,) where the sightings of each frame begin, and where those of the last end.
+        expected_mm: (m, 2) where marks should be.
+        expected_kind: (m,).
+        apart_mm: what is further away is something else.
+    """
+    most = (len(ends) - 1) * len(expected_mm)
+    seen, mark, count = np.empty(most, np.int64), np.empty(most, np.int64), 0
+    for f in range(len(ends) - 1):
+        for m in range(len(expected_mm)):
+            nearest, least = -1, apart_mm
+            for k in range(ends[f], ends[f + 1]):
+                off = math.hypot(board_mm[k, 0] - expected_mm[m, 0], board_mm[k, 1] - expected_mm[m, 1])
+                if kind[k] == expected_kind[m] and off < least:
+                    nearest, least = k, off
+            if nearest >= 0:
+                seen[count], mark[count], count = nearest, m, count + 1
+    return seen[:count].copy(), mark[:count].copy()
+
+
+def _pairs(
+    f: Floats, g: Floats, places: Places, kind_f: int, kind_g: int, mm_per_unit: float
+) -> list[tuple[Floats, tuple[int, int]]]:
+    """Every ordered pair of places at the distance of two fiducials, with the similarity it fixes."""
+    of, og = np.flatnonzero(places.kind == kind_f), np.flatnonzero(places.kind == kind_g)
+    if not len(of) or not len(og):
+        return []
+    to = complex(*(g - f))
+    arrow = (places.mm[og][None, :] - places.mm[of][:, None]) @ np.array([1, 1j])
+    slack = 2 * _SCALE_LIMIT * abs(to) * mm_per_unit + _SLACK_MM
+    near = np.abs(np.abs(arrow) - abs(to) * mm_per_unit) <= slack
+    out = []
+    for k, n in np.argwhere(near):
+        turn = complex(arrow[k, n]) / to
+        shift = complex(*places.mm[of[k]]) - turn * complex(*f)
+        out.append((np.array([turn.real, turn.imag, shift.real, shift.imag]), (int(of[k]), int(og[n]))))
+    return out
+
+
+def _cost(
+    frame: Frame, c: Floats, places: Places, kinds: list[int], pair: tuple[int, int], chosen: tuple[int, int]
+) -> tuple[float, tuple[int, ...]]:
+    """How unlike fiducials the matched places are; every fiducial that is not seen costs as much as a poor one."""
+    expected = similar(c, frame.fiducials)
+    cost, used = 0.0, []
+    for f, at in enumerate(expected):
+        if f in chosen:
+            k = pair[chosen.index(f)]
+            cost += ((1 - places.score[k]) / _SCORE_SIGMA) ** 2
+            used.append(f)
+            continue
+        distance = np.where(places.kind == kinds[f], np.hypot(*(places.mm - at).T), np.inf)
+        k = int(distance.argmin())
+        if distance[k] < _SAME_PLACE_MM:
+            cost += ((1 - places.score[k]) / _SCORE_SIGMA) ** 2
+            used.append(f)
+        else:
+            cost += 50.0
+    return cost, tuple(used)
+
+
+def outside_share(frame: Frame, c: Floats, texture_mm: Floats) -> float:
+    """Share of the textured places that lie off the board, were C this one; fixtures and bare outlines tell nothing."""
+    board_type = frame.board_type
+    if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
+        return 0.0
+    low, high = board_type.extent()
+    margin = _TEXTURE_MARGIN_MM / board_type.mm_per_unit
+    cad_from_board = np.linalg.inv(frame.matrix(c)).astype(np.float64)
+    return _outside(cad_from_board, texture_mm, low - margin, high + margin) / len(texture_mm)
+
+
+@compiled
+def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats) -> int:
+    """How many board points (k, 2) lie outside a box in CAD coordinates; cad_from_board (3, 3) is affine."""
+    count, m = 0, cad_from_board
+    for n in range(len(board_mm)):
+        x = m[0, 0] * board_mm[n, 0] + m[0, 1] * board_mm[n, 1] + m[0, 2]
+        y = m[1, 0] * board_mm[n, 0] + m[1, 1] * board_mm[n, 1] + m[1, 2]
+        count += x < low[0] or x > high[0] or y < low[1] or y > high[1]
+    return count
+
+
+def _misplaced(frame: Frame, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
+    """Cost of texture off the board, and of a board far from where it is expected."""
+    outside = outside_share(frame, c, texture_mm)
+    if outside > _MOST_OUTSIDE:
+        return np.inf
+    cost = 400.0 * max(outside - 0.02, 0.0)
+    low, high = frame.board_type.extent()
+    corners = frame.flat(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
+    corner = similar(c, corners).min(0)
+    for at, expected in zip(corner, expectation.corner_mm, strict=True):
+        if expected is not None:
+            cost += ((float(at) - expected) / expectation.tolerance_mm) ** 2
+    return cost
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,164 @@
+"""Sightings: places of one frame that look like a fiducial of the board type."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.marks import Mark, locate, search
+from vaoi_station.marks.artwork import Shape
+from vaoi_station.marks.search import reduction
+from vaoi_station.model import BoardType, Fiducial
+from vaoi_station.stitching.adjustment.motion import Motion, places_within
+from vaoi_station.stitching.matching.evidence import FrameKey, Sightings, Task
+from vaoi_station.stitching.matching.prepared_frame import Prepared, reduced
+from vaoi_station.stitching.matching.scene import Scene
+
+_MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
+_SMALL = 1.12
+"""Marks may come out smaller by that factor where they are searched: cameras of one array then reduce alike."""
+
+
+def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:
+    """The different fiducials of a board type: shape and size in mm, in order of appearance."""
+    return tuple(dict.fromkeys(kind_of(f, board_type) for f in board_type.fiducials))
+
+
+def kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
+    """Shape and size in mm."""
+    return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
+
+
+def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
+    """Shape and size in mm of the marks of the fixture, if there is one; their index follows those of `mark_kinds`."""
+    mark = board_type.fixture_mark
+    if mark is None or not board_type.fixture_marks:
+        return None
+    return mark.shape, round(mark.size * board_type.mm_per_unit, 6)
+
+
+def sight_marks(
+    task: Task,
+    frame: Prepared,
+    camera: Camera,
+    board_type: BoardType | None,
+    *,
+    fixture: bool = False,
+    most: int = _MOST_PER_FRAME,
+) -> Sightings:
+    """The places of the frame that look most like one of the board's fiducials, or of the fixture's marks."""
+    found: list[tuple[Mark, int]] = []
+    kinds = list(mark_kinds(board_type)) if board_type else []
+    own = fixture_kind(board_type) if board_type and fixture else None
+    for kind, (shape, size_mm) in enumerate([*kinds, own] if own else kinds):
+        size_px = size_mm * camera.px_per_mm
+        rough = _look_for(frame, shape, size_px, most)
+        marks: Iterable[Mark | Failure] = rough
+        if kind == len(kinds):  # nobody looks again at marks of the fixture
+            marks = (locate(frame.grey, mark.px, shape, size_px) for mark in rough)
+        found += [(mark, kind) for mark in marks if isinstance(mark, Mark)]
+    return Sightings(
+        task,
+        np.array([m.px for m, _ in found]).reshape(-1, 2),
+        np.array([m.sigma_px for m, _ in found]),
+        np.array([m.score for m, _ in found]),
+        np.array([k for _, k in found], dtype=np.int_),
+    )
+
+
+def _look_for(frame: Prepared, shape: Shape, size_px: float, most: int) -> list[Mark]:
+    """Marks of one kind, searched where they are some 5 to 9 px wide and located where they are twice as wide.
+
+    That is good to some hundredths of a pixel of the frame, and touches a few hundred pixels per mark.
+    """
+    coarse = reduction(_SMALL * size_px)
+    fine = max(coarse // 2, 1)
+    places, _ = search(reduced(frame, coarse), shape, size_px / coarse, most)
+    medium = reduced(frame, fine) if len(places) else None
+    marks = []
+    for place in (places + 0.5) * (coarse / fine) - 0.5:
+        assert medium is not None
+        mark = locate(medium, place, shape, size_px / fine, precise=False)
+        if isinstance(mark, Mark):
+            marks.append(replace(mark, px=(mark.px + 0.5) * fine - 0.5, sigma_px=mark.sigma_px * fine))
+    return marks
+
+
+def look_deeper(
+    board_type: BoardType, scene: Scene, sightings: Sequence[Sightings], *, fixture: bool
+) -> list[Sightings]:
+    """The same frames searched once more, with room for many more look-alikes per frame."""
+    return [
+        sight_marks(
+            s.task,
+            scene.prepared(s.task.a),
+            scene.cameras[s.task.a[0]],
+            board_type,
+            fixture=fixture,
+            most=_MOST_WHEN_LOST,
+        )
+        for s in sightings
+    ]
+
+
+def look_again(
+    board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, sightings: Sequence[Sightings]
+) -> list[Sightings]:
+    """The sightings, with every fiducial that must be in a frame located anew, and precisely.
+
+    Once a first C is known a fiducial is looked for only where it must be; a frame in which look-alikes
+    pushed it off the list is asked again.
+    """
+    kinds = mark_kinds(board_type)
+    kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
+    board = apply(cad_matrix, np.array([(f.x, f.y) for f in board_type.fiducials]))
+    expected = _in_view(board, scene, motion)
+    return [_looked_at(s, expected[s.task.a], kind, kinds, scene) if s.task.a in expected else s for s in sightings]
+
+
+def _in_view(board: Floats, scene: Scene, motion: Motion) -> dict[FrameKey, list[tuple[int, Floats]]]:
+    """Which board points (k, 2) each frame shows, and at which pixel (2,)."""
+    out: dict[FrameKey, list[tuple[int, Floats]]] = {}
+    for number, camera in enumerate(scene.cameras):
+        row, point, place = places_within(motion.rows_from_tester, board, *camera.view_mm())
+        px = camera.project(place)
+        for n in np.flatnonzero(camera.sees(px)):
+            out.setdefault((number, int(row[n])), []).append((int(point[n]), px[n]))
+    return out
+
+
+def _looked_at(
+    s: Sightings,
+    expected: Sequence[tuple[int, Floats]],
+    kind: Sequence[int],
+    kinds: Sequence[tuple[Shape, float]],
+    scene: Scene,
+) -> Sightings:
+    """The sightings of one frame, with the fiducials expected there located anew."""
+    grey, px_per_mm = scene.prepared(s.task.a).grey, scene.cameras[s.task.a[0]].px_per_mm
+    for n, px in expected:
+        shape, size_mm = kinds[kind[n]]
+        size_px = size_mm * px_per_mm
+        near = np.hypot(*(s.px - px).T) < size_px / 3
+        start = s.px[near][s.score[near].argmax()] if near.any() else px
+        mark = locate(grey, start, shape, size_px)
+        if isinstance(mark, Mark):
+            s = _with(s, ~near, mark, kind[n])
+    return s
+
+
+def _with(s: Sightings, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Sightings:
+    """The sightings to keep, and one more."""
+    return Sightings(
+        s.task,
+        np.vstack([s.px[keep], mark.px]),
+        np.append(s.sigma_px[keep], mark.sigma_px),
+        np.append(s.score[keep], mark.score),
+        np.append(s.kind[keep], kind).astype(np.int_),
+    )

@@ -1,0 +1,75 @@
+"""Components on the stitched board: which link lies on which, and where their centres are in the frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import Surface
+from vaoi_station.stitching.adjustment.motion import places_within
+from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.board.fiducial_assignment import Frame
+
+_BEYOND_PX = 3.0
+"""Views are listed until the centre is so far outside the frame."""
+
+View = tuple[int, int, float, float]
+"""Camera, row, and raw pixels."""
+
+
+def component_of(frame: Frame, c: Floats, board_mm: Floats) -> Ints:
+    """Number of the component on whose footprint each board point (k, 2) lies; −1 for none; the smallest wins."""
+    return frame.parts.under(np.asarray(np.linalg.inv(frame.matrix(c)), np.float64), board_mm)
+
+
+def landmarks(frame: Frame) -> tuple[tuple[str, ...], Floats]:
+    """Names and CAD places (n, 2) of what is told in which frame it is: components, or the board's corners."""
+    parts = frame.parts
+    if parts.addresses:
+        return parts.addresses, parts.center
+    return ("low corner", "high corner"), np.array(frame.board_type.extent())
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Points of the board in the frames that show them: point by point, of each in the order of cameras and rows."""
+
+    point: Ints
+    """(k,) number of the point."""
+    camera: Ints
+    row: Ints
+    place_mm: Floats
+    """(k, 2) where it is on the conveyor's plane in that row."""
+    px: Floats
+    """(k, 2) raw pixels; a little outside the frame is seen, too."""
+
+    @staticmethod
+    def of(cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None) -> Views:
+        """Of CAD points (n, 2); `rows` (m, 3, 3) are the D_j."""
+        height = surface.height_mm(cad) if surface else np.zeros(len(cad))
+        between = float(height.min()), float(height.max())
+        boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
+        row, point, place = places_within(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
+        (x, y), found = place.T, []
+        for i, (camera, (low, high)) in enumerate(zip(cameras, boxes, strict=True)):
+            near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
+            px = camera.project(place[near], height[point[near]])
+            seen = camera.sees(px, -_BEYOND_PX)
+            at = near[seen]
+            found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
+        point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
+        order = np.argsort(point, kind="stable")
+        return Views(point[order], *(values[order] for values in others))
+
+
+def footprint_views(addresses: Sequence[str], views: Views) -> dict[str, tuple[View, ...]]:
+    """Raw pixels of the centre of each footprint in every frame that shows it: {address: [(camera, row, x, y)]}."""
+    x, y = np.round(views.px, 4).T.tolist()
+    every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))
+    ends = [0, *np.cumsum(np.bincount(views.point, minlength=len(addresses))).tolist()]
+    return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}

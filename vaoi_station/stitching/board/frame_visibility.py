@@ -1,0 +1,138 @@
+"""The frames of a run as arrays: which of them shows a place of the board best, and where; compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled
+from vaoi_station.geometry.rays import distorted
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.matching.scene import Scene
+
+_MARGIN_MM = 1.0
+"""So far inside a frame lies what it shows best."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shots:
+    """f frames of c cameras in m rows."""
+
+    scene: Scene
+    frame: Ints
+    """(f, 2) camera and row."""
+    rows: Floats
+    """(m, 3, 3) D_j."""
+    image_from_row: Floats
+    """(c, 3, 3) N_i."""
+    radial: Floats
+    """(c, r) a1, a2, … of the lenses."""
+    lens: Floats
+    """(c, 5) what else `geometry.rays` wants of them."""
+    view_mm: Floats
+    """(c, 4) lowest x and y and highest x and y of what each camera sees."""
+    size_px: Floats
+    """(c, 3) width, height and margin."""
+
+    @staticmethod
+    def of(scene: Scene, motion: Motion) -> Shots:
+        """Those of a scene, as the board moved."""
+        cameras = scene.cameras
+        most = max(len(c.lens.coefficients) for c in cameras)
+        return Shots(
+            scene,
+            np.array(scene.present, dtype=np.int_).reshape(-1, 2),
+            motion.rows_from_tester,
+            np.array([c.image_from_row.matrix for c in cameras]),
+            np.array([[*c.lens.coefficients, *[0.0] * (most - len(c.lens.coefficients))] for c in cameras]),
+            np.array([c.lens.shape for c in cameras]),
+            np.array([np.concatenate(c.view_mm()) for c in cameras]),
+            np.array([(c.width_px, c.height_px, _MARGIN_MM * c.px_per_mm) for c in cameras]),
+        )
+
+    def nearest(self, board_mm: Floats) -> Ints:
+        """For each board point (k, 2) the number of the frame that shows it closest to its middle; −1 for none."""
+        return _nearest(
+            *(np.ascontiguousarray(board_mm), self.frame, self.rows, self.image_from_row),
+            *(self.radial, self.lens, self.view_mm, self.size_px),
+        )
+
+    def project(self, number: Ints, board_mm: Floats) -> Floats:
+        """Raw pixels (k, s, 2), in the frames of these numbers (k,), of board points (k, s, 2); NaN where it is −1."""
+        return _projected(
+            np.ascontiguousarray(board_mm), number, self.frame, self.rows, self.image_from_row, self.radial, self.lens
+        )
+
+    def look(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
+        """What is read (k, samples) in the frames of these numbers (k,); NaN where it is −1.
+
+        `read` is given the pixels of a frame and the positions (j,) of those k that it shows, and returns (j, samples).
+        """
+        out = np.full((len(number), samples), np.nan)
+        for n in np.unique(number[number >= 0]).tolist():
+            mine = np.flatnonzero(number == n)
+            out[mine] = read(self.scene.prepared(self.scene.present[n]).grey, mine)
+        return out
+
+
+@compiled
+def _nearest(
+    board_mm: Floats,
+    frame: Ints,
+    rows: Floats,
+    image_from_row: Floats,
+    radial: Floats,
+    lens: Floats,
+    view_mm: Floats,
+    size_px: Floats,
+) -> Ints:
+    chosen = np.full(len(board_mm), -1)
+    for k in range(len(board_mm)):
+        best = np.inf
+        for n in range(len(frame)):
+            i, d = frame[n, 0], rows[frame[n, 1]]
+            x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]
+            if not (view_mm[i, 0] <= x <= view_mm[i, 2] and view_mm[i, 1] <= y <= view_mm[i, 3]):
+                continue
+            m, last_x, last_y, margin = image_from_row[i], size_px[i, 0] - 1, size_px[i, 1] - 1, size_px[i, 2]
+            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
+            shape = (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
+            u, v = distorted(u, v, radial[i], shape)
+            if min(u, v) < margin or u > last_x - margin or v > last_y - margin:
+                continue
+            off = (u - last_x / 2) ** 2 + (v - last_y / 2) ** 2
+            if off < best:
+                best, chosen[k] = off, n
+    return chosen
+
+
+@compiled
+def _projected(
+    board_mm: Floats,
+    number: Ints,
+    frame: Ints,
+    rows: Floats,
+    image_from_row: Floats,
+    radial: Floats,
+    lens: Floats,
+) -> Floats:
+    out = np.full(board_mm.shape, np.nan)
+    for k in range(len(board_mm)):
+        if number[k] < 0:
+            continue
+        i, d = frame[number[k], 0], rows[frame[number[k], 1]]
+        m, shape = image_from_row[i], (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
+        for s in range(board_mm.shape[1]):
+            x = d[0, 0] * board_mm[k, s, 0] + d[0, 1] * board_mm[k, s, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[k, s, 0] + d[1, 1] * board_mm[k, s, 1] + d[1, 2]
+            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
+            out[k, s, 0], out[k, s, 1] = distorted(u, v, radial[i], shape)
+    return out

@@ -1,0 +1,206 @@
+"""Does the board lie as assumed, or turned round? Two fiducials often fit both ways.
+
+Where fiducials alone leave it open, the pictures decide: the board's outline is a step from board to
+belt, and parts have edges where the CAD data put them. Both are measured for the board as placed and
+for the board turned by half a turn about the same fiducials.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.board.frame_visibility import Shots
+from vaoi_station.stitching.matching.scene import Scene
+
+_PIECE_MM = 4.0
+"""Length over which an edge is averaged, so that texture cancels and the edge stays."""
+_SAMPLES, _DEPTHS = 10, 2
+_NEAR_MM, _FAR_MM = 0.12, 0.45
+"""Where the two sides of an edge are compared."""
+_APART_MM = 0.4
+"""Edges that lie closer together both ways tell nothing."""
+_CLEAR = {"outline": 1.5, "components": 2.5}
+_LEAST_STEP = {"outline": 5.0, "components": 10.0}
+"""By which factor, and to how many grey levels, one orientation must stand out; parts are the weaker evidence."""
+_LEAST_PIECES, _MOST_PIECES = 6, 48
+_LEAST_OUTLINE = 3.0
+"""Grey levels; noise alone gives less than one."""
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """What the pictures say: median edge contrast (grey levels) as placed and turned, and on what."""
+
+    evidence: str
+    as_placed: float
+    turned: float
+
+    @property
+    def contradicts(self) -> bool:
+        """The board rather lies turned round."""
+        return _stands_out(self.evidence, self.turned, self.as_placed)
+
+    @property
+    def confirms(self) -> bool:
+        """The board lies as assumed."""
+        return _stands_out(self.evidence, self.as_placed, self.turned)
+
+
+def _stands_out(evidence: str, one: float, other: float) -> bool:
+    return one > _CLEAR[evidence] * other and one > _LEAST_STEP[evidence]
+
+
+def check(
+    board_type: BoardType,
+    placed: Floats,
+    turned: Floats,
+    scene: Scene,
+    motion: Motion,
+) -> Orientation | None:
+    """Compare the board as placed with the board turned round.
+
+    Args:
+        board_type: outline and components.
+        placed: C as found, 3×3, CAD → tester.
+        turned: C of the turned board that fits the same fiducials.
+        scene: the frames.
+        motion: of the rows.
+
+    Returns:
+        The first evidence that decides, the outline before the parts; the last one if none does; None
+        if there is nothing to compare.
+    """
+    best, shots = None, Shots.of(scene, motion)
+    for evidence, lines in (("outline", outline_polygons), ("components", _parts)):
+        pieces = straight_pieces(lines(board_type), board_type.mm_per_unit)
+        if not len(pieces):
+            continue
+        apart = _apart(pieces, placed, turned)
+        if apart.sum() < _LEAST_PIECES:
+            continue  # it lies the same both ways
+        a = _steps(pieces[apart], placed, shots)
+        b = _steps(pieces[apart], turned, shots)
+        if min(len(a), len(b)) < _LEAST_PIECES:
+            continue
+        best = Orientation(evidence, float(np.median(a)), float(np.median(b)))
+        if best.contradicts or best.confirms:
+            return best
+    return best
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Median contrast along the board's outline as placed, and over how many pieces."""
+
+    contrast: float
+    pieces: int
+
+    @property
+    def visible(self) -> bool:
+        """Whether there is an edge where the board should end."""
+        return self.contrast >= _LEAST_OUTLINE
+
+
+def outline_of(board_type: BoardType, placed: Floats, scene: Scene, motion: Motion) -> Outline | None:
+    """How plainly the pictures show the board's outline where C puts it; None where too little of it is in view."""
+    pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
+    pieces = pieces[spread(len(pieces))]
+    steps = _steps(pieces, placed, Shots.of(scene, motion)) if len(pieces) else np.zeros(0)
+    return Outline(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
+
+
+def spread(pieces: int) -> NDArray[np.int_]:
+    """Numbers of so many pieces of an outline; of many some, evenly spread.
+
+    They tell its place far better than it was cut, so that more would only take longer.
+    """
+    return np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(np.int_))
+
+
+def outline_polygons(board_type: BoardType) -> list[Floats]:
+    """The outline as polygons (k, 2) in CAD units: one, or none where it is not known."""
+    if board_type.outline is None:
+        return []
+    points = np.array(board_type.outline, dtype=np.float64)
+    if len(points) == 2:
+        low, high = points.min(0), points.max(0)
+        points = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+    return [points]
+
+
+def _parts(board_type: BoardType) -> list[Floats]:
+    return [board_type.footprint(c) for c in board_type.components]
+
+
+def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
+    """Straight pieces (k, 2, 2) of closed polygons, each a few mm long; shorter edges as they are."""
+    if not polygons:
+        return np.zeros((0, 2, 2))
+    a, b = np.concatenate(polygons), np.concatenate([np.roll(p, -1, 0) for p in polygons])
+    count = np.maximum((np.hypot(*(b - a).T) * mm_per_unit / _PIECE_MM).astype(int), 1)
+    of, k = np.repeat(np.arange(len(a)), count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    ends = np.stack([k, k + 1], -1) / count[of, None]
+    return np.asarray(a[of, None] + ends[..., None] * (b - a)[of, None])
+
+
+def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
+    """Pieces that lie clear of every piece of the other hypothesis, across their own direction."""
+    a, b = apply(placed, pieces), apply(turned, pieces)
+    along = a[:, 1] - a[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    middle_a, middle_b = a.mean(1), b.mean(1)
+    offset = np.abs(((middle_b[None] - middle_a[:, None]) * normal[:, None]).sum(-1))
+    length = np.abs(((middle_b[None] - middle_a[:, None]) * (normal[:, ::-1] * (1, -1))[:, None]).sum(-1))
+    beside = length < _PIECE_MM
+    nearest = np.where(beside, offset, np.inf).min(1)
+    return np.asarray(nearest > _APART_MM)
+
+
+def _steps(pieces: Floats, cad_matrix: Floats, shots: Shots) -> Floats:
+    """Contrast across every piece that some frame shows, in grey levels."""
+    board = apply(cad_matrix, pieces)
+    number = shots.nearest(board.mean(1))
+    px = shots.project(number, _both_sides(board))
+    step = shots.look(number, 1, lambda image, mine: _contrast(image, px[mine]))
+    return np.asarray(step[np.isfinite(step)])
+
+
+@compiled
+def _contrast(image: NDArray[np.uint8], px: Floats) -> Floats:
+    """Difference (k, 1) of the means over the first and the second half of places (k, s, 2); NaN if one is outside."""
+    h, w = image.shape
+    count = px.shape[1]
+    out = np.empty((len(px), 1))
+    for k in range(len(px)):
+        total = 0.0
+        for s in range(count):
+            x, y = px[k, s, 0], px[k, s, 1]
+            if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
+                total = np.nan
+                break
+            j, i = min(int(x), w - 2), min(int(y), h - 2)
+            u, v = x - j, y - i
+            above = image[i, j] * (1 - u) + image[i, j + 1] * u
+            below = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
+            grey = above * (1 - v) + below * v
+            total += grey if 2 * s < count else -grey
+        out[k, 0] = 2 * abs(total) / count
+    return out
+
+
+def _both_sides(board: Floats) -> Floats:
+    """Sample points (k, s, 2) along straight pieces (k, 2, 2) of the board, one side after the other."""
+    along = board[:, 1] - board[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    line = (board[:, :1] + t[None, :, None] * along[:, None])[:, None, None]
+    off = np.array([[-1.0], [1.0]]) * np.linspace(_NEAR_MM, _FAR_MM, _DEPTHS)
+    points = line + off[None, :, :, None, None] * normal[:, None, None, None]
+    return np.asarray(points.reshape(len(board), -1, 2))

@@ -1,0 +1,347 @@
+"""The inner loop of matching: one patch of image a, found again in image b to a few thousandths of a pixel.
+
+Both images are blurred around the patch, which takes away most of the interpolation's pull towards whole
+pixels. Inverse-compositional Gauss-Newton with gain and offset follows: first with bilinear interpolation until
+steps get short, then with a sinc of six points under a Kaiser window until they are next to nothing.
+
+With t the patch without its mean, g its two slopes freed of what light can explain, H = g·gᵀ, and s the window of b at
+the place reached, a step is H⁻¹·(g·s) / gain, gain = (t·s) / (t·t).
+
+**Light.** Vignetting and the fall of a lamp make a patch brighter on one side, in frame b often on the other:
+a blob of 5 px then seems to move by 0.01 to 0.02 px, in all patches alike, so that it does not average out. The
+slopes are therefore freed of what offset, gain and a slope of the gain across the patch can explain (1, t, t·x, t·y).
+
+**Memory.** Patches and tiles lie line after line in flat arrays, `PITCH_PX` apart, and a loop runs over all lines: the
+compiler turns it into vector instructions, which it does not do with loops over a line of 24. What fills a line up is
+nil in everything a sum is made with.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.matching.patch_tables import (
+    ACROSS,
+    BINOMIAL,
+    BLUR_REACH,
+    DOWN,
+    FRACTIONS,
+    INSIDE,
+    PITCH_PX,
+    SINC,
+    TAPS,
+    WINDOW_PX,
+)
+from vaoi_station.stitching.matching.tiles import Pixels, Plane, blur, cut, saturated_share
+
+_MOST_TILES = 7
+"""A tile cut out of b has room for a patch to move by a pixel and a half; further away a new one is cut."""
+MARGIN_PX = WINDOW_PX // 2 + TAPS // 2
+"""A patch's middle keeps so far off the border of either image; what the blur wants beyond that is repeated."""
+_MOST_STEPS, _NEAR_PX, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.25, 0.01, 1.5, 1e-3
+"""Steps shorter than `_NEAR_PX` lead to where the sinc goes on; the one shorter than `_STILL_PX` is the last."""
+_FOLLOWED, _FOLLOWED_SCORE = 4, 0.8
+"""Neighbouring patches mostly move alike: one starts where about so many before it, well matched, were found."""
+_LEAST_CORNER = 1e-6
+"""det H / (trace H)² below which a patch is but an edge."""
+_A_PX, _B_PX, _B_PITCH = WINDOW_PX + 2, 32, 40
+"""Sides of the tiles cut out of a and b, and the pitch of the latter while it has room for the blur around it."""
+_B_FIRST = 4
+"""Where in a tile of b the window's first pixel lies when it is cut."""
+_RAW_LINES, _PADDING, _TILE = 40, 6 * PITCH_PX, 34 * PITCH_PX
+"""Room in memory: loops over whole lines read a little beyond the last of them."""
+_LEFT = WINDOW_PX // 2 - 1
+_AREA = WINDOW_PX * WINDOW_PX
+_SIZE = WINDOW_PX * PITCH_PX
+
+_Patch = tuple[Plane, Plane, Plane, Plane, Plane]
+"""t, the slopes in x and y, t·x and t·y; (768,) each."""
+_Float = np.float32
+
+
+@compiled
+def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
+    a: Pixels,
+    b: Pixels,
+    places: NDArray[np.int64],
+    guess_px: Floats,
+    reach_px: float,
+    b_px: Floats,
+    hessian: Floats,
+    blurred: Floats,
+    told: Floats,
+) -> None:
+    """Find patches of image a in image b.
+
+    Args:
+        a: first image (h, w).
+        b: second image.
+        places: (k, 2) whole pixels; a patch's middle is half a pixel right of and below them.
+        guess_px: (k, 2) where the middles are expected in b.
+        reach_px: a patch that goes further from there is lost.
+        b_px: out, (k, 2) where the middles are in b.
+        hessian: out, (k, 2, 2) sums of products of the slopes g, grey levels² / px².
+        blurred: out, (k, 2, 2) sums of products of B g, B the blur: what noise that was blurred makes of the slopes.
+        told: out, (k, 4) correlation, scatter of what is left (grey levels), last step (px; infinite if lost), share of
+            saturated pixels.
+    """
+    raw, half_way = np.zeros(_RAW_LINES * _B_PITCH, np.uint8), np.zeros(_RAW_LINES * _B_PITCH, _Float)
+    tile_a, tile_b = np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
+    padded_x, padded_y = np.zeros(_SIZE + 2 * _PADDING, _Float), np.zeros(_SIZE + 2 * _PADDING, _Float)
+    gx, gy = padded_x[_PADDING : _PADDING + _SIZE], padded_y[_PADDING : _PADDING + _SIZE]
+    t, tx, ty = np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float)
+    patch, factor, lines, soft = (t, gx, gy, tx, ty), np.zeros((4, 4)), np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
+    lead_x, lead_y, followed = 0.0, 0.0, 0
+    further, one = reach_px + _LONGEST_STEP_PX, places.shape[1] // 2  # 1, which the compiler does not know
+    for k in range(len(places)):
+        x0, y0 = places[k, 0] - _LEFT - 1, places[k, 1] - _LEFT - 1
+        cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
+        blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
+        told[k, 2], told[k, 3] = np.inf, saturated_share(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
+        b_px[k] = guess_px[k]
+        mean, tt, xx, xy, yy = _template(tile_a, patch, factor)
+        hessian[k, 0, 0], hessian[k, 0, 1], hessian[k, 1, 0], hessian[k, 1, 1] = xx, xy, xy, yy
+        determinant = xx * yy - xy * xy
+        if determinant <= _LEAST_CORNER * (xx + yy) ** 2 + _LEAST_CORNER:
+            continue
+        ixx, ixy, iyy = yy / determinant, -xy / determinant, xx / determinant
+        first_x, first_y = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5  # of the window, from here on
+        px, py, tiles, near, lost = first_x + lead_x, first_y + lead_y, 0, False, True
+        s1 = st = sx = sy = ss = su = sv = ex = ey = length = 0.0
+        for _ in range(_MOST_STEPS):
+            lost = True
+            if tiles == 0 or _outside(px - x0, py - y0):
+                if tiles == _MOST_TILES:
+                    break
+                x0, y0, tiles = round(px) - _B_FIRST, round(py) - _B_FIRST, tiles + 1
+                cut(b, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _B_PX, _B_PITCH, _B_PITCH * one)
+                blur(raw, half_way, tile_b, _B_PX, _B_PITCH, mean)
+            if near:
+                s1, st, sx, sy, ss, su, sv = _sharp(tile_b, px - x0, py - y0, patch, lines)
+            else:
+                st, sx, sy = _bilinear(tile_b, px - x0, py - y0, patch)
+            if st <= _LEAST_GAIN * tt:
+                break
+            ex, ey = (ixx * sx + ixy * sy) * tt / st, (ixy * sx + iyy * sy) * tt / st
+            length = max(abs(ex), abs(ey))
+            share = min(1.0, _LONGEST_STEP_PX / max(length, 1e-9))
+            px, py = px - ex * share, py - ey * share
+            if max(abs(px - first_x), abs(py - first_y)) > further or not _within(px, py, b):
+                break
+            lost = not near
+            if near and length < _STILL_PX:
+                break
+            near = near or length < _NEAR_PX
+        b_px[k, 0], b_px[k, 1] = px + _LEFT + 0.5, py + _LEFT + 0.5
+        if not lost:
+            told[k, 0], told[k, 1] = _agreement(factor, tt, (s1, st, sx, sy, ss, su, sv), ex, ey)
+            told[k, 2] = length
+            here = saturated_share(raw, _B_PX, _B_PITCH, round(px) - x0 + BLUR_REACH, round(py) - y0 + BLUR_REACH)
+            told[k, 3] = max(told[k, 3], here)
+            xx, xy, yy = _softened(padded_x, padded_y, soft)
+            blurred[k, 0, 0], blurred[k, 0, 1], blurred[k, 1, 0], blurred[k, 1, 1] = xx, xy, xy, yy
+            if told[k, 0] >= _FOLLOWED_SCORE:
+                followed = min(followed + 1, _FOLLOWED)
+                lead_x += (px - first_x - lead_x) / followed
+                lead_y += (py - first_y - lead_y) / followed
+
+
+@inlined
+def _agreement(
+    factor: Floats, tt: float, sums: tuple[float, float, float, float, float, float, float], ex: float, ey: float
+) -> tuple[float, float]:
+    """Correlation and scatter after a last step (ex, ey), from the sums before it."""
+    s1, st, sx, sy, ss, su, sv = sums
+    v0, v1, v2, v3 = _halfway(factor, s1, st, su, sv)
+    gain = st / tt
+    left = (ss - v0 * v0 - v1 * v1 - v2 * v2 - v3 * v3) / (gain * gain) - (ex * sx + ey * sy) / gain
+    left = max(left, 0.0)
+    return math.sqrt(tt / (tt + left)), math.sqrt(left / _AREA)
+
+
+@inlined
+def _outside(dx: float, dy: float) -> bool:
+    """Whether a window needs more than its tile has."""
+    low, high = TAPS // 2 - 1, _B_PX - WINDOW_PX - TAPS // 2 + 1
+    return not (low <= dx < high and low <= dy < high)
+
+
+@inlined
+def _within(px: float, py: float, image: Pixels) -> bool:
+    """Whether a window whose first pixel is here keeps its margin to the image's border."""
+    h, w = image.shape
+    low = MARGIN_PX - _LEFT - 0.5
+    return bool(low <= px <= w - MARGIN_PX - _LEFT and low <= py <= h - MARGIN_PX - _LEFT)
+
+
+@inlined
+def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
+    """Make a patch and the factor of its light; returns its mean, t·t and the sums of products of its slopes."""
+    t, gx, gy, tx, ty = patch
+    half, total, p = _Float(0.5), _Float(0), PITCH_PX
+    for n in range(_SIZE):
+        total += INSIDE[n] * tile[n + p + 1]
+    mean = total / _Float(_AREA)
+    for n in range(_SIZE):
+        here, inside = tile[n + p + 1], INSIDE[n]
+        t[n], tx[n], ty[n] = inside * (here - mean), here * ACROSS[n], here * DOWN[n]
+        gx[n] = inside * half * (tile[n + p + 2] - tile[n + p])
+        gy[n] = inside * half * (tile[n + 2 * p + 1] - tile[n + 1])
+    s02 = s03 = s11 = s12 = s13 = s22 = s23 = s33 = _Float(0)
+    x0 = x1 = x2 = x3 = y0 = y1 = y2 = y3 = _Float(0)
+    for n in range(_SIZE):
+        a, b, c, u, v = t[n], tx[n], ty[n], gx[n], gy[n]
+        s02 += b
+        s03 += c
+        s11 += a * a
+        s12 += a * b
+        s13 += a * c
+        s22 += b * b
+        s23 += b * c
+        s33 += c * c
+        x0 += u
+        x1 += u * a
+        x2 += u * b
+        x3 += u * c
+        y0 += v
+        y1 += v * a
+        y2 += v * b
+        y3 += v * c
+    factor[0, 0], factor[1, 0], factor[2, 0], factor[3, 0] = _AREA, 0.0, s02, s03
+    factor[1, 1], factor[2, 1], factor[3, 1] = s11, s12, s13
+    factor[2, 2], factor[3, 2], factor[3, 3] = s22, s23, s33
+    _factorise(factor)
+    p0, p1, p2, p3 = _solved(factor, float(x0), float(x1), float(x2), float(x3))
+    q0, q1, q2, q3 = _solved(factor, float(y0), float(y1), float(y2), float(y3))
+    u0, u1, u2, u3 = _Float(p0), _Float(p1), _Float(p2), _Float(p3)
+    v0, v1, v2, v3 = _Float(q0), _Float(q1), _Float(q2), _Float(q3)
+    xx = xy = yy = _Float(0)
+    for n in range(_SIZE):
+        u = gx[n] - (u0 * INSIDE[n] + u1 * t[n] + u2 * tx[n] + u3 * ty[n])
+        v = gy[n] - (v0 * INSIDE[n] + v1 * t[n] + v2 * tx[n] + v3 * ty[n])
+        gx[n], gy[n] = u, v
+        xx += u * u
+        xy += u * v
+        yy += v * v
+    return float(mean), max(float(s11), 1e-6), float(xx), float(xy), float(yy)
+
+
+@inlined
+def _factorise(m: Floats) -> None:
+    """Cholesky factor of a matrix (4, 4), in its lower triangle; a little is added where texture may be nil."""
+    for i in range(4):
+        m[i, i] += 1e-3 if i else 0.0
+        for j in range(i + 1):
+            value = m[i, j]
+            for k in range(j):
+                value -= m[i, k] * m[j, k]
+            m[i, j] = math.sqrt(max(value, 1e-9)) if i == j else value / m[j, j]
+
+
+@inlined
+def _halfway(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
+    """L⁻¹·b for the factor L."""
+    v0 = b0 / m[0, 0]
+    v1 = (b1 - m[1, 0] * v0) / m[1, 1]
+    v2 = (b2 - m[2, 0] * v0 - m[2, 1] * v1) / m[2, 2]
+    return v0, v1, v2, (b3 - m[3, 0] * v0 - m[3, 1] * v1 - m[3, 2] * v2) / m[3, 3]
+
+
+@inlined
+def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
+    """(L·Lᵀ)⁻¹·b for the factor L."""
+    v0, v1, v2, v3 = _halfway(m, b0, b1, b2, b3)
+    w3 = v3 / m[3, 3]
+    w2 = (v2 - m[3, 2] * w3) / m[2, 2]
+    w1 = (v1 - m[2, 1] * w2 - m[3, 1] * w3) / m[1, 1]
+    return (v0 - m[1, 0] * w1 - m[2, 0] * w2 - m[3, 0] * w3) / m[0, 0], w1, w2, w3
+
+
+@inlined
+def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, float, float]:
+    """Sums of products of the slopes blurred once more, nothing lying beyond the patch.
+
+    Of their lines every second is looked at: they are so smooth that twice its sum is that of both.
+    """
+    w0, w1, w2, w3 = BINOMIAL
+    v0, v1, v2, v3 = _Float(w0 / 64), _Float(w1 / 64), _Float(w2 / 64), _Float(w3 / 64)
+    p, count = PITCH_PX, (WINDOW_PX + 2 * BLUR_REACH) // 2
+    soft_x, soft_y, room = soft[: (count + 1) * p], soft[(count + 1) * p :], 2 * BLUR_REACH
+    for y in range(count):
+        f, g = padded_x[2 * y * p : (2 * y + 7) * p], padded_y[2 * y * p : (2 * y + 7) * p]
+        to_x, to_y = soft_x[y * p + room : (y + 1) * p + room], soft_y[y * p + room : (y + 1) * p + room]
+        for x in range(p):
+            near = v1 * (f[x + 2 * p] + f[x + 4 * p]) + v2 * (f[x + p] + f[x + 5 * p])
+            to_x[x] = v0 * f[x + 3 * p] + near + v3 * (f[x] + f[x + 6 * p])
+            near = v1 * (g[x + 2 * p] + g[x + 4 * p]) + v2 * (g[x + p] + g[x + 5 * p])
+            to_y[x] = v0 * g[x + 3 * p] + near + v3 * (g[x] + g[x + 6 * p])
+    xx = xy = yy = _Float(0)
+    for n in range(count * p):
+        u = v0 * soft_x[n + 3] + v1 * (soft_x[n + 2] + soft_x[n + 4])
+        v = v0 * soft_y[n + 3] + v1 * (soft_y[n + 2] + soft_y[n + 4])
+        u += v2 * (soft_x[n + 1] + soft_x[n + 5]) + v3 * (soft_x[n] + soft_x[n + 6])
+        v += v2 * (soft_y[n + 1] + soft_y[n + 5]) + v3 * (soft_y[n] + soft_y[n + 6])
+        xx += u * u
+        xy += u * v
+        yy += v * v
+    return 2 * float(xx), 2 * float(xy), 2 * float(yy)
+
+
+@inlined
+def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, float, float]:
+    """Sums of s·t, s·gx, s·gy of the window s whose first pixel lies at (x, y) of a tile."""
+    t, gx, gy = patch[0], patch[1], patch[2]
+    x0, y0, one = int(x), int(y), _Float(1)
+    fx, fy = _Float(x - x0), _Float(y - y0)
+    w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+    first = y0 * PITCH_PX + x0
+    v = tile[first : first + _SIZE + PITCH_PX + 1]
+    st = sx = sy = _Float(0)
+    for n in range(_SIZE):
+        s = w00 * v[n] + w01 * v[n + 1] + w10 * v[n + PITCH_PX] + w11 * v[n + PITCH_PX + 1]
+        st += s * t[n]
+        sx += s * gx[n]
+        sy += s * gy[n]
+    return float(st), float(sx), float(sy)
+
+
+@inlined
+def _sharp(
+    tile: Plane, x: float, y: float, patch: _Patch, lines: Plane
+) -> tuple[float, float, float, float, float, float, float]:
+    """Sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y of the same window by the sinc of six points."""
+    t, gx, gy, tx, ty = patch
+    x0, y0, p = int(x), int(y), PITCH_PX
+    first, count = (y0 - 2) * p + x0 - 2, (WINDOW_PX + TAPS - 1) * p
+    v = tile[first : first + count + TAPS - 1]
+    w0, w1, w2, w3, w4, w5 = _weights(x - x0)
+    for n in range(count):
+        lines[n] = w0 * v[n] + w1 * v[n + 1] + w2 * v[n + 2] + w3 * v[n + 3] + w4 * v[n + 4] + w5 * v[n + 5]
+    w0, w1, w2, w3, w4, w5 = _weights(y - y0)
+    s1 = st = sx = sy = ss = su = sv = _Float(0)
+    for n in range(_SIZE):
+        s = w0 * lines[n] + w1 * lines[n + p] + w2 * lines[n + 2 * p]
+        s += w3 * lines[n + 3 * p] + w4 * lines[n + 4 * p] + w5 * lines[n + 5 * p]
+        inside = s * INSIDE[n]
+        s1 += inside
+        ss += s * inside
+        st += s * t[n]
+        sx += s * gx[n]
+        sy += s * gy[n]
+        su += s * tx[n]
+        sv += s * ty[n]
+    return float(s1), float(st), float(sx), float(sy), float(ss), float(su), float(sv)
+
+
+@inlined
+def _weights(f: float) -> tuple[float, float, float, float, float, float]:
+    """Of the six points at a fraction, between the two nearest of the table."""
+    at = f * FRACTIONS
+    n = min(int(at), FRACTIONS - 1)
+    w = SINC[n] + _Float(at - n) * (SINC[n + 1] - SINC[n])
+    return w[0], w[1], w[2], w[3], w[4], w[5]

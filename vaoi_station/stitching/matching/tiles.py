@@ -1,0 +1,72 @@
+"""Tiles: squares of an image, cut out and blurred, in which patches and their windows lie.
+
+A tile is a flat array, line after line `PITCH_PX` apart, so that a loop may run over all lines (see `refine`). It is
+made of `raw` pixels, which reach `BLUR_REACH` further on every side; their lines may lie further apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import inlined
+from vaoi_station.stitching.matching.patch_tables import BINOMIAL, BLUR_REACH, PITCH_PX, WINDOW_PX
+
+Pixels = NDArray[np.uint8]
+Plane = NDArray[np.float32]
+
+_SATURATED = 254
+"""Grey level from which a pixel counts as blown out."""
+_Float = np.float32
+
+
+@inlined
+def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wide: int) -> None:
+    """A square of an image, with room for the blur around `size`; beyond the border its last pixels are repeated.
+
+    `wide` is the pitch; were it a constant, the compiler would copy byte by byte.
+    """
+    h, w = image.shape
+    side = size + 2 * BLUR_REACH
+    if 0 <= x0 <= w - pitch and 0 <= y0 <= h - side:
+        for y in range(side):
+            line, to = image[y0 + y, x0 : x0 + wide], raw[y * pitch : y * pitch + wide]
+            for x in range(wide):
+                to[x] = line[x]
+    else:
+        for y in range(side):
+            line = image[min(max(y0 + y, 0), h - 1)]
+            for x in range(side):
+                raw[y * pitch + x] = line[min(max(x0 + x, 0), w - 1)]
+
+
+@inlined
+def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: float) -> None:
+    """Down, exactly, and across, less a constant; `raw` has room for the reach on every side."""
+    w0, w1, w2, w3 = BINOMIAL
+    p = pitch
+    for n in range(size * p):
+        near = w1 * (raw[n + 2 * p] + raw[n + 4 * p]) + w2 * (raw[n + p] + raw[n + 5 * p])
+        half_way[n] = np.uint16(w0 * raw[n + 3 * p] + near + w3 * (raw[n] + raw[n + 6 * p]))
+    v0, v1, v2, v3 = _Float(w0 / 4096), _Float(w1 / 4096), _Float(w2 / 4096), _Float(w3 / 4096)
+    constant = _Float(less)
+    for y in range(size):
+        v, to = half_way[y * p : y * p + PITCH_PX + 2 * BLUR_REACH], out[y * PITCH_PX : (y + 1) * PITCH_PX]
+        for x in range(PITCH_PX):
+            near = v1 * (v[x + 2] + v[x + 4]) + v2 * (v[x + 1] + v[x + 5])
+            to[x] = v0 * v[x + 3] + near + v3 * (v[x] + v[x + 6]) - constant
+
+
+@inlined
+def saturated_share(raw: Pixels, size: int, pitch: int, x0: int, y0: int) -> float:
+    """Share of a window's pixels that are blown out."""
+    brightest = np.uint8(0)
+    for n in range((size + 2 * BLUR_REACH) * pitch):
+        brightest = max(brightest, raw[n])
+    if brightest < _SATURATED:
+        return 0.0
+    count = 0
+    for y in range(y0, y0 + WINDOW_PX):
+        for x in range(x0, x0 + WINDOW_PX):
+            count += raw[y * pitch + x] >= _SATURATED
+    return count / (WINDOW_PX * WINDOW_PX)

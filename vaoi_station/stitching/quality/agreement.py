@@ -1,0 +1,158 @@
+"""Whether fiducials, CAD data, calibration and the board's outline agree; if not, in words and numbers who does not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vaoi_station.geometry.robust import Failure, fit_similarity
+from vaoi_station.geometry.transforms import Floats, System
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.problem import Adjusted, FiducialPoints
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM
+from vaoi_station.stitching.board.fiducial_assignment import Frame
+from vaoi_station.stitching.board.outline import Shift
+
+_FIDUCIAL_LIMIT_PX = 0.30
+_SCALE_LIMIT = 5e-4
+"""Laminate is held to that; a fiducial that is off its place in the CAD data looks the same."""
+_SURFACE_LIMIT = 4.0
+"""Tilt, twist and bow, in their standard deviations before anything is seen: a fiducial out of its place bends the
+board that is computed rather than leave a misfit."""
+_LAMINATE, _ARTWORK_MM = 3e-4, 0.01
+"""Standard deviations of a board's scale and of a fiducial on it, by which the one that is off is told."""
+_PLAINLY = 4.0
+"""The others must fit so much better without it than without any other one."""
+
+
+def of_fiducials(
+    frame: Frame, adjusted: Adjusted, points: FiducialPoints | None, moved: Motion, px_per_mm: float
+) -> list[str]:
+    """Fiducials off their places, a scale or a surface that no board has, and the one to blame if three or more tell.
+
+    Args:
+        frame: the board type.
+        adjusted: everything together.
+        points: the sightings it rests on.
+        moved: the motion from links alone, which no fiducial has bent.
+        px_per_mm: resolution of the station.
+    """
+    if adjusted.similarity is None:
+        return []
+    out = []
+    fiducials = frame.board_type.fiducials
+    seen = _places(adjusted, points, moved)
+    for n, (_, off_px) in seen.items():
+        if off_px > _FIDUCIAL_LIMIT_PX:
+            out.append(f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})")
+    scale = float(np.hypot(*adjusted.similarity[:2])) / frame.board_type.mm_per_unit - 1
+    if abs(scale) > _SCALE_LIMIT:
+        out.append(_of_scale(frame, scale, px_per_mm))
+    out += _of_surface(adjusted.surface_mm)
+    if out:
+        out += _blamed(frame, {n: place for n, (place, _) in seen.items()}, px_per_mm)
+    return out
+
+
+def of_sightings(frame: Frame, points: FiducialPoints | None, limit_px: float) -> str:
+    """Which fiducials are to blame for positions that are too uncertain: those no sighting of which is sure."""
+    if points is None:
+        return ""
+    sigma_px = points.sigma_mm * points.px_per_mm
+    numbers = np.unique(points.which[points.which >= 0]).tolist()
+    unsure = [n for n in numbers if sigma_px[points.which == n].min() > limit_px]
+    if not unsure:
+        return ""
+    names = ", ".join(
+        f"{frame.board_type.fiducials[n].name} ± {sigma_px[points.which == n].min():.2f} px" for n in unsure
+    )
+    return f"; fiducials that are partly covered, smudged or in a glare: {names}"
+
+
+def of_outline(shift: Shift | None, px_per_mm: float) -> list[str]:
+    """The outline lies elsewhere than the fiducials say."""
+    if shift is None:
+        return []
+    out = []
+    (x, y), (sx, sy) = shift.mm, shift.sigma_mm
+    if shift.excess_mm:
+        out.append(
+            f"the board's outline lies {shift.excess_mm:.2f} mm ({shift.excess_mm * px_per_mm:.0f} px) from where the "
+            f"fiducials put it, ({x:+.2f}, {y:+.2f}) mm ± ({sx:.2f}, {sy:.2f}) over {shift.pieces} places: look-alikes "
+            "may have been taken for the fiducials; compare fiducials and outline of the board type with the board"
+        )
+    if shift.turned_mm:
+        turn, sigma = 1e3 * shift.turn_rad, 1e3 * shift.turn_sigma_rad
+        out.append(
+            f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, "
+            f"{shift.turned_mm:.2f} mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not where the "
+            "CAD data have it, or a look-alike was taken for it"
+        )
+    return out
+
+
+Seen = dict[int, tuple[Floats, float]]
+"""By the fiducial's number: where the motion of links alone has it on a flat board (tester mm), and how far it lies off
+its place in the adjustment (px)."""
+
+
+def _places(adjusted: Adjusted, points: FiducialPoints | None, moved: Motion) -> Seen:
+    if points is None:
+        return {}
+    lift = adjusted.surface_mm[0] if len(adjusted.surface_mm) else 0.0
+    place = moved.board(points.row, points.ground_mm) + moved.turned(points.row, points.lean) * lift
+    off_px = np.hypot(*adjusted.fiducial_px.T)
+    numbers = np.unique(points.which[points.which >= 0]).tolist()
+    return {n: (place[points.which == n].mean(0), float(off_px[points.which == n].mean())) for n in numbers}
+
+
+def _of_surface(surface_mm: Floats) -> list[str]:
+    if not len(surface_mm):
+        return []
+    unlikely = np.abs(surface_mm / SIGMA_MM)[1:]
+    k = int(unlikely.argmax())
+    if unlikely[k] <= _SURFACE_LIMIT:
+        return []
+    what = ("tilt along x", "tilt along y", "bow along x", "twist", "bow along y")[k]
+    return [
+        f"fiducials and links agree only on a board with a {what} of {surface_mm[k + 1]:+.2f} mm (limit "
+        f"{_SURFACE_LIMIT * SIGMA_MM[k + 1]:.2f} mm): a fiducial is not where the CAD data have it, or it is bent"
+    ]
+
+
+def _blamed(frame: Frame, places: dict[int, Floats], px_per_mm: float) -> list[str]:
+    """The fiducial without which the others agree with the CAD data; two alone cannot tell."""
+    if len(places) < 3:
+        return []
+    without = {n: _fit_without(n, frame, places) for n in places}
+    costs = sorted((cost, n) for n, (cost, _) in without.items())
+    (best, n), (second, _) = costs[0], costs[1]
+    if second < _PLAINLY * max(best, 1.0):
+        return []
+    off_mm = without[n][1]
+    return [
+        f"without fiducial {frame.board_type.fiducials[n].name} the others agree: it lies {off_mm:.2f} mm "
+        f"({off_mm * px_per_mm:.1f} px) from its place in the CAD data; check it there and on the board"
+    ]
+
+
+def _fit_without(n: int, frame: Frame, places: dict[int, Floats]) -> tuple[float, float]:
+    """χ² of the other fiducials and of their scale, and how far off the fiducial then is, in mm."""
+    others = [k for k in places if k != n]
+    cad, board = frame.fiducials, np.array([places[k] for k in others])
+    fit = fit_similarity(board, cad[others], System.TESTER, System.CAD, mirrored=False)
+    if isinstance(fit, Failure):
+        return np.inf, 0.0
+    misfit = fit(cad[others]) - board
+    scale = fit.scale / frame.board_type.mm_per_unit - 1
+    cost = float((misfit**2).sum()) / _ARTWORK_MM**2 + (scale / _LAMINATE) ** 2
+    return cost, float(np.hypot(*(fit(cad[n]) - places[n])))
+
+
+def _of_scale(frame: Frame, scale: float, px_per_mm: float) -> str:
+    apart_mm = float(np.hypot(*np.ptp(frame.fiducials, axis=0))) * frame.board_type.mm_per_unit
+    off_mm = abs(scale) * apart_mm
+    return (
+        f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}), {off_mm:.2f} mm "
+        f"({off_mm * px_per_mm:.1f} px) over its fiducials: one of them is not where the CAD data have it, the data "
+        "are scaled, the calibration does not hold, or it lies above or below the calibrated plane, or is another type"
+    )

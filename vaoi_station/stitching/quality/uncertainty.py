@@ -1,0 +1,178 @@
+"""How far a position can be trusted: the covariance of the adjustment, carried to the images.
+
+A component's place in an image follows from its row, from C and from the surface; its covariance is
+that of the misfit a sighting of it would have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from vaoi_station.compiled import compiled
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.adjustment.problem import Adjusted
+from vaoi_station.stitching.adjustment.surface import basis
+from vaoi_station.stitching.board.fiducial_assignment import Frame
+from vaoi_station.stitching.board.footprints import Views, landmarks
+from vaoi_station.stitching.matching.evidence import FrameKey
+from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.quality.covariances import longest
+
+MODEL_PX = 0.002
+"""Standard deviation of what no residual shows: calibration, artwork, flatness."""
+_DIGITS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Sigma:
+    """Standard deviations in px, in the direction where they are largest; covariances are of x and y in one image."""
+
+    rows_px: tuple[float, ...]
+    """Of each row: of the worst component in view there, of the motion alone where there is none."""
+    worst_px: float | None
+    """The largest of all views of components; None without C."""
+    names: tuple[str, ...]
+    """Addresses of the components."""
+    part: Ints
+    """(k,) which component a view shows; component by component, of each in the order of cameras and rows."""
+    seen_in: Ints
+    """(k, 2) camera and row of every view."""
+    covariance_px2: Floats
+    """(k, 2, 2) of every view."""
+
+    @cached_property
+    def views(self) -> dict[str, dict[FrameKey, Floats]]:
+        """(2, 2) px² of every view of every component, by address and frame."""
+        out: dict[str, dict[FrameKey, Floats]] = {}
+        for n, (i, j), c in zip(self.part.tolist(), self.seen_in.tolist(), self.covariance_px2, strict=True):
+            out.setdefault(self.names[n], {})[i, j] = c
+        return out
+
+    @cached_property
+    def of_components(self) -> dict[str, float]:
+        """The largest over each component's views, by address, of those that are in view; to four decimals."""
+        worst = np.zeros(len(self.names))
+        np.maximum.at(worst, self.part, longest(self.covariance_px2))
+        told = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
+        return {name: px for name, px, seen in told if seen}
+
+    def told(self) -> dict[str, list[list[float]]]:
+        """[camera, row, xx, xy, yy] of every view, by address; four digits, wherever the point."""
+        values = self.covariance_px2[:, (0, 0, 1), (0, 1, 1)]
+        with np.errstate(divide="ignore"):
+            digits = _DIGITS - 1 - np.floor(np.log10(np.abs(values)))
+        unit = 10.0 ** np.where(np.isfinite(digits), digits, 0)
+        told = zip(*self.seen_in.T.tolist(), *(np.round(values * unit) / unit).T.tolist(), strict=True)
+        entries = [list(entry) for entry in told]
+        ends = [0, *np.cumsum(np.bincount(self.part, minlength=len(self.names))).tolist()]
+        return {name: entries[a:b] for name, (a, b) in zip(self.names, pairwise(ends), strict=True) if b > a}
+
+
+def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted, views: Views | None) -> Sigma:
+    """Covariance of components' positions in every good frame that shows them.
+
+    Args:
+        scene: cameras and good frames.
+        frame: the board type.
+        adjusted: the solution.
+        views: of the frame's `landmarks`; None without C.
+    """
+    resolution = float(np.mean([camera.px_per_mm for camera in scene.cameras]))
+    motion = np.hypot(longest(adjusted.covariance[:, 1:3, 1:3]) * resolution, MODEL_PX).tolist()
+    if frame is None or views is None:
+        none = np.zeros(0, dtype=np.int_)
+        return Sigma(tuple(motion), None, (), none, np.zeros((0, 2), dtype=np.int_), np.zeros((0, 2, 2)))
+    names, cad = landmarks(frame)
+    whole = np.zeros((len(scene.cameras), len(motion)), dtype=np.bool_)
+    whole[tuple(np.array(scene.present, dtype=np.int_).reshape(-1, 2).T)] = True
+    last = np.array([(c.width_px - 1, c.height_px - 1) for c in scene.cameras])
+    (x, y), (last_x, last_y) = views.px.T, last[views.camera].T
+    inside = (x >= 0) & (y >= 0) & (x <= last_x) & (y <= last_y) & whole[views.camera, views.row]
+    part, camera, row = (numbers[inside] for numbers in (views.point, views.camera, views.row))
+    place = views.place_mm[inside]
+    covariance = position_covariances(
+        *(row, part, place, _leans(scene.cameras, camera, place), frame.flat(cad)),
+        basis(frame.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0)),
+        *(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
+    )
+    px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
+    covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
+    rows = np.zeros(len(motion))
+    np.maximum.at(rows, row, longest(covariance))
+    worst = float(rows.max(initial=0)) or None
+    by_row = tuple(float(v) or w for v, w in zip(rows, motion, strict=True))
+    return Sigma(by_row, worst, names, part, np.column_stack([camera, row]), covariance)
+
+
+def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
+    """`Camera.parallax` (k, 2) of places (k, 2), each seen by the camera of its number (k,)."""
+    lean = np.empty(place.shape)
+    for i in np.unique(camera).tolist():
+        lean[camera == i] = cameras[i].parallax(place[camera == i])
+    return lean
+
+
+def surface_sigma_mm(frame: Frame, adjusted: Adjusted, cad: Floats) -> Floats:
+    """Standard deviation (k,) of the board's height at CAD points (k, 2); 0 where no surface was sought."""
+    f = len(adjusted.surface_mm)
+    if not f:
+        return np.zeros(len(cad))
+    b = basis(frame.board_type, cad)
+    return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", b, adjusted.covariance[0, -f:, -f:], b)))
+
+
+@compiled
+def position_covariances(
+    row: Ints,
+    point: Ints,
+    place: Floats,
+    lean: Floats,
+    flat: Floats,
+    basis: Floats,
+    angle: Floats,
+    pivot: Floats,
+    covariance: Floats,
+) -> Floats:
+    """Covariance (k, 2, 2) mm² of the misfit that a sighting of a point in a row would have.
+
+    Args:
+        row: (k,).
+        point: (k,) its number.
+        place: (k, 2) where it is on the conveyor's plane in that row, mm.
+        lean: (k, 2) by how much it lies elsewhere per mm of height.
+        flat: (n, 2) CAD coordinates of the points.
+        basis: (n, f) values of the surface's basis functions there.
+        angle: (m,) of the rows, rad.
+        pivot: (2,) mm.
+        covariance: (m, u, u) of (φ, sx, sy) of each row, C and the surface; u = 7 + f.
+    """
+    f = basis.shape[1]
+    u = 7 + f
+    j, out = np.zeros((2, u)), np.empty((len(row), 2, 2))
+    j[0, 1] = j[1, 2] = 1.0
+    j[0, 5] = j[1, 6] = -1.0
+    for k in range(len(row)):
+        cos, sin, n = math.cos(angle[row[k]]), math.sin(angle[row[k]]), point[k]
+        x, y = place[k, 0] - pivot[0], place[k, 1] - pivot[1]
+        j[0, 0], j[1, 0] = -sin * x - cos * y, cos * x - sin * y
+        j[0, 3], j[0, 4], j[1, 3], j[1, 4] = -flat[n, 0], flat[n, 1], -flat[n, 1], -flat[n, 0]
+        lx, ly = cos * lean[k, 0] - sin * lean[k, 1], sin * lean[k, 0] + cos * lean[k, 1]
+        for i in range(f):
+            j[0, 7 + i], j[1, 7 + i] = lx * basis[n, i], ly * basis[n, i]
+        xx, xy, yy = 0.0, 0.0, 0.0
+        for a in range(u):
+            wx, wy = 0.0, 0.0
+            for b in range(u):
+                wx += covariance[row[k], a, b] * j[0, b]
+                wy += covariance[row[k], a, b] * j[1, b]
+            xx, xy, yy = xx + j[0, a] * wx, xy + j[0, a] * wy, yy + j[1, a] * wy
+        out[k, 0, 0], out[k, 0, 1], out[k, 1, 0], out[k, 1, 1] = xx, xy, xy, yy
+    return out

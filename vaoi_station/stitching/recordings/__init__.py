@@ -1,0 +1,1 @@
+"""Stitch recordings on disk, and keep one as the reference of its board type."""

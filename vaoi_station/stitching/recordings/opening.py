@@ -1,0 +1,87 @@
+"""A recording on disk, opened for stitching: with its calibration, board type and perhaps a reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from vaoi_station.errors import InputError
+from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
+from vaoi_station.model import Calibration
+from vaoi_station.stitching.matching.evidence import FrameKey
+from vaoi_station.stitching.method import MethodName
+from vaoi_station.stitching.recordings.offline import Frames
+from vaoi_station.stitching.recordings.reference_directory import Taught, open_taught, with_reference
+from vaoi_station.stitching.work import Desk, Setup
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """What a recorded run is stitched from, and where it was read."""
+
+    recording: Recording
+    calibration: Calibration
+    calibration_path: Path
+    board_path: Path | None
+    """None where no board type is known."""
+    taught: Taught | None
+    setup: Setup
+
+    @property
+    def present(self) -> tuple[FrameKey, ...]:
+        """The frames that arrived, by camera, then row."""
+        head = self.recording.head
+        lost = set(head.missing)
+        keys = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
+        return tuple(key for key in keys if key not in lost)
+
+    def desk(self, frame: Frames | None = None) -> Desk:
+        """A desk that reads the frames of the run by `frame`, by default from the disk."""
+        return Desk(self.setup, frame or self.recording.frame, self.taught.recording.frame if self.taught else None)
+
+
+def open_run(
+    case: Path,
+    *,
+    calibration: Path | None = None,
+    board: Path | None = None,
+    reference: Path | None = None,
+    method: MethodName = "auto",
+) -> Opened:
+    """Open a recording for stitching.
+
+    Args:
+        case: directory of the recording.
+        calibration: by default the recording's own.
+        board: board type; by default the recording's own, if it has one.
+        reference: directory made by `vaoi teach`.
+        method: evidence to use.
+
+    Raises:
+        InputError: something does not fit: the calibration's number of cameras, a reference without a board type.
+    """
+    recording = open_recording(case)
+    head = recording.head
+    calibration_path = calibration or case / "calibration.json"
+    known = read_calibration(calibration_path, head.cameras)
+    own = case / "board.json"
+    board_path = board or (own if own.is_file() else None)
+    setup = Setup(
+        cameras=known.cameras(head.cameras),
+        conveyor_mm_s=head.conveyor_mm_s,
+        trigger_period_s=head.trigger_period_s,
+        board_type=read_board_type(board_path) if board_path else None,
+        method=method,
+    )
+    taught = _reference(reference, setup)
+    return Opened(recording, known, calibration_path, board_path, taught, with_reference(setup, taught))
+
+
+def _reference(directory: Path | None, setup: Setup) -> Taught | None:
+    if directory is None:
+        if setup.method == "reference":
+            raise InputError("--method reference needs --reference DIR.", action="`vaoi teach` makes one.")
+        return None
+    if setup.board_type is None:
+        raise InputError("--reference needs a board type.", action="Give one with --board.")
+    return open_taught(directory, setup.cameras, setup.board_type)

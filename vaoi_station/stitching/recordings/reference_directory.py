@@ -1,0 +1,160 @@
+"""A reference as a directory: a recording, its calibration and board type, and its result (`vaoi teach`)."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from vaoi_station.errors import InputError
+from vaoi_station.files import (
+    Recording,
+    open_recording,
+    read_board_type,
+    read_calibration,
+    read_stitch,
+    write_board_type,
+    write_calibration,
+    write_recording,
+    write_stitch,
+)
+from vaoi_station.files.drafts import drafted
+from vaoi_station.files.images import Image
+from vaoi_station.geometry import Camera
+from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
+from vaoi_station.stitching.board.reference import Reference
+from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.work import Setup
+
+RESULT = "result.json"
+_SAME_CALIBRATION_PX = 0.05
+"""What two calibrations may differ by: a reference brings that difference into every position."""
+_CAD_TERMS = ("unit", "y_axis", "side", "fiducials")
+"""Keys of a board type that C depends on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """A reference and where its frames are."""
+
+    reference: Reference
+    recording: Recording
+
+
+def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
+    """Stitch a recording and keep it as a reference.
+
+    Raises:
+        InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
+    """
+    if out.exists():
+        raise InputError(f"{out}: exists already.", action="Choose another directory, or remove it.")
+    recording = open_recording(case)
+    cameras = read_calibration(calibration, recording.head.cameras).cameras(recording.head.cameras)
+    stitch = stitch_frames(_setup(recording, cameras, read_board_type(board)), recording.head, recording.frame)
+    if stitch.status is not Status.OK:
+        reasons = "; ".join(stitch.reasons)
+        raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
+    with drafted(out) as draft:
+        shutil.copytree(case, draft, ignore=shutil.ignore_patterns("truth.json"), dirs_exist_ok=True)
+        shutil.copyfile(calibration, draft / "calibration.json")
+        shutil.copyfile(board, draft / "board.json")
+        write_stitch(draft / RESULT, stitch)
+    return stitch
+
+
+def write_taught(
+    directory: Path,
+    head: RecordingHead,
+    frames: Iterable[tuple[int, int, Image]],
+    calibration: Calibration,
+    board_type: BoardType,
+    stitch: Stitch,
+) -> None:
+    """Keep a run that has been stitched as a reference; the directory appears complete or not at all.
+
+    Args:
+        directory: must not exist.
+        head: of the run; frames that are not kept are `missing`.
+        frames: (camera, row, pixels).
+        calibration: the run was stitched with.
+        board_type: the run shows.
+        stitch: its result.
+    """
+    with drafted(directory) as draft:
+        write_calibration(draft / "calibration.json", calibration)
+        write_board_type(draft / "board.json", board_type)
+        write_stitch(draft / RESULT, stitch)
+        write_recording(draft, head, frames, suffix=".tiff")
+
+
+def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> Taught:
+    """Open a reference for runs of these cameras and this board type; one that was never stitched is stitched now.
+
+    Raises:
+        InputError: the reference was filmed with another calibration, or shows another board type.
+    """
+    recording = open_recording(directory)
+    theirs = read_calibration(directory / "calibration.json", recording.head.cameras).cameras(recording.head.cameras)
+    _check_calibration(directory, theirs, cameras)
+    own = read_board_type(directory / "board.json")
+    _check_board_type(directory, own, board_type)
+    if (directory / RESULT).is_file():
+        stitch = read_stitch(directory / RESULT)
+    else:
+        stitch = stitch_frames(_setup(recording, theirs, own), recording.head, recording.frame)
+    if stitch.cad_matrix is None:
+        raise InputError(f"{directory}: the reference has no CAD mapping: {'; '.join(stitch.reasons)}.")
+    lost = set(recording.head.missing)
+    everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
+    used = stitch.model_copy(update={"image_matrices": (), "components": None, "quality": {}})
+    return Taught(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
+
+
+def with_reference(setup: Setup, taught: Taught | None) -> Setup:
+    """The setup of a run that is placed against a reference."""
+    return setup if taught is None else replace(setup, reference=taught.reference)
+
+
+def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> Setup:
+    return Setup(cameras, recording.head.conveyor_mm_s, recording.head.trigger_period_s, board_type)
+
+
+def _name(head: RecordingHead, stitch: Stitch) -> str:
+    """The run's id where the recording tells it, else a fingerprint of its matrices: the same wherever it lies."""
+    if isinstance(run := (head.model_extra or {}).get("x_run"), str):
+        return run
+    matrices = b"".join(m.tobytes() for m in (stitch.cad_matrix, *stitch.row_motion) if m is not None)
+    return hashlib.sha256(matrices).hexdigest()[:16]
+
+
+def _check_board_type(directory: Path, theirs: BoardType, ours: BoardType) -> None:
+    if [c.address for c in theirs.components] != [c.address for c in ours.components]:
+        raise InputError(
+            f"{directory}: shows board type {theirs.name!r}, whose components are not those of {ours.name!r}.",
+            action="Teach a reference of this board type.",
+        )
+    changed = [key for key in _CAD_TERMS if getattr(theirs, key) != getattr(ours, key)]
+    if changed:
+        raise InputError(
+            f"{directory}: was taught when the board type {ours.name!r} had other {', '.join(changed)}.",
+            action="Teach a reference of the board type as it is now.",
+        )
+
+
+def _check_calibration(directory: Path, theirs: tuple[Camera, ...], ours: tuple[Camera, ...]) -> None:
+    if len(theirs) != len(ours):
+        raise InputError(f"{directory}: was filmed by {len(theirs)} cameras, this run by {len(ours)}.")
+    for i, (a, b) in enumerate(zip(theirs, ours, strict=True)):
+        corners = np.array([[0, 0], [b.width_px, 0], [b.width_px, b.height_px], [0, b.height_px]], dtype=np.float64)
+        off = float(np.abs(a.project(b.ground(corners)) - corners).max())
+        if (a.width_px, a.height_px) != (b.width_px, b.height_px) or off > _SAME_CALIBRATION_PX:
+            raise InputError(
+                f"{directory}: was filmed with another calibration: camera {i} differs by {off:.2f} px "
+                f"(limit {_SAME_CALIBRATION_PX}).",
+                action="Teach the reference again with the present calibration.",
+            )
