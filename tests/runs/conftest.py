@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from tests.runs.peer import PATIENCE_S, Peer
-from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.process import messages
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.drift.checks import CameraCheck, RunCheck
@@ -191,7 +191,7 @@ class Rig:
 
     def ready(self) -> None:
         self.peer.life(1)
-        self.peer.say(said.Ready(2))
+        self.peer.say(messages.Ready(2))
         self.until("idle")
 
     def until(self, state: str) -> None:
@@ -216,25 +216,25 @@ class Rig:
 
         self.wait_for(met, what)
 
-    def arm(self, **options: Any) -> said.Grant:
+    def arm(self, **options: Any) -> messages.Grant:
         """Arm, playing the other side; the grant that came with it."""
         with ThreadPoolExecutor(1) as caller:
             outcome = caller.submit(self.coordinator.arm, "small", **options)
-            grant = self.peer.expect(said.Grant)
-            self.peer.expect(said.Arm)
-            self.peer.say(said.Armed())
+            grant = self.peer.expect(messages.Grant)
+            self.peer.expect(messages.Arm)
+            self.peer.say(messages.Armed())
             outcome.result(PATIENCE_S)
         return grant
 
-    def begin(self, grant: said.Grant, at_s: float | None = None) -> float:
+    def begin(self, grant: messages.Grant, at_s: float | None = None) -> float:
         """A board interrupts the barrier."""
         at_s = time.monotonic() if at_s is None else at_s
-        self.peer.say(said.RunStarted(grant.run, grant.bay, at_s))
+        self.peer.say(messages.RunStarted(grant.run, grant.bay, at_s))
         return at_s
 
-    def row(self, grant: said.Grant, row: int, verdicts: dict[int, Verdict] | None = None) -> list[FrameRecord]:
+    def row(self, grant: messages.Grant, row: int, verdicts: dict[int, Verdict] | None = None) -> list[FrameRecord]:
         """One pulse, and a frame per camera filled with its number."""
-        self.peer.say(said.PulseSeen(grant.run, Pulse(index=row, time_s=100 + row * PERIOD_S)))
+        self.peer.say(messages.PulseReported(grant.run, Pulse(index=row, time_s=100 + row * PERIOD_S)))
         records = []
         for camera in range(2):
             verdict = (verdicts or {}).get(camera, Verdict.OK)
@@ -243,18 +243,18 @@ class Rig:
                 self.ring.memory(slot)[:] = 10 + 20 * camera + row
             cause = "" if verdict is Verdict.OK else "scripted"
             records.append(FrameRecord(camera=camera, row=row, verdict=verdict, cause=cause, slot=slot))
-            self.peer.say(said.FrameSettled(grant.run, records[-1], time.monotonic()))
+            self.peer.say(messages.FrameSettled(grant.run, records[-1], time.monotonic()))
         return records
 
-    def finish(self, grant: said.Grant, records: list[FrameRecord], reason: str = "clear") -> None:
+    def finish(self, grant: messages.Grant, records: list[FrameRecord], reason: str = "clear") -> None:
         """Every frame has its verdict."""
         rows = 1 + max(r.row for r in records)
         missing = tuple((r.camera, r.row) for r in records if r.verdict is not Verdict.OK)
         head = a_head(rows, missing)
         ordered = tuple(sorted(records, key=lambda r: (r.camera, r.row)))
-        self.peer.say(said.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason))
+        self.peer.say(messages.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason))
 
-    def board(self, grant: said.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:
+    def board(self, grant: messages.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:
         """A whole passage."""
         self.begin(grant)
         records = [r for row in range(rows) for r in self.row(grant, row, verdicts if row == 1 else None)]

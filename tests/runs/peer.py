@@ -7,7 +7,7 @@ import threading
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.process import messages
 from vaoi_station.runs.control.acquisition_link import Process
 
 R = TypeVar("R")
@@ -49,7 +49,7 @@ class Peer:
     def __init__(self) -> None:
         self.lives: list[tuple[FakeProcess, Connection[Any, Any]]] = []
         self._born = threading.Condition()
-        self.grants: list[said.Grant] = []
+        self.grants: list[messages.Grant] = []
 
     def launch(self) -> tuple[Process, Connection[Any, Any]]:
         here, there = multiprocessing.Pipe()
@@ -68,7 +68,7 @@ class Peer:
     def connection(self) -> Connection[Any, Any]:
         return self.lives[-1][1]
 
-    def say(self, *reports: said.Report) -> None:
+    def say(self, *reports: messages.Report) -> None:
         for report in reports:
             self.connection.send(report)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.process.messages import BoardMissed, FireOne, PulseSeen, RunFinished, Trouble
+from vaoi_station.acquisition.process.messages import BoardMissed, FireOne, PulseReported, RunFinished, Trouble
 from vaoi_station.acquisition.simulated.replay import open_replay
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
@@ -88,7 +88,7 @@ def test_runs_come_back_exactly_as_recorded(
         assert set(finished.head.missing) == set(recording.head.missing)
         assert finished.head.lights == recording.head.lights
         assert finished.head.exposures_us == recording.head.exposures_us
-        assert finished.strays == 0
+        assert finished.unassigned == 0
         assert finished.proof.proven, finished.proof.findings
         for frame in finished.frames:
             recorded = recording.frame(frame.camera, frame.row)
@@ -123,7 +123,7 @@ def test_disarming_in_the_middle_cuts_the_recording_short(
     bench = start(make_replay("original"))
     bench.grant("cut", 0)
     bench.arm()
-    bench.until(PulseSeen)
+    bench.until(PulseReported)
     bench.disarm()
     (finished,) = bench.of(RunFinished)
     assert finished.reason == "disarmed"

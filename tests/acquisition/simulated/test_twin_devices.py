@@ -17,7 +17,7 @@ from vaoi_station.acquisition.process.messages import (
     FireOne,
     FrameSettled,
     Health,
-    PulseSeen,
+    PulseReported,
     RunFinished,
     RunStarted,
     Trouble,
@@ -54,7 +54,7 @@ def test_a_board_is_filmed_row_by_row_as_the_twin_shows_it(start: Start, make_co
         assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
         assert bench.ring.record(frame.slot)[:3] == (bench.generations[0], OK, frame.row)
         assert abs(frame.pulse_error_us) < 10_000
-    assert [p.pulse.index for p in bench.of(PulseSeen)] == list(range(truth.rows))
+    assert [p.pulse.index for p in bench.of(PulseReported)] == list(range(truth.rows))
     assert len(bench.of(FrameSettled)) == 2 * truth.rows
     assert len(bench.of(RunStarted)) == 1
     assert finished.last_frame_host_s >= bench.of(RunStarted)[0].host_time_s
@@ -265,7 +265,7 @@ def test_disarming_while_a_board_passes_finishes_the_run_with_what_it_has(
     bench = start(make_config(slow))
     bench.grant("one", 0)
     bench.arm()
-    bench.until(PulseSeen)
+    bench.until(PulseReported)
     bench.disarm()
     (finished,) = bench.of(RunFinished)
     assert finished.reason == "disarmed"
@@ -295,7 +295,7 @@ def test_another_plan_is_refused_while_a_board_passes(start: Start, make_config:
     plan = TriggerPlan.of(bench.config.line)
     bench.grant("one", 0)
     bench.arm()
-    bench.until(PulseSeen)
+    bench.until(PulseReported)
     bench.send(Arm(replace(plan, max_rows=plan.max_rows - 1)))
     assert "passing" in bench.until(Trouble).message
     bench.until(RunFinished)
@@ -305,7 +305,7 @@ def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Make) -> N
     bench = start(make_config())
     bench.grant("one", 0)
     bench.arm()
-    bench.until(PulseSeen)
+    bench.until(PulseReported)
     bench.connection.close()
     bench.thread.join(30)
     assert not bench.thread.is_alive()

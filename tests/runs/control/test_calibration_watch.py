@@ -6,20 +6,20 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import InternalError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.workers.jobs import Answer, CheckJob
 
 
-def film(rig: Any, grant: said.Grant) -> said.Grant:
+def film(rig: Any, grant: messages.Grant) -> messages.Grant:
     """A board passes and is looked at; the grant for the next one."""
     before = rig.coordinator.calibration().runs
     rig.board(grant)
     rig.result_of(grant.run)
     rig.wait_for(lambda: rig.coordinator.calibration().runs == before + 1, "the check")
-    following: said.Grant = rig.peer.expect(said.Grant)
+    following: messages.Grant = rig.peer.expect(messages.Grant)
     return following
 
 

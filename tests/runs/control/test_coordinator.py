@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
-from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, Status, Verdict
 from vaoi_station.runs.control import reasons
@@ -79,7 +79,7 @@ def test_boards_back_to_back_find_memory_granted_ahead(rig: Any) -> None:
     grants = [rig.arm(board_id="b")]
     for _ in range(6):
         rig.begin(grants[-1])
-        grants.append(rig.peer.expect(said.Grant))
+        grants.append(rig.peer.expect(messages.Grant))
         records = [r for row in range(2) for r in rig.row(grants[-2], row)]
         rig.finish(grants[-2], records)
     last = rig.result_of(grants[-2].run)
@@ -112,7 +112,7 @@ def test_every_finished_run_is_told_once_and_in_order(rig: Any) -> None:
         rig.board(grant, rows=2)
         rig.result_of(grant.run)
         expected.append(grant.run)
-        grant = rig.peer.expect(said.Grant)
+        grant = rig.peer.expect(messages.Grant)
     follower.join(20)
     assert got in (expected[:3], expected[1:4])
     assert rig.coordinator.next_run(expected[-1], 0.01) is None
@@ -123,7 +123,7 @@ def test_a_run_that_begins_before_the_last_has_settled(rig: Any) -> None:
     first = rig.arm()
     rig.begin(first)
     records = [r for row in range(2) for r in rig.row(first, row)]
-    second = rig.peer.expect(said.Grant)
+    second = rig.peer.expect(messages.Grant)
     rig.begin(second)
     rig.finish(first, records)
     rig.result_of(first.run)
@@ -137,7 +137,7 @@ def test_runs_end_in_the_order_their_boards_came(rig: Any) -> None:
     rig.workers.keep = True
     first = rig.arm()
     rig.board(first, rows=1)
-    second = rig.peer.expect(said.Grant)
+    second = rig.peer.expect(messages.Grant)
     rig.board(second, rows=1)
     rig.wait_run(second.run, lambda run: run.state == "stitching", "the second board")
     waiting, rig.workers.kept = rig.workers.kept, []
@@ -163,7 +163,7 @@ def test_a_new_order_while_armed_is_for_the_boards_that_come_from_then_on(rig: A
     rig.begin(grant, at_s=before_s)
     rig.finish(grant, rig.row(grant, 0))
     assert rig.result_of(grant.run).board_id == "b 1"
-    second = rig.peer.expect(said.Grant)
+    second = rig.peer.expect(messages.Grant)
     rig.board(second)
     assert rig.result_of(second.run).board_id == "b 2"
 
@@ -171,8 +171,8 @@ def test_a_new_order_while_armed_is_for_the_boards_that_come_from_then_on(rig: A
 def test_armed_for_one_run_the_line_disarms_by_itself(rig: Any) -> None:
     grant = rig.arm(runs=1)
     rig.board(grant)
-    rig.peer.expect(said.Disarm)
-    rig.peer.say(said.Disarmed(()))
+    rig.peer.expect(messages.Disarm)
+    rig.peer.say(messages.Disarmed(()))
     rig.until("idle")
     assert rig.result_of(grant.run).state == "ready"
     assert rig.coordinator.snapshot().armed_with is None
@@ -181,14 +181,14 @@ def test_armed_for_one_run_the_line_disarms_by_itself(rig: Any) -> None:
 def test_arming_while_the_line_disarms_waits_for_that(rig: Any) -> None:
     grant = rig.arm(runs=1)
     rig.board(grant)
-    rig.peer.expect(said.Disarm)
+    rig.peer.expect(messages.Disarm)
     again = threading.Thread(target=rig.coordinator.arm, args=("small", "next"))
     again.start()
     rig.wait_for(lambda: bool(rig.coordinator._core._after_disarm), "the order to wait")
-    rig.peer.say(said.Disarmed(()))
-    rig.peer.expect(said.Grant)
-    rig.peer.expect(said.Arm)
-    rig.peer.say(said.Armed())
+    rig.peer.say(messages.Disarmed(()))
+    rig.peer.expect(messages.Grant)
+    rig.peer.expect(messages.Arm)
+    rig.peer.say(messages.Armed())
     again.join(20)
     assert rig.coordinator.snapshot().armed_with.board_id == "next"
 
@@ -197,8 +197,8 @@ def test_disarming_gives_the_unused_memory_back(rig: Any) -> None:
     grant = rig.arm()
     caller = threading.Thread(target=rig.coordinator.disarm)
     caller.start()
-    rig.peer.expect(said.Disarm)
-    rig.peer.say(said.Disarmed((grant,)))
+    rig.peer.expect(messages.Disarm)
+    rig.peer.say(messages.Disarmed((grant,)))
     caller.join(20)
     snapshot = rig.coordinator.snapshot()
     assert snapshot.state == "idle"
@@ -239,7 +239,7 @@ def test_health_is_shown(rig: Any) -> None:
     assert [c.connected for c in rig.coordinator.snapshot().cameras] == [False, False]
     now_s = time.monotonic()
     fine = CameraHealth(True, delivered=7, temperature_c=41.5, last_frame_s=now_s - 2, counters=(("n_failures", 3),))
-    rig.peer.say(said.Health((fine, CameraHealth(False, "cable pulled")), "controller fine", now_s))
+    rig.peer.say(messages.Health((fine, CameraHealth(False, "cable pulled")), "controller fine", now_s))
     rig.wait_for(lambda: rig.coordinator.snapshot().controller == "controller fine", "health")
     snapshot = rig.coordinator.snapshot()
     assert snapshot.cameras[0].delivered == 7
@@ -252,10 +252,10 @@ def test_health_is_shown(rig: Any) -> None:
 
 
 def test_a_trouble_is_told_once_and_shown_as_long_as_it_lasts(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    trouble = said.Trouble("device", "camera c1: does not answer", "Check its cable.")
+    trouble = messages.Trouble("device", "camera c1: does not answer", "Check its cable.")
     for _ in range(3):
         rig.peer.say(trouble)
-    rig.peer.say(said.Health((), "after the troubles", time.monotonic()))
+    rig.peer.say(messages.Health((), "after the troubles", time.monotonic()))
     rig.wait_for(lambda: rig.coordinator.snapshot().controller == "after the troubles", "the troubles")
     [reason] = rig.coordinator.snapshot().reasons
     assert (reason.code, reason.action) == ("device", "Check its cable.")
@@ -272,8 +272,8 @@ def test_the_end_waits_for_the_run_under_way(rig: Any) -> None:
     ending = threading.Thread(target=rig.coordinator.wind_down, args=(20.0,))
     ending.start()
     rig.until("stopping")
-    assert rig.peer.expect(said.Grant)
-    assert rig.peer.expect(said.Disarm)
+    assert rig.peer.expect(messages.Grant)
+    assert rig.peer.expect(messages.Disarm)
     rig.workers.let_go()
     ending.join(20)
     assert rig.result_of(grant.run).state == "ready"

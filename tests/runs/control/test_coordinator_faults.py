@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
-from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.model import Pulse, Status
 from vaoi_station.runs.workers.jobs import Answer
@@ -71,7 +71,7 @@ def _lose(rig: Any, *cameras: int) -> None:
     """The next sign of life says that these cameras are not connected."""
     refusal = CameraHealth(False, "it refuses Gain = 99", action="Set a gain that it can do.")
     health = tuple(refusal if k in cameras else CameraHealth(True) for k in range(2))
-    rig.peer.say(said.Health(health, "controller fine", time.monotonic()))
+    rig.peer.say(messages.Health(health, "controller fine", time.monotonic()))
     complete = not cameras
     rig.wait_for(
         lambda: (seen := rig.coordinator.snapshot()).controller and seen.all_cameras_ready is complete, "the health"
@@ -112,11 +112,11 @@ def test_a_line_that_loses_a_camera_goes_on_and_says_so_but_takes_no_further_ord
 
 def test_a_camera_that_cannot_be_armed(rig: Any) -> None:
     with asked_to_arm(rig) as asked:
-        grant = rig.peer.expect(said.Grant)
-        rig.peer.expect(said.Arm)
-        rig.peer.say(said.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
-        rig.peer.expect(said.Disarm)
-        rig.peer.say(said.Disarmed((grant,)))
+        grant = rig.peer.expect(messages.Grant)
+        rig.peer.expect(messages.Arm)
+        rig.peer.say(messages.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
+        rig.peer.expect(messages.Disarm)
+        rig.peer.say(messages.Disarmed((grant,)))
         with pytest.raises(DeviceError, match="its clock is not known"):
             asked.result(20)
     rig.until("idle")
@@ -140,11 +140,11 @@ def test_unknown_runs_and_frames(rig: Any) -> None:
 def test_acquisition_dies_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) -> None:
     grant = rig.arm(board_id="b 1")
     rig.begin(grant)
-    rig.peer.expect(said.Grant)
+    rig.peer.expect(messages.Grant)
     rig.row(grant, 0)
     rig.row(grant, 1)
     rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
-    rig.peer.say(said.PulseSeen(grant.run, Pulse(index=2, time_s=100.2)))
+    rig.peer.say(messages.PulseReported(grant.run, Pulse(index=2, time_s=100.2)))
     rig.wait_run(grant.run, lambda run: run.rows == 3, "three rows")
     rig.peer.die()
     run = rig.result_of(grant.run)
@@ -154,10 +154,10 @@ def test_acquisition_dies_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) 
     assert {reason.code for reason in run.reasons} == {"frames-missing", "acquisition-lost"}
     assert np.all(rig.coordinator.frame(grant.run, 1, 1)[0] == 31)
     rig.peer.life(2)
-    rig.peer.say(said.Ready(2))
-    rearmed = rig.peer.expect(said.Grant)
-    rig.peer.expect(said.Arm)
-    rig.peer.say(said.Armed())
+    rig.peer.say(messages.Ready(2))
+    rearmed = rig.peer.expect(messages.Grant)
+    rig.peer.expect(messages.Arm)
+    rig.peer.say(messages.Armed())
     rig.until("armed")
     rig.board(rearmed)
     assert rig.result_of(rearmed.run).board_id == "b 1"
@@ -177,7 +177,7 @@ def test_acquisition_dies_before_the_first_pulse(rig: Any) -> None:
 
 def test_acquisition_dies_while_arming(rig: Any) -> None:
     with asked_to_arm(rig) as asked:
-        rig.peer.expect(said.Grant)
+        rig.peer.expect(messages.Grant)
         rig.peer.die()
         with pytest.raises(DeviceError, match="Arming failed"):
             asked.result(20)
@@ -187,8 +187,8 @@ def test_acquisition_dies_while_arming(rig: Any) -> None:
 
 
 def test_why_the_devices_cannot_be_opened_is_told_once_and_stays(rig: Any) -> None:
-    absent = said.Trouble("port-absent", "There is no serial port /dev/ttyUSB0.", "Plug it in.")
-    refused = said.Trouble("setting-refused", "Camera left refuses Gain = 99.", "Set what it can do.")
+    absent = messages.Trouble("port-absent", "There is no serial port /dev/ttyUSB0.", "Plug it in.")
+    refused = messages.Trouble("setting-refused", "Camera left refuses Gain = 99.", "Set what it can do.")
     first = rig.coordinator.snapshot().last_event
     rig.peer.die(-11)
     for life, cause in enumerate((absent, absent, refused), start=2):
@@ -201,7 +201,7 @@ def test_why_the_devices_cannot_be_opened_is_told_once_and_stays(rig: Any) -> No
     told = [e.message for e in rig.coordinator.events(first) if e.kind == "trouble"]
     lost = "The acquisition process ended (code -11).", "The acquisition process could not begin."
     assert told == [lost[0], absent.message, lost[1], refused.message]
-    rig.peer.say(said.Ready(2))
+    rig.peer.say(messages.Ready(2))
     rig.until("idle")
     assert rig.coordinator.snapshot().reasons == ()
 
@@ -217,7 +217,7 @@ def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -
     run = rig.result_of(grant.run)
     assert run.state == "degraded"
     assert [r.message for r in run.reasons] == ["the link broke"]
-    second = rig.peer.expect(said.Grant)
+    second = rig.peer.expect(messages.Grant)
     rig.workers.keep = True
     rig.board(second, rows=2)
     rig.wait_run(second.run, lambda run: run.state == "stitching", "stitching")

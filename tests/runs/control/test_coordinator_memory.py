@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
 from vaoi_station.model import Status, Verdict
 from vaoi_station.runs.workers.jobs import RenderJob
@@ -52,7 +52,7 @@ def full(rig: Any) -> list[str]:
         rig.result_of(grant.run)
         runs.append(grant.run)
         if k < 2:
-            grant = rig.peer.expect(said.Grant)
+            grant = rig.peer.expect(messages.Grant)
     rig.until("blocked")
     return runs
 
@@ -64,7 +64,7 @@ def test_a_full_ring_blocks_arming_names_the_holders_and_loses_nothing(rig: Any)
     assert [reason.code for reason in snapshot.reasons] == ["ring-full"]
     with pytest.raises(BusyError, match=rf"run {runs[0]} is held by tester 3 \(AOI\)"):
         rig.coordinator.arm("small", "b 9")
-    rig.peer.say(said.BoardMissed(time.monotonic(), "no memory was granted for it: all of it is in use"))
+    rig.peer.say(messages.BoardMissed(time.monotonic(), "no memory was granted for it: all of it is in use"))
     rig.wait_for(lambda: rig.coordinator.snapshot().boards_missed == 1, "a missed board")
     missed = [e for e in rig.coordinator.events() if e.kind == "board-missed"]
     assert len(missed) == 1
@@ -75,7 +75,7 @@ def test_a_full_ring_blocks_arming_names_the_holders_and_loses_nothing(rig: Any)
 def test_a_run_that_is_let_go_unblocks_the_line(rig: Any) -> None:
     runs = full(rig)
     rig.coordinator.let_go(runs[1], "tester 3")
-    grant = rig.peer.expect(said.Grant)
+    grant = rig.peer.expect(messages.Grant)
     rig.until("armed")
     assert rig.coordinator.snapshot().reasons == ()
     with pytest.raises(GoneError, match="no longer in memory"):
@@ -90,7 +90,7 @@ def test_a_run_that_is_let_go_unblocks_the_line(rig: Any) -> None:
 def test_a_released_run_keeps_its_result(rig: Any) -> None:
     runs = full(rig)
     assert rig.coordinator.release(runs[2]).state == "released"
-    rig.peer.expect(said.Grant)
+    rig.peer.expect(messages.Grant)
     rig.until("armed")
     assert rig.coordinator.release(runs[2]).state == "released"
     assert rig.coordinator.stitch(runs[2]).status is Status.OK

@@ -30,11 +30,11 @@ def filmed(rig: Any, verdicts: dict[int, Verdict] | None = None) -> str:
 
 
 def disarmed(rig: Any) -> None:
-    from vaoi_station.acquisition.process import messages as said
+    from vaoi_station.acquisition.process import messages
 
-    while not isinstance(rig.peer.connection.recv(), said.Disarm):
+    while not isinstance(rig.peer.connection.recv(), messages.Disarm):
         pass
-    rig.peer.say(said.Disarmed(()))
+    rig.peer.say(messages.Disarmed(()))
     rig.until("idle")
 
 

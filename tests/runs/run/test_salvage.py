@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from vaoi_station.acquisition.process.messages import FrameSettled, PulseSeen, RunStarted
+from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunStarted
 from vaoi_station.config import StationConfig
 from vaoi_station.model import BoardType, Calibration, FrameRecord, Pulse, Verdict
 from vaoi_station.runs.run.memory import Bay
@@ -29,7 +29,7 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
 ) -> None:
     progress = progress_of(config, calibration, store, board_type)
     for index, time_s in ((0, 9.0), (1, 9.1000000004), (3, 9.3)):
-        progress.pulses[PulseSeen("r1", Pulse(index=index, time_s=time_s)).pulse.index] = Pulse(
+        progress.pulses[PulseReported("r1", Pulse(index=index, time_s=time_s)).pulse.index] = Pulse(
             index=index, time_s=time_s
         )
     for camera, row, at in ((0, 0, 51.0), (1, 0, 51.5), (0, 1, 52.0), (0, 3, 53.0)):

@@ -83,7 +83,7 @@ class RunStarted:
 
 
 @dataclass(frozen=True)
-class PulseSeen:
+class PulseReported:
     """The controller fired one row."""
 
     run: str
@@ -115,8 +115,8 @@ class RunFinished:
     """time.monotonic() when the last frame of the run arrived (of the last pulse, if none did)."""
     reason: str
     """Why the pulses ended: see controller.RunEnded."""
-    strays: int = 0
-    """Frames that belonged to no pulse."""
+    unassigned: int = 0
+    """Count of frames that belong to no pulse of a run."""
     proof: TriggerProof | None = None
     """That every frame belongs to its pulse; None if the acquisition process did not live to give it."""
 
@@ -147,4 +147,15 @@ class Trouble:
     action: str
 
 
-Report = Ready | Armed | Disarmed | RunStarted | PulseSeen | FrameSettled | RunFinished | BoardMissed | Health | Trouble
+Report = (
+    Ready
+    | Armed
+    | Disarmed
+    | RunStarted
+    | PulseReported
+    | FrameSettled
+    | RunFinished
+    | BoardMissed
+    | Health
+    | Trouble
+)

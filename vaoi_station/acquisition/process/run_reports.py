@@ -34,7 +34,7 @@ def run_finished(config: StationConfig, finished: Finished, now_s: float) -> Run
         frames=finished.frames,
         last_frame_host_s=sheet.last_frame_host_s or last_pulse_s,
         reason=sheet.reason,
-        strays=sheet.strays,
+        unassigned=sheet.strays,
         proof=finished.proof,
     )
 

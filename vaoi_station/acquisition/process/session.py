@@ -28,7 +28,7 @@ from vaoi_station.acquisition.process.messages import (
     Disarmed,
     FrameSettled,
     Grant,
-    PulseSeen,
+    PulseReported,
     Report,
     RunStarted,
 )
@@ -159,7 +159,7 @@ class Session:
                 self._begin_run(now_s)
             pulse, outcomes = self._recorder.pulse(event, now_s)
             if self._run is not None and self._run.run is not None:
-                self._send(PulseSeen(self._run.run, pulse))
+                self._send(PulseReported(self._run.run, pulse))
             self._tell(outcomes, now_s)
         elif isinstance(event, PulseSkipped):
             (self._skipped if self._run is None else self._run.skipped)[event.index] = event.why

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Protocol
 
-from vaoi_station.acquisition.process.messages import FrameSettled, PulseSeen, RunFinished
+from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunFinished
 from vaoi_station.model import Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
@@ -57,7 +57,7 @@ class RunBook:
         self._archive.begin(progress)
         self._tell(progress, f"A board of type {progress.order.board_type.name!r} is being filmed.")
 
-    def pulse(self, report: PulseSeen) -> None:
+    def pulse(self, report: PulseReported) -> None:
         """A row has been fired."""
         if (progress := self.active.get(report.run)) is not None:
             progress.pulses[report.pulse.index] = report.pulse

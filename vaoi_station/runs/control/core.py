@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.process import messages as said
+from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
@@ -33,7 +33,7 @@ Waiter = Future[None]
 class Acquisition(Protocol):
     """What the coordinator needs of the link to the acquisition process."""
 
-    def send(self, command: said.Command) -> None:
+    def send(self, command: messages.Command) -> None:
         """Tell the process something."""
 
 
@@ -64,7 +64,7 @@ class Core:
         self.state = STATION.start
         self.since = utc()
         self.reasons = Reasons()
-        self.health: said.Health | None = None
+        self.health: messages.Health | None = None
         self.boards_missed = 0
         self._granted: dict[str, int] = {}
         """Runs the cameras hold memory for, and their bays."""
@@ -74,16 +74,16 @@ class Core:
         self._disarm_sent = False
         self._stopped: list[Waiter] = []
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
-            said.Ready: self._on_ready,
-            said.Armed: self._on_armed,
-            said.Disarmed: self._on_disarmed,
-            said.RunStarted: self._on_run_started,
-            said.PulseSeen: self.book.pulse,
-            said.FrameSettled: self.book.settle,
-            said.RunFinished: self._on_run_finished,
-            said.BoardMissed: self._on_board_missed,
-            said.Health: self._on_health,
-            said.Trouble: self._on_trouble,
+            messages.Ready: self._on_ready,
+            messages.Armed: self._on_armed,
+            messages.Disarmed: self._on_disarmed,
+            messages.RunStarted: self._on_run_started,
+            messages.PulseReported: self.book.pulse,
+            messages.FrameSettled: self.book.settle,
+            messages.RunFinished: self._on_run_finished,
+            messages.BoardMissed: self._on_board_missed,
+            messages.Health: self._on_health,
+            messages.Trouble: self._on_trouble,
         }
 
     # --- what callers want
@@ -111,7 +111,7 @@ class Core:
             waiter.set_result(None)
         else:
             self._arming.append(waiter)
-            self._parts.acquisition.send(said.Arm(TriggerPlan.of(self._config.line)))
+            self._parts.acquisition.send(messages.Arm(TriggerPlan.of(self._config.line)))
 
     def disarm(self, waiter: Waiter) -> None:
         """Ignore the barrier; the waiter is told when that is so."""
@@ -149,7 +149,7 @@ class Core:
 
     # --- what the acquisition process says
 
-    def hear(self, report: said.Report) -> None:
+    def hear(self, report: messages.Report) -> None:
         """A report of the acquisition process."""
         self._handlers[type(report)](report)
 
@@ -183,13 +183,13 @@ class Core:
             self.reasons.expire()
         self._provide()
 
-    def _on_ready(self, _: said.Ready) -> None:
+    def _on_ready(self, _: messages.Ready) -> None:
         self.reasons.clear()
         self._try(StationStep.READY)
         if self.orders.wants_more:
             self._rearm()
 
-    def _on_armed(self, _: said.Armed) -> None:
+    def _on_armed(self, _: messages.Armed) -> None:
         if self.state is StationState.ARMING and not self._disarm_sent:
             self.reasons.clear()
             self._step(StationStep.ARMED)
@@ -198,7 +198,7 @@ class Core:
             self._arming = []
             self._provide()
 
-    def _on_disarmed(self, report: said.Disarmed) -> None:
+    def _on_disarmed(self, report: messages.Disarmed) -> None:
         for grant in report.unused:
             self.memory.free(grant.run)
             self._granted.pop(grant.run, None)
@@ -212,7 +212,7 @@ class Core:
         self._arming, self._disarming = [], []
         self._arm_those_who_waited()
 
-    def _on_run_started(self, report: said.RunStarted) -> None:
+    def _on_run_started(self, report: messages.RunStarted) -> None:
         granted = self._granted.pop(report.run, None)
         order = self.orders.take(report.host_time_s)
         if order is None or granted is None:
@@ -223,7 +223,7 @@ class Core:
         self.book.open(Progress.begin(report, bay, order))
         self._provide()
 
-    def _on_run_finished(self, report: said.RunFinished) -> None:
+    def _on_run_finished(self, report: messages.RunFinished) -> None:
         if report.run not in self.book.active:
             return
         self.memory.use(report.run, "stitching")
@@ -237,7 +237,7 @@ class Core:
                 self._send_disarm()
         self._provide()
 
-    def _on_board_missed(self, report: said.BoardMissed) -> None:
+    def _on_board_missed(self, report: messages.BoardMissed) -> None:
         self.boards_missed += 1
         self._events.add(
             "board-missed",
@@ -246,12 +246,12 @@ class Core:
             action=f"Memory: {self.memory.holders()}." if not self._granted else "",
         )
 
-    def _on_health(self, report: said.Health) -> None:
+    def _on_health(self, report: messages.Health) -> None:
         for change in readiness.changes(self.health, report, self._config.cameras):
             self._tell("camera", change)
         self.health = report
 
-    def _on_trouble(self, report: said.Trouble) -> None:
+    def _on_trouble(self, report: messages.Trouble) -> None:
         reason = self.reasons.trouble(report)
         if reason is not None:
             self._events.add("trouble", reason.message, code=reason.code, action=reason.action)
@@ -270,7 +270,7 @@ class Core:
             self._tell("run", "Its frames made room.", state=RunState.GONE, run=granted.evicted)
         assert granted.bay.run is not None
         self._granted[granted.bay.run] = granted.bay.number
-        self._parts.acquisition.send(said.Grant(granted.bay.run, granted.bay.number))
+        self._parts.acquisition.send(messages.Grant(granted.bay.run, granted.bay.number))
 
     def _provide(self) -> None:
         """While armed, have memory ready for the next board; blocked while there is none."""
@@ -305,9 +305,9 @@ class Core:
             self.orders.cancel(time.monotonic())
             return
         self._step(StationStep.ARM)
-        self._parts.acquisition.send(said.Arm(TriggerPlan.of(self._config.line)))
+        self._parts.acquisition.send(messages.Arm(TriggerPlan.of(self._config.line)))
 
-    def _fail_arming(self, trouble: said.Trouble) -> None:
+    def _fail_arming(self, trouble: messages.Trouble) -> None:
         """The cameras or the controller cannot; memory comes back with the answer to the disarming."""
         self.orders.cancel(time.monotonic())
         for waiter in self._arming:
@@ -325,7 +325,7 @@ class Core:
     def _send_disarm(self) -> None:
         if not self._disarm_sent:
             self._disarm_sent = True
-            self._parts.acquisition.send(said.Disarm())
+            self._parts.acquisition.send(messages.Disarm())
 
     def _salvage(self, progress: Progress) -> None:
         """A run whose second half never came."""

@@ -63,7 +63,7 @@ def detail_of(progress: Progress) -> RunDetail:
         frames_available=progress.state in IN_MEMORY,
         frames=frames,
         ended=film.reason if film else "",
-        strays=film.strays if film else 0,
+        strays=film.unassigned if film else 0,
         proof=film.proof if film else None,
         software=versions(),
         calibration=order.calibration_digest,
