@@ -148,14 +148,5 @@ class Trouble:
 
 
 Report = (
-    Ready
-    | Armed
-    | Disarmed
-    | RunStarted
-    | PulseReported
-    | FrameSettled
-    | RunFinished
-    | BoardMissed
-    | Health
-    | Trouble
+    Ready | Armed | Disarmed | RunStarted | PulseReported | FrameSettled | RunFinished | BoardMissed | Health | Trouble
 )
