@@ -20,7 +20,7 @@ from tests.needs import FILMS, VERDICT, need_films
 from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
 from vaoi_station.model import BoardType, Calibration, Stitch
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 # A verdict on a commit must not depend on the day: there the examples are fixed; at a desk they are new every time.
 # No example has a deadline: the first call of a compiled function waits for the compiler.
@@ -62,7 +62,7 @@ class Cases:
         head = recording.head
         calibration = calibration or read_calibration(directory / "calibration.json", len(head.cameras))
         board_type = board_type or read_board_type(directory / "board.json")
-        setup = Setup(calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, board_type)
+        setup = StitchSetup(calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, board_type)
         return stitch_frames(setup, head, recording.frame)
 
     def score(self, name: str, result: Stitch) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import pytest
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.simulation import Scenario, Twin, read_scenario
-from vaoi_station.stitching.work import Desk, Setup, all_tasks
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 SCENARIO = read_scenario(Path(__file__).parent / "three.toml").model_dump()
 
@@ -25,11 +25,11 @@ def checked(twin: Twin, board: int) -> RunCheck:
     """Film a board, stitch it, and keep what a station keeps."""
     passage = twin.passage(board)
     head, frames = passage.head(), passage.render_all()
-    setup = Setup(twin.cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
+    setup = StitchSetup(twin.cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
     times_s, present = head.row_times_s(), sorted(frames)
-    desk = Desk(setup, lambda i, j: frames.get((i, j)))
-    evidence = [desk.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
-    stitch = desk.conclude(times_s, present, evidence)
+    runner = TaskRunner(setup, lambda i, j: frames.get((i, j)))
+    evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
+    stitch = runner.conclude(times_s, present, evidence)
     return check_run(f"run {board}", f"2026-01-01T00:00:{board:02d}Z", "small", setup, times_s, evidence, stitch)
 
 

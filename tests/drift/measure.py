@@ -23,7 +23,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.model import Calibration, Stitch
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.simulation.passage import Passage
-from vaoi_station.stitching.work import Desk, Setup, all_tasks
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 
 class Board:
@@ -33,17 +33,17 @@ class Board:
         self.passage: Passage = twin.passage(number)
         head, frames = self.passage.head(), self.passage.render_all()
         self.number, self._frames, self._times_s = number, frames, head.row_times_s()
-        self._setup = Setup(twin.cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
+        self._setup = StitchSetup(twin.cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
 
     def stitched(self, calibration: Calibration | None = None) -> tuple[RunCheck, Stitch]:
         """Its result and its check, under the twin's calibration or another one."""
         setup = self._setup
         if calibration is not None:
             setup = replace(setup, cameras=calibration.cameras(self.passage.twin.heads))
-        desk, present = Desk(setup, lambda i, j: self._frames.get((i, j))), sorted(self._frames)
+        runner, present = TaskRunner(setup, lambda i, j: self._frames.get((i, j))), sorted(self._frames)
         tasks = all_tasks(present, dict(enumerate(self._times_s)), setup)
-        evidence = [desk.perform(task) for task in tasks]
-        stitch = desk.conclude(self._times_s, present, evidence)
+        evidence = [runner.perform(task) for task in tasks]
+        stitch = runner.conclude(self._times_s, present, evidence)
         return check_run(f"{self.number}", "", "b", setup, self._times_s, evidence, stitch), stitch
 
     def components_px(self, stitch: Stitch) -> str:

@@ -138,7 +138,7 @@ class ScriptedWorkers:
     def perform(self, job: Job, done: Callable[[Answer], None]) -> None:
         self.done.append(job)
         if isinstance(job, LinkJob):
-            done(Answer(tuple(Linked.of(Links.none(task, "scripted"), 0.001) for task in job.tasks), None, 0.001))
+            done(Answer(tuple(Linked.of(Links.empty(task, "scripted"), 0.001) for task in job.tasks), None, 0.001))
         elif isinstance(job, ConcludeJob):
             done(Answer(Concluded(gist(stitch := self.result(job.head)), stitch_text(stitch)), None, 0.002))
         elif isinstance(job, CheckJob):

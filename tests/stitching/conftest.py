@@ -18,7 +18,7 @@ from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import Setup, all_tasks
+from vaoi_station.stitching.work import StitchSetup, all_tasks
 
 Array = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ class Filmed:
 
     head: RecordingHead
     calibration: Calibration
-    setup: Setup
+    setup: StitchSetup
     frames: dict[tuple[int, int], NDArray[Any]]
     truth: dict[str, Any]
 
@@ -179,5 +179,7 @@ def filmed() -> Filmed:
     twin = Twin(read_scenario(scenario_path("small")))
     passage = twin.passage(0)
     head = passage.head()
-    setup = Setup(twin.calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
+    setup = StitchSetup(
+        twin.calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, twin.board_type
+    )
     return Filmed(head, twin.calibration, setup, passage.render_all(), passage.truth())

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from vaoi_station.model import BoardType
 from vaoi_station.runs.workers.warmup import warm_up
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
-from vaoi_station.stitching.work import Desk, Setup, all_tasks, possible_tasks
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks, possible_tasks
 
 BOARD = BoardType.model_validate(
     {
@@ -23,8 +23,8 @@ BOARD = BoardType.model_validate(
 )
 
 
-def setup_of(workshop: Any, cameras: int, board_type: BoardType | None = BOARD) -> Setup:
-    return Setup(tuple(workshop.camera((15.0 * i, 0)) for i in range(cameras)), (0.0, 50.0), 0.1, board_type)
+def setup_of(workshop: Any, cameras: int, board_type: BoardType | None = BOARD) -> StitchSetup:
+    return StitchSetup(tuple(workshop.camera((15.0 * i, 0)) for i in range(cameras)), (0.0, 50.0), 0.1, board_type)
 
 
 @st.composite
@@ -97,9 +97,9 @@ def test_a_lost_row_is_bridged_where_the_frames_still_overlap(workshop: Any) -> 
 
 
 def test_a_frame_that_is_not_there_is_our_own_mistake(workshop: Any) -> None:
-    desk = Desk(setup_of(workshop, 1), lambda camera, row: None)
+    runner = TaskRunner(setup_of(workshop, 1), lambda camera, row: None)
     with pytest.raises(LookupError, match="camera 0, row 2"):
-        desk.perform(Task("marks", (0, 2)))
+        runner.perform(Task("marks", (0, 2)))
 
 
 @settings(max_examples=3, deadline=None)
@@ -107,9 +107,9 @@ def test_a_frame_that_is_not_there_is_our_own_mistake(workshop: Any) -> None:
 def test_evidence_and_result_do_not_depend_on_the_order_of_work(filmed: Any, random: Any) -> None:
     tasks = list(filmed.tasks)
     random.shuffle(tasks)
-    desk = Desk(filmed.setup, filmed.frame)
-    evidence = [desk.perform(t) for t in tasks]
-    again = desk.conclude(filmed.times_s, filmed.present[::-1], evidence)
+    runner = TaskRunner(filmed.setup, filmed.frame)
+    evidence = [runner.perform(t) for t in tasks]
+    again = runner.conclude(filmed.times_s, filmed.present[::-1], evidence)
     first = filmed.stitch
     assert again.model_dump(mode="json", exclude={"quality"}) == first.model_dump(mode="json", exclude={"quality"})
     timeless = [{k: v for k, v in s.quality.items() if k != "timings_ms"} for s in (again, first)]
@@ -124,8 +124,8 @@ def test_a_warm_worker_compiles_nothing_when_a_board_comes(filmed: Any) -> None:
     before = {key: set(f.signatures) for key, f in compiled.items()}
     assert sum(map(len, before.values())) > 40
     setup, present = pickle.loads(pickle.dumps((filmed.setup, filmed.present)))
-    desk = Desk(setup, filmed.frame)
-    found = [pickle.loads(pickle.dumps(desk.perform(task))) for task in filmed.tasks]
-    desk.conclude(filmed.times_s, present, found)
+    runner = TaskRunner(setup, filmed.frame)
+    found = [pickle.loads(pickle.dumps(runner.perform(task))) for task in filmed.tasks]
+    runner.conclude(filmed.times_s, present, found)
     later = {f.py_func.__name__: set(f.signatures) - before[key] for key, f in compiled.items()}
     assert not {name: new for name, new in later.items() if new}

@@ -21,7 +21,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
 from vaoi_station.stitching.board.expectation import expectation_of
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 RUNS = 20
 WARM = 7
@@ -42,7 +42,7 @@ def station_toml(case: Path, directory: Path) -> Path:
 def offline(config: StationConfig, case: Path) -> Stitch:
     """What the same frames give at once, with all that the station knows beforehand."""
     recording, board_type = open_recording(case), read_board_type(case / "board.json")
-    setup = Setup(
+    setup = StitchSetup(
         cameras=read_calibration(config.calibration, len(config.cameras)).cameras(recording.head.cameras),
         conveyor_mm_s=config.line.conveyor_mm_s,
         trigger_period_s=config.line.trigger_period_s,

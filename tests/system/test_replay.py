@@ -20,7 +20,7 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.simulation import Twin
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 PATIENCE_S = 60.0
 RunStation = Callable[[StationConfig], StationCoordinator]
@@ -29,7 +29,7 @@ RunStation = Callable[[StationConfig], StationCoordinator]
 def offline(coordinator: StationCoordinator, recording: Recording) -> Stitch:
     """What `vaoi stitch` makes of the recording, knowing what the station knew."""
     order = coordinator._make_order(coordinator.board_type("small"), None, None)
-    setup: Setup = order.setup
+    setup: StitchSetup = order.setup
     return stitch_frames(setup, recording.head, recording.frame)
 
 

@@ -22,7 +22,7 @@ from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.surface import basis
 from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 from vaoi_station.stitching.quality.verdict import Findings
-from vaoi_station.stitching.work import Desk, all_tasks
+from vaoi_station.stitching.work import TaskRunner, all_tasks
 
 FIRST_SEED = 3000
 """Of the runs that are measured; the model was fitted to others."""
@@ -150,10 +150,10 @@ def run_of(material: Material, surface_mm: dict[str, float] | None = None) -> Ru
         surface_mm: true height of the board under every component, where it is known.
     """
     assert material.truth is not None
-    desk = Desk(material.setup, lambda i, j: material.frames.get((i, j)))
+    runner = TaskRunner(material.setup, lambda i, j: material.frames.get((i, j)))
     present, times_s = sorted(material.frames), material.head.row_times_s()
     tasks = all_tasks(present, dict(enumerate(times_s)), material.setup)
-    stitch, findings = desk.explain(times_s, present, [desk.perform(task) for task in tasks])
+    stitch, findings = runner.conclude_with_findings(times_s, present, [runner.perform(task) for task in tasks])
     ours = {(ref, i, j): (x, y) for ref, views in (stitch.components or {}).items() for i, j, x, y in views}
     errors, covariances = [], []
     for ref, views in material.truth["views"].items():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vaoi_station.files import open_recording, read_board_type, read_calibration
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +26,9 @@ class Material:
     truth: dict[str, Any] | None
 
     @property
-    def setup(self) -> Setup:
+    def setup(self) -> StitchSetup:
         """What the station knows beforehand."""
-        return Setup(
+        return StitchSetup(
             self.calibration.cameras(self.head.cameras),
             self.head.conveyor_mm_s,
             self.head.trigger_period_s,

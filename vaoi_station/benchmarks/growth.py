@@ -96,23 +96,23 @@ def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
 
     from vaoi_station.runs.workers.warmup import warm_up
     from vaoi_station.stitching.board.expectation import expectation_of
-    from vaoi_station.stitching.work import Desk, Setup, all_tasks
+    from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
     cv2.setNumThreads(1)
     head, frames, board_type = board.head, board.map(), board.board_type
     cameras = board.calibration.cameras(head.cameras)
     expected = expectation_of(board.line, board_type)
-    setup = Setup(cameras, head.conveyor_mm_s, head.trigger_period_s, board_type, expected)
+    setup = StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, board_type, expected)
     times_s = head.row_times_s()
     present = [(camera, row) for row in range(head.rows) for camera in range(len(cameras))]
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
     warm_up()
     with _Highest() as highest:
-        desk = Desk(setup, lambda i, j: frames[j, i])
+        runner = TaskRunner(setup, lambda i, j: frames[j, i])
         began_s = time.process_time()
-        evidence = [desk.perform(t) for t in tasks]
+        evidence = [runner.perform(t) for t in tasks]
         linked_s = time.process_time()
-        stitch = desk.conclude(times_s, present, evidence)
+        stitch = runner.conclude(times_s, present, evidence)
         ended_s = time.process_time()
     width_mm, length_mm = np.ptp(board_type.extent(), axis=0) * board_type.mm_per_unit
     figures = Growth(

@@ -22,7 +22,7 @@ from vaoi_station.marks.artwork import Shape
 from vaoi_station.marks.baseline import center_of_gravity
 from vaoi_station.stitching.board.fiducial_detection import sight_marks
 from vaoi_station.stitching.matching.evidence import Task
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZES_PX = (12.0, 16.0, 20.0, 24.0, 32.0, 40.0)
 _OFF_SHARE = 0.15
@@ -182,7 +182,7 @@ def _curve(shape: Shape, steps: int = 20) -> Curve:
 def _whole_frame_ms(material: Material) -> float:
     times = []
     for key, pixels in material.frames.items():
-        frame = Prepared(pixels)
+        frame = PreparedFrame(pixels)
         _ = frame.quarter  # links want it anyway
         camera = material.setup.cameras[key[0]]
         start = time.process_time()

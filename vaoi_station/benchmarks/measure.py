@@ -20,7 +20,7 @@ from vaoi_station.rendering import Album, render
 from vaoi_station.stitching.baseline import paper_features as paper
 from vaoi_station.stitching.matching.evidence import Evidence
 from vaoi_station.stitching.matching.prepared_frame import to_eight_bit, to_grey
-from vaoi_station.stitching.work import Desk, all_tasks
+from vaoi_station.stitching.work import TaskRunner, all_tasks
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,10 @@ def _measure(material: Material, repetitions: int) -> Figures:
 
 def _stitch(material: Material) -> Stitch:
     times_s = material.head.row_times_s()
-    desk = Desk(material.setup, lambda i, j: material.frames.get((i, j)))
+    runner = TaskRunner(material.setup, lambda i, j: material.frames.get((i, j)))
     present = sorted(material.frames, key=lambda key: (key[1], key[0]))
-    evidence = [desk.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), material.setup)]
-    return desk.conclude(times_s, present, evidence)
+    evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), material.setup)]
+    return runner.conclude(times_s, present, evidence)
 
 
 def _paper(material: Material) -> Any:
@@ -116,15 +116,15 @@ def _paper(material: Material) -> Any:
 def _ready_ms(material: Material) -> float:
     """Everything but the last row's tasks is done beforehand; the clock runs for the rest."""
     times_s = material.head.row_times_s()
-    desk = Desk(material.setup, lambda i, j: material.frames.get((i, j)))
+    runner = TaskRunner(material.setup, lambda i, j: material.frames.get((i, j)))
     present = list(material.frames)
     last = max(row for _, row in present)
     tasks = all_tasks(present, dict(enumerate(times_s)), material.setup)
     late = [t for t in tasks if last in {t.a[1], (t.b or t.a)[1]}]
-    evidence: list[Evidence] = [desk.perform(t) for t in tasks if t not in set(late)]
+    evidence: list[Evidence] = [runner.perform(t) for t in tasks if t not in set(late)]
     start = time.perf_counter()
-    evidence += [desk.perform(t) for t in late]
-    desk.conclude(times_s, present, evidence)
+    evidence += [runner.perform(t) for t in late]
+    runner.conclude(times_s, present, evidence)
     return (time.perf_counter() - start) * 1e3
 
 

@@ -10,11 +10,17 @@ from vaoi_station.drift.evidence import lay_out, thinned
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch
 from vaoi_station.stitching.matching.evidence import Evidence
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 
 def check_run(
-    run: str, time: str, board_type: str, setup: Setup, times_s: Floats, evidence: Sequence[Evidence], stitch: Stitch
+    run: str,
+    time: str,
+    board_type: str,
+    setup: StitchSetup,
+    times_s: Floats,
+    evidence: Sequence[Evidence],
+    stitch: Stitch,
 ) -> RunCheck:
     """What a finished run tells of its cameras.
 

@@ -19,9 +19,9 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import huber_weights, median_sigma
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.normal_blocks import Block, belt_blocks, roots, summed, whitened
+from vaoi_station.stitching.adjustment.normal_blocks import Block, belt_blocks, square_roots, sum_blocks, whiten
 from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.solver import similar, similar_jacobian
+from vaoi_station.stitching.adjustment.solver import apply_similarity, similarity_jacobian
 
 _ITERATIONS = 15
 _HELD_ITERATIONS = 2
@@ -38,7 +38,7 @@ _PATIENCE = 0.25
 _PAIR_SIGMA_PX, _PAIR_SHARE = 0.010, 0.25
 """What the links of one pair of frames share, as in the adjustment of a run."""
 _FIDUCIAL_SIGMA_PX = 0.05
-"""Sightings made while filming are rougher than those of the result."""
+"""Detections made while filming are rougher than those of the result."""
 _KNEE, _CUT = 2.0, 6.0
 _SCALE_SIGMA = 3e-4
 """How far a board may be shrunk or stretched against its CAD data (1 σ, relative)."""
@@ -99,7 +99,7 @@ class _Solver:
     def step(self, *, held: bool = False) -> float:
         """One reweighted Gauss-Newton step; the largest change of a displacement in px. `held`: they stay zero."""
         self._look()
-        normal, right = summed([*self._links(), *self._belt(), *self._fiducials(), *self._height()], self.size)
+        normal, right = sum_blocks([*self._links(), *self._belt(), *self._fiducials(), *self._height()], self.size)
         first = slice(self.rows_at, self.rows_at + 3)
         normal[first, :] = normal[:, first] = 0
         normal[first, first], right[first] = np.eye(3), 0
@@ -150,7 +150,7 @@ class _Solver:
         assert self.c is not None
         lean = self.motion.turned(s.row, s.lean)
         rise = run.surface.at_fiducials @ self.height
-        return self.motion.board(s.row, self.f) + lean * rise[:, None] - similar(self.c, s.cad), lean
+        return self.motion.board(s.row, self.f) + lean * rise[:, None] - apply_similarity(self.c, s.cad), lean
 
     def _weights(self, residual: Floats) -> Floats:
         """(k, 2, 2) mm⁻²: robust, and less where a pair of frames has many links."""
@@ -166,7 +166,7 @@ class _Solver:
         floor = np.where(self.same_row, self.floor_px[True], self.floor_px[False])
         variance = o.noise_mm2 + ((floor / o.px_per_mm) ** 2)[:, None, None] * np.eye(2)
         information = np.asarray(np.linalg.inv(variance), dtype=np.float64)
-        chi = np.sqrt((whitened(roots(information), residual) ** 2).sum(0) / 2)
+        chi = np.sqrt((whiten(square_roots(information), residual) ** 2).sum(0) / 2)
         self.used = np.where(chi > _CUT, 0.0, huber_weights(chi, _KNEE))
         per_pair = np.bincount(o.group, self.used, minlength=len(o.groups))
         shared = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * floor)
@@ -179,7 +179,7 @@ class _Solver:
         if not len(o):
             return
         residual, lean = self._residuals()
-        root = roots(self._weights(residual))
+        root = square_roots(self._weights(residual))
         parts = [
             -_turned(self.motion, o.p, self.a_by),
             _turned(self.motion, o.q, self.b_by),
@@ -187,7 +187,7 @@ class _Solver:
             _row_jacobian(self.motion, o.q, self.b),
             lean[:, :, None] * run.surface.at_links[:, None, :],
         ]
-        a, b = whitened(root, np.concatenate(parts, 2)), whitened(root, residual)
+        a, b = whiten(root, np.concatenate(parts, 2)), whiten(root, residual)
         for group, e in enumerate(o.groups):
             at = slice(*np.searchsorted(o.group, [group, group + 1]))
             partner = e.task.b or e.task.a
@@ -224,7 +224,7 @@ class _Solver:
         parts = [
             _turned(self.motion, s.row, self.f_by),
             _row_jacobian(self.motion, s.row, self.f),
-            -similar_jacobian(s.cad),
+            -similarity_jacobian(s.cad),
             lean[:, :, None] * self.run.surface.at_fiducials[:, None, :],
         ]
         a, b = weight[:, :, None] * np.concatenate(parts, 2), weight * residual

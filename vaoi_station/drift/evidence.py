@@ -10,14 +10,14 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.adjustment.initial_motion import chained
+from vaoi_station.stitching.adjustment.initial_motion import chain_links
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.observations import Ints, Observations, observe
+from vaoi_station.stitching.adjustment.observations import Ints, Observations, to_observations
 from vaoi_station.stitching.adjustment.problem import FiducialPoints, SurfaceBasis
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_on_board
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
 from vaoi_station.stitching.board.fiducial_assignment import Frame, assign, board_frame
 from vaoi_station.stitching.board.footprints import component_of
-from vaoi_station.stitching.matching.evidence import Evidence, Links, Sightings
+from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
 
 _LINKS_OF_ROWS = 24
 """Links of one camera from row to row that are looked at."""
@@ -68,13 +68,13 @@ def lay_out(
     order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
     found = [e for e in order if isinstance(e, Links) and e.task.kind != "reference" and not e.unmatched]
     pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
-    seen = observe(found, cameras)
-    motion = chained(nominal_motion(times_s, np.asarray(velocity_mm_s, dtype=np.float64), pivot), seen)
+    seen = to_observations(found, cameras)
+    motion = chain_links(nominal_motion(times_s, np.asarray(velocity_mm_s, dtype=np.float64), pivot), seen)
     frame = None if board_type is None or stitch.cad_matrix is None else board_frame(board_type, cameras[0])
     c = None if frame is None or stitch.cad_matrix is None else _similarity(stitch.cad_matrix)
     if frame is not None and c is not None:
         bare = component_of(frame, c, motion.board(seen.p, seen.a_mm)) < 0
-        found, seen = _kept(found, bare), observe(_kept(found, bare), cameras)
+        found, seen = _kept(found, bare), to_observations(_kept(found, bare), cameras)
     points, camera_f, f_px = _fiducials(frame, c, order, cameras, motion)
     return RunEvidence(
         cameras,
@@ -121,10 +121,10 @@ def _similarity(cad_matrix: Floats) -> Floats:
 def _fiducials(
     frame: Frame | None, c: Floats | None, evidence: Sequence[Evidence], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[FiducialPoints | None, Ints, Floats]:
-    """Sightings that are fiducials under C, with their cameras and pixels; None if there are none."""
+    """Detections that are fiducials under C, with their cameras and pixels; None if there are none."""
     parts, camera, px = [], [], []
     for s in evidence:
-        if frame is None or c is None or not isinstance(s, Sightings) or not len(s.px):
+        if frame is None or c is None or not isinstance(s, Detections) or not len(s.px):
             continue
         points = assign(frame, c, [s], cameras, motion)
         if len(points.row):
@@ -137,7 +137,7 @@ def _fiducials(
     return FiducialPoints.joined(parts), np.concatenate(camera), np.concatenate(px)
 
 
-def _pixels_of(points: FiducialPoints, s: Sightings, camera: Camera) -> Floats:
+def _pixels_of(points: FiducialPoints, s: Detections, camera: Camera) -> Floats:
     """The sightings that became these points."""
     ground = camera.ground(s.px)
     off = np.hypot(*np.moveaxis(ground[None] - points.ground_mm[:, None], 2, 0))
@@ -151,7 +151,7 @@ def _surface(
     if frame is None or c is None:
         return SurfaceBasis(np.ones((len(links), 1)), np.ones((len(marks), 1)), SIGMA_MM[:1])
     on_board = motion.board(links.p, links.a_mm)
-    at_links, at_marks = (basis_on_board(frame.board_type, frame.matrix(c), at) for at in (on_board, marks))
+    at_links, at_marks = (basis_at_board(frame.board_type, frame.matrix(c), at) for at in (on_board, marks))
     return SurfaceBasis(at_links, at_marks, SIGMA_MM)
 
 

@@ -13,9 +13,9 @@ from vaoi_station.stitching.work import all_tasks
 def check_recording(opened: Opened) -> RunCheck:
     """Stitch a recording and look at what it tells of its cameras; it is named by its directory."""
     times_s, present = opened.recording.head.row_times_s(), opened.present
-    desk = opened.desk()
-    evidence = [desk.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), opened.setup)]
-    stitch = desk.conclude(times_s, present, evidence)
+    runner = opened.runner()
+    evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), opened.setup)]
+    stitch = runner.conclude(times_s, present, evidence)
     board_type = opened.setup.board_type
     known = "" if board_type is None else board_type.model_dump_json()
     return check_run(

@@ -108,13 +108,13 @@ def tell(opened: Opened) -> Story:
         return pixels
 
     times_s = head.row_times_s()
-    desk = opened.desk(frame)
+    runner = opened.runner(frame)
     evidence, task_ms = [], defaultdict[str, float](float)
     for task in all_tasks(present, dict(enumerate(times_s)), opened.setup):
         began_s = time.perf_counter()
-        evidence.append(desk.perform(task))
+        evidence.append(runner.perform(task))
         task_ms[task.kind] += (time.perf_counter() - began_s) * 1e3
-    stitch, findings = desk.explain(times_s, present, evidence)
+    stitch, findings = runner.conclude_with_findings(times_s, present, evidence)
     for key in present:
         if key not in thumbnails:
             frame(*key)

@@ -18,18 +18,18 @@ from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
-from vaoi_station.stitching.adjustment.initial_motion import chained
+from vaoi_station.stitching.adjustment.initial_motion import chain_links
 from vaoi_station.stitching.adjustment.mark_links import mark_links
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.observations import Ledger, Observations, observe
-from vaoi_station.stitching.adjustment.problem import Adjusted, Problem
-from vaoi_station.stitching.adjustment.solver import adjust, looked_at, roughly
+from vaoi_station.stitching.adjustment.observations import LinkStore, Observations, to_observations
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
 from vaoi_station.stitching.board.cad_mapping import Known, map_cad
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import Frame
 from vaoi_station.stitching.board.footprints import footprint_views
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.matching.evidence import Evidence, Links, Sightings
+from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.quality.verdict import Findings, judge, quality_of
@@ -56,7 +56,7 @@ class Stages:
 
 
 @dataclass(frozen=True, eq=False)
-class Terms:
+class PriorKnowledge:
     """What was known before the board was filmed."""
 
     frame: Frame | None
@@ -69,7 +69,7 @@ class Terms:
 
 
 def conclude(
-    scene: Scene, terms: Terms, times_s: Floats, evidence: Sequence[Evidence], ledger: Ledger
+    scene: Scene, prior: PriorKnowledge, times_s: Floats, evidence: Sequence[Evidence], link_store: LinkStore
 ) -> tuple[Stitch, Findings]:
     """Make the result of a run from the evidence of its frames; the findings say how it came about.
 
@@ -78,49 +78,49 @@ def conclude(
         terms: what was known before.
         times_s: (m,) time of every row.
         evidence: of the canonical tasks, in any order.
-        ledger: in which its links may have been entered.
+        link_store: in which its links may have been entered.
     """
-    stages, velocity_mm_s = Stages(), terms.velocity_mm_s
+    stages, velocity_mm_s = Stages(), prior.velocity_mm_s
     order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
-    sightings = tuple(e for e in order if isinstance(e, Sightings))
+    detections = tuple(e for e in order if isinstance(e, Detections))
     links = tuple(e for e in order if isinstance(e, Links) and e.task.kind != "reference")
     referred = tuple(e for e in order if isinstance(e, Links) and e.task.kind == "reference")
-    method = METHODS[terms.method]
-    observed = ledger.observations(links)
+    method = METHODS[prior.method]
+    observed = link_store.observations(links)
     pivot = np.mean([c.row_from_image(c.center_px) for c in scene.cameras], axis=0)
     nominal = nominal_motion(times_s, velocity_mm_s, pivot)
     problem = Problem(times_s, velocity_mm_s, observed, np.full(len(observed), -1))
     if method.links:
-        start = chained(nominal, observed)
-        rough = roughly(problem, start)
-        moved = adjust(problem, start, converged_mm=_MOTION_MM) if rough is None else looked_at(problem, rough)
+        start = chain_links(nominal, observed)
+        rough = solve_subsampled(problem, start)
+        moved = adjust(problem, start, converged_mm=_MOTION_MM) if rough is None else evaluate_at(problem, rough)
     else:
-        by_marks = observe(mark_links(sightings, scene.cameras, nominal), scene.cameras)
+        by_marks = to_observations(mark_links(detections, scene.cameras, nominal), scene.cameras)
         moved = adjust(
-            replace(problem, links=by_marks, component=np.full(len(by_marks), -1)), chained(nominal, by_marks)
+            replace(problem, links=by_marks, component=np.full(len(by_marks), -1)), chain_links(nominal, by_marks)
         )
     texture = _texture(observed, moved) if method.links else np.zeros((0, 2))
     stages.done("motion")
 
-    frame = terms.frame
-    known = Known(terms.expectation, method, sightings, texture, terms.reference, referred)
+    frame = prior.frame
+    known = Known(prior.expectation, method, detections, texture, prior.reference, referred)
     found = NO_BOARD_TYPE if frame is None else map_cad(frame, scene, problem, moved, known)
     if isinstance(found, Failure) and method.links:
         moved = adjust(problem, moved.motion)
     stages.done("cad")
-    findings = Findings(frame, terms.expectation, scene, method, links, problem, moved, found)
+    findings = Findings(frame, prior.expectation, scene, method, links, problem, moved, found)
     status, reasons = judge(findings)
     quality = quality_of(findings) | {
         "timings_ms": stages.ms,
         "software": f"vaoi_station {__version__}",
-        **({"reference": terms.reference.name} if terms.reference is not None and method.reference else {}),
+        **({"reference": prior.reference.name} if prior.reference is not None and method.reference else {}),
         "opencv": cv2.__version__,
     }
     stages.done("verdict")
-    return _result(findings, terms.method, status, reasons, quality), findings
+    return _result(findings, prior.method, status, reasons, quality), findings
 
 
-def _texture(links: Observations, moved: Adjusted) -> Floats:
+def _texture(links: Observations, moved: AdjustmentResult) -> Floats:
     """Places on the board that were linked from row to row and move as the board does; of many some."""
     use = np.flatnonzero((moved.weight > 0.5) & (links.p != links.q))
     use = use[:: max(len(use) // _TEXTURE, 1)]

@@ -19,22 +19,22 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.adjustment.observations import Ledger
+from vaoi_station.stitching.adjustment.observations import LinkStore
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import Frame, board_frame
 from vaoi_station.stitching.board.fiducial_detection import sight_marks
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.conclude import Terms, conclude
-from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Links, Sightings, Task
+from vaoi_station.stitching.conclude import PriorKnowledge, conclude
+from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links, Task
 from vaoi_station.stitching.matching.link import link_frames, link_neighbours, link_reference
 from vaoi_station.stitching.matching.overlap import overlap_share
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS, MethodName
 from vaoi_station.stitching.quality.verdict import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
-"""Prepared frames a desk remembers: the row being done, the two before it, and a few."""
+"""Prepared frames that a runner keeps: the row being done, the two before it, and a few."""
 _KEPT_STRIPS = 1024
 _WIDE_PX = 110.0
 """Rows j and j + 2 are linked where they still share a strip so wide: three patches. A narrower one, in which a patch
@@ -42,7 +42,7 @@ and its margin fit once, costs as much as any pair of frames and makes positions
 
 
 @dataclass(frozen=True)
-class Setup:
+class StitchSetup:
     """What is known before a board is filmed; the same for all its frames."""
 
     cameras: tuple[Camera, ...]
@@ -52,7 +52,7 @@ class Setup:
     expectation: Expectation = field(default_factory=Expectation)
     method: MethodName = "auto"
     reference: Reference | None = None
-    """A stitched run of the board type; its frames come through the desk."""
+    """A stitched run of the board type; its frames come from the task runner."""
 
     @cached_property
     def frame(self) -> Frame | None:
@@ -61,7 +61,7 @@ class Setup:
 
 
 def possible_tasks(
-    new: FrameKey, present: Collection[FrameKey], times_s: Mapping[int, float], setup: Setup
+    new: FrameKey, present: Collection[FrameKey], times_s: Mapping[int, float], setup: StitchSetup
 ) -> tuple[Task, ...]:
     """The tasks that a newly arrived good frame makes possible.
 
@@ -74,7 +74,7 @@ def possible_tasks(
     return tuple(_tasks_of(new, lambda key: key in present, times_s, setup))
 
 
-def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: Setup) -> tuple[Task, ...]:
+def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: StitchSetup) -> tuple[Task, ...]:
     """The canonical tasks of a finished run, row by row: the evidence a result is made from."""
     frames = set(present)
     in_order = sorted(frames, key=lambda key: (key[1], key[0]))
@@ -86,12 +86,12 @@ def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup
     return tuple(tasks)
 
 
-class Desk:
+class TaskRunner:
     """Where a worker does the tasks of one run; remembers the frames it has prepared."""
 
     def __init__(
         self,
-        setup: Setup,
+        setup: StitchSetup,
         frame: Callable[[int, int], NDArray[Any] | None],
         reference_frame: Callable[[int, int], NDArray[Any] | None] | None = None,
     ) -> None:
@@ -99,21 +99,21 @@ class Desk:
         self._setup = setup
         self._frame = frame
         self._reference_frame = reference_frame
-        self._prepared: OrderedDict[FrameKey, Prepared] = OrderedDict()
-        self._ledger = Ledger(setup.cameras)
+        self._prepared: OrderedDict[FrameKey, PreparedFrame] = OrderedDict()
+        self._link_store = LinkStore(setup.cameras)
 
-    def perform(self, task: Task) -> Links | Sightings:
+    def perform(self, task: Task) -> Links | Detections:
         """Do one task; a task that finds nothing returns evidence with a note, never an error."""
         found = self._perform(task)
-        self.note(found)
+        self.add_evidence(found)
         return found
 
-    def note(self, evidence: Evidence) -> None:
+    def add_evidence(self, evidence: Evidence) -> None:
         """Evidence that was found here, or elsewhere, and will be concluded here: the sooner it is known the better."""
         if isinstance(evidence, Links) and evidence.task.kind != "reference":
-            self._ledger.enter(evidence)
+            self._link_store.add(evidence)
 
-    def _perform(self, task: Task) -> Links | Sightings:
+    def _perform(self, task: Task) -> Links | Detections:
         setup = self._setup
         if task.kind == "marks":
             fixture = METHODS[setup.method].fixture
@@ -130,9 +130,9 @@ class Desk:
 
     def conclude(self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]) -> Stitch:
         """The result of the run, when every frame has its verdict."""
-        return self.explain(times_s, present, evidence)[0]
+        return self.conclude_with_findings(times_s, present, evidence)[0]
 
-    def explain(
+    def conclude_with_findings(
         self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]
     ) -> tuple[Stitch, Findings]:
         """The result of the run, and all that was found out on the way.
@@ -145,26 +145,28 @@ class Desk:
         s = self._setup
         return conclude(
             Scene(s.cameras, tuple(sorted(present)), self._get),
-            Terms(s.frame, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference),
+            PriorKnowledge(
+                s.frame, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference
+            ),
             np.asarray(times_s, dtype=np.float64),
             list(evidence),
-            self._ledger,
+            self._link_store,
         )
 
-    def _referred(self, key: FrameKey) -> Prepared:
+    def _referred(self, key: FrameKey) -> PreparedFrame:
         pixels = self._reference_frame(*key) if self._reference_frame is not None else None
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} of the reference is not there")
-        return Prepared(pixels)
+        return PreparedFrame(pixels)
 
-    def _get(self, key: FrameKey) -> Prepared:
+    def _get(self, key: FrameKey) -> PreparedFrame:
         if key in self._prepared:
             self._prepared.move_to_end(key)
             return self._prepared[key]
         pixels = self._frame(*key)
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} is not there")
-        self._prepared[key] = Prepared(pixels)
+        self._prepared[key] = PreparedFrame(pixels)
         if len(self._prepared) > _KEPT_ROWS * len(self._setup.cameras) + _KEPT_MORE:
             self._prepared.popitem(last=False)
         return self._prepared[key]
@@ -174,7 +176,7 @@ def _tasks_of(
     key: FrameKey,
     there: Callable[[FrameKey], bool],
     times_s: Mapping[int, float],
-    setup: Setup,
+    setup: StitchSetup,
     *,
     only_ahead: bool = False,
 ) -> list[Task]:
@@ -222,7 +224,7 @@ def _middle_mm(camera: Camera) -> tuple[float, float]:
     return x, y
 
 
-def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: Setup) -> list[Task]:
+def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: StitchSetup) -> list[Task]:
     """Links across rows that were lost, wherever the frames before and after still overlap."""
     tasks: list[Task] = []
     if not METHODS[setup.method].links:

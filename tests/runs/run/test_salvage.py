@@ -50,7 +50,7 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
     assert (film.bay, film.reason) == (1, "acquisition lost")
     progress.filmed(film)
     for task in progress.needed:
-        nothing = Linked.of(Links.none(task, "scripted"), 0.0)
+        nothing = Linked.of(Links.empty(task, "scripted"), 0.0)
         progress.answered(LinkJob(progress.context, task.a[0], (task,), {}), Answer((nothing,), None, 0.0), 60.0)
     conclusion = progress.conclusion()
     assert conclusion is not None

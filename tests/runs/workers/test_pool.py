@@ -24,7 +24,7 @@ from vaoi_station.runs.workers import pool as module
 from vaoi_station.runs.workers.jobs import Answer, ConcludeJob, Job, LinkJob, OpenRun, RenderJob, RunContext
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 PATIENCE_S = 120.0
 
@@ -35,7 +35,7 @@ class Plant:
     def __init__(self, config: StationConfig, calibration: Calibration, board_type: BoardType) -> None:
         self.ring = Ring.create(ring_path(config), RingLayout.of(config))
         self.cameras = calibration.cameras(camera_heads(config))
-        self.setup = Setup(self.cameras, config.line.conveyor_mm_s, config.line.trigger_period_s, board_type)
+        self.setup = StitchSetup(self.cameras, config.line.conveyor_mm_s, config.line.trigger_period_s, board_type)
         self.generation = self.ring.claim(0)
         self.context = RunContext("r1", 0, self.generation)
         picture = np.random.default_rng(1).integers(0, 255, self.ring.frame(0).shape, dtype=np.uint8)

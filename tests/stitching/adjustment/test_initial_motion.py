@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.stitching.adjustment.initial_motion import chained, tied_rows
+from vaoi_station.stitching.adjustment.initial_motion import chain_links, connected_rows
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.observations import Observations, observe
+from vaoi_station.stitching.adjustment.observations import Observations, to_observations
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 NOMINAL = nominal_motion(np.array([0.0, 0.1, 0.2, 0.3, 0.4]), np.array([0.0, 50.0]), np.array([0.0, 0.0]))
@@ -21,23 +21,23 @@ def links(camera: Any, steps: dict[tuple[int, int], float], wild: int = 0) -> Ob
         b = at + (0, 10 * step)
         b[:wild] += (30, -50)
         found.append(Links(Task("rows", (0, p), (0, q)), at, b, np.tile(np.eye(2), (9, 1, 1)), np.ones(9)))
-    return observe(found, (camera,))
+    return to_observations(found, (camera,))
 
 
 def test_rows_are_chained_by_the_median_of_their_links(workshop: Any) -> None:
     seen = links(workshop.camera(), {(0, 1): 5.5, (1, 2): 4.0, (2, 3): 6.0, (3, 4): 5.0}, wild=4)
-    assert chained(NOMINAL, seen).shift[:, 1] == pytest.approx([0, -5.5, -9.5, -15.5, -20.5])
+    assert chain_links(NOMINAL, seen).shift[:, 1] == pytest.approx([0, -5.5, -9.5, -15.5, -20.5])
 
 
 def test_where_nothing_is_linked_the_belt_goes_on(workshop: Any) -> None:
     seen = links(workshop.camera(), {(0, 1): 5.5, (1, 3): 11.0})
-    shift = chained(NOMINAL, seen).shift[:, 1]
+    shift = chain_links(NOMINAL, seen).shift[:, 1]
     assert shift == pytest.approx([0, -5.5, -10.5, -16.5, -21.5])
 
 
 def test_links_of_one_row_move_nothing(workshop: Any) -> None:
     seen = links(workshop.camera(), {(2, 2): 9.0})
-    np.testing.assert_allclose(chained(NOMINAL, seen).shift, NOMINAL.shift, atol=1e-12)
+    np.testing.assert_allclose(chain_links(NOMINAL, seen).shift, NOMINAL.shift, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -51,4 +51,4 @@ def test_links_of_one_row_move_nothing(workshop: Any) -> None:
 )
 def test_rows_that_hang_together(workshop: Any, pairs: list[tuple[int, int]], groups: list[list[int]]) -> None:
     seen = links(workshop.camera(), dict.fromkeys(pairs, 5.0))
-    assert [g.tolist() for g in tied_rows(seen, 5, np.ones(len(seen), dtype=bool))] == groups
+    assert [g.tolist() for g in connected_rows(seen, 5, np.ones(len(seen), dtype=bool))] == groups

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.normal_blocks import Block, belt_blocks, roots, summed, whitened
+from vaoi_station.stitching.adjustment.normal_blocks import Block, belt_blocks, square_roots, sum_blocks, whiten
 
 
 @given(st.integers(0, 1000))
@@ -17,7 +17,7 @@ def test_blocks_add_up_to_the_normal_equations(seed: int) -> None:
     for n, b in enumerate(blocks):
         for k, column in enumerate(b.columns):
             dense[6 * n : 6 * n + 6, column] += b.a[:, k]
-    normal, rhs = summed(blocks, 7)
+    normal, rhs = sum_blocks(blocks, 7)
     np.testing.assert_allclose(normal, dense.T @ dense, atol=1e-12)
     np.testing.assert_allclose(rhs, -dense.T @ right, atol=1e-12)
 
@@ -28,7 +28,7 @@ def test_whitened_squares_are_weighted_squares(seed: int) -> None:
     half, values = g.normal(size=(5, 2, 2)), g.normal(size=(5, 2))
     information = half @ half.swapaxes(1, 2)
     information[0] = 0
-    square = (whitened(roots(information), values) ** 2).sum(0)
+    square = (whiten(square_roots(information), values) ** 2).sum(0)
     np.testing.assert_allclose(square, np.einsum("ki,kij,kj->k", values, information, values), atol=1e-9)
 
 
@@ -37,5 +37,5 @@ def test_a_belt_that_runs_as_it_should_has_no_misfit() -> None:
     blocks = belt_blocks(nominal_motion(times, velocity, np.zeros(2)), times, velocity)
     for block in blocks:
         np.testing.assert_allclose(block.b, 0, atol=1e-12)
-    normal, _ = summed(blocks, 9)
+    normal, _ = sum_blocks(blocks, 9)
     assert np.linalg.matrix_rank(normal) == 6, "it says nothing of the first row"

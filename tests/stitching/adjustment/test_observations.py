@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import Lens
-from vaoi_station.stitching.adjustment.observations import Ledger, observe
+from vaoi_station.stitching.adjustment.observations import LinkStore, to_observations
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 
@@ -25,8 +25,8 @@ def test_links_come_to_the_ground_with_their_rows(workshop: Any) -> None:
     cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
     first = links(Task("rows", (0, 1), (0, 2), 0.1), [[20.0, 30.0], [40.0, 50.0]], [[20.0, 90.0], [40.0, 110.0]])
     second = links(Task("neighbours", (0, 2), (1, 2)), [[180.0, 30.0]], [[30.0, 31.0]])
-    nothing = Links.none(Task("rows", (0, 0), (0, 1), 0.1), "empty")
-    o = observe([first, nothing, second], cameras)
+    nothing = Links.empty(Task("rows", (0, 0), (0, 1), 0.1), "empty")
+    o = to_observations([first, nothing, second], cameras)
     assert (o.p.tolist(), o.q.tolist(), o.group.tolist()) == ([1, 1, 2], [2, 2, 2], [0, 0, 1])
     assert o.groups == (first, second)
     np.testing.assert_allclose(o.a_mm[0], cameras[0].ground([20.0, 30.0]))
@@ -42,14 +42,14 @@ def test_noise_is_carried_to_the_ground(workshop: Any, bend: float) -> None:
     camera = workshop.camera((3, 1), angle_rad=0.3, tilt=(2e-3, -1e-3), distance_mm=100.0, lens=lens)
     covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
     px = np.array([150.0, 120.0])
-    o = observe([links(Task("rows", (0, 0), (0, 1)), [px], [px], np.linalg.inv(covariance)[None])], (camera,))
+    o = to_observations([links(Task("rows", (0, 0), (0, 1)), [px], [px], np.linalg.inv(covariance)[None])], (camera,))
     noisy = camera.ground(px + np.random.default_rng(0).multivariate_normal([0, 0], covariance, 20000))
     np.testing.assert_allclose(o.noise_mm2[0], np.cov(noisy.T), rtol=0.06, atol=1e-5)
     np.testing.assert_allclose(o.b_lean[0], camera.parallax(camera.ground(px)))
 
 
 def test_nothing_seen_is_nothing_observed(workshop: Any) -> None:
-    o = observe([], (workshop.camera(),))
+    o = to_observations([], (workshop.camera(),))
     assert len(o) == 0
     assert o.noise_mm2.shape == (0, 2, 2)
 
@@ -63,15 +63,15 @@ def test_links_entered_one_by_one_are_the_same_in_whatever_order_they_are_asked_
         )
         for k, n in enumerate((3, 3000, 0, 1, 2500, 80))
     ]
-    ledger = Ledger(cameras)
+    link_store = LinkStore(cameras)
     for k in (4, 1, 5):
-        ledger.enter(found[k])
+        link_store.add(found[k])
     for asked in (found, found[::-1], found[2:], []):
-        once = observe(asked, cameras)
-        again = ledger.observations(asked)
+        once = to_observations(asked, cameras)
+        again = link_store.observations(asked)
         for name in ("p", "q", "a_mm", "b_mm", "a_lean", "b_lean", "noise_mm2", "px_per_mm", "group"):
             assert np.array_equal(getattr(once, name), getattr(again, name)), name
         assert again.groups == once.groups
     other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
-    both = ledger.observations([found[0], other])
+    both = link_store.observations([found[0], other])
     np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))

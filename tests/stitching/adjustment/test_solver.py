@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment import solver as adjustment
-from vaoi_station.stitching.adjustment.excess_noise import excess
-from vaoi_station.stitching.adjustment.initial_motion import chained
+from vaoi_station.stitching.adjustment.initial_motion import chain_links
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.observations import observe
-from vaoi_station.stitching.adjustment.problem import Adjusted, FiducialPoints, Problem, SurfaceBasis
-from vaoi_station.stitching.adjustment.solver import adjust, looked_at, roughly, similar
+from vaoi_station.stitching.adjustment.noise_floor import noise_floor
+from vaoi_station.stitching.adjustment.observations import to_observations
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.solver import adjust, apply_similarity, evaluate_at, solve_subsampled
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis
 from vaoi_station.stitching.matching.evidence import Links, Task
 
@@ -79,11 +79,11 @@ class Bench:
                 [-1, 1], (int(wild.sum()), 2)
             )
         component = np.concatenate([c for _, c in made])
-        return Problem(TIMES, VELOCITY, observe([e for e, _ in made], self.cameras), component)
+        return Problem(TIMES, VELOCITY, to_observations([e for e, _ in made], self.cameras), component)
 
     def with_fiducials(self, problem: Problem, *, surface: bool = False) -> Problem:
         """The problem with every sighting of the fiducials."""
-        board = similar(C, FIDUCIALS)
+        board = apply_similarity(C, FIDUCIALS)
         height = self.height(board, np.full(len(board), -1))
         artwork = self.g.normal(0, MARK_PX, (len(board), 2))
         found: list[tuple[int, Array, Array, Array, int]] = []
@@ -106,7 +106,7 @@ class Bench:
             problem, fiducials=points, surface=SurfaceBasis(basis(BOARD, cad_of_links), basis(BOARD, cad), SIGMA_MM)
         )
 
-    def errors(self, found: Adjusted) -> Array:
+    def errors(self, found: AdjustmentResult) -> Array:
         """Deviation of the unknowns of rows 1 … m−1, in the order of the covariance."""
         angle, shift = found.motion.angle - self.motion.angle, found.motion.shift - self.motion.shift
         return np.column_stack([angle, shift])[1:].ravel()
@@ -128,7 +128,7 @@ def bench(workshop: Any) -> Any:
 
 
 def started(problem: Problem) -> Motion:
-    return chained(nominal_motion(TIMES, VELOCITY, np.array([0.0, 0.0])), problem.links)
+    return chain_links(nominal_motion(TIMES, VELOCITY, np.array([0.0, 0.0])), problem.links)
 
 
 def test_the_motion_comes_out_of_noisy_links(bench: Any) -> None:
@@ -148,17 +148,17 @@ def test_the_motion_comes_out_of_noisy_links(bench: Any) -> None:
 def test_a_start_by_some_of_many_links_leads_to_the_same_and_few_are_not_thinned(bench: Any) -> None:
     truth = bench(1)
     few = truth.problem()
-    assert roughly(few, started(few)) is None
+    assert solve_subsampled(few, started(few)) is None
     frames = [((i, p), (i, q)) for i in (0, 1) for p, q in pairwise(range(ROWS))] * 5
-    many = observe([truth.links(a, b, count=400)[0] for a, b in frames], truth.cameras)
+    many = to_observations([truth.links(a, b, count=400)[0] for a, b in frames], truth.cameras)
     problem = replace(few, links=many, component=np.full(len(many), -1))
-    rough = roughly(problem, started(problem))
+    rough = solve_subsampled(problem, started(problem))
     assert rough is not None
     exact = adjust(problem, started(problem)).motion
     assert not np.array_equal(rough.shift, started(problem).shift)
     assert np.abs(rough.shift - exact.shift).max() < 0.01
     assert np.abs(adjust(problem, rough).motion.shift - exact.shift).max() < 1e-4
-    seen = looked_at(problem, rough)
+    seen = evaluate_at(problem, rough)
     assert seen.motion is rough
     assert not seen.covariance.any()
     by_hand = rough.board(many.q, many.b_mm) - rough.board(many.p, many.a_mm)
@@ -172,7 +172,7 @@ def test_a_sample_of_many_links_is_of_the_kind_that_code_is_compiled_for(
     truth = bench(1)
     problem = truth.problem()
     adjust(problem, started(problem))
-    code: Any = excess
+    code: Any = noise_floor
     before = set(code.signatures)
     monkeypatch.setattr(adjustment, "_TELLING", 40)
     adjust(problem, started(problem))
@@ -223,7 +223,7 @@ def test_rows_nobody_sees_stay_where_the_belt_puts_them(bench: Any) -> None:
 
 def test_without_any_link_the_belt_is_all_there_is(bench: Any) -> None:
     truth = bench(5)
-    problem = Problem(TIMES, VELOCITY, observe([], truth.cameras), np.zeros(0, dtype=np.int_))
+    problem = Problem(TIMES, VELOCITY, to_observations([], truth.cameras), np.zeros(0, dtype=np.int_))
     found = adjust(problem, nominal_motion(TIMES, VELOCITY, np.array([0.0, 0.0])))
     assert found.motion.shift[:, 1] == pytest.approx(-STEP_MM * np.arange(ROWS))
     assert np.isfinite(found.covariance).all()
@@ -232,7 +232,7 @@ def test_without_any_link_the_belt_is_all_there_is(bench: Any) -> None:
 
 
 def test_one_row_alone(bench: Any) -> None:
-    problem = Problem(TIMES[:1], VELOCITY, observe([], bench().cameras), np.zeros(0, dtype=np.int_))
+    problem = Problem(TIMES[:1], VELOCITY, to_observations([], bench().cameras), np.zeros(0, dtype=np.int_))
     found = adjust(problem, nominal_motion(TIMES[:1], VELOCITY, np.array([0.0, 0.0])))
     assert not found.motion.shift.any()
 
@@ -244,7 +244,7 @@ def test_c_comes_out_of_the_sightings_with_its_uncertainty(bench: Any) -> None:
         problem = truth.with_fiducials(truth.problem())
         found = adjust(problem, started(problem), np.array([1.0, 0.01, 0.2, -0.5]))
         assert found.similarity is not None
-        off = similar(found.similarity, FIDUCIALS) - similar(C, FIDUCIALS)
+        off = apply_similarity(found.similarity, FIDUCIALS) - apply_similarity(C, FIDUCIALS)
         assert np.abs(off).max() * PX_PER_MM < 0.15
         assert np.abs(found.fiducial_px).max() < 0.15
         error = found.similarity - C

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis, basis_on_board, described
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis, basis_at_board, to_surface
 
 BOARD = BoardType(name="b", unit="inch", outline=((0.0, 3.0), (2.0, 0.5)))
 
@@ -17,7 +17,7 @@ BOARD = BoardType(name="b", unit="inch", outline=((0.0, 3.0), (2.0, 0.5)))
 )
 def test_results_carry_the_surface_that_was_estimated(c: list[float], points: list[tuple[float, float]]) -> None:
     at = np.array(points)
-    surface = described(BOARD, np.array(c))
+    surface = to_surface(BOARD, np.array(c))
     np.testing.assert_allclose(surface.height_mm(at), basis(BOARD, at) @ c, atol=5e-5)
 
 
@@ -30,4 +30,4 @@ def test_the_middle_has_the_lift_and_the_corners_all_coefficients() -> None:
 def test_on_the_board_it_is_the_same() -> None:
     c = np.array([[25.4, 0, 7], [0, -25.4, 9], [0, 0, 1.0]])
     at = np.array([[0.3, 0.7], [1.9, 2.2]])
-    np.testing.assert_allclose(basis_on_board(BOARD, c, apply(c, at)), basis(BOARD, at), atol=1e-12)
+    np.testing.assert_allclose(basis_at_board(BOARD, c, apply(c, at)), basis(BOARD, at), atol=1e-12)

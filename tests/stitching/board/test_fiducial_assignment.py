@@ -15,7 +15,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.adjustment.solver import apply_similarity
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import (
     Frame,
@@ -30,7 +30,7 @@ from vaoi_station.stitching.board.fiducial_assignment import (
     outside_share,
     together,
 )
-from vaoi_station.stitching.matching.evidence import Sightings, Task
+from vaoi_station.stitching.matching.evidence import Detections, Task
 
 Array = NDArray[np.float64]
 FIDUCIALS = (("A", 3.0, 3.0), ("B", 37.0, 17.5), ("C", 36.0, 3.5))
@@ -63,7 +63,7 @@ def lying(frame: Frame, camera: Any, turn_rad: float = 0.0, at: tuple[float, flo
     scale = frame.board_type.mm_per_unit
     a, b = scale * math.cos(angle), scale * math.sin(angle)
     low, high = frame.board_type.extent()
-    middle = similar(np.array([a, b, 0, 0]), frame.flat((low + high) / 2)[None])[0]
+    middle = apply_similarity(np.array([a, b, 0, 0]), frame.flat((low + high) / 2)[None])[0]
     return np.array([a, b, at[0] - middle[0], at[1] - middle[1]])
 
 
@@ -90,7 +90,11 @@ def test_handedness_follows_from_board_type_and_cameras(
     frame = board_frame(board(y_axis, side), camera)
     truth = lying(frame, camera, 0.02)
     found = find_board(
-        frame, sighted(similar(truth, frame.fiducials)), expected_angle(frame, camera, UPRIGHT), UPRIGHT, NOTHING
+        frame,
+        sighted(apply_similarity(truth, frame.fiducials)),
+        expected_angle(frame, camera, UPRIGHT),
+        UPRIGHT,
+        NOTHING,
     )
     assert isinstance(found, Hypothesis)
     assert found.c == pytest.approx(truth, abs=1e-9)
@@ -107,7 +111,7 @@ def test_units(workshop: Any, unit: Literal["mm", "inch", "mil"]) -> None:
     camera = workshop.camera()
     frame = board_frame(board(unit=unit), camera)
     truth = lying(frame, camera)
-    found = find_board(frame, sighted(similar(truth, frame.fiducials)), 0.0, UPRIGHT, NOTHING)
+    found = find_board(frame, sighted(apply_similarity(truth, frame.fiducials)), 0.0, UPRIGHT, NOTHING)
     assert isinstance(found, Hypothesis)
     assert math.hypot(*found.c[:2]) == pytest.approx(frame.board_type.mm_per_unit)
 
@@ -119,18 +123,20 @@ def test_look_alikes_do_not_win(workshop: Any, seed: int, turn: float) -> None:
     camera = workshop.camera()
     frame = board_frame(board(), camera)
     truth = lying(frame, camera, turn)
-    marks = similar(truth, frame.fiducials) + g.normal(0, 0.01, (3, 2))
+    marks = apply_similarity(truth, frame.fiducials) + g.normal(0, 0.01, (3, 2))
     places = with_look_alikes(sighted(marks), 60, g, (0.75, 0.93))
     found = find_board(frame, places, expected_angle(frame, camera, UPRIGHT), UPRIGHT, NOTHING)
     assert isinstance(found, Hypothesis)
-    assert np.abs(similar(found.c, frame.fiducials) - marks).max() < 0.4, "a first answer, from two of the three"
+    assert np.abs(apply_similarity(found.c, frame.fiducials) - marks).max() < 0.4, (
+        "a first answer, from two of the three"
+    )
     assert found.fiducials == (0, 1, 2)
 
 
 def test_two_fiducials_are_enough_and_one_is_not(workshop: Any) -> None:
     camera = workshop.camera()
     frame = board_frame(board(), camera)
-    marks = similar(lying(frame, camera), frame.fiducials)
+    marks = apply_similarity(lying(frame, camera), frame.fiducials)
     two = find_board(frame, sighted(marks[:2]), 0.0, UPRIGHT, NOTHING)
     assert isinstance(two, Hypothesis)
     assert two.fiducials == (0, 1)
@@ -146,7 +152,7 @@ def test_two_fiducials_are_enough_and_one_is_not(workshop: Any) -> None:
 def test_a_board_far_from_its_direction_is_refused_and_the_reason_says_by_how_much(workshop: Any) -> None:
     camera = workshop.camera()
     frame = board_frame(board(), camera)
-    places = sighted(similar(lying(frame, camera, 0.3), frame.fiducials))
+    places = sighted(apply_similarity(lying(frame, camera, 0.3), frame.fiducials))
     refused = find_board(frame, places, expected_angle(frame, camera, UPRIGHT), UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "turned by 17.2°" in refused.reason
@@ -155,7 +161,7 @@ def test_a_board_far_from_its_direction_is_refused_and_the_reason_says_by_how_mu
 def test_a_board_turned_by_half_a_turn_has_fewer_fiducials_as_expected_than_turned(workshop: Any) -> None:
     camera = workshop.camera()
     frame = board_frame(board(), camera)
-    places = sighted(similar(lying(frame, camera, math.pi), frame.fiducials))
+    places = sighted(apply_similarity(lying(frame, camera, math.pi), frame.fiducials))
     angle = expected_angle(frame, camera, UPRIGHT)
     as_expected = find_board(frame, places, angle, UPRIGHT, NOTHING)
     turned = find_board(frame, places, angle + math.pi, UPRIGHT, NOTHING)
@@ -167,7 +173,7 @@ def test_a_board_turned_by_half_a_turn_has_fewer_fiducials_as_expected_than_turn
 def test_another_scale_is_refused(workshop: Any) -> None:
     camera = workshop.camera()
     frame = board_frame(board(), camera)
-    marks = similar(lying(frame, camera), frame.fiducials)
+    marks = apply_similarity(lying(frame, camera), frame.fiducials)
     refused = find_board(frame, sighted(marks * 1.006), 0.0, UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "scale off by" in refused.reason
@@ -178,8 +184,8 @@ def test_texture_must_lie_on_the_board(workshop: Any) -> None:
     camera, g = workshop.camera(), np.random.default_rng(1)
     frame = board_frame(board(fiducials=FIDUCIALS[:2]), camera)
     here, there = lying(frame, camera), lying(frame, camera, at=(12.0, 40.0))
-    both = np.concatenate([similar(c, frame.fiducials) for c in (there, here)])
-    texture = similar(here, frame.flat(g.uniform((0, 0), (40, 20), (200, 2))))
+    both = np.concatenate([apply_similarity(c, frame.fiducials) for c in (there, here)])
+    texture = apply_similarity(here, frame.flat(g.uniform((0, 0), (40, 20), (200, 2))))
     found = find_board(frame, sighted(both), expected_angle(frame, camera, UPRIGHT), UPRIGHT, texture)
     assert isinstance(found, Hypothesis)
     assert found.c == pytest.approx(here, abs=1e-6)
@@ -193,7 +199,7 @@ def test_the_mechanics_of_the_line_choose_between_equals(workshop: Any) -> None:
     camera = workshop.camera()
     frame = board_frame(board(fiducials=FIDUCIALS[:2]), camera)
     here, there = lying(frame, camera), lying(frame, camera, at=(12.0, 40.0))
-    both = np.concatenate([similar(c, frame.fiducials) for c in (there, here)])
+    both = np.concatenate([apply_similarity(c, frame.fiducials) for c in (there, here)])
     angle = expected_angle(frame, camera, UPRIGHT)
     for truth, low in ((here, -40.0), (there, 30.0)):
         found = find_board(frame, sighted(both), angle, Expectation(corner_mm=(None, low)), NOTHING)
@@ -206,7 +212,7 @@ def test_fiducials_of_different_kinds_are_not_mixed_up(workshop: Any) -> None:
     data = board().model_dump(mode="json", exclude_none=True)
     data["fiducials"][1]["shape"] = "diamond"
     frame = board_frame(BoardType.model_validate(data), camera)
-    marks = similar(lying(frame, camera), frame.fiducials)
+    marks = apply_similarity(lying(frame, camera), frame.fiducials)
     right = Places(marks, np.array([0, 1, 0]), np.full(3, 0.97))
     wrong = Places(marks, np.array([1, 0, 1]), np.full(3, 0.97))
     assert isinstance(find_board(frame, right, 0.0, UPRIGHT, NOTHING), Hypothesis)
@@ -218,26 +224,26 @@ def test_sightings_of_one_mark_in_many_frames_are_one_place_and_each_counts(work
     motion = nominal_motion(np.array([0.0, 0.1]), np.array([0.0, 50.0]), np.zeros(2))
     frame = board_frame(board(), cameras[0])
     c = lying(frame, cameras[0], at=(-8.0, -9.0))
-    marks = similar(c, frame.fiducials)
-    sightings, seen = [], []
+    marks = apply_similarity(c, frame.fiducials)
+    detections, seen = [], []
     for i, camera in enumerate(cameras):
         for j in (0, 1):
             px = camera.project(motion.row_from_tester(j)(marks))
             inside = np.flatnonzero(camera.sees(px, 5))
             k = len(inside)
             seen += inside.tolist()
-            sightings.append(
-                Sightings(Task("marks", (i, j)), px[inside], np.full(k, 0.01), np.full(k, 0.9), np.zeros(k, dtype=int))
+            detections.append(
+                Detections(Task("marks", (i, j)), px[inside], np.full(k, 0.01), np.full(k, 0.9), np.zeros(k, dtype=int))
             )
-    places = gather(sightings, cameras, motion)
+    places = gather(detections, cameras, motion)
     assert len(places.mm) == len(set(seen))
     assert len(seen) > len(set(seen)), "a mark is in the overlap"
-    points = assign(frame, c, sightings, cameras, motion)
+    points = assign(frame, c, detections, cameras, motion)
     assert sorted(points.which.tolist()) == sorted(seen)
     assert points.px_per_mm == pytest.approx(10.0)
     assert points.sigma_mm == pytest.approx(0.001)
     on_board = motion.board(points.row, points.ground_mm)
-    np.testing.assert_allclose(on_board, similar(c, points.cad), atol=1e-9)
+    np.testing.assert_allclose(on_board, apply_similarity(c, points.cad), atol=1e-9)
 
 
 @settings(deadline=None)

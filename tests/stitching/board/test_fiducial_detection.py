@@ -7,8 +7,8 @@ import numpy as np
 from vaoi_station.geometry import apply
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.fiducial_detection import look_again, look_deeper, mark_kinds, sight_marks
-from vaoi_station.stitching.matching.evidence import Sightings, Task
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.evidence import Detections, Task
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
 
@@ -27,26 +27,26 @@ def test_every_fiducial_in_view_is_among_the_sightings(filmed: Any) -> None:
     seen = 0
     for key, truth in true_places(filmed).items():
         camera = filmed.setup.cameras[key[0]]
-        sightings = sight_marks(Task("marks", key), Prepared(filmed.frames[key]), camera, filmed.board_type)
-        assert len(sightings.px) == len(sightings.sigma_px) == len(sightings.score) == len(sightings.kind)
+        detections = sight_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), camera, filmed.board_type)
+        assert len(detections.px) == len(detections.sigma_px) == len(detections.score) == len(detections.kind)
         for place in truth.values():
-            assert np.hypot(*(sightings.px - place).T).min() < 0.1
+            assert np.hypot(*(detections.px - place).T).min() < 0.1
             seen += 1
     assert seen >= 6
 
 
 def test_without_a_board_type_nothing_is_sought(filmed: Any) -> None:
     key = filmed.present[0]
-    sightings = sight_marks(Task("marks", key), Prepared(filmed.frames[key]), filmed.setup.cameras[0], None)
-    assert sightings.px.shape == (0, 2)
+    detections = sight_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), filmed.setup.cameras[0], None)
+    assert detections.px.shape == (0, 2)
 
 
 def test_what_look_alikes_pushed_off_the_list_is_looked_for_where_it_must_be(filmed: Any) -> None:
     motion = truth_motion(filmed)
-    prepared = {key: Prepared(pixels) for key, pixels in filmed.frames.items()}
+    prepared = {key: PreparedFrame(pixels) for key, pixels in filmed.frames.items()}
     scene = Scene(filmed.setup.cameras, tuple(filmed.present), prepared.__getitem__)
     none = np.zeros(0)
-    nothing = [Sightings(Task("marks", k), np.zeros((0, 2)), none, none, none.astype(int)) for k in filmed.present]
+    nothing = [Detections(Task("marks", k), np.zeros((0, 2)), none, none, none.astype(int)) for k in filmed.present]
     again = look_again(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, nothing)
     assert [s.task for s in again] == [s.task for s in nothing]
     for s in again:

@@ -7,7 +7,7 @@ import pytest
 
 from vaoi_station.geometry import Euclidean, System
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.adjustment.solver import apply_similarity
 from vaoi_station.stitching.board.component_index import Parts
 from vaoi_station.stitching.board.fiducial_assignment import board_frame
 from vaoi_station.stitching.board.footprints import Views, component_of, footprint_views, landmarks
@@ -32,21 +32,21 @@ def test_points_belong_to_the_part_on_whose_footprint_they_lie(workshop: Any, y_
     middle = corners.mean(0)
     inside, outside = middle + 0.95 * (corners - middle), middle + 1.35 * (corners - middle)
     cad = np.concatenate([inside, outside, [[22, 10], [1, 1]]])
-    assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
+    assert component_of(frame, C, apply_similarity(C, frame.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
 
 
 def test_the_smaller_of_two_parts_wins_and_flat_ones_are_board(workshop: Any) -> None:
     kind = board([part("BIG", 10, 10, 8, 8), part("SMALL", 10, 10, 2, 2), part("PAD", 25, 10, 2, 2, body_height=0.0)])
     frame = board_frame(kind, workshop.camera())
     cad = np.array([[10.0, 10], [13, 13], [25, 10]])
-    assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [1, 0, -1]
+    assert component_of(frame, C, apply_similarity(C, frame.flat(cad))).tolist() == [1, 0, -1]
 
 
 def test_of_two_alike_that_touch_the_later_one_wins(workshop: Any) -> None:
     kind = board([part(ref, x, 10, 2, 2) for ref, x in (("A", 10.0), ("B", 12.2), ("C", 14.4))])
     frame = board_frame(kind, workshop.camera())
     cad = np.array([[11.1, 10], [13.3, 10], [12.2, 10]])
-    assert component_of(frame, C, similar(C, frame.flat(cad))).tolist() == [1, 2, 1]
+    assert component_of(frame, C, apply_similarity(C, frame.flat(cad))).tolist() == [1, 2, 1]
 
 
 @pytest.mark.parametrize("lift", [None, 1.0])
@@ -87,7 +87,7 @@ def test_many_points_on_many_parts_are_as_if_looked_at_one_by_one(workshop: Any,
     kind = board(parts)
     frame = board_frame(kind, workshop.camera())
     cad = g.uniform((-4, -4), (34, 24), (500, 2))
-    found = component_of(frame, C, similar(C, frame.flat(cad)))
+    found = component_of(frame, C, apply_similarity(C, frame.flat(cad)))
     for point, n in zip(cad, found, strict=True):
         on = [k for k, p in enumerate(kind.components) if _on(kind, p, point)]
         areas = [kind.components[k].width * kind.components[k].height for k in on]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera, Lens
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.frame_visibility import Shots
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
 MOTION = Motion(np.array([0.0, 0.004, -0.003]), np.array([[0.0, 0], [0.2, -9.0], [-0.1, -18.0]]), np.array([5.0, 1.0]))
@@ -25,7 +25,7 @@ def scene(workshop: Any) -> Scene:
         workshop.camera((34, 0), tilt=(1e-4, -2e-4)),
     )
     present = tuple((i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1))
-    frames = {key: Prepared(np.full((160, 200), 10 * n + 5, dtype=np.uint8)) for n, key in enumerate(present)}
+    frames = {key: PreparedFrame(np.full((160, 200), 10 * n + 5, dtype=np.uint8)) for n, key in enumerate(present)}
     return Scene(cameras, present, frames.__getitem__)
 
 

@@ -10,7 +10,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.board.orientation import check, outline_of
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
 OUTLINE = [[0.0, 0.0], [34.0, 22.0]]
@@ -38,7 +38,7 @@ def scene(workshop: Any, paint: list[tuple[list[list[float]], float]], belt: flo
         low, high = np.min(corners, axis=0), np.max(corners, axis=0)
         picture[((cad >= low) & (cad <= high)).all(-1)] = grey
     picture += np.random.default_rng(0).normal(0, 2, picture.shape)
-    frame = Prepared(workshop.digitised(picture))
+    frame = PreparedFrame(workshop.digitised(picture))
     return Scene((camera,), ((0, 0),), lambda key: frame)
 
 

@@ -12,7 +12,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.board.outline import outline_shift
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
 PLACED = np.array([[1.0, 0, -14.0], [0, 1, -10.0], [0, 0, 1]])
@@ -32,7 +32,7 @@ def scene(workshop: Any, size: tuple[float, float] = (28.0, 20.0), grey: float =
     spots = ((np.floor(cad[..., 0] / 1.7) + np.floor(cad[..., 1] / 1.3)) % 3 == 0) * 25.0
     picture = cv2.GaussianBlur(np.where(inside, grey + spots, 20.0), (0, 0), 0.8)
     picture += np.random.default_rng(0).normal(0, 2, picture.shape)
-    frame = Prepared(workshop.digitised(picture))
+    frame = PreparedFrame(workshop.digitised(picture))
     return Scene((camera,), ((0, 0),), lambda key: frame)
 
 

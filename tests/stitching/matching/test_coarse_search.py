@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.stitching.matching.coarse_search import CoarseShift, best_peaks, correlations, find_shift
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZE = (640, 480)
 REACH = np.array([40.0, 40.0])
@@ -23,8 +23,8 @@ def box(shift: tuple[float, float]) -> tuple[int, int, int, int]:
 
 
 @pytest.fixture(scope="module")
-def frame(workshop: Any) -> Prepared:
-    return Prepared(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE))
+def frame(workshop: Any) -> PreparedFrame:
+    return PreparedFrame(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE))
 
 
 @settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
@@ -33,39 +33,39 @@ def frame(workshop: Any) -> Prepared:
     slip=st.tuples(st.integers(-36, 36), st.integers(-36, 36)),
 )
 def test_what_the_belt_did_beyond_its_nominal_motion(
-    workshop: Any, frame: Prepared, nominal: tuple[int, int], slip: tuple[int, int]
+    workshop: Any, frame: PreparedFrame, nominal: tuple[int, int], slip: tuple[int, int]
 ) -> None:
     shift = (nominal[0] + slip[0], nominal[1] + slip[1])
-    b = Prepared(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE, shift))
+    b = PreparedFrame(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE, shift))
     found = find_shift(frame, b, box(nominal), np.array(nominal, dtype=float), REACH)
     assert isinstance(found, CoarseShift), found
     assert np.abs(found.px - slip).max() <= 2.0
     assert found.score > 0.5
 
 
-def test_a_narrow_overlap_is_enough(workshop: Any, frame: Prepared) -> None:
-    b = Prepared(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE, (0, 400)))
+def test_a_narrow_overlap_is_enough(workshop: Any, frame: PreparedFrame) -> None:
+    b = PreparedFrame(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE, (0, 400)))
     found = find_shift(frame, b, box((0, 390)), np.array([0.0, 390.0]), REACH)
     assert isinstance(found, CoarseShift), found
     assert found.px == pytest.approx([0, 10], abs=2)
 
 
-def test_too_narrow_an_overlap_says_so(frame: Prepared) -> None:
+def test_too_narrow_an_overlap_says_so(frame: PreparedFrame) -> None:
     found = find_shift(frame, frame, (0, 470, 640, 480), np.array([0.0, -470.0]), REACH)
     assert isinstance(found, Failure)
     assert "640×10 px is too narrow" in found.reason
 
 
-def test_an_empty_overlap_says_so(workshop: Any, frame: Prepared) -> None:
+def test_an_empty_overlap_says_so(workshop: Any, frame: PreparedFrame) -> None:
     g = np.random.default_rng(2)
-    belt = Prepared(workshop.digitised(20 + g.normal(0, 2, SIZE[::-1])))
+    belt = PreparedFrame(workshop.digitised(20 + g.normal(0, 2, SIZE[::-1])))
     found = find_shift(belt, frame, (0, 0, 640, 300), np.array([0.0, 100.0]), REACH)
     assert isinstance(found, Failure)
     assert "the overlap is empty" in found.reason
 
 
-def test_other_texture_does_not_fit(workshop: Any, frame: Prepared) -> None:
-    other = Prepared(workshop.waves(8, finest=12.0, coarsest=40.0).picture(*SIZE))
+def test_other_texture_does_not_fit(workshop: Any, frame: PreparedFrame) -> None:
+    other = PreparedFrame(workshop.waves(8, finest=12.0, coarsest=40.0).picture(*SIZE))
     found = find_shift(frame, other, (0, 0, 640, 380), np.array([0.0, 100.0]), REACH)
     assert isinstance(found, Failure)
     assert "no place within ±40, ±40 px fits" in found.reason
@@ -75,9 +75,9 @@ def test_other_texture_does_not_fit(workshop: Any, frame: Prepared) -> None:
 def test_of_repeating_places_the_one_within_the_prior_is_taken(workshop: Any, slip: tuple[int, int]) -> None:
     y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
 
-    def pins(dx: float, dy: float) -> Prepared:
+    def pins(dx: float, dy: float) -> PreparedFrame:
         grey = 120 + 50 * np.cos(2 * np.pi * (x - dx) / 48) + 50 * np.cos(2 * np.pi * (y - dy) / 48)
-        return Prepared(workshop.digitised(grey))
+        return PreparedFrame(workshop.digitised(grey))
 
     nominal = np.array([0.0, 144.0])
     found = find_shift(pins(0, 0), pins(slip[0], 144 + slip[1]), box((0, 144)), nominal, np.array([20.0, 20.0]))
@@ -117,8 +117,8 @@ def test_where_half_the_size_tells_several_places_full_size_decides(workshop: An
     x = np.arange(float(SIZE[0]))
     fine = workshop.waves(9, finest=9.0, coarsest=16.0).levels(*SIZE) - 128
     weave = 60 * np.cos(2 * np.pi * x / 60)
-    a = Prepared(workshop.digitised(128 + weave + 0.8 * fine))
-    b = Prepared(workshop.digitised(np.roll(128 + weave + 0.8 * fine, (340, 60), (0, 1))))
+    a = PreparedFrame(workshop.digitised(128 + weave + 0.8 * fine))
+    b = PreparedFrame(workshop.digitised(np.roll(128 + weave + 0.8 * fine, (340, 60), (0, 1))))
     found = find_shift(a, b, (0, 0, 640, 140), np.array([0.0, 340.0]), np.array([70.0, 30.0]))
     assert isinstance(found, CoarseShift)
     assert found.px == pytest.approx([60, 0], abs=2)

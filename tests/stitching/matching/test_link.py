@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import apply
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.link import choose_places, link_frames, link_neighbours
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZE = (480, 360)
 SCALE = 10.0
@@ -25,9 +25,9 @@ def motion(angle: float, x: float, y: float) -> NDArray[np.float64]:
     return np.array([[c, -s, x], [s, c, y], [0, 0, 1]])
 
 
-def filmed(workshop: Any, camera: Any, row_from_board: NDArray[np.float64]) -> Prepared:
+def filmed(workshop: Any, camera: Any, row_from_board: NDArray[np.float64]) -> PreparedFrame:
     waves = workshop.waves(11, finest=0.6, coarsest=12.0)
-    return Prepared(waves.seen_by(camera, lambda at: apply(np.linalg.inv(row_from_board), at)))
+    return PreparedFrame(waves.seen_by(camera, lambda at: apply(np.linalg.inv(row_from_board), at)))
 
 
 @settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
@@ -87,11 +87,11 @@ def test_what_stops_a_link_is_noted(workshop: Any) -> None:
     camera = workshop.camera(size_px=SIZE)
     board = filmed(workshop, camera, np.eye(3))
     g = np.random.default_rng(0)
-    belt = Prepared(workshop.digitised(20 + g.normal(0, 1.0, SIZE[::-1])))
+    belt = PreparedFrame(workshop.digitised(20 + g.normal(0, 1.0, SIZE[::-1])))
     assert link_frames(ROWS, board, board, camera, camera, np.array([0, 40.0])).note == "the frames do not overlap"
     assert "empty" in link_frames(ROWS, belt, board, camera, camera, np.array([0, 12.0])).note
     assert "fits" in link_frames(ROWS, board, belt, camera, camera, np.array([0, 12.0])).note
-    black = Prepared(np.zeros(SIZE[::-1], dtype=np.uint8))
+    black = PreparedFrame(np.zeros(SIZE[::-1], dtype=np.uint8))
     neighbours = Task("neighbours", (0, 0), (1, 0))
     assert "no textured place" in link_neighbours(neighbours, black, board, camera, camera).note
     assert "correlation" in link_neighbours(neighbours, board, belt, camera, camera).note
@@ -112,18 +112,18 @@ def test_places_lie_inside_their_box(corner: tuple[int, int], width: int, height
 def test_bare_belt_offers_no_places_beside_a_board(workshop: Any) -> None:
     grey = np.full(SIZE[::-1], 20, dtype=np.uint8)
     grey[:, :240] = workshop.waves(1).picture(240, SIZE[1])
-    at = choose_places(Prepared(grey), (0, 0, *SIZE))
+    at = choose_places(PreparedFrame(grey), (0, 0, *SIZE))
     assert len(at) > 20
     assert at[:, 0].max() < 250
 
 
 @cache
-def noise() -> Prepared:
-    return Prepared(np.random.default_rng(0).integers(0, 256, SIZE[::-1], dtype=np.uint8))
+def noise() -> PreparedFrame:
+    return PreparedFrame(np.random.default_rng(0).integers(0, 256, SIZE[::-1], dtype=np.uint8))
 
 
 @pytest.mark.parametrize("task", [ROWS, Task("neighbours", (0, 0), (1, 0))])
 def test_no_evidence_is_evidence_of_having_looked(task: Task) -> None:
-    none = Links.none(task, "why")
+    none = Links.empty(task, "why")
     assert (none.task, none.note) == (task, "why")
     assert [len(v) for v in (none.a_px, none.b_px, none.information, none.score)] == [0] * 4

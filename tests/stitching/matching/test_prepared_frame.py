@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.matching.prepared_frame import Prepared, halved, reduced, to_eight_bit, to_grey
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled, halved, to_eight_bit, to_grey
 
 
 def test_copies_keep_their_places(workshop: Any) -> None:
@@ -16,9 +16,9 @@ def test_copies_keep_their_places(workshop: Any) -> None:
     at = np.array([331.0, 205.0])
     y, x = np.mgrid[:480, :640].astype(float)
     dot = workshop.digitised(20 + 200 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * 12**2)))
-    frame = Prepared(dot)
+    frame = PreparedFrame(dot)
     assert frame.factor == 4
-    for copy, factor in ((frame.grey, 1), (frame.quarter, 4), (reduced(frame, 2), 2), (reduced(frame, 8), 8)):
+    for copy, factor in ((frame.grey, 1), (frame.quarter, 4), (downsampled(frame, 2), 2), (downsampled(frame, 8), 8)):
         weight = copy.astype(float) - 20
         v, u = np.mgrid[: copy.shape[0], : copy.shape[1]]
         found = np.array([(u * weight).sum(), (v * weight).sum()]) / weight.sum()
@@ -27,7 +27,7 @@ def test_copies_keep_their_places(workshop: Any) -> None:
 
 @pytest.mark.parametrize(("width", "factor"), [(640, 4), (1392, 8), (2400, 16), (300, 4), (200, 4)])
 def test_the_coarse_copy_is_at_least_150_pixels_wide(width: int, factor: int) -> None:
-    frame = Prepared(np.zeros((96, width), dtype=np.uint8))
+    frame = PreparedFrame(np.zeros((96, width), dtype=np.uint8))
     assert frame.factor == factor
     assert frame.coarse.shape == (96 // factor, width // factor)
 
@@ -35,7 +35,7 @@ def test_the_coarse_copy_is_at_least_150_pixels_wide(width: int, factor: int) ->
 def test_light_is_taken_off_the_coarse_copy(workshop: Any) -> None:
     waves = workshop.waves(1, finest=12.0, coarsest=40.0).levels(640, 480)
     lamp = np.linspace(-30, 30, 640)
-    plain, lit = Prepared(workshop.digitised(waves)), Prepared(workshop.digitised(waves + lamp))
+    plain, lit = PreparedFrame(workshop.digitised(waves)), PreparedFrame(workshop.digitised(waves + lamp))
     inner = np.s_[10:-10, 10:-10]
     assert np.abs(plain.coarse[inner] - lit.coarse[inner]).mean() < 0.5
     assert plain.coarse.std() > 5
@@ -53,7 +53,7 @@ def test_colour_becomes_luminance_and_grey_stays() -> None:
     colour = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
     assert np.array_equal(to_grey(colour), cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY))
     assert to_grey(colour[..., 0]) is not colour
-    assert Prepared(colour).grey.shape == (20, 30)
+    assert PreparedFrame(colour).grey.shape == (20, 30)
 
 
 def test_halving_leaves_an_odd_border_out() -> None:
@@ -65,4 +65,4 @@ def test_halving_leaves_an_odd_border_out() -> None:
 def test_a_quarter_has_the_means_of_blocks() -> None:
     image = np.random.default_rng(0).integers(0, 256, (43, 59), dtype=np.uint8)
     means = image[:40, :56].reshape(10, 4, 14, 4).mean((1, 3))
-    np.testing.assert_array_equal(Prepared(image).quarter, np.floor(means + 0.5))
+    np.testing.assert_array_equal(PreparedFrame(image).quarter, np.floor(means + 0.5))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import Adjusted
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 from vaoi_station.stitching.quality.covariances import longest, matrix_sigmas, row_covariances
 
 PIVOT = np.array([3.0, -2.0])
@@ -17,24 +17,24 @@ MOTION = Motion(np.array([0.0, 0.3, -0.8]), np.array([[0.0, 0.0], [1.0, -8.0], [
 
 
 @pytest.fixture
-def adjusted() -> Adjusted:
+def adjusted() -> AdjustmentResult:
     g = np.random.default_rng(4)
     blocks = np.zeros((3, 3, 3))
     for j in (1, 2):
         spread = g.normal(0, 1, (3, 3)) * ([1e-4], [2e-3], [3e-3])
         blocks[j] = spread @ spread.T
     none, pairs = np.zeros(0), np.zeros((0, 2))
-    return Adjusted(MOTION, None, none, np.zeros((2, 0)), blocks, none, pairs, none, pairs, 0.01, 1.0)
+    return AdjustmentResult(MOTION, None, none, np.zeros((2, 0)), blocks, none, pairs, none, pairs, 0.01, 1.0)
 
 
-def drawn(adjusted: Adjusted, count: int) -> list[Motion]:
+def drawn(adjusted: AdjustmentResult, count: int) -> list[Motion]:
     """Motions as they might be."""
     g = np.random.default_rng(5)
     rows = np.stack([g.multivariate_normal(np.zeros(3), c, count) for c in adjusted.covariance], 1)
     return [replace(MOTION, angle=MOTION.angle + r[:, 0], shift=MOTION.shift + r[:, 1:]) for r in rows]
 
 
-def test_rows_vary_as_their_covariance_says(adjusted: Adjusted) -> None:
+def test_rows_vary_as_their_covariance_says(adjusted: AdjustmentResult) -> None:
     said = row_covariances(adjusted)
     assert not said[0].any(), "D_0 is the identity"
     for j in (1, 2):
@@ -48,7 +48,7 @@ def test_rows_vary_as_their_covariance_says(adjusted: Adjusted) -> None:
         assert said[j] / scale == pytest.approx(found / scale, abs=0.06)
 
 
-def test_images_vary_as_the_sigmas_of_their_matrices_say(adjusted: Adjusted, workshop: Any) -> None:
+def test_images_vary_as_the_sigmas_of_their_matrices_say(adjusted: AdjustmentResult, workshop: Any) -> None:
     cameras = [workshop.camera((2.0, 1.0), tilt=(1e-3, -2e-3)), workshop.camera((16.0, 1.0), angle_rad=0.02)]
     sigmas = matrix_sigmas(cameras, PIVOT, row_covariances(adjusted))
     assert sigmas.shape == (2, 3, 2)

@@ -8,8 +8,8 @@ import pytest
 
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.problem import Adjusted
-from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult
+from vaoi_station.stitching.adjustment.solver import apply_similarity
 from vaoi_station.stitching.board.fiducial_assignment import board_frame
 from vaoi_station.stitching.board.footprints import Views, landmarks
 from vaoi_station.stitching.matching.scene import Scene
@@ -24,14 +24,14 @@ BOARD = {
 }
 
 
-def adjusted(shift_sigma_mm: list[float], angle_sigma: float = 0.0, c_sigma_mm: float = 0.0) -> Adjusted:
+def adjusted(shift_sigma_mm: list[float], angle_sigma: float = 0.0, c_sigma_mm: float = 0.0) -> AdjustmentResult:
     """A solution of which only the covariance matters: rows independent, as said."""
     of_c = (0.0, 0.0, c_sigma_mm**2, c_sigma_mm**2)
     covariance = np.array([np.diag([angle_sigma**2, s**2, s**2, *of_c]) for s in shift_sigma_mm])
     motion = nominal_motion(np.arange(ROWS, dtype=np.float64), np.array([0.0, 8.0]), np.zeros(2))
     nothing, pairs = np.zeros(0), np.zeros((0, 2))
     c = np.array([1.0, 0.0, -8.0, -24.0])
-    return Adjusted(motion, c, nothing, nothing, covariance, nothing, pairs, nothing, pairs, 0.02, 1.0)
+    return AdjustmentResult(motion, c, nothing, nothing, covariance, nothing, pairs, nothing, pairs, 0.02, 1.0)
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def frame(scene: Scene) -> Any:
     return board_frame(BoardType.model_validate(BOARD), scene.cameras[0])
 
 
-def predicted(scene: Scene, frame: Any, found: Adjusted) -> Sigma:
+def predicted(scene: Scene, frame: Any, found: AdjustmentResult) -> Sigma:
     assert found.similarity is not None
     rows, matrix = found.motion.rows_from_tester, frame.matrix(found.similarity)
     return predicted_sigma(scene, frame, found, Views.of(landmarks(frame)[1], matrix, scene.cameras, rows, None))
@@ -102,9 +102,11 @@ def test_covariances_are_those_of_the_misfit_by_differences() -> None:
         first = np.zeros(1, dtype=np.int_)
         board = motion.board(first, place[k : k + 1])
         leaning = Motion(angle[row[k], None], shift[:1], pivot).turned(first, lean[k : k + 1])
-        return (board + leaning * (functions[point[k]] @ unknowns[7:]) - similar(unknowns[3:7], flat[point[k], None]))[
-            0
-        ]
+        return (
+            board
+            + leaning * (functions[point[k]] @ unknowns[7:])
+            - apply_similarity(unknowns[3:7], flat[point[k], None])
+        )[0]
 
     for k in range(4):
         at = np.concatenate([angle[row[k], None], shift[row[k]], c, np.zeros(6)])

@@ -12,7 +12,7 @@ from vaoi_station.files.results import stitch_document
 from vaoi_station.reporting.drawing.svg import tag
 from vaoi_station.reporting.restitched import Story
 from vaoi_station.reporting.sections.motion import deviation
-from vaoi_station.stitching.matching.evidence import Sightings
+from vaoi_station.stitching.matching.evidence import Detections
 
 FORMAT, VERSION = "vaoi-report", 1
 _KINDS = ("rows", "neighbours")
@@ -68,7 +68,7 @@ def link_arrays(story: Story) -> dict[str, NDArray[Any]]:
 
 def sighting_arrays(story: Story) -> dict[str, NDArray[Any]]:
     """Everything that looked like a mark, in the first place."""
-    seen = [e for e in story.evidence if isinstance(e, Sightings)]
+    seen = [e for e in story.evidence if isinstance(e, Detections)]
     keys = np.array([e.task.a for e in seen], dtype=np.int32).reshape(-1, 2)
     return {
         "frame": np.repeat(keys, [len(e.px) for e in seen], axis=0),

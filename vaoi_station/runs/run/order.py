@@ -12,7 +12,7 @@ from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
 from vaoi_station.stitching.board.expectation import expectation_of
 from vaoi_station.stitching.method import METHODS
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
 
 
@@ -23,7 +23,7 @@ class Order:
     board_type: BoardType
     board_id: str | None
     job_id: str | None
-    setup: Setup
+    setup: StitchSetup
     board_type_digest: str
     calibration_digest: str
     reference: Shelved | None = None
@@ -108,7 +108,7 @@ class OrderDesk:
         """The order for boards of a type; `StateError` if its way to stitch needs a reference that cannot be had."""
         method = self._shelf.method(board_type.name) or self._method
         reference, notes = self._reference(board_type, method)
-        setup = Setup(
+        setup = StitchSetup(
             cameras=self._cameras,
             conveyor_mm_s=self._line.conveyor_mm_s,
             trigger_period_s=self._line.trigger_period_s,

@@ -14,7 +14,7 @@ from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.rendering import View
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 
 class Priority(IntEnum):
@@ -140,7 +140,7 @@ class CheckJob:
     time: str
     board_type: str
     """Digest."""
-    setup: Setup
+    setup: StitchSetup
     times_s: tuple[float, ...]
     evidence: tuple[Evidence, ...]
     stitch: Stitch
@@ -160,7 +160,7 @@ class OpenRun:
     """A run whose tasks are about to come, and what all of them need; a worker gets it once."""
 
     context: RunContext
-    setup: Setup
+    setup: StitchSetup
     reference: Path | None = None
     """Directory of the reference that `setup` names."""
 

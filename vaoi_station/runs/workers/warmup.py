@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.stitching.work import Desk, Setup, all_tasks
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 _PX_PER_MM, _WIDTH_PX, _HEIGHT_PX = 10.0, 400, 300
 _CAMERAS, _ROWS, _PITCH_MM, _STEP_MM, _PERIOD_S = 2, 3, 36.0, 12.0, 0.1
@@ -27,12 +27,12 @@ def warm_up() -> Stitch:
     """Stitch the board; its result is of no use but to see that it is one."""
     setup, times_s = _setup(), np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
     present = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
-    desk = Desk(setup, partial(_frame, _picture()))
+    runner = TaskRunner(setup, partial(_frame, _picture()))
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
-    return desk.conclude(times_s, present, [desk.perform(task) for task in tasks])
+    return runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
 
 
-def _setup() -> Setup:
+def _setup() -> StitchSetup:
     lens = Lens(((_WIDTH_PX - 1) / 2, (_HEIGHT_PX - 1) / 2), float(np.hypot(_WIDTH_PX, _HEIGHT_PX)) / 2, (-1e-4,))
     matrices = (
         np.array([[_PX_PER_MM, 0, -_PX_PER_MM * _PITCH_MM * i], [0, _PX_PER_MM, 0], [0, 0, 1]]) for i in range(_CAMERAS)
@@ -40,7 +40,7 @@ def _setup() -> Setup:
     cameras = tuple(
         Camera(_WIDTH_PX, _HEIGHT_PX, Projective(n, System.IMAGE, System.ROW), lens, 300.0) for n in matrices
     )
-    return Setup(cameras, (0.0, _STEP_MM / _PERIOD_S), _PERIOD_S, _board_type())
+    return StitchSetup(cameras, (0.0, _STEP_MM / _PERIOD_S), _PERIOD_S, _board_type())
 
 
 def _board_type() -> BoardType:

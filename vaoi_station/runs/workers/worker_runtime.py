@@ -1,4 +1,4 @@
-"""Where a worker does its jobs: a read-only ring, and a desk per run."""
+"""Where a worker does its jobs: a read-only ring, and a task runner per run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from vaoi_station.runs.workers.jobs import (
     RenderJob,
 )
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
-from vaoi_station.stitching.work import Desk
+from vaoi_station.stitching.work import TaskRunner
 
 T = TypeVar("T")
 
@@ -48,7 +48,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class _OpenedRun:
-    desk: Desk
+    runner: TaskRunner
     slots: dict[FrameKey, int] = field(default_factory=dict)
     evidence: dict[Task, Evidence] = field(default_factory=dict)
     """What was found here, and what was gathered from other workers."""
@@ -101,8 +101,8 @@ class Bench:
             slot = slots.get((camera, row))
             return None if slot is None else self._ring.frame(slot)
 
-        desk = Desk(opening.setup, frame, self._reference_of(opening))
-        self._runs[opening.context.run] = _OpenedRun(desk, slots)
+        runner = TaskRunner(opening.setup, frame, self._reference_of(opening))
+        self._runs[opening.context.run] = _OpenedRun(runner, slots)
 
     def _reference_of(self, opening: OpenRun) -> Callable[[int, int], NDArray[Any] | None] | None:
         """What reads the reference's frames; they are on disk, and in the page cache from the second board on."""
@@ -137,7 +137,7 @@ class Bench:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
         found = self._guarded(
-            job.context.bay, job.context.generation, lambda: [_timed(opened.desk, task) for task in job.tasks]
+            job.context.bay, job.context.generation, lambda: [_timed(opened.runner, task) for task in job.tasks]
         )
         opened.evidence.update((task, evidence) for task, (evidence, _) in zip(job.tasks, found, strict=True))
         return tuple(Linked.of(evidence, worker_s) for evidence, worker_s in found)
@@ -146,7 +146,7 @@ class Bench:
         opened = self._runs[job.run]
         for task, linked in job.linked.items():
             opened.evidence[task] = linked.evidence
-            opened.desk.note(opened.evidence[task])
+            opened.runner.add_evidence(opened.evidence[task])
 
     def _conclude(self, job: ConcludeJob) -> Concluded:
         opened = self._runs[job.run]
@@ -156,7 +156,7 @@ class Bench:
         stitch = self._guarded(
             job.context.bay,
             job.context.generation,
-            lambda: opened.desk.conclude(job.head.row_times_s(), tuple(job.slots), evidence),
+            lambda: opened.runner.conclude(job.head.row_times_s(), tuple(job.slots), evidence),
         )
         return Concluded(gist(stitch), stitch_text(stitch))
 
@@ -173,9 +173,9 @@ class Bench:
         return seen
 
 
-def _timed(desk: Desk, task: Task) -> tuple[Evidence, float]:
+def _timed(runner: TaskRunner, task: Task) -> tuple[Evidence, float]:
     began_s = time.monotonic()
-    return desk.perform(task), time.monotonic() - began_s
+    return runner.perform(task), time.monotonic() - began_s
 
 
 def encoded(image: NDArray[Any], format: ImageFormat) -> bytes:

@@ -10,7 +10,7 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Observations
 
 
-def chained(nominal: Motion, links: Observations) -> Motion:
+def chain_links(nominal: Motion, links: Observations) -> Motion:
     """Nominal motion, corrected row by row by the median of the links that lead there.
 
     Medians over all cameras: a frame full of tall parts or reflections is outvoted by its row.
@@ -31,7 +31,7 @@ def chained(nominal: Motion, links: Observations) -> Motion:
     return replace(nominal, shift=shift)
 
 
-def tied_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.ndarray]:
+def connected_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.ndarray]:
     """Rows that links tie to one another, as groups; a run in one piece has one group."""
     label = np.arange(rows)
     for pair in np.unique(links.p[used] * rows + links.q[used]):

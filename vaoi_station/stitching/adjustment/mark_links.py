@@ -12,23 +12,23 @@ import numpy as np
 
 from vaoi_station.geometry import Camera
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.matching.evidence import Links, Sightings, Task
+from vaoi_station.stitching.matching.evidence import Detections, Links, Task
 
 _NEAR_MM = 1.2
 """A mark is not further from where the belt should have carried it."""
 
 
-def mark_links(sightings: Sequence[Sightings], cameras: Sequence[Camera], nominal: Motion) -> list[Links]:
+def mark_links(detections: Sequence[Detections], cameras: Sequence[Camera], nominal: Motion) -> list[Links]:
     """Marks of every two rows in which one camera saw some, joined to their nearest; ambiguous ones are left out."""
     links = []
     for i, camera in enumerate(cameras):
-        seen = sorted((s for s in sightings if s.task.a[0] == i and len(s.px)), key=lambda s: s.task.a[1])
+        seen = sorted((s for s in detections if s.task.a[0] == i and len(s.px)), key=lambda s: s.task.a[1])
         for a, b in pairwise(seen):
             links.append(_joined(a, b, camera, nominal))
     return links
 
 
-def _joined(a: Sightings, b: Sightings, camera: Camera, nominal: Motion) -> Links:
+def _joined(a: Detections, b: Detections, camera: Camera, nominal: Motion) -> Links:
     task = Task("rows", a.task.a, b.task.a)
     places = [nominal.board(np.full(len(s.px), s.task.a[1]), camera.ground(s.px)) for s in (a, b)]
     distance = np.hypot(*np.moveaxis(places[1][None] - places[0][:, None], 2, 0))
@@ -38,7 +38,7 @@ def _joined(a: Sightings, b: Sightings, camera: Camera, nominal: Motion) -> Link
     alone = (distance[:, n] < _NEAR_MM).sum(0) == 1
     k, n = k[alone], n[alone]
     if not len(k):
-        return Links.none(task, "no mark is in both rows")
+        return Links.empty(task, "no mark is in both rows")
     variance = a.sigma_px[k] ** 2 + b.sigma_px[n] ** 2
     information = np.eye(2) / variance[:, None, None]
     return Links(task, a.px[k], b.px[n], information, np.minimum(a.score[k], b.score[n]))

@@ -93,7 +93,7 @@ def _moved(row: Ints, ground_mm: Floats, angle: Floats, pivot: Floats, to: Float
 
 
 @compiled
-def places_within(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
+def points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
     """Which points of the board come into a box, in which rows, and where they are then.
 
     Args:

@@ -28,7 +28,7 @@ class Block:
     """(n,)."""
 
 
-def summed(blocks: Iterable[Block], size: int) -> tuple[Floats, Floats]:
+def sum_blocks(blocks: Iterable[Block], size: int) -> tuple[Floats, Floats]:
     """Normal matrix (size, size) and right-hand side (size,) of all blocks."""
     normal, right = np.zeros((size, size)), np.zeros(size)
     for block in blocks:
@@ -43,7 +43,7 @@ def summed(blocks: Iterable[Block], size: int) -> tuple[Floats, Floats]:
     return normal, right
 
 
-def roots(information: Floats) -> Floats:
+def square_roots(information: Floats) -> Floats:
     """Upper triangular r (k, 2, 2) with rᵀr = information (k, 2, 2), which may be zero."""
     r = np.zeros_like(information)
     r[:, 0, 0] = np.sqrt(np.maximum(information[:, 0, 0], 0))
@@ -52,7 +52,7 @@ def roots(information: Floats) -> Floats:
     return r
 
 
-def whitened(root: Floats, values: Floats) -> Floats:
+def whiten(root: Floats, values: Floats) -> Floats:
     """Rows (2, k, …): the two whitened components of values (k, 2, …)."""
     more = (...,) + (None,) * (values.ndim - 2)
     first = root[:, 0, 0][more] * values[:, 0] + root[:, 0, 1][more] * values[:, 1]

@@ -55,7 +55,7 @@ class Observations:
         )
 
 
-class Ledger:
+class LinkStore:
     """Links brought to the ground when they are found, and kept side by side in memory until the run is concluded.
 
     At the end of a large board its evidence, some thousand pieces found in the course of seconds, is in no cache any
@@ -70,7 +70,7 @@ class Ledger:
         self._columns = [np.empty((0, 2)) for _ in range(4)] + [np.empty((0, 2, 2)), np.empty(0)]
         """As of `_grounded`, with room for more."""
 
-    def enter(self, links: Links) -> None:
+    def add(self, links: Links) -> None:
         """Note the links of a pair of frames; harmless when they have been."""
         count = len(links.a_px)
         if links in self._begins or not count:
@@ -90,7 +90,7 @@ class Ledger:
         """Those of some pairs of frames, in this order."""
         used = tuple(e for e in links if len(e.a_px))
         for e in used:
-            self.enter(e)
+            self.add(e)
         each = [(e.task.a[1], (e.task.b or e.task.a)[1], len(e.a_px), self._begins[e]) for e in used]
         p, q, count, begin = np.array(each, dtype=np.int_).reshape(-1, 4).T
         before = np.cumsum(count) - count
@@ -100,9 +100,9 @@ class Ledger:
         return Observations(*rows, a, b, a_lean, b_lean, noise, resolution, group, used)
 
 
-def observe(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
+def to_observations(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
     """Bring the links of some pairs of frames to the ground."""
-    return Ledger(cameras).observations(links)
+    return LinkStore(cameras).observations(links)
 
 
 def _as_arrays(cameras: Sequence[Camera]) -> tuple[Floats, Floats, Floats, Floats, Floats]:

@@ -36,7 +36,7 @@ class FiducialPoints:
         return FiducialPoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
     @staticmethod
-    def none() -> FiducialPoints:
+    def empty() -> FiducialPoints:
         """No points."""
         pairs, no = np.zeros((0, 2)), np.zeros(0, dtype=np.int_)
         return FiducialPoints(no, pairs, pairs, pairs, np.zeros(0), np.zeros(0), no)
@@ -67,7 +67,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class AdjustmentResult:
     """The solution and how far it can be trusted."""
 
     motion: Motion

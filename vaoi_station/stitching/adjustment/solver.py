@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.envelope import Envelope, add, factor, hold_first_row, inverse, of_rows, solve
-from vaoi_station.stitching.adjustment.excess_noise import excess
 from vaoi_station.stitching.adjustment.link_equations import (
     Coupling,
     accumulate,
@@ -29,9 +28,10 @@ from vaoi_station.stitching.adjustment.link_equations import (
     weigh,
 )
 from vaoi_station.stitching.adjustment.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion
+from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 from vaoi_station.stitching.adjustment.normal_blocks import belt_steps
 from vaoi_station.stitching.adjustment.observations import Ints, Observations
-from vaoi_station.stitching.adjustment.problem import Adjusted, FiducialPoints, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
 
 _ITERATIONS = 15
 CONVERGED_MM = 5e-5
@@ -68,7 +68,7 @@ Equations = tuple[Ints, Floats, Floats]
 
 def adjust(
     problem: Problem, start: Motion, similarity: Floats | None = None, *, converged_mm: float = CONVERGED_MM
-) -> Adjusted:
+) -> AdjustmentResult:
     """Solve for all unknowns.
 
     Args:
@@ -82,7 +82,7 @@ def adjust(
     return solver.result()
 
 
-def roughly(problem: Problem, start: Motion) -> Motion | None:
+def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
     """The motion to a thousandth of a millimetre by some of the links where they are many; None where they are few."""
     every = len(problem.links) // (_ENOUGH * len(start.angle))
     if every < 2:
@@ -93,7 +93,7 @@ def roughly(problem: Problem, start: Motion) -> Motion | None:
     return solver.motion
 
 
-def looked_at(problem: Problem, motion: Motion) -> Adjusted:
+def evaluate_at(problem: Problem, motion: Motion) -> AdjustmentResult:
     """All links as a motion leaves them, taken for the solution: its covariance is not known, and 0."""
     return _Solver(problem, motion, None).result()
 
@@ -213,7 +213,7 @@ class _Solver:
         o = self.p.links
         for kind, at in enumerate(self.telling):
             if len(at) >= 20:
-                self.floor_px[kind] = excess(self.residual, o.noise_mm2, o.px_per_mm, at, *_FLOOR_PX)
+                self.floor_px[kind] = noise_floor(self.residual, o.noise_mm2, o.px_per_mm, at, *_FLOOR_PX)
         if self.p.surface is not None:
             scatter = self.floor_px[1]
             self.floor_px[1] = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
@@ -234,7 +234,7 @@ class _Solver:
         return self.tail[None, len(self.tail) - self.f :], np.diag(1 / sigma)[None], (self.beta / sigma)[None]
 
     def _fiducials(self) -> list[Equations]:
-        """Sightings of fiducials, and the scale that CAD data and calibration agree on."""
+        """Detections of fiducials, and the scale that CAD data and calibration agree on."""
         s = self.p.fiducials
         if s is None or self.c is None:
             return []
@@ -261,13 +261,13 @@ class _Solver:
         assert self.c is not None
         height = self.p.surface.at_fiducials @ self.beta if self.p.surface else np.zeros(len(s.row))
         lean = self.motion.turned(s.row, s.lean)
-        residual = self.motion.board(s.row, s.ground_mm) + lean * height[:, None] - similar(self.c, s.cad)
-        parts = [_row_jacobian(self.motion, s.row, s.ground_mm), -similar_jacobian(s.cad)]
+        residual = self.motion.board(s.row, s.ground_mm) + lean * height[:, None] - apply_similarity(self.c, s.cad)
+        parts = [_row_jacobian(self.motion, s.row, s.ground_mm), -similarity_jacobian(s.cad)]
         if self.p.surface is not None:
             parts.append(lean[:, :, None] * self.p.surface.at_fiducials[:, None, :])
         return residual, np.concatenate(parts, 2)
 
-    def result(self) -> Adjusted:
+    def result(self) -> AdjustmentResult:
         o, s = self.p.links, self.p.fiducials
         envelope = self.envelope
         covariance = np.zeros((self.m, 3 + len(self.tail), 3 + len(self.tail)))
@@ -286,7 +286,7 @@ class _Solver:
         fiducial_px = np.zeros((0, 2))
         if s is not None and self.c is not None:
             fiducial_px = self._fiducial_terms(s)[0] * s.px_per_mm[:, None]
-        return Adjusted(
+        return AdjustmentResult(
             self.motion,
             self.c,
             self.beta,
@@ -301,14 +301,14 @@ class _Solver:
         )
 
 
-def similar(c: Floats, cad: Floats) -> Floats:
+def apply_similarity(c: Floats, cad: Floats) -> Floats:
     """Board points of CAD points (k, 2) by the similarity (a, b, x, y)."""
     a, b, x, y = c
     return np.stack([a * cad[:, 0] - b * cad[:, 1] + x, b * cad[:, 0] + a * cad[:, 1] + y], -1)
 
 
-def similar_jacobian(cad: Floats) -> Floats:
-    """Derivative (k, 2, 4) of `similar` by (a, b, x, y)."""
+def similarity_jacobian(cad: Floats) -> Floats:
+    """Derivative (k, 2, 4) of `apply_similarity` by (a, b, x, y)."""
     x, y, one, nil = cad[:, 0], cad[:, 1], np.ones(len(cad)), np.zeros(len(cad))
     return np.stack([np.stack([x, -y, one, nil], -1), np.stack([y, x, nil, one], -1)], 1)
 

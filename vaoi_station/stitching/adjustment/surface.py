@@ -25,7 +25,7 @@ def basis(board_type: BoardType, cad: Floats) -> Floats:
     return _basis(np.eye(3), np.ascontiguousarray(cad, dtype=np.float64), *frame_of(board_type))
 
 
-def basis_on_board(board_type: BoardType, cad_matrix: Floats, board_mm: Floats) -> Floats:
+def basis_at_board(board_type: BoardType, cad_matrix: Floats, board_mm: Floats) -> Floats:
     """The same for points (k, 2) of the board in tester coordinates."""
     cad_from_board = np.ascontiguousarray(np.linalg.inv(cad_matrix), dtype=np.float64)
     return _basis(cad_from_board, np.ascontiguousarray(board_mm), *frame_of(board_type))
@@ -49,7 +49,7 @@ def frame_of(board_type: BoardType) -> tuple[Floats, Floats]:
     return (low + high) / 2, np.maximum((high - low) / 2, 1e-9)
 
 
-def described(board_type: BoardType, coefficients_mm: Floats) -> Surface:
+def to_surface(board_type: BoardType, coefficients_mm: Floats) -> Surface:
     """The surface as results carry it."""
     about, half = frame_of(board_type)
     c = [round(float(v), 5) for v in coefficients_mm]

@@ -22,15 +22,15 @@ from vaoi_station.stitching.baseline.paper_features import chain
 from vaoi_station.stitching.board.fiducial_assignment import board_frame, expected_angle, find_board, gather
 from vaoi_station.stitching.board.fiducial_detection import sight_marks
 from vaoi_station.stitching.matching.evidence import Task
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.recordings.offline import Frames
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 NO_MEASURE = "the paper's method has no measure of its own error"
 _BLANK = np.zeros((64, 64), dtype=np.uint8)
 
 
-def stitch_by_paper(setup: Setup, head: RecordingHead, frame: Frames) -> Stitch:
+def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> Stitch:
     """Stitch frames of a finished run by Harris corners, SIFT descriptors and RANSAC, each row to the one before."""
     start = time.perf_counter()
     frames = _prepared(head, frame)
@@ -61,17 +61,19 @@ def as_motion(rows: Sequence[Euclidean], cameras: Sequence[Camera]) -> Motion:
     return Motion(np.array([b.angle_rad for b in back]), np.array([b(pivot) - pivot for b in back]), pivot)
 
 
-def _prepared(head: RecordingHead, frame: Frames) -> dict[tuple[int, int], Prepared]:
+def _prepared(head: RecordingHead, frame: Frames) -> dict[tuple[int, int], PreparedFrame]:
     keys = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
-    return {key: Prepared(pixels) for key in keys if (pixels := frame(*key)) is not None}
+    return {key: PreparedFrame(pixels) for key in keys if (pixels := frame(*key)) is not None}
 
 
-def _cad_matrix(setup: Setup, frames: dict[tuple[int, int], Prepared], motion: Motion) -> NDArray[np.float64] | Failure:
+def _cad_matrix(
+    setup: StitchSetup, frames: dict[tuple[int, int], PreparedFrame], motion: Motion
+) -> NDArray[np.float64] | Failure:
     if setup.board_type is None:
         return Failure("no board type was given, so there is no CAD mapping")
     frame = board_frame(setup.board_type, setup.cameras[0])
-    sightings = [sight_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
-    places = gather(sightings, setup.cameras, motion)
+    detections = [sight_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
+    places = gather(detections, setup.cameras, motion)
     angle = expected_angle(frame, setup.cameras[0], setup.expectation)
     guess = find_board(frame, places, angle, setup.expectation, np.zeros((0, 2)))
     return guess if isinstance(guess, Failure) else frame.matrix(guess.c)

@@ -14,9 +14,9 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import Adjusted, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_on_board
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import (
     Frame,
@@ -31,7 +31,7 @@ from vaoi_station.stitching.board.footprints import component_of
 from vaoi_station.stitching.board.orientation import Orientation, Outline, check, outline_of
 from vaoi_station.stitching.board.outline import Shift, outline_shift
 from vaoi_station.stitching.board.reference import Reference, first_similarity, points_on_cad
-from vaoi_station.stitching.matching.evidence import Links, Sightings
+from vaoi_station.stitching.matching.evidence import Detections, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 
@@ -43,7 +43,7 @@ _LEAST_REFERRED = 12
 class Mapping:
     """The board found: the whole adjustment, its problem, and what supports it."""
 
-    adjusted: Adjusted
+    adjusted: AdjustmentResult
     problem: Problem
     outline: Outline | None
     """Contrast along the board's outline as placed; None where no frame shows it."""
@@ -59,22 +59,22 @@ class Known:
 
     expectation: Expectation
     method: Method
-    sightings: tuple[Sightings, ...]
+    detections: tuple[Detections, ...]
     texture_mm: Floats
     """(k, 2) places on the board that were linked from row to row."""
     reference: Reference | None = None
     reference_links: tuple[Links, ...] = ()
 
 
-def map_cad(frame: Frame, scene: Scene, problem: Problem, moved: Adjusted, known: Known) -> Mapping | Failure:
+def map_cad(frame: Frame, scene: Scene, problem: Problem, moved: AdjustmentResult, known: Known) -> Mapping | Failure:
     """Find the board, look for its marks again where they must be, and adjust everything together."""
-    referred = FiducialPoints.none()
+    referred = FiducialPoints.empty()
     if known.reference is not None and known.method.reference:
         referred = points_on_cad(known.reference_links, scene.cameras, frame, known.reference)
-    guess, sightings, outline = _guess(frame, scene, moved, known, referred)
+    guess, detections, outline = _guess(frame, scene, moved, known, referred)
     if isinstance(guess, Failure):
         return guess
-    seen = look_again(frame.board_type, frame.matrix(guess.c), scene, moved.motion, sightings)
+    seen = look_again(frame.board_type, frame.matrix(guess.c), scene, moved.motion, detections)
     marks = assign(frame, guess.c, seen, scene.cameras, moved.motion)
     points = FiducialPoints.joined([marks, referred])
     whole = _with_board(problem, points, frame, scene, moved.motion, guess.c)
@@ -83,30 +83,30 @@ def map_cad(frame: Frame, scene: Scene, problem: Problem, moved: Adjusted, known
 
 
 def _guess(
-    frame: Frame, scene: Scene, moved: Adjusted, known: Known, referred: FiducialPoints
-) -> tuple[Hypothesis | Failure, tuple[Sightings, ...], Outline | None]:
+    frame: Frame, scene: Scene, moved: AdjustmentResult, known: Known, referred: FiducialPoints
+) -> tuple[Hypothesis | Failure, tuple[Detections, ...], Outline | None]:
     """A first C, the sightings it was found among, and how plainly the outline agrees."""
-    guess, sightings = _first_guess(frame, scene, moved, known), known.sightings
+    guess, detections = _first_guess(frame, scene, moved, known), known.detections
     outline = _outline(frame, scene, moved.motion, guess)
     if known.method.marks and (isinstance(guess, Failure) or (outline is not None and not outline.visible)):
-        deep = tuple(look_deeper(frame.board_type, scene, sightings, fixture=known.method.fixture))
-        second = _first_guess(frame, scene, moved, replace(known, sightings=deep))
+        deep = tuple(look_deeper(frame.board_type, scene, detections, fixture=known.method.fixture))
+        second = _first_guess(frame, scene, moved, replace(known, detections=deep))
         if isinstance(second, Hypothesis) or isinstance(guess, Failure):
-            guess, sightings, outline = second, deep, _outline(frame, scene, moved.motion, second)
+            guess, detections, outline = second, deep, _outline(frame, scene, moved.motion, second)
     if isinstance(guess, Failure) and known.reference is not None and len(referred.row) >= _LEAST_REFERRED:
         c = first_similarity(frame, known.reference, referred, moved.motion)
         guess = Hypothesis(c, 0.0, ())
         outline = _outline(frame, scene, moved.motion, guess)
-    return guess, sightings, outline
+    return guess, detections, outline
 
 
-def _first_guess(frame: Frame, scene: Scene, moved: Adjusted, known: Known) -> Hypothesis | Failure:
+def _first_guess(frame: Frame, scene: Scene, moved: AdjustmentResult, known: Known) -> Hypothesis | Failure:
     """C from the sightings, unless the pictures say that the board lies the other way round."""
     if not known.method.marks:
         return Failure("no point of the run was found again in the reference")
-    expectation, sightings = known.expectation, known.sightings
+    expectation, detections = known.expectation, known.detections
     angle = expected_angle(frame, scene.cameras[0], expectation)
-    places = gather(sightings, scene.cameras, moved.motion)
+    places = gather(detections, scene.cameras, moved.motion)
     texture = known.texture_mm
     guess = find_board(frame, places, angle, expectation, texture)
     if isinstance(guess, Failure):
@@ -138,7 +138,7 @@ def _outline(frame: Frame, scene: Scene, motion: Motion, guess: Hypothesis | Fai
     return outline_of(frame.board_type, frame.matrix(guess.c), scene, motion)
 
 
-def _shift(frame: Frame, scene: Scene, adjusted: Adjusted) -> Shift | None:
+def _shift(frame: Frame, scene: Scene, adjusted: AdjustmentResult) -> Shift | None:
     if adjusted.similarity is None:
         return None
     return outline_shift(frame.board_type, frame.matrix(adjusted.similarity), scene, adjusted.motion)
@@ -158,7 +158,7 @@ def _with_board(
     """The problem with fiducials, the surface (where cameras know their height), and the component of every link."""
     on_board = motion.board(problem.links.p, problem.links.a_mm)
     marks = motion.board(points.row, points.ground_mm)
-    at_links, at_marks = (basis_on_board(frame.board_type, frame.matrix(c), at) for at in (on_board, marks))
+    at_links, at_marks = (basis_at_board(frame.board_type, frame.matrix(c), at) for at in (on_board, marks))
     knows_height = all(camera.working_distance_mm is not None for camera in scene.cameras)
     return replace(
         problem,

@@ -23,11 +23,11 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import FIXTURE, FiducialPoints
-from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.adjustment.solver import apply_similarity
 from vaoi_station.stitching.board.component_index import Parts
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_detection import fixture_kind, kind_of, mark_kinds
-from vaoi_station.stitching.matching.evidence import Sightings
+from vaoi_station.stitching.matching.evidence import Detections
 
 _SAME_PLACE_MM = 0.4
 _SCALE_SIGMA = 1.0e-3
@@ -53,7 +53,7 @@ class Frame:
         return Parts.of(self.board_type)
 
     def flat(self, cad: Floats) -> Floats:
-        """CAD points (k, 2) in CAD units with y flipped where C mirrors: what `adjustment.similar` takes."""
+        """CAD points (k, 2) in CAD units with y flipped where C mirrors: what `adjustment.apply_similarity` takes."""
         return np.asarray(cad, dtype=np.float64) * (1.0, -1.0 if self.mirrored else 1.0)
 
     def cad(self, flat: Floats) -> Floats:
@@ -88,17 +88,17 @@ def expected_angle(frame: Frame, camera: Camera, expectation: Expectation) -> fl
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Sightings gathered over frames: places on the board (tester mm), kind, likeness."""
+    """Detections gathered over frames: places on the board (tester mm), kind, likeness."""
 
     mm: Floats
     kind: NDArray[np.int_]
     score: Floats
 
 
-def gather(sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion) -> Places:
+def gather(detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion) -> Places:
     """One place per mark of the board, however many frames saw it."""
     mm, kind, score = (np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
-    seen = [s for s in sightings if len(s.px)]
+    seen = [s for s in detections if len(s.px)]
     if seen:
         _, _, mm = _grounded(seen, cameras, motion)
         kind, score = np.concatenate([s.kind for s in seen]), np.concatenate([s.score for s in seen])
@@ -109,15 +109,15 @@ def gather(sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Mo
 
 
 def _grounded(
-    sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion
+    detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[NDArray[np.int_], Floats, Floats]:
     """Camera (k,), place on the ground (k, 2) and place on the board (k, 2) of all sightings, in their order."""
-    count = [len(s.px) for s in sightings]
-    camera = np.repeat(np.array([s.task.a[0] for s in sightings], dtype=np.int_), count)
-    px, ground = np.concatenate([s.px for s in sightings]), np.empty((sum(count), 2))
+    count = [len(s.px) for s in detections]
+    camera = np.repeat(np.array([s.task.a[0] for s in detections], dtype=np.int_), count)
+    px, ground = np.concatenate([s.px for s in detections]), np.empty((sum(count), 2))
     for i in np.unique(camera).tolist():
         ground[camera == i] = cameras[i].ground(px[camera == i])
-    return camera, ground, motion.board(np.repeat([s.task.a[1] for s in sightings], count), ground)
+    return camera, ground, motion.board(np.repeat([s.task.a[1] for s in detections], count), ground)
 
 
 @compiled
@@ -185,7 +185,7 @@ def find_board(
 
 
 def assign(
-    frame: Frame, c: Floats, sightings: Sequence[Sightings], cameras: Sequence[Camera], motion: Motion
+    frame: Frame, c: Floats, detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> FiducialPoints:
     """The sightings that are fiducials, or marks of the fixture, under a first C."""
     board_type = frame.board_type
@@ -195,13 +195,13 @@ def assign(
         marks = frame.flat(np.array([(m.x, m.y) for m in board_type.fixture_marks]))
         kinds += [len(mark_kinds(board_type))] * len(marks)
         flat, number = np.vstack([flat, marks]), np.append(number, np.full(len(marks), FIXTURE))
-    seen = [s for s in sightings if len(s.px)]
+    seen = [s for s in detections if len(s.px)]
     if not seen:
-        return FiducialPoints.none()
+        return FiducialPoints.empty()
     camera, ground, board = _grounded(seen, cameras, motion)
     ends = np.append(0, np.cumsum([len(s.px) for s in seen]))
     of_seen = np.concatenate([s.kind for s in seen]).astype(np.int_)
-    at, mark = together(board, of_seen, ends, similar(c, flat), np.array(kinds, dtype=np.int_), _SAME_PLACE_MM)
+    at, mark = together(board, of_seen, ends, apply_similarity(c, flat), np.array(kinds, dtype=np.int_), _SAME_PLACE_MM)
     row = np.repeat([s.task.a[1] for s in seen], np.diff(ends))[at]
     camera, ground, lean, resolution = camera[at], ground[at], np.empty((len(at), 2)), np.empty(len(at))
     for i in np.unique(camera).tolist():
@@ -221,7 +221,7 @@ def together(
     expected_kind: NDArray[np.int_],
     apart_mm: float,
 ) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Sightings (n,) and marks (n,) that lie together: of each mark, in each frame, the nearest of its kind.
+    """Detections (n,) and marks (n,) that lie together: of each mark, in each frame, the nearest of its kind.
 
     Args:
         board_mm: (k, 2) where sightings are, frame by frame.
@@ -268,7 +268,7 @@ def _cost(
     frame: Frame, c: Floats, places: Places, kinds: list[int], pair: tuple[int, int], chosen: tuple[int, int]
 ) -> tuple[float, tuple[int, ...]]:
     """How unlike fiducials the matched places are; every fiducial that is not seen costs as much as a poor one."""
-    expected = similar(c, frame.fiducials)
+    expected = apply_similarity(c, frame.fiducials)
     cost, used = 0.0, []
     for f, at in enumerate(expected):
         if f in chosen:
@@ -316,7 +316,7 @@ def _misplaced(frame: Frame, c: Floats, texture_mm: Floats, expectation: Expecta
     cost = 400.0 * max(outside - 0.02, 0.0)
     low, high = frame.board_type.extent()
     corners = frame.flat(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
-    corner = similar(c, corners).min(0)
+    corner = apply_similarity(c, corners).min(0)
     for at, expected in zip(corner, expectation.corner_mm, strict=True):
         if expected is not None:
             cost += ((float(at) - expected) / expectation.tolerance_mm) ** 2

@@ -1,4 +1,4 @@
-"""Sightings: places of one frame that look like a fiducial of the board type."""
+"""Detections: places of one frame that look like a fiducial of the board type."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from vaoi_station.marks import Mark, locate, search
 from vaoi_station.marks.artwork import Shape
 from vaoi_station.marks.search import reduction
 from vaoi_station.model import BoardType, Fiducial
-from vaoi_station.stitching.adjustment.motion import Motion, places_within
-from vaoi_station.stitching.matching.evidence import FrameKey, Sightings, Task
-from vaoi_station.stitching.matching.prepared_frame import Prepared, reduced
+from vaoi_station.stitching.adjustment.motion import Motion, points_in_box
+from vaoi_station.stitching.matching.evidence import Detections, FrameKey, Task
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled
 from vaoi_station.stitching.matching.scene import Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
@@ -45,13 +45,13 @@ def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
 
 def sight_marks(
     task: Task,
-    frame: Prepared,
+    frame: PreparedFrame,
     camera: Camera,
     board_type: BoardType | None,
     *,
     fixture: bool = False,
     most: int = _MOST_PER_FRAME,
-) -> Sightings:
+) -> Detections:
     """The places of the frame that look most like one of the board's fiducials, or of the fixture's marks."""
     found: list[tuple[Mark, int]] = []
     kinds = list(mark_kinds(board_type)) if board_type else []
@@ -63,7 +63,7 @@ def sight_marks(
         if kind == len(kinds):  # nobody looks again at marks of the fixture
             marks = (locate(frame.grey, mark.px, shape, size_px) for mark in rough)
         found += [(mark, kind) for mark in marks if isinstance(mark, Mark)]
-    return Sightings(
+    return Detections(
         task,
         np.array([m.px for m, _ in found]).reshape(-1, 2),
         np.array([m.sigma_px for m, _ in found]),
@@ -72,15 +72,15 @@ def sight_marks(
     )
 
 
-def _look_for(frame: Prepared, shape: Shape, size_px: float, most: int) -> list[Mark]:
+def _look_for(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> list[Mark]:
     """Marks of one kind, searched where they are some 5 to 9 px wide and located where they are twice as wide.
 
     That is good to some hundredths of a pixel of the frame, and touches a few hundred pixels per mark.
     """
     coarse = reduction(_SMALL * size_px)
     fine = max(coarse // 2, 1)
-    places, _ = search(reduced(frame, coarse), shape, size_px / coarse, most)
-    medium = reduced(frame, fine) if len(places) else None
+    places, _ = search(downsampled(frame, coarse), shape, size_px / coarse, most)
+    medium = downsampled(frame, fine) if len(places) else None
     marks = []
     for place in (places + 0.5) * (coarse / fine) - 0.5:
         assert medium is not None
@@ -91,8 +91,8 @@ def _look_for(frame: Prepared, shape: Shape, size_px: float, most: int) -> list[
 
 
 def look_deeper(
-    board_type: BoardType, scene: Scene, sightings: Sequence[Sightings], *, fixture: bool
-) -> list[Sightings]:
+    board_type: BoardType, scene: Scene, detections: Sequence[Detections], *, fixture: bool
+) -> list[Detections]:
     """The same frames searched once more, with room for many more look-alikes per frame."""
     return [
         sight_marks(
@@ -103,13 +103,13 @@ def look_deeper(
             fixture=fixture,
             most=_MOST_WHEN_LOST,
         )
-        for s in sightings
+        for s in detections
     ]
 
 
 def look_again(
-    board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, sightings: Sequence[Sightings]
-) -> list[Sightings]:
+    board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
+) -> list[Detections]:
     """The sightings, with every fiducial that must be in a frame located anew, and precisely.
 
     Once a first C is known a fiducial is looked for only where it must be; a frame in which look-alikes
@@ -119,14 +119,14 @@ def look_again(
     kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
     board = apply(cad_matrix, np.array([(f.x, f.y) for f in board_type.fiducials]))
     expected = _in_view(board, scene, motion)
-    return [_looked_at(s, expected[s.task.a], kind, kinds, scene) if s.task.a in expected else s for s in sightings]
+    return [_looked_at(s, expected[s.task.a], kind, kinds, scene) if s.task.a in expected else s for s in detections]
 
 
 def _in_view(board: Floats, scene: Scene, motion: Motion) -> dict[FrameKey, list[tuple[int, Floats]]]:
     """Which board points (k, 2) each frame shows, and at which pixel (2,)."""
     out: dict[FrameKey, list[tuple[int, Floats]]] = {}
     for number, camera in enumerate(scene.cameras):
-        row, point, place = places_within(motion.rows_from_tester, board, *camera.view_mm())
+        row, point, place = points_in_box(motion.rows_from_tester, board, *camera.view_mm())
         px = camera.project(place)
         for n in np.flatnonzero(camera.sees(px)):
             out.setdefault((number, int(row[n])), []).append((int(point[n]), px[n]))
@@ -134,12 +134,12 @@ def _in_view(board: Floats, scene: Scene, motion: Motion) -> dict[FrameKey, list
 
 
 def _looked_at(
-    s: Sightings,
+    s: Detections,
     expected: Sequence[tuple[int, Floats]],
     kind: Sequence[int],
     kinds: Sequence[tuple[Shape, float]],
     scene: Scene,
-) -> Sightings:
+) -> Detections:
     """The sightings of one frame, with the fiducials expected there located anew."""
     grey, px_per_mm = scene.prepared(s.task.a).grey, scene.cameras[s.task.a[0]].px_per_mm
     for n, px in expected:
@@ -153,9 +153,9 @@ def _looked_at(
     return s
 
 
-def _with(s: Sightings, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Sightings:
+def _with(s: Detections, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Detections:
     """The sightings to keep, and one more."""
-    return Sightings(
+    return Detections(
         s.task,
         np.vstack([s.px[keep], mark.px]),
         np.append(s.sigma_px[keep], mark.sigma_px),

@@ -11,7 +11,7 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Surface
-from vaoi_station.stitching.adjustment.motion import places_within
+from vaoi_station.stitching.adjustment.motion import points_in_box
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.fiducial_assignment import Frame
 
@@ -54,7 +54,7 @@ class Views:
         height = surface.height_mm(cad) if surface else np.zeros(len(cad))
         between = float(height.min()), float(height.max())
         boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
-        row, point, place = places_within(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
+        row, point, place = points_in_box(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
         (x, y), found = place.T, []
         for i, (camera, (low, high)) in enumerate(zip(cameras, boxes, strict=True)):
             near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))

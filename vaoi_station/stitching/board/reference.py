@@ -62,7 +62,7 @@ def points_on_cad(
         sigma.append(single / camera.px_per_mm)
         resolution.append(np.full(len(here), camera.px_per_mm))
     if not rows:
-        return FiducialPoints.none()
+        return FiducialPoints.empty()
     return FiducialPoints(
         np.concatenate(rows),
         np.concatenate(ground),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 _LEAST_SCORE = 0.25
 _AMPLE_PX = 24
@@ -40,12 +40,12 @@ class CoarseShift:
     score: float
 
 
-class NoFit(Failure):
+class NoMatch(Failure):
     """There is texture, but it is not in the other frame."""
 
 
 def find_shift(
-    a: Prepared, b: Prepared, box: tuple[int, int, int, int], offset_px: Floats, reach_px: Floats
+    a: PreparedFrame, b: PreparedFrame, box: tuple[int, int, int, int], offset_px: Floats, reach_px: Floats
 ) -> CoarseShift | Failure:
     """Find how far content of frame a has moved beyond the prediction.
 
@@ -76,7 +76,7 @@ def find_shift(
         peaks = sorted((peak for one in found for peak in one), key=lambda peak: -peak[0])
     score, shift = peaks[0]
     if score < _LEAST_SCORE:
-        return NoFit(f"no place within ±{reach_px[0]:.0f}, ±{reach_px[1]:.0f} px fits: best correlation {score:.2f}")
+        return NoMatch(f"no place within ±{reach_px[0]:.0f}, ±{reach_px[1]:.0f} px fits: best correlation {score:.2f}")
     return CoarseShift(shift * f - offset_px, score)
 
 

@@ -47,13 +47,13 @@ class Links:
     """The overlap of two cameras shows texture, but little or none of it is in both frames."""
 
     @staticmethod
-    def none(task: Task, note: str, tried: int = 0) -> Links:
+    def empty(task: Task, note: str, tried: int = 0) -> Links:
         """Evidence of having looked, at so many places, and found nothing."""
         return Links(task, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), note, tried=tried)
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class Detections:
     """Places in one frame that look like a fiducial of the board type."""
 
     task: Task
@@ -67,4 +67,4 @@ class Sightings:
     """(k,) index into `mark_kinds(board_type)`."""
 
 
-Evidence = Links | Sightings
+Evidence = Links | Detections

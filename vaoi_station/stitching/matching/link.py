@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.matching.coarse_search import NoFit, find_shift
+from vaoi_station.stitching.matching.coarse_search import NoMatch, find_shift
 from vaoi_station.stitching.matching.corner_selection import best_places
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.overlap import overlap_box, predict
 from vaoi_station.stitching.matching.patches import fitting, match, middles
-from vaoi_station.stitching.matching.prepared_frame import Prepared, reduced
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 _POINTS = 80
@@ -43,21 +43,23 @@ _MOST = 0.6
 """… nor are that share of the places that were looked for."""
 
 
-def link_frames(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera, shift_mm: Floats) -> Links:
+def link_frames(
+    task: Task, a: PreparedFrame, b: PreparedFrame, camera_a: Camera, camera_b: Camera, shift_mm: Floats
+) -> Links:
     """Links between two rows of one camera, the board having moved by about `shift_mm` (2,)."""
     box = overlap_box(camera_a, camera_b, shift_mm)
     if box is None:
-        return Links.none(task, "the frames do not overlap")
+        return Links.empty(task, "the frames do not overlap")
     offset = _offset(box, camera_a, camera_b, shift_mm)
     reach = _PLAY_MM * camera_a.px_per_mm + _SLIP_SHARE * np.abs(offset)
     coarse = find_shift(a, b, box, offset, reach)
     if isinstance(coarse, Failure):
-        return Links.none(task, coarse.reason)
+        return Links.empty(task, coarse.reason)
     count = _POINTS if task.b is not None and task.b[1] - task.a[1] == 1 else _POINTS_APART
     return _fine(task, a, b, camera_a, camera_b, shift_mm, box, coarse.px, count)
 
 
-def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, camera_b: Camera) -> Links:
+def link_neighbours(task: Task, a: PreparedFrame, b: PreparedFrame, camera_a: Camera, camera_b: Camera) -> Links:
     """Links between neighbouring cameras in one row; N_i alone predict them.
 
     Where that finds few a camera may have moved, and these be look-alikes: then the overlap is searched further, and
@@ -66,7 +68,7 @@ def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, came
     still = np.zeros(2)
     box = overlap_box(camera_a, camera_b, still)
     if box is None:
-        return Links.none(task, "the frames do not overlap")
+        return Links.empty(task, "the frames do not overlap")
     links = _fine(task, a, b, camera_a, camera_b, still, box, still)
     found = len(links.a_px)
     if found >= _BEYOND_DOUBT or found >= max(_ENOUGH, _MOST * links.tried):
@@ -75,7 +77,7 @@ def link_neighbours(task: Task, a: Prepared, b: Prepared, camera_a: Camera, came
         return links  # no room for a patch: that two cameras hardly overlap tells nothing of them
     coarse = find_shift(a, b, box, _offset(box, camera_a, camera_b, still), np.full(2, _MOVED_MM * camera_a.px_per_mm))
     if isinstance(coarse, Failure):
-        return replace(links, unmatched=_few(links) and isinstance(coarse, NoFit))
+        return replace(links, unmatched=_few(links) and isinstance(coarse, NoMatch))
     moved = _fine(task, a, b, camera_a, camera_b, still, box, coarse.px)
     best = moved if len(moved.a_px) > len(links.a_px) else links
     return replace(best, unmatched=_few(best))
@@ -93,21 +95,21 @@ def _offset(box: tuple[int, int, int, int], a: Camera, b: Camera, shift_mm: Floa
     return np.asarray((predict(middle, a, b, shift_mm) - middle)[0])
 
 
-def link_reference(task: Task, a: Prepared, b: Prepared, camera: Camera) -> Links:
+def link_reference(task: Task, a: PreparedFrame, b: PreparedFrame, camera: Camera) -> Links:
     """Links between a frame of a run and its like in the reference: the same view but for the board's place."""
     box = overlap_box(camera, camera, np.zeros(2))
     assert box is not None
     reach = np.full(2, _PLACEMENT_MM * camera.px_per_mm)
     coarse = find_shift(a, b, box, np.zeros(2), reach)
     if isinstance(coarse, Failure):
-        return Links.none(task, coarse.reason)
+        return Links.empty(task, coarse.reason)
     return _fine(task, a, b, camera, camera, np.zeros(2), box, coarse.px)
 
 
 def _fine(
     task: Task,
-    a: Prepared,
-    b: Prepared,
+    a: PreparedFrame,
+    b: PreparedFrame,
     camera_a: Camera,
     camera_b: Camera,
     shift_mm: Floats,
@@ -120,12 +122,12 @@ def _fine(
     guess = predict(middles(places), camera_a, camera_b, shift_mm) + correction_px
     places, guess = fitting(a.grey.shape, b.grey.shape, places, guess)
     if not len(places):
-        return Links.none(task, "no textured place in the overlap")
+        return Links.empty(task, "no textured place in the overlap")
     m = match(a.grey, b.grey, places, guess)
     good = m.found & (m.score >= _LEAST_SCORE) & (m.sigma_px <= _WORST_SIGMA_PX)
     if not good.any():
         note = f"none of {len(places)} places was found again with correlation ≥ {_LEAST_SCORE}"
-        return Links.none(task, note, len(places))
+        return Links.empty(task, note, len(places))
     return Links(
         task,
         middles(places[good]),
@@ -137,7 +139,7 @@ def _fine(
     )
 
 
-def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POINTS) -> NDArray[np.int64]:
+def choose_places(a: PreparedFrame, box: tuple[int, int, int, int], count: int = _POINTS) -> NDArray[np.int64]:
     """The best-textured place of each cell of a grid laid over a box of the frame, (k, 2) whole pixels."""
     grid = _grid(a, box)
     if grid is None:
@@ -145,11 +147,11 @@ def choose_places(a: Prepared, box: tuple[int, int, int, int], count: int = _POI
     grain, x0, y0, w, h = grid
     cell = max(int(math.sqrt(w * h / count)), _LEAST_CELL_PX // grain)
     nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
-    best = best_places(reduced(a, grain), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
+    best = best_places(downsampled(a, grain), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
     return np.asarray(best * grain + grain // 2)
 
 
-def _grid(a: Prepared, box: tuple[int, int, int, int]) -> tuple[int, int, int, int, int] | None:
+def _grid(a: PreparedFrame, box: tuple[int, int, int, int]) -> tuple[int, int, int, int, int] | None:
     """Grain in px, and x0, y0, width, height in grains, of what a box of the frame has room for; None: for no place."""
     grain = (
         _GRAIN_PX if a.factor >= _GRAIN_PX and min(box[2] - box[0], box[3] - box[1]) >= _AMPLE_PX else _GRAIN_PX // 2

@@ -15,7 +15,7 @@ _COARSE_WIDTH_PX = 150
 """The coarsest copy is at least this wide."""
 
 
-class Prepared:
+class PreparedFrame:
     """One frame and its copies, made when first asked for.
 
     The centre of pixel k of a copy lies at (k + ½)·factor − ½ of the frame.
@@ -41,7 +41,7 @@ class Prepared:
 
     @cached_property
     def copies(self) -> dict[int, NDArray[np.uint8]]:
-        """What `reduced` has made, by factor."""
+        """What `downsampled` has made, by factor."""
         return {}
 
     @cached_property
@@ -55,7 +55,7 @@ class Prepared:
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
         """High-passed: the local mean is taken off, so that light and vignetting do not matter."""
-        small = reduced(self, self.factor)
+        small = downsampled(self, self.factor)
         wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
         return np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
 
@@ -65,12 +65,12 @@ class Prepared:
         return np.asarray(halved(self.coarse))
 
 
-def reduced(frame: Prepared, factor: int) -> NDArray[np.uint8]:
+def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:
     """The frame reduced by a power of two, block means, read-only; made once."""
     if factor == 1:
         return frame.grey
     if factor not in frame.copies:
-        frame.copies[factor] = frame.quarter if factor == 4 else frozen(halved(reduced(frame, factor // 2)))
+        frame.copies[factor] = frame.quarter if factor == 4 else frozen(halved(downsampled(frame, factor // 2)))
     return frame.copies[factor]
 
 

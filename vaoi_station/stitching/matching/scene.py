@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from vaoi_station.geometry import Camera
 from vaoi_station.stitching.matching.evidence import FrameKey
-from vaoi_station.stitching.matching.prepared_frame import Prepared
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,4 +16,4 @@ class Scene:
 
     cameras: tuple[Camera, ...]
     present: tuple[FrameKey, ...]
-    prepared: Callable[[FrameKey], Prepared]
+    prepared: Callable[[FrameKey], PreparedFrame]

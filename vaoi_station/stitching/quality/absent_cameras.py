@@ -6,7 +6,7 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.solver import similar
+from vaoi_station.stitching.adjustment.solver import apply_similarity
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import Frame, expected_angle
 from vaoi_station.stitching.matching.scene import Scene
@@ -47,8 +47,8 @@ def expected_fiducials(frame: Frame, scene: Scene, expectation: Expectation) -> 
     turn = np.array([scale * np.cos(angle), scale * np.sin(angle), 0.0, 0.0])
     low, high = frame.board_type.extent()
     corners = frame.flat(np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]))
-    shift = np.array((x, y)) - similar(turn, corners).min(0)
-    return np.asarray(similar(turn, frame.fiducials) + shift)
+    shift = np.array((x, y)) - apply_similarity(turn, corners).min(0)
+    return np.asarray(apply_similarity(turn, frame.fiducials) + shift)
 
 
 def _seen(scene: Scene, camera: int, row: int, motion: Motion, board_mm: Floats) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure, fit_similarity
 from vaoi_station.geometry.transforms import Floats, System
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import Adjusted, FiducialPoints
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.board.fiducial_assignment import Frame
 from vaoi_station.stitching.board.outline import Shift
@@ -25,7 +25,7 @@ _PLAINLY = 4.0
 
 
 def of_fiducials(
-    frame: Frame, adjusted: Adjusted, points: FiducialPoints | None, moved: Motion, px_per_mm: float
+    frame: Frame, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
 ) -> list[str]:
     """Fiducials off their places, a scale or a surface that no board has, and the one to blame if three or more tell.
 
@@ -95,7 +95,7 @@ Seen = dict[int, tuple[Floats, float]]
 its place in the adjustment (px)."""
 
 
-def _places(adjusted: Adjusted, points: FiducialPoints | None, moved: Motion) -> Seen:
+def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion) -> Seen:
     if points is None:
         return {}
     lift = adjusted.surface_mm[0] if len(adjusted.surface_mm) else 0.0

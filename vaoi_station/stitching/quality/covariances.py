@@ -14,10 +14,10 @@ import numpy as np
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.problem import Adjusted
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 
 
-def row_covariances(adjusted: Adjusted) -> Floats:
+def row_covariances(adjusted: AdjustmentResult) -> Floats:
     """Of (φ, x, y) of every D_j at the pivot, (m, 3, 3) in rad and mm."""
     motion = adjusted.motion
     m = len(motion.angle)

@@ -20,7 +20,7 @@ import numpy as np
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.problem import Adjusted, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 from vaoi_station.stitching.board.fiducial_assignment import Frame
 from vaoi_station.stitching.matching.patches import PATCH_PX
 
@@ -50,7 +50,7 @@ class Height:
     links: int
 
 
-def component_heights(frame: Frame, problem: Problem, adjusted: Adjusted) -> dict[str, Height]:
+def component_heights(frame: Frame, problem: Problem, adjusted: AdjustmentResult) -> dict[str, Height]:
     """Heights by address, of those parts whose links tell; small parts, which no patch fits on, have none."""
     c, addresses = adjusted.similarity, frame.parts.addresses
     if problem.surface is None or c is None or not len(problem.links):

@@ -18,7 +18,7 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.problem import Adjusted
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 from vaoi_station.stitching.adjustment.surface import basis
 from vaoi_station.stitching.board.fiducial_assignment import Frame
 from vaoi_station.stitching.board.footprints import Views, landmarks
@@ -76,7 +76,7 @@ class Sigma:
         return {name: entries[a:b] for name, (a, b) in zip(self.names, pairwise(ends), strict=True) if b > a}
 
 
-def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: Adjusted, views: Views | None) -> Sigma:
+def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: AdjustmentResult, views: Views | None) -> Sigma:
     """Covariance of components' positions in every good frame that shows them.
 
     Args:
@@ -120,7 +120,7 @@ def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
     return lean
 
 
-def surface_sigma_mm(frame: Frame, adjusted: Adjusted, cad: Floats) -> Floats:
+def surface_sigma_mm(frame: Frame, adjusted: AdjustmentResult, cad: Floats) -> Floats:
     """Standard deviation (k,) of the board's height at CAD points (k, 2); 0 where no surface was sought."""
     f = len(adjusted.surface_mm)
     if not f:

@@ -16,10 +16,10 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Surface
-from vaoi_station.stitching.adjustment.initial_motion import tied_rows
+from vaoi_station.stitching.adjustment.initial_motion import connected_rows
 from vaoi_station.stitching.adjustment.motion import measured_velocity
-from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE, Adjusted, Problem
-from vaoi_station.stitching.adjustment.surface import described
+from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE, AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.surface import to_surface
 from vaoi_station.stitching.board.cad_mapping import Mapping
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import Frame, outside_share
@@ -55,7 +55,7 @@ class Findings:
     method: Method
     links: tuple[Links, ...]
     links_only: Problem
-    moved: Adjusted
+    moved: AdjustmentResult
     """The motion from links alone."""
     found: Mapping | Failure
     """The board, or why it was not found."""
@@ -66,7 +66,7 @@ class Findings:
         return self.found if isinstance(self.found, Mapping) else None
 
     @property
-    def adjusted(self) -> Adjusted:
+    def adjusted(self) -> AdjustmentResult:
         """The adjustment that counts."""
         return self.found.adjusted if isinstance(self.found, Mapping) else self.moved
 
@@ -90,7 +90,7 @@ class Findings:
         """Of the board; None where it was not sought."""
         if self.frame is None or self.mapping is None or not len(self.adjusted.surface_mm):
             return None
-        return described(self.frame.board_type, self.adjusted.surface_mm)
+        return to_surface(self.frame.board_type, self.adjusted.surface_mm)
 
     @cached_property
     def cad_matrix(self) -> Floats | None:
@@ -127,7 +127,7 @@ class Findings:
         linked = set(np.flatnonzero(np.bincount(np.append(o.p[used], o.q[used]), minlength=self.rows)).tolist())
         if self.problem.fiducials is not None:
             linked |= set(self.problem.fiducials.row.tolist())
-        groups = [g for g in tied_rows(o, self.rows, used) if any(r in linked for r in g)]
+        groups = [g for g in connected_rows(o, self.rows, used) if any(r in linked for r in g)]
         fixed = [self._fixed_by_cad(g) for g in groups]
         together = [r for g, by_cad in zip(groups, fixed, strict=True) if by_cad for r in g.tolist()]
         apart = [g for g, by_cad in zip(groups, fixed, strict=True) if not by_cad]

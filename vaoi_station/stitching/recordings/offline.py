@@ -8,12 +8,14 @@ from typing import Any
 from numpy.typing import NDArray
 
 from vaoi_station.model import RecordingHead, Stitch
-from vaoi_station.stitching.work import Desk, Setup, all_tasks
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 Frames = Callable[[int, int], NDArray[Any] | None]
 
 
-def stitch_frames(setup: Setup, head: RecordingHead, frame: Frames, reference_frame: Frames | None = None) -> Stitch:
+def stitch_frames(
+    setup: StitchSetup, head: RecordingHead, frame: Frames, reference_frame: Frames | None = None
+) -> Stitch:
     """Stitch frames of a finished run.
 
     Args:
@@ -25,6 +27,6 @@ def stitch_frames(setup: Setup, head: RecordingHead, frame: Frames, reference_fr
     lost = set(head.missing)
     present = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost]
     times_s = head.row_times_s()
-    desk = Desk(setup, frame, reference_frame)
-    evidence = [desk.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
-    return desk.conclude(times_s, present, evidence)
+    runner = TaskRunner(setup, frame, reference_frame)
+    evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
+    return runner.conclude(times_s, present, evidence)

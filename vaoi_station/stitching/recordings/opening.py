@@ -12,7 +12,7 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.method import MethodName
 from vaoi_station.stitching.recordings.offline import Frames
 from vaoi_station.stitching.recordings.reference_directory import Taught, open_taught, with_reference
-from vaoi_station.stitching.work import Desk, Setup
+from vaoi_station.stitching.work import StitchSetup, TaskRunner
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Opened:
     board_path: Path | None
     """None where no board type is known."""
     taught: Taught | None
-    setup: Setup
+    setup: StitchSetup
 
     @property
     def present(self) -> tuple[FrameKey, ...]:
@@ -35,9 +35,11 @@ class Opened:
         keys = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
         return tuple(key for key in keys if key not in lost)
 
-    def desk(self, frame: Frames | None = None) -> Desk:
-        """A desk that reads the frames of the run by `frame`, by default from the disk."""
-        return Desk(self.setup, frame or self.recording.frame, self.taught.recording.frame if self.taught else None)
+    def runner(self, frame: Frames | None = None) -> TaskRunner:
+        """A task runner that reads the frames of the run by `frame`, by default from the disk."""
+        return TaskRunner(
+            self.setup, frame or self.recording.frame, self.taught.recording.frame if self.taught else None
+        )
 
 
 def open_run(
@@ -66,7 +68,7 @@ def open_run(
     known = read_calibration(calibration_path, head.cameras)
     own = case / "board.json"
     board_path = board or (own if own.is_file() else None)
-    setup = Setup(
+    setup = StitchSetup(
         cameras=known.cameras(head.cameras),
         conveyor_mm_s=head.conveyor_mm_s,
         trigger_period_s=head.trigger_period_s,
@@ -77,7 +79,7 @@ def open_run(
     return Opened(recording, known, calibration_path, board_path, taught, with_reference(setup, taught))
 
 
-def _reference(directory: Path | None, setup: Setup) -> Taught | None:
+def _reference(directory: Path | None, setup: StitchSetup) -> Taught | None:
     if directory is None:
         if setup.method == "reference":
             raise InputError("--method reference needs --reference DIR.", action="`vaoi teach` makes one.")

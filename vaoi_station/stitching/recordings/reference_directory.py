@@ -28,7 +28,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 RESULT = "result.json"
 _SAME_CALIBRATION_PX = 0.05
@@ -115,13 +115,13 @@ def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardT
     return Taught(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
 
 
-def with_reference(setup: Setup, taught: Taught | None) -> Setup:
+def with_reference(setup: StitchSetup, taught: Taught | None) -> StitchSetup:
     """The setup of a run that is placed against a reference."""
     return setup if taught is None else replace(setup, reference=taught.reference)
 
 
-def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> Setup:
-    return Setup(cameras, recording.head.conveyor_mm_s, recording.head.trigger_period_s, board_type)
+def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> StitchSetup:
+    return StitchSetup(cameras, recording.head.conveyor_mm_s, recording.head.trigger_period_s, board_type)
 
 
 def _name(head: RecordingHead, stitch: Stitch) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import Setup
+from vaoi_station.stitching.work import StitchSetup
 
 from ..adapter import Setting
 from ..strip import Floats, Matrices, Strip
@@ -54,7 +54,7 @@ def place(known: _Known, *, cad: bool) -> Matrices:
     head = known.head
     cameras = known.calibration.cameras(head.cameras)
     board_type = known.board_type if cad else None
-    setup = Setup(cameras, head.conveyor_mm_s, head.trigger_period_s, board_type)
+    setup = StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, board_type)
     stitch = stitch_frames(setup, head, lambda i, j: known.raw.get((i, j)))
     return [
         None if stitch.image_matrices[i][j] is None else np.linalg.inv(stitch.row_motion[j]) @ flat

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.adjustment.excess_noise import excess
+from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 
 
 @given(st.integers(0, 10_000), st.integers(1, 40), st.sampled_from([1e-4, 0.02, 3.0]))
@@ -21,7 +21,7 @@ def test_half_of_those_that_count_are_explained(seed: int, count: int, real: flo
         wider = noise + ((middle / px_per_mm) ** 2)[:, None, None] * np.eye(2)
         chi2 = np.einsum("ki,kij,kj->k", residual, np.linalg.inv(wider), residual)[use]
         low, high = (middle, high) if 2 * (chi2 > 2 * np.log(2)).sum() > len(use) else (low, middle)
-    assert excess(residual, noise, px_per_mm, use, 0.003, 5.0) == pytest.approx(np.sqrt(low * high), rel=1e-9)
+    assert noise_floor(residual, noise, px_per_mm, use, 0.003, 5.0) == pytest.approx(np.sqrt(low * high), rel=1e-9)
 
 
 def test_what_measurements_scatter_is_told_in_the_unit_asked_for() -> None:
@@ -29,5 +29,7 @@ def test_what_measurements_scatter_is_told_in_the_unit_asked_for() -> None:
     residual_mm, none = g.normal(0, 0.05 / 20, (4000, 2)), np.zeros((4000, 2, 2))
     residual_mm[:1000] += 3
     everyone = np.arange(4000)
-    assert excess(residual_mm, none, np.full(4000, 20.0), everyone[1000:], 0.003, 5.0) == pytest.approx(0.05, rel=0.04)
-    assert 0.05 < excess(residual_mm, none, np.full(4000, 20.0), everyone, 0.003, 5.0) < 0.08, "a quarter is wild"
+    assert noise_floor(residual_mm, none, np.full(4000, 20.0), everyone[1000:], 0.003, 5.0) == pytest.approx(
+        0.05, rel=0.04
+    )
+    assert 0.05 < noise_floor(residual_mm, none, np.full(4000, 20.0), everyone, 0.003, 5.0) < 0.08, "a quarter is wild"

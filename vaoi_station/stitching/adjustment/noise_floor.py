@@ -14,7 +14,7 @@ _HALVINGS = 12
 
 
 @compiled
-def excess(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, low: float, high: float) -> float:
+def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, low: float, high: float) -> float:
     """Standard deviation that, added to the noise per axis, explains the median of residuals.
 
     Half of the measurements may be wild.
