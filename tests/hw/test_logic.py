@@ -86,7 +86,7 @@ def rule_events(timing: Timing, edges: list[tuple[int, bool]]) -> list[Controlle
     events: list[ControllerEvent] = []
     for tick, blocked in edges:
         events += rule.advance(tick * TICK_S)
-        rule.edge(tick * TICK_S, blocked)
+        rule.add_edge(tick * TICK_S, blocked)
     return events + rule.advance(1e6)
 
 

@@ -32,7 +32,7 @@ def run(plan: TriggerPlan, edges: list[tuple[float, bool]], steps: list[float] |
     for time_s, kind, blocked in moments:
         events += rule.advance(time_s)
         if kind == 0:
-            rule.edge(time_s, blocked)
+            rule.add_edge(time_s, blocked)
     return events + rule.advance(1e6)
 
 
@@ -114,21 +114,21 @@ def test_when_it_is_asked_does_not_matter(
 def test_disarming_ends_a_run_at_once() -> None:
     rule = TriggerRule(PLAN, count())
     assert rule.stop(0.0) == []
-    rule.edge(1.0, True)
+    rule.add_edge(1.0, True)
     rule.advance(1.35)
-    assert rule.passing
+    assert rule.run_active
     assert rule.stop(1.36) == [RunEnded(2, 1.36, 1, "disarmed")]
     assert rule.due_s() is None
 
 
 def test_due_times_lead_from_one_event_to_the_next() -> None:
     rule = TriggerRule(PLAN, count())
-    rule.edge(1.0, True)
+    rule.add_edge(1.0, True)
     assert rule.due_s() == pytest.approx(1.005)
     rule.advance(1.005)
     assert rule.due_s() == pytest.approx(1.3)
-    rule.edge(1.1, False)
-    rule.edge(1.101, True)
+    rule.add_edge(1.1, False)
+    rule.add_edge(1.101, True)
     assert rule.due_s() == pytest.approx(1.1), "a bounce is told at once"
 
 

@@ -81,7 +81,7 @@ class PulseSkipped(ControllerEvent):
     """A row was due and not fired; `time_s` is when it was due."""
 
     index: int
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True)

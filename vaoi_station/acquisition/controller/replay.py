@@ -40,7 +40,7 @@ class RecordedRow:
     time_s: float
     light: str
     exposures_us: tuple[float, ...]
-    show: Callable[[float], int]
+    deliver: Callable[[float], int]
     """Let the cameras deliver, at a device time; returns how many frames will come."""
 
 
@@ -53,7 +53,7 @@ class Pace(Protocol):
     def before_pulse(self, stop: Callable[[], bool]) -> None:
         """Wait until the next row may be shown."""
 
-    def shown(self, frames: int) -> None:
+    def frames_coming(self, frames: int) -> None:
         """So many frames are on their way."""
 
     def wake(self) -> None:
@@ -179,9 +179,9 @@ class ReplayController:
             self._pulses += 1
             self._last_end_s = device_s
             self._put(PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us))
-            frames = row.show(device_s)
+            frames = row.deliver(device_s)
             if self._pace is not None:
-                self._pace.shown(frames)
+                self._pace.frames_coming(frames)
             return True
 
     def _end_run(self, time_s: float, reason: str) -> None:

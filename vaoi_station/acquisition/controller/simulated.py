@@ -125,7 +125,7 @@ class SimulatedController:
         while self._edges and self._edges[0][0] <= now_s:
             time_s, blocked = self._edges.popleft()
             events += self._rule.advance(time_s)
-            self._rule.edge(time_s, blocked)
+            self._rule.add_edge(time_s, blocked)
         events += self._rule.advance(now_s)
         self._report(events)
         return any(isinstance(e, RunEnded) for e in events)

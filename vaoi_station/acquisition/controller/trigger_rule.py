@@ -45,11 +45,11 @@ class TriggerRule:
         self._bounces: list[tuple[float, float]] = []
 
     @property
-    def passing(self) -> bool:
+    def run_active(self) -> bool:
         """Whether a run is under way."""
         return self._passage is not None
 
-    def edge(self, time_s: float, blocked: bool) -> None:
+    def add_edge(self, time_s: float, blocked: bool) -> None:
         """The barrier changed; call `advance(time_s)` first."""
         if blocked == self._raw:
             return

@@ -162,7 +162,7 @@ class Session:
                 self._send(PulseReported(self._run.run, pulse))
             self._tell(outcomes, now_s)
         elif isinstance(event, PulseSkipped):
-            (self._skipped if self._run is None else self._run.skipped)[event.index] = event.why
+            (self._skipped if self._run is None else self._run.skipped)[event.index] = event.reason
         elif isinstance(event, RunEnded):
             if self._run is None:
                 self._send(BoardMissed(self._edge_s, f"no pulse was fired; the run ended with {event.reason!r}"))

@@ -67,6 +67,6 @@ def predict_pulses(edges: list[tuple[float, bool]], plan: TriggerPlan) -> list[P
     events: list[ControllerEvent] = []
     for time_s, blocked in edges:
         events += rule.advance(time_s)
-        rule.edge(time_s, blocked)
+        rule.add_edge(time_s, blocked)
     events += rule.advance(FAR_S)
     return [e for e in events if isinstance(e, PulseFired)]

@@ -59,7 +59,7 @@ class FastPace:
         """Wait for the frames shown so far; a frame nobody had memory for is not waited for long."""
         self._feedback.wait_done(self._expected, stop, PATIENCE_S)
 
-    def shown(self, frames: int) -> None:
+    def frames_coming(self, frames: int) -> None:
         """So many frames are on their way."""
         self._expected += frames
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 
 from vaoi_station.acquisition.cameras.aravis import library
-from vaoi_station.acquisition.cameras.aravis.connection import SOUND_FOR_USB
+from vaoi_station.acquisition.cameras.aravis.connection import USB3_MIN_VERSION
 from vaoi_station.doctor.check_context import Patient
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.errors import DeviceError
@@ -32,7 +32,7 @@ def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Fin
     shown = ".".join(map(str, found))
     figures: Figures = {"aravis": shown, "pygobject": gi}
     told = f"Aravis {shown}, PyGObject {gi}"
-    if perhaps_usb and found < SOUND_FOR_USB:
+    if perhaps_usb and found < USB3_MIN_VERSION:
         return warning(
             f"{told}: unreliable with USB3 cameras; {perhaps_usb} of the cameras may be on USB.",
             "Name GigE cameras by their address; for USB3 use a distribution with Aravis 0.8.30 or later (Debian 13).",

@@ -14,7 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import network
-from vaoi_station.acquisition.cameras.aravis.discovery import OPENING, by_serial, open_device, require_answer, search
+from vaoi_station.acquisition.cameras.aravis.discovery import (
+    OPENING_LOCK,
+    find_by_serial,
+    open_device,
+    require_reply,
+    search,
+)
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
 from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
 from vaoi_station.config import CameraConfig
@@ -93,7 +99,7 @@ def _look_for(camera: CameraConfig, error: VaoiError) -> str:
 
 def ask(camera: CameraConfig) -> Offered:
     """Open it, look, close it; DeviceError or InputError if that cannot be done."""
-    with OPENING, _opened(camera) as opened:
+    with OPENING_LOCK, _opened(camera) as opened:
         device = opened.get_device()
         port = address = ""
         packets = None
@@ -124,10 +130,10 @@ def ask(camera: CameraConfig) -> Offered:
 @contextmanager
 def _opened(camera: CameraConfig) -> Iterator[Any]:
     if camera.address is not None:
-        require_answer(camera, camera.address)
+        require_reply(camera, camera.address)
         where = camera.address
     else:
-        where = by_serial(camera, search()).where
+        where = find_by_serial(camera, search()).address
     opened = open_device(camera, where)
     try:
         yield opened

@@ -79,21 +79,21 @@ def test_a_socket_is_found_by_its_port_and_the_kernel_says_what_it_grants() -> N
 
 def test_only_the_answer_to_our_question_counts() -> None:
     assert gvcp.command(0x80, 77, bytes(4)) == bytes.fromhex("42 01 0080 0004 004d 00000000")
-    assert gvcp.is_answer(bytes.fromhex("0000 0081 0004 004d 00010002"), 0x80, 77)
-    assert gvcp.is_answer(bytes.fromhex("8006 0081 0000 004d"), 0x80, 77), "who refuses is there"
-    assert not gvcp.is_answer(bytes.fromhex("0000 0081 0004 004e 00010002"), 0x80, 77)
-    assert not gvcp.is_answer(bytes.fromhex("0000 0083 0004 004d 00010002"), 0x80, 77)
-    assert not gvcp.is_answer(b"\x00\x00", 0x80, 77)
+    assert gvcp.is_reply(bytes.fromhex("0000 0081 0004 004d 00010002"), 0x80, 77)
+    assert gvcp.is_reply(bytes.fromhex("8006 0081 0000 004d"), 0x80, 77), "who refuses is there"
+    assert not gvcp.is_reply(bytes.fromhex("0000 0081 0004 004e 00010002"), 0x80, 77)
+    assert not gvcp.is_reply(bytes.fromhex("0000 0083 0004 004d 00010002"), 0x80, 77)
+    assert not gvcp.is_reply(b"\x00\x00", 0x80, 77)
 
 
 @pytest.mark.parametrize(
     ("answer", "control"),
     [
-        ("0000 00000000", gvcp.Control.NOBODY),
-        ("0000 00000001", gvcp.Control.SOMEBODY),
-        ("0000 00000002", gvcp.Control.SOMEBODY),
-        ("8006", gvcp.Control.SOMEBODY),
-        ("8006 00000000", gvcp.Control.SOMEBODY),
+        ("0000 00000000", gvcp.Control.FREE),
+        ("0000 00000001", gvcp.Control.CONTROLLED),
+        ("0000 00000002", gvcp.Control.CONTROLLED),
+        ("8006", gvcp.Control.CONTROLLED),
+        ("8006 00000000", gvcp.Control.CONTROLLED),
     ],
 )
 def test_only_a_camera_that_says_so_is_nobodys(
@@ -105,7 +105,7 @@ def test_only_a_camera_that_says_so_is_nobodys(
         camera.settimeout(20)
         camera.bind(("127.0.0.1", 0))
         monkeypatch.setattr(gvcp, "CONTROL_PORT", camera.getsockname()[1])
-        said = caller.submit(gvcp.control, "127.0.0.1", timeout_s=20, tries=1)
+        said = caller.submit(gvcp.read_control, "127.0.0.1", timeout_s=20, tries=1)
         question, asker = camera.recvfrom(1024)
         assert question[8:] == bytes.fromhex("00000a00")
         camera.sendto(status + struct.pack(">HH", 0x81, len(content)) + question[6:8] + content, asker)
@@ -116,11 +116,11 @@ def test_a_serial_number_ends_with_a_zero_or_with_its_room() -> None:
     registers = bytearray(8 + 248)
     registers[8 + 0x24 : 8 + 0x28] = bytes([192, 168, 7, 31])
     registers[8 + 0xD8 : 8 + 0xE8] = b"21433566\0garbage"
-    assert gvcp.present(bytes(registers)) == gvcp.Present("192.168.7.31", "21433566")
+    assert gvcp.parse_discovery(bytes(registers)) == gvcp.DiscoveredCamera("192.168.7.31", "21433566")
     registers[8 + 0xD8 : 8 + 0xE8] = b"0123456789ABCDEF"
-    assert gvcp.present(bytes(registers)).serial == "0123456789ABCDEF"
+    assert gvcp.parse_discovery(bytes(registers)).serial == "0123456789ABCDEF"
 
 
 def test_where_nobody_listens_nobody_answers() -> None:
-    assert not gvcp.answers("127.0.0.1", timeout_s=0.01)
-    assert gvcp.control("127.0.0.1", timeout_s=0.01) is gvcp.Control.ABSENT
+    assert not gvcp.is_reachable("127.0.0.1", timeout_s=0.01)
+    assert gvcp.read_control("127.0.0.1", timeout_s=0.01) is gvcp.Control.ABSENT

@@ -47,7 +47,7 @@ def test_rows_left_out_are_rows_of_the_run() -> None:
     ]  # fmt: skip
     skipped = [t for t in told if isinstance(t, PulseSkipped)]
     assert [s.index for s in skipped] == [0, 2]
-    assert "had not cooled down" in skipped[0].why
+    assert "had not cooled down" in skipped[0].reason
     end = told[-1]
     assert isinstance(end, RunEnded)
     assert (end.pulses, end.reason) == (3, "clear")

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 
 from vaoi_station.acquisition.cameras.aravis import gvcp
-from vaoi_station.acquisition.cameras.aravis.connection import Connection, Share
-from vaoi_station.acquisition.cameras.aravis.discovery import OPENING, absent, by_serial, search
-from vaoi_station.acquisition.cameras.aravis.stream import Told
+from vaoi_station.acquisition.cameras.aravis.connection import Connection, PortShare
+from vaoi_station.acquisition.cameras.aravis.discovery import OPENING_LOCK, absence_error, find_by_serial, search
+from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     Arrival,
     CameraBack,
@@ -27,7 +27,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 
-LOOK_S = 0.25
+CHECK_S = 0.25
 """Between two looks at whether the camera is there."""
 HEARTBEAT_S = 1.0
 """Aravis asks a camera so often whether it still is ours; what it says of that may be as old."""
@@ -52,7 +52,7 @@ class _Counts:
 class AravisCamera:
     """A `CameraDevice` on a `Connection` that comes and goes."""
 
-    def __init__(self, number: int, connection: Connection, share: Share) -> None:
+    def __init__(self, number: int, connection: Connection, share: PortShare) -> None:
         """Take over an open and configured connection, and let the camera wait for its trigger.
 
         Raises:
@@ -71,16 +71,16 @@ class AravisCamera:
         self._arrivals: SimpleQueue[CameraNews] = SimpleQueue()
         self._counts = _Counts()
         self._counting = threading.Lock()
-        self._trouble: VaoiError | None = None
-        self._suspicion: DeviceError | None = None
+        self._fault: VaoiError | None = None
+        self._clock_error: DeviceError | None = None
         self._backoff = Backoff(PACE)
-        self._seen_s = time.monotonic()
+        self._last_reply_s = time.monotonic()
         """When it last answered."""
-        self._ours_s = self._seen_s
+        self._last_controlled_s = self._last_reply_s
         """When it surely was ours."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
-        connection.start(self._told, share)
+        connection.start(self._on_slot, share)
 
     def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
         """Announce what becomes of slots, and losses of the camera."""
@@ -107,17 +107,17 @@ class AravisCamera:
         """Ask the camera for its time; DeviceError at once while it is lost."""
         connection = self._connection
         if connection is None:
-            raise self._trouble or absent(self.config, self._identity.address, "it was lost")
+            raise self._fault or absence_error(self.config, self._identity.address, "it was lost")
         try:
             return connection.read_clock(self._epoch_ns)
         except DeviceError as error:
-            self._suspicion = error
+            self._clock_error = error
             raise
 
     def health(self) -> CameraHealth:
         """State, counts, temperature."""
         connection, counts = self._connection, self._counts
-        lost = self._trouble if connection is None else None
+        lost = self._fault if connection is None else None
         counters = connection.counters() if connection is not None else {}
         return CameraHealth(
             connected=connection is not None,
@@ -139,95 +139,97 @@ class AravisCamera:
         with self._lock:
             connection, self._connection = self._connection, None
         if connection is not None:
-            connection.close(gone=self._is_gige and not gvcp.answers(self._identity.address, tries=1))
+            connection.close(gone=self._is_gige and not gvcp.is_reachable(self._identity.address, tries=1))
 
-    def _told(self, told: Told) -> None:
+    def _on_slot(self, result: SlotResult) -> None:
         """A slot came back with something in it."""
         with self._counting:  # frames are told of by the pulling thread, and by who takes slots back
-            if told.whole:
+            if result.whole:
                 self._counts.delivered += 1
-                self._counts.last_frame_s = told.host_time_s
+                self._counts.last_frame_s = result.host_time_s
             else:
                 self._counts.incomplete += 1
-        time_s = None if told.time_ns is None else (told.time_ns - self._epoch_ns) * 1e-9
+        time_s = None if result.time_ns is None else (result.time_ns - self._epoch_ns) * 1e-9
         self._arrivals.put(
-            Arrival(self.number, told.slot.number, told.whole, told.frame_id, time_s, told.host_time_s, told.fault)
+            Arrival(
+                self.number, result.slot.number, result.whole, result.frame_id, time_s, result.host_time_s, result.fault
+            )
         )
 
     def _supervise(self) -> None:
-        warm_s = 0.0
+        temperature_due_s = 0.0
         self._backoff.works()
-        while not self._closing.wait(LOOK_S if self._connection else min(self._backoff.left_s(), ABSENT_S)):
+        while not self._closing.wait(CHECK_S if self._connection else min(self._backoff.left_s(), ABSENT_S)):
             if self._connection is None:
-                self._try_again()
+                self._reopen_when_due()
                 continue
             try:
-                self._look(self._connection)
-                if time.monotonic() >= warm_s:
+                self._check(self._connection)
+                if time.monotonic() >= temperature_due_s:
                     self._counts.temperature_c = self._connection.temperature_c()
-                    warm_s = time.monotonic() + TEMPERATURE_S
+                    temperature_due_s = time.monotonic() + TEMPERATURE_S
             except DeviceError as error:
-                self._lose(error)
+                self._on_loss(error)
 
-    def _try_again(self) -> None:
+    def _reopen_when_due(self) -> None:
         """Open it if it is time; what has been unplugged since it refused may be mended when it is back."""
         if self._backoff.left_s() > 0:
-            if self._is_gige and not gvcp.answers(self._identity.address):
+            if self._is_gige and not gvcp.is_reachable(self._identity.address):
                 self._backoff.forget()
             return
         self._backoff.begin()
-        if self._open_again():
+        if self._reopen():
             self._backoff.works()
         else:
-            self._backoff.fails(self._longest_s())
+            self._backoff.fails(self._longest_pause_s())
 
-    def _longest_s(self) -> float:
-        return ABSENT_S if self._trouble and self._trouble.code in _ABSENT else PACE.longest_s
+    def _longest_pause_s(self) -> float:
+        return ABSENT_S if self._fault and self._fault.code in _ABSENT else PACE.longest_s
 
-    def _look(self, connection: Connection) -> None:
+    def _check(self, connection: Connection) -> None:
         """DeviceError if the camera is gone, or no longer ours.
 
         The camera is asked itself whether anybody controls it: if this process stood still and a board comes right
         behind, Aravis does not know yet what was lost meanwhile.
         """
         asked_s = time.monotonic()
-        control = gvcp.control(self._identity.address) if self._is_gige else gvcp.Control.SOMEBODY
+        control = gvcp.read_control(self._identity.address) if self._is_gige else gvcp.Control.CONTROLLED
         if control is gvcp.Control.ABSENT:
-            raise absent(self.config, self._identity.address, "it does not answer any more")
-        if control is gvcp.Control.NOBODY or not connection.is_ours():
-            self._seen_s = self._ours_s
+            raise absence_error(self.config, self._identity.address, "it does not answer any more")
+        if control is gvcp.Control.FREE or not connection.is_controller():
+            self._last_reply_s = self._last_controlled_s
             raise DeviceError(
                 f"{self.config.called}: is no longer ours: this computer was silent for too long, or another "
                 "program has taken it.",
                 action="It is opened again by itself, once no other program has it.",
                 code="camera-lost",
             )
-        suspicion, self._suspicion = self._suspicion, None
-        if suspicion is not None:
-            raise suspicion
-        self._seen_s = asked_s
-        self._ours_s = max(self._ours_s, asked_s - HEARTBEAT_S)
+        clock_error, self._clock_error = self._clock_error, None
+        if clock_error is not None:
+            raise clock_error
+        self._last_reply_s = asked_s
+        self._last_controlled_s = max(self._last_controlled_s, asked_s - HEARTBEAT_S)
 
-    def _lose(self, error: DeviceError) -> None:
+    def _on_loss(self, error: DeviceError) -> None:
         """Keep the slots, tell everybody, tidy up what is left of the connection."""
-        self._trouble = error
+        self._fault = error
         with self._lock:
             connection, self._connection = self._connection, None
             assert connection is not None
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
-        self._backoff.fails(self._longest_s())
+        self._backoff.fails(self._longest_pause_s())
         why = error.message.removeprefix(f"{self.config.called}: ").rstrip(".")
-        self._arrivals.put(CameraLost(self.number, self._seen_s, why, error))
+        self._arrivals.put(CameraLost(self.number, self._last_reply_s, why, error))
         connection.close(gone=True)
 
-    def _open_again(self) -> bool:
+    def _reopen(self) -> bool:
         """One attempt; whether the camera is back."""
         try:
-            with OPENING:
+            with OPENING_LOCK:
                 connection, reading = self._connect()
         except VaoiError as error:
-            self._trouble = error
+            self._fault = error
             return False
         with self._lock:
             self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))  # its clock before its frames
@@ -235,11 +237,11 @@ class AravisCamera:
             for slot in waiting:
                 connection.stream.queue(slot)
             self._connection = connection
-        self._seen_s = self._ours_s = time.monotonic()
+        self._last_reply_s = self._last_controlled_s = time.monotonic()
         return True
 
     def _connect(self) -> tuple[Connection, ClockReading]:
-        connection = Connection(self.config, self._place())
+        connection = Connection(self.config, self._locate())
         try:
             if connection.identity.serial != self._identity.serial:
                 raise InputError.field(
@@ -251,17 +253,17 @@ class AravisCamera:
                 )
             connection.configure(self._share)
             reading = connection.read_clock(self._epoch_ns)
-            connection.start(self._told, self._share)
+            connection.start(self._on_slot, self._share)
         except BaseException:  # whatever ended it, tidy up; it is raised again
             connection.close()
             raise
         self._identity = connection.identity
         return connection, reading
 
-    def _place(self) -> str:
+    def _locate(self) -> str:
         """Where it was, or where its serial number answers now."""
-        if self._is_gige and gvcp.answers(self._identity.address, tries=1):
+        if self._is_gige and gvcp.is_reachable(self._identity.address, tries=1):
             return self._identity.address
         if self.config.serial is None:
-            raise absent(self.config, self._identity.address, "it does not answer")
-        return by_serial(self.config, search()).where
+            raise absence_error(self.config, self._identity.address, "it does not answer")
+        return find_by_serial(self.config, search()).address

@@ -28,7 +28,7 @@ class CameraClock:
     """Reads one camera's clock; ns since an epoch that is the camera's affair."""
 
     read_ns: Callable[[], int]
-    wired: bool = True
+    remote: bool = True
     """Whether a reading goes over the wire, and so has a round trip."""
 
     def read(self, epoch_ns: int) -> ClockReading:
@@ -39,7 +39,7 @@ class CameraClock:
         return ClockReading((device_ns - epoch_ns) * 1e-9, (asked_s + answered_s) / 2, (answered_s - asked_s) / 2)
 
 
-def clock_of(camera: Any, name: str) -> CameraClock:
+def find_clock(camera: Any, name: str) -> CameraClock:
     """How this camera's clock is read.
 
     Raises:
@@ -50,7 +50,7 @@ def clock_of(camera: Any, name: str) -> CameraClock:
         if device.is_feature_available(command) and device.is_feature_available(value):
             return CameraClock(_latch(device, command, value, _ns_per_tick(camera, command)))
     if (camera.get_vendor_name() or "") == FAKE_VENDOR:
-        return CameraClock(time.time_ns, wired=False)
+        return CameraClock(time.time_ns, remote=False)
     raise DeviceError(
         f"{name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
         action="Use a camera that has; without it frames cannot be matched with pulses.",

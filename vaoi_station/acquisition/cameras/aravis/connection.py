@@ -15,17 +15,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import network, settings
-from vaoi_station.acquisition.cameras.aravis.clock import clock_of
+from vaoi_station.acquisition.cameras.aravis.clock import find_clock
 from vaoi_station.acquisition.cameras.aravis.discovery import open_device
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
 from vaoi_station.acquisition.cameras.aravis.settings import Setting
-from vaoi_station.acquisition.cameras.aravis.stream import Kind, SlotStream, Told
+from vaoi_station.acquisition.cameras.aravis.stream import FrameFormat, SlotResult, SlotStream
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
-SOUND_FOR_USB = (0, 8, 30)
+USB3_MIN_VERSION = (0, 8, 30)
 """Older versions of Aravis wait for USB3 cameras in a busy loop, or mistake their states."""
 RETENTION_US = 200_000
 """How long Aravis waits for the rest of a frame."""
@@ -45,7 +45,7 @@ class Identity:
 
 
 @dataclass(frozen=True)
-class Share:
+class PortShare:
     """A camera's part of its port."""
 
     cameras: int = 1
@@ -72,18 +72,18 @@ class Connection:
         self.packet_bytes = 0
         self.granted_bytes = 0
         """What the kernel holds of its packets while nobody reads them."""
-        with self._asking("does not say who it is"):
+        with self._device_access("does not say who it is"):
             self.identity = self._identity(where)
-            self._clock = clock_of(self._camera, config.called)
+            self._clock = find_clock(self._camera, config.called)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
-    def configure(self, share: Share) -> None:
+    def configure(self, share: PortShare) -> None:
         """All settings, read back; for GigE the packets too.
 
         Raises:
             DeviceError: refused or ignored settings, a frame of another size than the slots of the ring.
         """
-        with self._asking("does not take its settings"):
+        with self._device_access("does not take its settings"):
             with contextlib.suppress(glib_error()):  # whoever had it before may have left it filming, settings locked
                 self._camera.stop_acquisition()
             settings.apply(self._camera, self.config)
@@ -98,19 +98,19 @@ class Connection:
                 code="frame-size",
             )
 
-    def start(self, told: Callable[[Told], None], share: Share) -> None:
+    def start(self, on_slot: Callable[[SlotResult], None], share: PortShare) -> None:
         """Make the stream and let the camera wait for its trigger; `told` of every slot that comes back.
 
         Raises:
             DeviceError: the stream cannot be made.
         """
-        with self._asking("cannot be started"):
+        with self._device_access("cannot be started"):
             stream = self._camera.create_stream(None, None)
             if self.is_gige:
                 stream.set_property("frame-retention", RETENTION_US)
                 self.granted_bytes = network.widen_receive_buffer(stream.get_port(), share.socket_bytes)
-            kind = Kind(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
-            self._stream = SlotStream(stream, kind, told, f"camera-{self.config.name}")
+            kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
+            self._stream = SlotStream(stream, kind, on_slot, f"camera-{self.config.name}")
             self._camera.start_acquisition()
 
     @property
@@ -130,27 +130,27 @@ class Connection:
 
     def read_clock(self, epoch_ns: int) -> ClockReading:
         """Camera against host; seconds since the epoch. DeviceError if it does not answer."""
-        if not self._clock.wired:
+        if not self._clock.remote:
             return self._clock.read(epoch_ns)
-        with self._asking("does not tell its time"):
+        with self._device_access("does not tell its time"):
             return self._clock.read(epoch_ns)
 
     def temperature_c(self) -> float | None:
         """None where there is no thermometer."""
         if not self._thermometer:
             return None
-        with self._asking("does not tell its temperature"):
+        with self._device_access("does not tell its temperature"):
             return float(self._camera.get_device().get_float_feature_value("DeviceTemperature"))
 
-    def is_ours(self) -> bool:
+    def is_controller(self) -> bool:
         """Whether we still control the camera."""
         return not self.is_gige or bool(self._camera.get_device().is_controller())
 
-    def warning(self, share: Share) -> str:
+    def warning(self, share: PortShare) -> str:
         """What does not forbid to film, but will lose frames on a bad day; empty if all is well."""
         if not self.is_gige:
             found = version()
-            return "" if found >= SOUND_FOR_USB else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
+            return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
         if self.granted_bytes >= share.socket_bytes:
             return ""
         return (
@@ -168,11 +168,11 @@ class Connection:
             self._stream.close()
         if gone:
             name = f"camera-{self.config.name}-remains"
-            threading.Thread(target=self._let_go, args=(False,), name=name, daemon=True).start()
+            threading.Thread(target=self._release, args=(False,), name=name, daemon=True).start()
         else:
-            self._let_go(True)
+            self._release(True)
 
-    def _let_go(self, stop: bool) -> None:
+    def _release(self, stop: bool) -> None:
         with self._lock:
             if stop and self._stream is not None:
                 with contextlib.suppress(glib_error()):  # a camera that does not answer cannot be stopped
@@ -180,7 +180,7 @@ class Connection:
             self._stream = self._camera = None
         gc.collect()  # Aravis' threads and sockets end with the last reference
 
-    def _configure_packets(self, share: Share) -> None:
+    def _configure_packets(self, share: PortShare) -> None:
         camera, name = self._camera, self.config.called
         camera.gv_set_stream_options(aravis().GvStreamOption.PACKET_SOCKET_DISABLED)
         low, high = camera.get_integer_bounds("GevSCPSPacketSize")
@@ -222,7 +222,7 @@ class Connection:
         )
 
     @contextlib.contextmanager
-    def _asking(self, trouble: str) -> Iterator[None]:
+    def _device_access(self, trouble: str) -> Iterator[None]:
         """The camera is asked by one thread at a time; its refusals become errors that name it."""
         with self._lock:
             if self._camera is None:
@@ -231,13 +231,13 @@ class Connection:
                 yield
             except (glib_error(), OSError) as error:  # OSError: the interface has just gone
                 raise DeviceError(
-                    f"{self.config.called}: {trouble} ({settings.reason(error)}).",
+                    f"{self.config.called}: {trouble} ({settings.error_text(error)}).",
                     action="Check its cable and power; it is opened again by itself.",
                     code="camera-lost",
                 ) from error
 
 
-def prove_silence(connections: list[Connection], settle_s: float = 0.15, watch_s: float = 0.4) -> None:
+def check_silence(connections: list[Connection], settle_s: float = 0.15, watch_s: float = 0.4) -> None:
     """After the acquisition has been started and before the first pulse nothing may come; DeviceError names who sends.
 
     A trigger that was latched before may still yield one frame at once; it is let pass. Nothing but time shows silence:

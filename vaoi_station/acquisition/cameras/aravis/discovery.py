@@ -9,36 +9,36 @@ from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import gvcp
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
-from vaoi_station.acquisition.cameras.aravis.settings import reason
+from vaoi_station.acquisition.cameras.aravis.settings import error_text
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError, InputError
 
-OPENING = threading.Lock()
+OPENING_LOCK = threading.Lock()
 """Devices are looked for and opened one at a time: Aravis' list of devices is one for the process."""
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundDevice:
     """A device that answered."""
 
     serial: str
-    where: str
+    address: str
     """IP address of a GigE camera, Aravis' device id of a USB camera: what opens it."""
 
 
-def search() -> tuple[Found, ...]:
+def search() -> tuple[FoundDevice, ...]:
     """All devices that answer now; takes about two seconds."""
     library = aravis()
     library.update_device_list()
     listed = range(library.get_n_devices())
     usb = [k for k in listed if library.get_device_protocol(k) == "USB3Vision"]
     return (
-        *(Found(present.serial, present.address) for present in gvcp.discover()),
-        *(Found(library.get_device_serial_nbr(k) or "", library.get_device_id(k)) for k in usb),
+        *(FoundDevice(present.serial, present.address) for present in gvcp.discover()),
+        *(FoundDevice(library.get_device_serial_nbr(k) or "", library.get_device_id(k)) for k in usb),
     )
 
 
-def by_serial(config: CameraConfig, found: Sequence[Found]) -> Found:
+def find_by_serial(config: CameraConfig, found: Sequence[FoundDevice]) -> FoundDevice:
     """The device with the camera's serial number.
 
     Raises:
@@ -47,14 +47,14 @@ def by_serial(config: CameraConfig, found: Sequence[Found]) -> Found:
     """
     matching = [device for device in found if device.serial == config.serial]
     if not matching:
-        there = ", ".join(f"{d.serial} at {d.where}" for d in found) or "none"
+        there = ", ".join(f"{d.serial} at {d.address}" for d in found) or "none"
         raise DeviceError(
             f"{config.called}: no camera with serial number {config.serial!r} answers; those that do: {there}.",
             action="Check its cable, its power and its serial number in station.toml.",
             code="camera-absent",
         )
     if len(matching) > 1:
-        places = ", ".join(d.where for d in matching)
+        places = ", ".join(d.address for d in matching)
         raise InputError(
             f"{config.called}: {len(matching)} cameras have the serial number {config.serial!r} ({places}).",
             action="Give their addresses in station.toml instead of the serial number.",
@@ -72,7 +72,7 @@ def open_device(config: CameraConfig, address: str) -> Any:
     try:
         camera = aravis().Camera.new(address)
     except glib_error() as error:
-        raise absent(config, address, reason(error)) from error
+        raise absence_error(config, address, error_text(error)) from error
     if camera.is_gv_device() and not camera.get_device().is_controller():
         raise DeviceError(
             f"{config.called}: another program controls the camera at {address}.",
@@ -82,13 +82,13 @@ def open_device(config: CameraConfig, address: str) -> Any:
     return camera
 
 
-def require_answer(config: CameraConfig, address: str) -> None:
+def require_reply(config: CameraConfig, address: str) -> None:
     """DeviceError if nobody answers at an IP address: much sooner than Aravis would find out."""
-    if not gvcp.answers(address):
-        raise absent(config, address, "it does not answer")
+    if not gvcp.is_reachable(address):
+        raise absence_error(config, address, "it does not answer")
 
 
-def absent(config: CameraConfig, address: str, why: str) -> DeviceError:
+def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
     """There is no camera, or no longer."""
     return DeviceError(
         f"{config.called}: there is no camera at {address} ({why}).",

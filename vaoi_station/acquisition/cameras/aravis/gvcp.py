@@ -26,14 +26,14 @@ _KEY, _ACKNOWLEDGE = 0x42, 0x01
 _DISCOVERY, _READ_REGISTER = 0x0002, 0x0080
 """An answer's number is one more."""
 _VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
-_CONTROLLED = 0b11
+_CONTROL_BITS = 0b11
 """Bits of the privilege: exclusive access, control."""
 _HEADER = struct.Struct(">BBHHH")
 _SUCCESS = b"\0\0"
 """Status, in the first two bytes of an answer; refusals may have content all the same."""
 _ADDRESS_AT, _SERIAL_AT = 8 + 0x24, 8 + 0xD8
 """In an answer to DISCOVERY, which holds the bootstrap registers from 0 on."""
-_ANSWER_BYTES = 8 + 0xF8
+_DISCOVERY_REPLY_BYTES = 8 + 0xF8
 _ids = count(1)
 
 
@@ -42,14 +42,14 @@ class Control(Enum):
 
     ABSENT = "absent"
     """It does not answer."""
-    NOBODY = "nobody"
+    FREE = "free"
     """It has heard nothing of its client for too long, and has let go of it."""
-    SOMEBODY = "somebody"
+    CONTROLLED = "controlled"
     """It does not say who."""
 
 
 @dataclass(frozen=True)
-class Present:
+class DiscoveredCamera:
     """A GigE camera that answered."""
 
     address: str
@@ -61,7 +61,7 @@ def command(number: int, request_id: int, content: bytes = b"") -> bytes:
     return _HEADER.pack(_KEY, _ACKNOWLEDGE, number, len(content), request_id) + content
 
 
-def is_answer(datagram: bytes, number: int, request_id: int) -> bool:
+def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
     """Whether it acknowledges that command, be it by a refusal: who refuses is there."""
     if len(datagram) < _HEADER.size:
         return False
@@ -69,34 +69,34 @@ def is_answer(datagram: bytes, number: int, request_id: int) -> bool:
     return bool(answered == number + 1 and to == request_id)
 
 
-def answers(address: str, timeout_s: float = 0.2, tries: int = 3) -> bool:
+def is_reachable(address: str, timeout_s: float = 0.2, tries: int = 3) -> bool:
     """Whether there is a camera at an address; asks at most `tries` times, `timeout_s` each."""
-    return _read(address, _VERSION_REGISTER, timeout_s, tries) is not None
+    return _read_register(address, _VERSION_REGISTER, timeout_s, tries) is not None
 
 
-def control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Control:
+def read_control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Control:
     """Whether anybody controls the camera at an address, as it says; one that does not tell strangers is controlled."""
-    answer = _read(address, _PRIVILEGE_REGISTER, timeout_s, tries)
+    answer = _read_register(address, _PRIVILEGE_REGISTER, timeout_s, tries)
     if answer is None:
         return Control.ABSENT
-    free = len(answer) >= 4 and not int.from_bytes(answer[:4], "big") & _CONTROLLED
-    return Control.NOBODY if free else Control.SOMEBODY
+    free = len(answer) >= 4 and not int.from_bytes(answer[:4], "big") & _CONTROL_BITS
+    return Control.FREE if free else Control.CONTROLLED
 
 
-def discover(wait_s: float = DISCOVERY_S) -> tuple[Present, ...]:
+def discover(wait_s: float = DISCOVERY_S) -> tuple[DiscoveredCamera, ...]:
     """All GigE cameras on the networks of this computer, by address."""
     request_id = _next_id()
     with contextlib.ExitStack() as stack:
         selector = stack.enter_context(selectors.DefaultSelector())
         for local in local_addresses():
-            asker = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            asker.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-            asker.setblocking(False)
+            client = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            client.setblocking(False)
             with contextlib.suppress(OSError):  # an interface that is down
-                asker.bind((local, 0))
-                asker.sendto(command(_DISCOVERY, request_id), ("255.255.255.255", CONTROL_PORT))
-                selector.register(asker, selectors.EVENT_READ)
-        found: set[Present] = set()
+                client.bind((local, 0))
+                client.sendto(command(_DISCOVERY, request_id), ("255.255.255.255", CONTROL_PORT))
+                selector.register(client, selectors.EVENT_READ)
+        found: set[DiscoveredCamera] = set()
         deadline_s = time.monotonic() + wait_s
         while (left_s := deadline_s - time.monotonic()) > 0:
             for key, _ in selector.select(left_s):
@@ -104,39 +104,39 @@ def discover(wait_s: float = DISCOVERY_S) -> tuple[Present, ...]:
     return tuple(sorted(found, key=lambda camera: socket.inet_aton(camera.address)))
 
 
-def present(datagram: bytes) -> Present:
+def parse_discovery(datagram: bytes) -> DiscoveredCamera:
     """What an answer to DISCOVERY says of its sender; its own address, as the datagram may come from another."""
     serial = datagram[_SERIAL_AT : _SERIAL_AT + 16].split(b"\0")[0].decode("ascii", "replace")
-    return Present(socket.inet_ntoa(datagram[_ADDRESS_AT : _ADDRESS_AT + 4]), serial)
+    return DiscoveredCamera(socket.inet_ntoa(datagram[_ADDRESS_AT : _ADDRESS_AT + 4]), serial)
 
 
-def _received(asker: socket.socket, request_id: int) -> list[Present]:
+def _received(client: socket.socket, request_id: int) -> list[DiscoveredCamera]:
     received = []
     with contextlib.suppress(BlockingIOError):  # that was all, for now
         while True:
-            datagram = asker.recv(1024)
-            if is_answer(datagram, _DISCOVERY, request_id) and len(datagram) >= _ANSWER_BYTES:
-                received.append(present(datagram))
+            datagram = client.recv(1024)
+            if is_reply(datagram, _DISCOVERY, request_id) and len(datagram) >= _DISCOVERY_REPLY_BYTES:
+                received.append(parse_discovery(datagram))
     return received
 
 
-def _read(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:
+def _read_register(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:
     """What a camera answers; empty where it refuses, None where there is none."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
-        asker.settimeout(timeout_s)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(timeout_s)
         try:
-            asker.connect((address, CONTROL_PORT))
+            client.connect((address, CONTROL_PORT))
         except OSError:
             return None
-        return next((answer for _ in range(tries) if (answer := _ask(asker, register)) is not None), None)
+        return next((answer for _ in range(tries) if (answer := _request_register(client, register)) is not None), None)
 
 
-def _ask(asker: socket.socket, register: int) -> bytes | None:
+def _request_register(client: socket.socket, register: int) -> bytes | None:
     """The same, asked once."""
     request_id = _next_id()
     try:
-        asker.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))
-        while not is_answer(answer := asker.recv(1024), _READ_REGISTER, request_id):
+        client.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))
+        while not is_reply(answer := client.recv(1024), _READ_REGISTER, request_id):
             pass  # to an earlier question
     except OSError:  # no answer in time, or nobody listens there
         return None

@@ -92,21 +92,21 @@ def mtu_to(address: str) -> int:
 def local_addresses() -> tuple[str, ...]:
     """IPv4 addresses of this computer's interfaces, one each."""
     found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):  # it has none
-                found.append(socket.inet_ntoa(_ask(asker, _SIOCGIFADDR, name)))
+                found.append(socket.inet_ntoa(_interface_query(probe, _SIOCGIFADDR, name)))
     return tuple(found)
 
 
 def interface_of(local_address: str) -> str:
     """Name of the interface with an address (or, for loopback, its network); the address itself if there is none."""
-    wanted = _number(socket.inet_aton(local_address))
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
+    wanted = _as_int(socket.inet_aton(local_address))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):  # it has no address
-                own = _number(_ask(asker, _SIOCGIFADDR, name))
-                mask = _number(_ask(asker, _SIOCGIFNETMASK, name))
+                own = _as_int(_interface_query(probe, _SIOCGIFADDR, name))
+                mask = _as_int(_interface_query(probe, _SIOCGIFNETMASK, name))
                 if wanted & mask == own & mask:
                     return name
     return local_address
@@ -139,10 +139,10 @@ def widen_receive_buffer(port: int, wanted_bytes: int) -> int:
     return 0
 
 
-def _ask(asker: socket.socket, request: int, interface: str) -> bytes:
-    answer: bytes = fcntl.ioctl(asker, request, struct.pack("256s", interface.encode()[:15]))
+def _interface_query(probe: socket.socket, request: int, interface: str) -> bytes:
+    answer: bytes = fcntl.ioctl(probe, request, struct.pack("256s", interface.encode()[:15]))
     return answer[20:24]
 
 
-def _number(address: bytes) -> int:
+def _as_int(address: bytes) -> int:
     return int.from_bytes(address, "big")

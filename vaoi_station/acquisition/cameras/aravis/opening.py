@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 from vaoi_station.acquisition.cameras.aravis import network
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
-from vaoi_station.acquisition.cameras.aravis.connection import Connection, Share, prove_silence
-from vaoi_station.acquisition.cameras.aravis.discovery import OPENING, by_serial, require_answer, search
+from vaoi_station.acquisition.cameras.aravis.connection import Connection, PortShare, check_silence
+from vaoi_station.acquisition.cameras.aravis.discovery import OPENING_LOCK, find_by_serial, require_reply, search
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
 
@@ -26,18 +26,18 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
     """
     connections: list[Connection] = []
     cameras: list[AravisCamera] = []
-    with OPENING:
+    with OPENING_LOCK:
         try:
-            for camera, where in zip(config.cameras, _places(config.cameras), strict=True):
+            for camera, where in zip(config.cameras, _locate_cameras(config.cameras), strict=True):
                 connections.append(Connection(camera, where))
             _check_distinct(connections)
-            shares = _shares(config, connections)
+            shares = _port_shares(config, connections)
             for connection, share in zip(connections, shares, strict=True):
                 connection.configure(share)
             _check_budgets(config, connections, shares)
             for number, (connection, share) in enumerate(zip(connections, shares, strict=True)):
                 cameras.append(AravisCamera(number, connection, share))
-            prove_silence(connections)
+            check_silence(connections)
         except BaseException:  # whatever ended it, tidy up; it is raised again
             for opened in cameras:
                 opened.close()
@@ -52,17 +52,17 @@ def socket_bytes(camera: CameraConfig, period_s: float) -> int:
     return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
 
 
-def _places(cameras: Sequence[CameraConfig]) -> list[str]:
+def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
     """Addresses or device ids, in the order of the cameras; one search for all serial numbers."""
     found = search() if any(camera.serial for camera in cameras) else ()
-    places = []
+    addresses = []
     for camera in cameras:
         if camera.address is not None:
-            require_answer(camera, camera.address)
-            places.append(camera.address)
+            require_reply(camera, camera.address)
+            addresses.append(camera.address)
         else:
-            places.append(by_serial(camera, found).where)
-    return places
+            addresses.append(find_by_serial(camera, found).address)
+    return addresses
 
 
 def _check_distinct(connections: Sequence[Connection]) -> None:
@@ -78,18 +78,18 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
             )
 
 
-def _shares(config: StationConfig, connections: Sequence[Connection]) -> list[Share]:
+def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> list[PortShare]:
     """What each camera may use of its port."""
     on_port = Counter(connection.identity.interface for connection in connections)
     shares = []
     for connection in connections:
         camera, port = connection.config, connection.identity.interface
         link_mbit_s = camera.link_mbit_s or (network.link_mbit_s(port) if port else None)
-        shares.append(Share(on_port[port], link_mbit_s, socket_bytes(camera, config.line.trigger_period_s)))
+        shares.append(PortShare(on_port[port], link_mbit_s, socket_bytes(camera, config.line.trigger_period_s)))
     return shares
 
 
-def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[Share]) -> None:
+def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[PortShare]) -> None:
     """Every port must carry a row within a period."""
     ports: defaultdict[str, list[int]] = defaultdict(list)
     for k, connection in enumerate(connections):

@@ -36,10 +36,10 @@ class Setting:
     write: Callable[[], object]
     read: Callable[[], Any]
     tolerance: float = 0.0
-    passing: bool = False
+    transient: bool = False
     """It is only on the way to a later setting of the same feature."""
 
-    def agrees(self, got: object) -> bool:
+    def matches(self, got: object) -> bool:
         """Whether a value that was read back is what was wanted."""
         if isinstance(self.wanted, bool | str | tuple):
             return got == self.wanted
@@ -52,12 +52,12 @@ def apply(camera: Any, config: CameraConfig) -> None:
     Raises:
         DeviceError: the camera refuses or ignores a setting.
     """
-    for part in (_picture, _further, _trigger):
-        settings = list(_translated(config.called, part(camera, config)))
+    for part in (_picture, _named_features, _trigger):
+        settings = list(_with_device_errors(config.called, part(camera, config)))
         for setting in settings:
             write_and_compare(config.called, setting)
         for setting in settings:  # a later one may have changed an earlier one
-            if not setting.passing:
+            if not setting.transient:
                 compare(config.called, setting)
 
 
@@ -67,7 +67,7 @@ def write_and_compare(name: str, setting: Setting) -> None:
         setting.write()
     except glib_error() as error:
         raise DeviceError(
-            f"{name}: refuses {setting.feature} = {setting.wanted!r} ({reason(error)}).",
+            f"{name}: refuses {setting.feature} = {setting.wanted!r} ({error_text(error)}).",
             action="Set what this camera can do in station.toml, or update its firmware.",
             code="setting-refused",
         ) from error
@@ -80,9 +80,9 @@ def compare(name: str, setting: Setting) -> None:
         got = setting.read()
     except glib_error() as error:
         raise DeviceError(
-            f"{name}: {setting.feature} cannot be read ({reason(error)}).", code="setting-unread"
+            f"{name}: {setting.feature} cannot be read ({error_text(error)}).", code="setting-unread"
         ) from error
-    if not setting.agrees(got):
+    if not setting.matches(got):
         raise DeviceError(
             f"{name}: ignores a setting: {setting.feature} was set to {setting.wanted!r}, but reads {got!r}.",
             action="Set what this camera can do in station.toml, or update its firmware.",
@@ -90,17 +90,17 @@ def compare(name: str, setting: Setting) -> None:
         )
 
 
-def reason(error: Exception) -> str:
+def error_text(error: Exception) -> str:
     """GLib's errors in a few words."""
     return str(getattr(error, "message", error)).rstrip(".")
 
 
-def _translated(name: str, settings: Iterator[Setting]) -> Iterator[Setting]:
+def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Setting]:
     """Trouble while asking what a camera has is a DeviceError too."""
     try:
         yield from settings
     except glib_error() as error:
-        raise DeviceError(f"{name}: does not tell its features ({reason(error)}).") from error
+        raise DeviceError(f"{name}: does not tell its features ({error_text(error)}).") from error
 
 
 def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
@@ -138,7 +138,7 @@ def _region(camera: Any) -> tuple[int, int, int, int]:
     return region.x, region.y, region.width, region.height
 
 
-def _further(camera: Any, config: CameraConfig) -> Iterator[Setting]:
+def _named_features(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     """What station.toml asks for by name, in its order."""
     device = camera.get_device()
     for feature, value in config.features.items():
@@ -163,10 +163,10 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
         )
     for other in triggers:
         if other != ours:
-            yield replace(feature_setting(device, "TriggerSelector", other), passing=True)
-            yield replace(feature_setting(device, "TriggerMode", "Off"), passing=True)
+            yield replace(feature_setting(device, "TriggerSelector", other), transient=True)
+            yield replace(feature_setting(device, "TriggerMode", "Off"), transient=True)
     yield feature_setting(device, "TriggerSelector", ours)
-    yield replace(feature_setting(device, "TriggerMode", "Off" if recipe.off_while_changing else "On"), passing=True)
+    yield replace(feature_setting(device, "TriggerMode", "Off" if recipe.off_while_changing else "On"), transient=True)
     yield feature_setting(device, "TriggerSource", line)
     yield feature_setting(device, "TriggerActivation", "RisingEdge")
     for feature, value in recipe.extra:

@@ -20,7 +20,7 @@ from vaoi_station.acquisition.cameras.interface import Slot
 
 POP_US = 50_000
 """The pulling thread looks at least so often whether it is to end."""
-UNDER_WAY_S = 0.25
+FILLING_S = 0.25
 """A frame that is being received is given so long to end before buffers are taken back; more than Aravis waits."""
 
 FAULTS = {
@@ -35,7 +35,7 @@ FAULTS = {
 
 
 @dataclass(frozen=True)
-class Kind:
+class FrameFormat:
     """What every whole frame must be."""
 
     width: int
@@ -45,7 +45,7 @@ class Kind:
 
 
 @dataclass(frozen=True)
-class Told:
+class SlotResult:
     """What became of one slot. Without `whole`, frame id and time stamp are None: they may be an older frame's."""
 
     slot: Slot
@@ -60,15 +60,15 @@ class Told:
 class SlotStream:
     """The buffers of one stream, and the thread that pulls them out when they are filled."""
 
-    def __init__(self, stream: Any, kind: Kind, told: Callable[[Told], None], name: str) -> None:
+    def __init__(self, stream: Any, kind: FrameFormat, on_slot: Callable[[SlotResult], None], name: str) -> None:
         """Pull at once; `told`, called in the pulling thread and those of `take_back` and `close`, must not wait."""
         self._stream = stream
-        self._kind, self._told = kind, told
+        self._format, self._on_slot = kind, on_slot
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
-        self._pulled = threading.Condition(self._lock)
-        """Told of every buffer that has been pulled out."""
-        self._out: dict[int, tuple[Any, Slot]] = {}
+        self._buffer_pulled = threading.Condition(self._lock)
+        """Notified of every buffer that has been pulled out."""
+        self._queued: dict[int, tuple[Any, Slot]] = {}
         """C pointer of a buffer → the buffer, its slot; all that the stream has."""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._pull, name=f"{name}-frames")
@@ -78,7 +78,7 @@ class SlotStream:
         """Give a slot's memory to the stream; frames fill slots in the order they were queued."""
         buffer = aravis().Buffer.new(slot.memory.nbytes, slot.memory.ctypes.data)
         with self._lock:
-            self._out[hash(buffer)] = (buffer, slot)  # the hash of a GObject is its C pointer
+            self._queued[hash(buffer)] = (buffer, slot)  # the hash of a GObject is its C pointer
             self._stream.push_buffer(buffer)
 
     def take_back(self) -> list[Slot]:
@@ -86,17 +86,17 @@ class SlotStream:
 
         A frame that is being received is waited for a while, then broken off.
         """
-        self._wait_for_frames_under_way()
+        self._wait_for_filling_frames()
         with self._lock:
             self._stream.stop_thread(True)
-            out, self._out = self._out, {}
+            out, self._queued = self._queued, {}
             self._stream.start_thread()
         unused = []
         for buffer, slot in out.values():
             if buffer.get_status() == aravis().BufferStatus.CLEARED:
                 unused.append(slot)
             else:
-                self._told(self._judge(buffer, slot))
+                self._on_slot(self._result(buffer, slot))
         return unused
 
     def close(self) -> list[Slot]:
@@ -122,30 +122,32 @@ class SlotStream:
             buffer = self._stream.timeout_pop_buffer(POP_US)  # without the interpreter's lock
             if buffer is None:
                 continue
-            with self._pulled:
-                _, slot = self._out.pop(hash(buffer), (None, None))
+            with self._buffer_pulled:
+                _, slot = self._queued.pop(hash(buffer), (None, None))
                 if slot is not None:  # else it has just been taken back, and told of
-                    self._told(self._judge(buffer, slot))
-                self._pulled.notify_all()
+                    self._on_slot(self._result(buffer, slot))
+                self._buffer_pulled.notify_all()
 
-    def _judge(self, buffer: Any, slot: Slot) -> Told:
+    def _result(self, buffer: Any, slot: Slot) -> SlotResult:
         host_time_s = time.monotonic()
         status = buffer.get_status()
         if status != aravis().BufferStatus.SUCCESS:
             fault = FAULTS.get(status.value_nick, f"Aravis calls the frame {status.value_nick!r}")
-            return Told(slot, False, None, None, host_time_s, fault)
-        kind = Kind(buffer.get_image_width(), buffer.get_image_height(), buffer.get_image_pixel_format())
-        if kind != self._kind:
-            return Told(slot, False, None, None, host_time_s, f"the frame is {_shown(kind)}, not {_shown(self._kind)}")
-        return Told(slot, True, buffer.get_frame_id(), buffer.get_timestamp(), host_time_s)
+            return SlotResult(slot, False, None, None, host_time_s, fault)
+        kind = FrameFormat(buffer.get_image_width(), buffer.get_image_height(), buffer.get_image_pixel_format())
+        if kind != self._format:
+            return SlotResult(
+                slot, False, None, None, host_time_s, f"the frame is {_describe(kind)}, not {_describe(self._format)}"
+            )
+        return SlotResult(slot, True, buffer.get_frame_id(), buffer.get_timestamp(), host_time_s)
 
-    def _wait_for_frames_under_way(self) -> None:
-        with self._pulled:
-            self._pulled.wait_for(self._nothing_is_under_way, UNDER_WAY_S)
+    def _wait_for_filling_frames(self) -> None:
+        with self._buffer_pulled:
+            self._buffer_pulled.wait_for(self._none_filling, FILLING_S)
 
-    def _nothing_is_under_way(self) -> bool:
-        return not any(buffer.get_status() == self._filling for buffer, _ in self._out.values())
+    def _none_filling(self) -> bool:
+        return not any(buffer.get_status() == self._filling for buffer, _ in self._queued.values())
 
 
-def _shown(kind: Kind) -> str:
+def _describe(kind: FrameFormat) -> str:
     return f"{kind.width}×{kind.height} px in format {kind.code:#010x}"

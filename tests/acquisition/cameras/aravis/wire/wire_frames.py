@@ -30,7 +30,7 @@ def test_aravis_writes_where_the_stitcher_reads(device: Plug, station: Make, ope
     assert connection is not None
     where = shared_library().arv_buffer_get_data
     where.argtypes, where.restype = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)], ctypes.c_void_p
-    queued = connection.stream._out
+    queued = connection.stream._queued
     assert len(queued) == stage.ring.layout.slots_per_camera
     for pointer, (_, slot) in queued.items():
         assert where(pointer, ctypes.byref(ctypes.c_size_t())) == stage.ring.memory(slot.number).ctypes.data

@@ -160,7 +160,7 @@ def test_lost_control_is_told_before_aravis_knows_and_dated_from_before(
     stage = opened(station(camera))
     connection = stage.cameras[0]._connection
     assert connection is not None
-    monkeypatch.setattr(connection, "is_ours", lambda: True)
+    monkeypatch.setattr(connection, "is_controller", lambda: True)
     left_s = time.monotonic()
     connection._camera.get_device().leave_control()
     del connection
@@ -178,10 +178,10 @@ def test_a_camera_that_another_has_taken_was_lost_before_aravis_asked_again(
     stage = opened(station(camera))
     connection = stage.cameras[0]._connection
     assert connection is not None
-    opened_s = stage.cameras[0]._ours_s
-    stage.wait(lambda: stage.cameras[0]._ours_s > opened_s)
+    opened_s = stage.cameras[0]._last_controlled_s
+    stage.wait(lambda: stage.cameras[0]._last_controlled_s > opened_s)
     taken_s = time.monotonic()
-    monkeypatch.setattr(connection, "is_ours", lambda: False)
+    monkeypatch.setattr(connection, "is_controller", lambda: False)
     assert stage.until(CameraLost).since_s <= taken_s
     stage.until(CameraBack)
 
