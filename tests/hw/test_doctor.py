@@ -20,8 +20,8 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
 from vaoi_station.acquisition.controller.protocol.messages import REPLY, Request, Status, Type
-from vaoi_station.acquisition.controller.serial.exchange import Line
-from vaoi_station.acquisition.controller.serial.port import Alarm, Port
+from vaoi_station.acquisition.controller.serial.exchange import Exchange
+from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.config import StationConfig
 from vaoi_station.doctor.check_context import Patient
 from vaoi_station.doctor.checks.controller import LATENCY, controller, judge_clock, judge_latency
@@ -54,11 +54,11 @@ def by_subject(findings: Iterable[Finding]) -> dict[str, Finding]:
 
 def asked(port: Path, request: Type) -> Status:
     """Something is done to the controller by hand; how it is afterwards."""
-    with closing(Alarm()) as alarm, closing(Port(str(port), 250_000, alarm)) as opened:
-        line = Line(opened, Link(), lambda *_: None, str(port))
-        line.identify()
-        line.ask(Request(request))
-        return Status.unpack(line.ask(Request(Type.STATUS)).payload)
+    with closing(Waker()) as waker, closing(Port(str(port), 250_000, waker)) as opened:
+        exchange = Exchange(opened, Link(), lambda *_: None, str(port))
+        exchange.identify()
+        exchange.request(Request(request))
+        return Status.unpack(exchange.request(Request(Type.STATUS)).payload)
 
 
 def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:

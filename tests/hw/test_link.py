@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from tests.hw.emulated.line import us
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import (
+    EventReceived,
     EventsLost,
-    Happened,
     Link,
-    News,
+    Notification,
     Refused,
     Replied,
     Restarted,
@@ -43,7 +43,7 @@ class Wire:
         self.logic, self.dice, self.loss = logic, random.Random(seed), loss
         self.boots = 1
         self.link = Link()
-        self.news: list[News] = []
+        self.news: list[Notification] = []
         self.turns = 0
         self._replies = ctypes.create_string_buffer(4096)
         self._event = ctypes.create_string_buffer(16)
@@ -60,7 +60,7 @@ class Wire:
     def turn(self) -> None:
         self.turns += 1
         self.logic.bridge_poll(self.tick)
-        to_chip = b"".join(self._suffer(self.link.send(self.now_s)))
+        to_chip = b"".join(self._suffer(self.link.outgoing(self.now_s)))
         size = self.logic.bridge_talk(to_chip, len(to_chip), self._replies, self.tick)
         self.logic.bridge_poll(self.tick)
         frames = [self._replies.raw[:size], *self._events()]
@@ -91,7 +91,7 @@ class Wire:
             yield frame
 
     def events(self) -> list[Event]:
-        return [item.event for item in self.news if isinstance(item, Happened)]
+        return [item.event for item in self.news if isinstance(item, EventReceived)]
 
 
 @settings(max_examples=40)
@@ -102,15 +102,15 @@ def test_every_request_is_carried_out_once_and_every_event_arrives_once_in_order
     wire = Wire(logic, seed, loss)
     requests = [Request(Type.IDENT), *(fire_one(nonce, DARK, us(100)) for nonce in range(12)), Request(Type.STATUS)]
     for request in requests:
-        wire.link.ask(request)
+        wire.link.request(request)
         wire.run(8)
     wire.loss = 0.0
     wire.run(400)
-    wire.link.ask(Request(Type.STATUS))
+    wire.link.request(Request(Type.STATUS))
     wire.run(60)
     outcomes = [item.request for item in wire.news if isinstance(item, Replied | Refused | Unanswered)]
     assert outcomes == [*requests, Request(Type.STATUS)]
-    assert all(isinstance(item, Replied) for item in wire.news if not isinstance(item, Happened))
+    assert all(isinstance(item, Replied) for item in wire.news if not isinstance(item, EventReceived))
     events = wire.events()
     assert [e.number for e in events] == list(range(len(events)))
     assert [e.kind for e in events] == [Kind.BOOT] + [Kind.PULSE] * 12
@@ -120,7 +120,7 @@ def test_every_request_is_carried_out_once_and_every_event_arrives_once_in_order
 
 def test_what_a_long_silence_overwrote_is_counted(logic: ctypes.CDLL) -> None:
     wire = Wire(logic, 1, 0.0)
-    wire.link.ask(Request(Type.IDENT))
+    wire.link.request(Request(Type.IDENT))
     wire.run(5)
     wire.loss = 1.0
     for nonce in range(50):  # the host was heard once more each time, and heard nothing
@@ -128,7 +128,7 @@ def test_what_a_long_silence_overwrote_is_counted(logic: ctypes.CDLL) -> None:
         logic.bridge_talk(frame, len(frame), ctypes.create_string_buffer(100), wire.tick)
         wire.run(3)
     wire.loss = 0.0
-    wire.link.ask(Request(Type.STATUS))
+    wire.link.request(Request(Type.STATUS))
     wire.run(200)
     lost = [item.count for item in wire.news if isinstance(item, EventsLost)]
     assert lost == [51 - 32 - 1]  # 50 pulses and the boot, which had arrived
@@ -141,9 +141,9 @@ def test_a_reset_is_noticed_and_no_event_is_taken_for_one_of_another_boot(
     logic: ctypes.CDLL, seed: int, loss: float, before: int, after: int
 ) -> None:
     wire = Wire(logic, seed, loss)
-    wire.link.beating = True
+    wire.link.heartbeat = True
     for nonce in range(before):
-        wire.link.ask(fire_one(nonce, DARK, us(100)))
+        wire.link.request(fire_one(nonce, DARK, us(100)))
     wire.run(2000)  # all are answered: a pulse asked for while the controller is reset may come once more
     wire.reboot()
     for nonce in range(100, 100 + after):
@@ -154,17 +154,17 @@ def test_a_reset_is_noticed_and_no_event_is_taken_for_one_of_another_boot(
     wire.run(400)
     cut = next(k for k, item in enumerate(wire.news) if isinstance(item, Restarted))
     assert [item for item in wire.news if isinstance(item, Restarted)] == [Restarted(2)]
-    new = [item.event for item in wire.news[cut:] if isinstance(item, Happened)]
+    new = [item.event for item in wire.news[cut:] if isinstance(item, EventReceived)]
     assert [e.number for e in new] == list(range(after + 1))
     assert new[0].value == 2
-    old = [item.event.number for item in wire.news[:cut] if isinstance(item, Happened)]
+    old = [item.event.number for item in wire.news[:cut] if isinstance(item, EventReceived)]
     assert old == list(range(len(old)))
 
 
 def test_a_controller_that_is_not_there(logic: ctypes.CDLL) -> None:
     wire = Wire(logic, 1, 1.0)
-    wire.link.ask(Request(Type.IDENT))
-    wire.link.ask(number_request(Type.CLOCK, 5))
+    wire.link.request(Request(Type.IDENT))
+    wire.link.request(number_request(Type.CLOCK, 5))
     wire.run(500)
     assert wire.news == [Unanswered(Request(Type.IDENT)), Unanswered(number_request(Type.CLOCK, 5))]
     assert wire.link.retries == 18
@@ -173,9 +173,9 @@ def test_a_controller_that_is_not_there(logic: ctypes.CDLL) -> None:
 def test_answers_to_nobody_are_counted_and_the_clock_is_bounded_by_its_first_question(logic: ctypes.CDLL) -> None:
     wire = Wire(logic, 1, 0.0)
     wire.link.receive(encode(Message(Type.CLOCK | 0x80, 3, bytes(8))) + encode(Message(Type.NAK, 9, bytes(8))), 0.0)
-    assert wire.link.strays == 2
+    assert wire.link.unmatched == 2
     question = number_request(Type.CLOCK, 0x1234)
-    wire.link.ask(question)
+    wire.link.request(question)
     wire.loss = 1.0
     wire.turn()
     asked_s = wire.now_s
@@ -190,10 +190,10 @@ def test_answers_to_nobody_are_counted_and_the_clock_is_bounded_by_its_first_que
 
 def test_beats_keep_coming_and_show_the_state(logic: ctypes.CDLL) -> None:
     wire = Wire(logic, 1, 0.0)
-    wire.link.beating = True
+    wire.link.heartbeat = True
     seen = 0
     for _ in range(400):
-        data = wire.link.send(wire.now_s)
+        data = wire.link.outgoing(wire.now_s)
         seen += sum(m.type == Type.BEAT for m in FrameReader().feed(data))
         size = logic.bridge_talk(data, len(data), wire._replies, wire.tick)
         wire.link.receive(wire._replies.raw[:size], wire.now_s)

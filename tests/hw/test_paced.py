@@ -15,9 +15,9 @@ def identify(port: serial.Serial) -> Ident:
     """Ask until it answers, as a station does."""
     link, give_up_s = Link(), time.monotonic() + PATIENCE_S
     while time.monotonic() < give_up_s:
-        link.ask(Request(Type.IDENT))
+        link.request(Request(Type.IDENT))
         while time.monotonic() < give_up_s:
-            if data := link.send(time.monotonic()):
+            if data := link.outgoing(time.monotonic()):
                 port.write(data)
             news = link.receive(port.read(max(1, port.in_waiting)), time.monotonic())
             for item in news:

@@ -70,17 +70,17 @@ def test_a_host_that_is_silent_for_three_seconds(chip: Chip) -> None:
     line.barrier(True)
     line.run(500)
     silent = chip.cycle
-    line.link.beating = False
+    line.link.heartbeat = False
     line.run(3600)
     assert 2.5 < (chip.rises("PB1")[-1] - silent) / 16e6 < 3.0
     assert line.status().state == State.SAFE
     assert line.status().fault == Fault.HEARTBEAT
     assert [e.detail for e in line.events(Kind.RUN_END)] == [RunEnd.SAFE]
     assert [e.detail for e in line.events(Kind.FAULT)] == [Fault.HEARTBEAT]
-    refused = line.ask(arm(8, config_crc(replace(TIMING, max_rows=1000), STEPS)))
+    refused = line.request(arm(8, config_crc(replace(TIMING, max_rows=1000), STEPS)))
     assert isinstance(refused, Nak)
     assert (refused.reason, refused.limit) == (Reason.STATE, State.SAFE)
-    line.ask(Request(Type.DISARM))
+    line.request(Request(Type.DISARM))
     assert line.status().state == State.IDLE
 
 
@@ -102,7 +102,7 @@ def test_safe_puts_the_light_out_at_once(chip: Chip) -> None:
     line.arm()
     line.barrier(True)
     line.run(45)
-    line.ask(Request(Type.SAFE))
+    line.request(Request(Type.SAFE))
     pulses = len(chip.rises("PB1"))
     line.run(100)
     assert len(chip.rises("PB1")) == pulses
@@ -167,15 +167,15 @@ def test_a_reset_in_the_middle_of_a_run_leaves_all_outputs_low(chip: Chip) -> No
 def test_one_pulse_on_demand_and_once_only(chip: Chip) -> None:
     line = Line(chip)
     request = fire_one(77, Step(0b0010, us(300)), us(50))
-    assert line.ask(request) == b""
-    assert line.ask(request) == b""  # as after a lost reply
+    assert line.request(request) == b""
+    assert line.request(request) == b""  # as after a lost reply
     (width,) = chip.widths("PB2")
     assert abs(width - 300 * CYCLES_PER_US) <= CYCLES_PER_US
-    assert line.ask(fire_one(78, Step(0, 0), us(50))) == b""
+    assert line.request(fire_one(78, Step(0, 0), us(50))) == b""
     line.run(5)
     assert len(chip.rises("PB1")) == 2
     assert len(chip.rises("PB2")) == 1
-    too_long = line.ask(fire_one(79, Step(0b0101, us(501)), us(50)))
+    too_long = line.request(fire_one(79, Step(0b0101, us(501)), us(50)))
     assert isinstance(too_long, Nak)
     assert (too_long.reason, too_long.field, too_long.limit) == (Reason.LED_LIMIT, 2, us(500))
 
@@ -183,7 +183,7 @@ def test_one_pulse_on_demand_and_once_only(chip: Chip) -> None:
 def test_flashing_on_demand_is_held_to_the_duty_cycle(chip: Chip) -> None:
     line = Line(chip)
     line.run(200)  # fills the bucket
-    answers = [line.ask(fire_one(k, Step(1, us(1000)), us(50))) for k in range(40)]
+    answers = [line.request(fire_one(k, Step(1, us(1000)), us(50))) for k in range(40)]
     refused = [a for a in answers if isinstance(a, Nak) and a.reason == Reason.LED_BUDGET]
     assert refused
     assert check_limits(chip) >= 4

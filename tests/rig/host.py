@@ -32,17 +32,17 @@ class Host:
 
     def __init__(self, terminal: Path) -> None:
         self._port = serial.Serial(str(terminal), 250_000, timeout=0.002)
-        self._link = Link(beating=True)
+        self._link = Link(heartbeat=True)
 
     def turn(self) -> list[object]:
         now_s = time.monotonic()
-        if data := self._link.send(now_s):
+        if data := self._link.outgoing(now_s):
             self._port.write(data)
         data = self._port.read(256)
         return list(self._link.receive(data, time.monotonic())) if data else []
 
     def ask(self, request: Request) -> None:
-        self._link.ask(request)
+        self._link.request(request)
         deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
             for news in self.turn():

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tests.hw.emulated.chip import Chip
-from vaoi_station.acquisition.controller.protocol.link import Happened, Link, News, Refused, Replied, Restarted
+from vaoi_station.acquisition.controller.protocol.link import (
+    EventReceived,
+    Link,
+    Notification,
+    Refused,
+    Replied,
+    Restarted,
+)
 from vaoi_station.acquisition.controller.protocol.messages import (
     Event,
     Kind,
@@ -54,15 +61,15 @@ class Line:
 
     def __init__(self, chip: Chip, *, beating: bool = True) -> None:
         self.chip = chip
-        self.link = Link(beating=beating)
-        self.news: list[News] = []
+        self.link = Link(heartbeat=beating)
+        self.news: list[Notification] = []
 
     @property
     def now_s(self) -> float:
         return self.chip.cycle / HZ
 
-    def turn(self, extra: bytes = b"") -> list[News]:
-        data = self.link.send(self.now_s) + extra
+    def turn(self, extra: bytes = b"") -> list[Notification]:
+        data = self.link.outgoing(self.now_s) + extra
         if data:
             self.chip.do(f"send {data.hex()}")
         self.chip.run_ms(1)
@@ -74,9 +81,9 @@ class Line:
         for _ in range(turns):
             self.turn(extra)
 
-    def ask(self, request: Request) -> bytes | Nak:
+    def request(self, request: Request) -> bytes | Nak:
         """The payload of the reply, or the refusal."""
-        self.link.ask(request)
+        self.link.request(request)
         for _ in range(2000):
             for item in self.turn():
                 if isinstance(item, Replied | Refused) and item.request == request:
@@ -85,7 +92,7 @@ class Line:
 
     def arm(self, timing: Timing = TIMING, steps: Sequence[Step] = STEPS, run: int = 7) -> None:
         for request in [*configuration(timing, steps), arm(run, config_crc(timing, steps))]:
-            answer = self.ask(request)
+            answer = self.request(request)
             assert isinstance(answer, bytes), answer
 
     def barrier(self, blocked: bool) -> int:
@@ -100,7 +107,7 @@ class Line:
         return edge, self.barrier(False)
 
     def events(self, kind: Kind | None = None) -> list[Event]:
-        events = [item.event for item in self.news if isinstance(item, Happened)]
+        events = [item.event for item in self.news if isinstance(item, EventReceived)]
         return [event for event in events if kind is None or event.kind == kind]
 
     def restarts(self) -> list[int]:
@@ -108,6 +115,6 @@ class Line:
 
     def status(self) -> Status:
         """As it is now."""
-        self.ask(Request(Type.STATUS))
+        self.request(Request(Type.STATUS))
         assert self.link.status is not None
         return self.link.status

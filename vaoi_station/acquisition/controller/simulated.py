@@ -33,19 +33,19 @@ class SimulatedController:
         *,
         accept: Callable[[TriggerPlan], TriggerPlan],
         fire: Callable[[PulseFired], None],
-        fire_still: Callable[[PulseFired], None],
-        armed: Callable[[bool], None],
-        over: Callable[[], None],
+        fire_single: Callable[[PulseFired], None],
+        on_armed: Callable[[bool], None],
+        on_run_end: Callable[[], None],
     ) -> None:
         """`accept` may complete a plan or refuse it; `armed` and `over` tell the line how things stand.
 
-        Pulses of boards go to `fire`, those without the barrier to `fire_still`.
+        Pulses of boards go to `fire`, those without the barrier to `fire_single`.
         """
         self.clock = clock
-        self._accept, self._fire, self._armed, self._over = accept, fire, armed, over
-        self._fire_still = fire_still
+        self._accept, self._fire, self._on_armed, self._on_run_end = accept, fire, on_armed, on_run_end
+        self._fire_still = fire_single
         self._numbers = count()
-        self._change = threading.Condition()
+        self._changed = threading.Condition()
         self._edges: deque[Edge] = deque()
         self._rule: TriggerRule | None = None
         self._closing = False
@@ -61,25 +61,25 @@ class SimulatedController:
     def arm(self, plan: TriggerPlan) -> None:
         """Watch the barrier from now on."""
         rule = TriggerRule(self._accept(plan), self._numbers)
-        with self._change:
+        with self._changed:
             self._rule = rule
             self._edges.clear()
-            self._change.notify()
-        self._armed(True)
+            self._changed.notify()
+        self._on_armed(True)
 
     def disarm(self) -> None:
         """No further pulse; a run under way ends."""
-        with self._change:
+        with self._changed:
             if self._rule is not None:
                 self._report(self._rule.stop(self.clock.now_s()))
             self._rule = None
             self._edges.clear()
-        self._armed(False)
-        self._over()
+        self._on_armed(False)
+        self._on_run_end()
 
     def fire_one(self) -> None:
         """One pulse at once."""
-        with self._change:
+        with self._changed:
             if self._rule is not None:
                 raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
             pulse = PulseFired(next(self._numbers), self.clock.now_s(), 0)
@@ -87,11 +87,11 @@ class SimulatedController:
             self._events.put(pulse)
             self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))
 
-    def let_pass(self, edges: Sequence[Edge]) -> None:
+    def schedule_edges(self, edges: Sequence[Edge]) -> None:
         """The barrier will change so; in order of time."""
-        with self._change:
+        with self._changed:
             self._edges.extend(edges)
-            self._change.notify()
+            self._changed.notify()
 
     def read_clock(self) -> ClockReading:
         """Compare clocks."""
@@ -103,19 +103,19 @@ class SimulatedController:
 
     def close(self) -> None:
         """End the thread."""
-        with self._change:
+        with self._changed:
             self._closing, self._rule = True, None
-            self._change.notify()
+            self._changed.notify()
         if self._thread is not None:
             self._thread.join()
 
     def _work(self) -> None:
-        with self._change:
+        with self._changed:
             while not self._closing:
                 ended = self._step(self.clock.now_s())
                 if ended:
-                    self._over()
-                self._change.wait(self._wait_s())
+                    self._on_run_end()
+                self._changed.wait(self._wait_s())
 
     def _step(self, now_s: float) -> bool:
         """Everything that is due by now; whether a run has ended."""

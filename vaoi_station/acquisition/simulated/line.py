@@ -84,7 +84,7 @@ class SimulatedLine:
         for n in range(len(self._cameras)):
             self._expose(board, n, row, self._clock.host_s(event.time_s))
 
-    def fire_still(self, event: PulseFired) -> None:
+    def fire_single(self, event: PulseFired) -> None:
         """No board passes: the cameras see the calibration board, which lies still under them."""
         if not self._still:
             self._still = [to_bytes(image) for _, _, image in calibration_board.frames(self._twin)]
@@ -174,7 +174,7 @@ class SimulatedLine:
             self._start_s = self._clock.device_s(now_s + LEAD_S)
             self._board, self._passing = board, True
             self._next_host_s = now_s + self._interval_s
-        self._controller.let_pass([(self._start_s + t, blocked) for t, blocked in board.edges])
+        self._controller.schedule_edges([(self._start_s + t, blocked) for t, blocked in board.edges])
 
     def _wait(self) -> None:
         with self._change:

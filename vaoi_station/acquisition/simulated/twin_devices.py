@@ -43,9 +43,9 @@ def open_simulated(config: StationConfig) -> Devices:
         clock,
         accept=lambda asked: accept_plan(asked, plan),
         fire=line.fire,
-        fire_still=line.fire_still,
-        armed=line.set_armed,
-        over=line.set_over,
+        fire_single=line.fire_single,
+        on_armed=line.set_armed,
+        on_run_end=line.set_over,
     )
     controller.line = line
     return Devices(cameras, controller)

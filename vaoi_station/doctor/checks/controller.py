@@ -29,9 +29,9 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     number_request,
 )
 from vaoi_station.acquisition.controller.protocol.refusals import check_ident
-from vaoi_station.acquisition.controller.serial.device_program import program_of
-from vaoi_station.acquisition.controller.serial.exchange import Line
-from vaoi_station.acquisition.controller.serial.port import Alarm, Port
+from vaoi_station.acquisition.controller.serial.device_program import make_program
+from vaoi_station.acquisition.controller.serial.exchange import Exchange
+from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.acquisition.controller.serial.timebase import Timebase
 from vaoi_station.acquisition.process.session import CLOCK_LIMIT_S, CLOCK_SHARE
 from vaoi_station.config import ControllerConfig, StationConfig
@@ -92,17 +92,17 @@ def of_running_station(patient: Patient) -> Finding:
 
 def ask(settings: ControllerConfig) -> Heard:
     """Talk to it for a moment; DeviceError says what is in the way."""
-    with closing(Alarm()) as alarm, closing(Port(settings.port, settings.baud, alarm)) as port:
-        line = Line(port, Link(), lambda _news, _heard_s: None, settings.port)
-        ident = check_ident(line.identify())
+    with closing(Waker()) as waker, closing(Port(settings.port, settings.baud, waker)) as port:
+        exchange = Exchange(port, Link(), lambda _news, _heard_s: None, settings.port)
+        ident = check_ident(exchange.identify())
         timebase = Timebase(settings.baud)
-        readings = tuple(_reading(line, timebase, nonce) for nonce in range(READINGS))
-        return Heard(ident, Status.unpack(line.ask(Request(Type.STATUS)).payload), readings)
+        readings = tuple(_reading(exchange, timebase, nonce) for nonce in range(READINGS))
+        return Heard(ident, Status.unpack(exchange.request(Request(Type.STATUS)).payload), readings)
 
 
-def _reading(line: Line, timebase: Timebase, nonce: int) -> ClockReading:
-    replied = line.ask(number_request(Type.CLOCK, nonce))
-    return timebase.read(ClockReply.unpack(replied.payload).tick, replied.sent_s, replied.received_s)
+def _reading(exchange: Exchange, timebase: Timebase, nonce: int) -> ClockReading:
+    replied = exchange.request(number_request(Type.CLOCK, nonce))
+    return timebase.add_reply(ClockReply.unpack(replied.payload).tick, replied.sent_s, replied.received_s)
 
 
 def judge_port(port: Path, machine: Machine) -> Finding:
@@ -154,7 +154,7 @@ def judge_limits(ident: Ident, config: StationConfig) -> Finding:
     longest = (ident.led_longest_0, ident.led_longest_1, ident.led_longest_2, ident.led_longest_3)
     figures: Figures = {f"channel_{k}_longest_us": ticks * TICK_S * 1e6 for k, ticks in enumerate(longest)}
     try:
-        program_of(TriggerPlan.of(config.line), config.controller, ident)
+        make_program(TriggerPlan.of(config.line), config.controller, ident)
     except InputError as error:
         action = error.action or "Correct [controller] in station.toml, or the firmware's logic/pulses/limits.h."
         return fault(error.message, action, subject="limits", figures=figures)

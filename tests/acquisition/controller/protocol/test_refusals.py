@@ -9,7 +9,7 @@ import pytest
 
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Type
-from vaoi_station.acquisition.controller.protocol.refusals import check_ident, sentence
+from vaoi_station.acquisition.controller.protocol.refusals import check_ident, describe
 from vaoi_station.errors import DeviceError
 
 
@@ -50,4 +50,4 @@ def test_old_firmware_is_refused_with_the_remedy() -> None:
     ],
 )
 def test_refusals_are_sentences(nak: Nak, words: str) -> None:
-    assert re.search(words, sentence(nak))
+    assert re.search(words, describe(nak))

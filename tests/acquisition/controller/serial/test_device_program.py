@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Step, Type
-from vaoi_station.acquisition.controller.serial.device_program import DARK, explain, program_of
+from vaoi_station.acquisition.controller.serial.device_program import DARK, explain_refusal, make_program
 from vaoi_station.config import ControllerConfig, LightConfig
 
 PLAN = TriggerPlan(start_delay_s=0.3, period_s=0.12, tail_s=0.4, max_rows=40, debounce_s=0.005)
@@ -18,7 +18,7 @@ LIGHTS = {"top": LightConfig(channels=(0, 1), on_us=300.0), "low": LightConfig(c
 
 def test_times_are_ticks_and_lights_are_steps_in_turn() -> None:
     config = ControllerConfig(backend="serial", lights=LIGHTS, order=("low", "top", "low"), min_gap_s=0.25)
-    program = program_of(PLAN, config, IDENT)
+    program = make_program(PLAN, config, IDENT)
     t = program.timing
     assert (t.start_delay, t.period, t.tail, t.debounce, t.min_gap) == (600_000, 240_000, 800_000, 10_000, 500_000)
     assert (t.max_rows, t.steps, t.trigger_width, t.pacing) == (40, 3, 200, 0)
@@ -29,11 +29,11 @@ def test_times_are_ticks_and_lights_are_steps_in_turn() -> None:
 def test_a_plan_may_name_its_own_lights() -> None:
     config = ControllerConfig(backend="serial", lights=LIGHTS)
     plan = TriggerPlan(**{**PLAN.__dict__, "lights": ("low",)})
-    assert program_of(plan, config, IDENT).lights == ("low",)
+    assert make_program(plan, config, IDENT).lights == ("low",)
 
 
 def test_without_lights_only_cameras_are_fired() -> None:
-    program = program_of(PLAN, ControllerConfig(backend="serial"), IDENT)
+    program = make_program(PLAN, ControllerConfig(backend="serial"), IDENT)
     assert program.steps == (DARK,)
     assert program.light(3) == ""
 
@@ -42,7 +42,7 @@ def test_without_lights_only_cameras_are_fired() -> None:
 def test_every_plan_can_be_sent(delay_s: float, period_s: float, rows: int) -> None:
     """Whether it is sensible the firmware decides: what is too large arrives as the largest number."""
     plan = TriggerPlan(delay_s, period_s, delay_s, rows, 0.0)
-    program = program_of(plan, ControllerConfig(backend="serial", trigger_us=2000), IDENT)
+    program = make_program(plan, ControllerConfig(backend="serial", trigger_us=2000), IDENT)
     assert len(program.timing.pack()) == 30
     assert program.crc >= 0
 
@@ -58,7 +58,7 @@ def test_every_plan_can_be_sent(delay_s: float, period_s: float, rows: int) -> N
     ],
 )  # fmt: skip
 def test_a_refusal_in_the_words_of_the_file(nak: Nak, words: str) -> None:
-    error = explain(nak, program_of(PLAN, ControllerConfig(backend="serial", lights=LIGHTS), IDENT))
+    error = explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial", lights=LIGHTS), IDENT))
     assert error is not None
     assert words in error.message
 
@@ -68,4 +68,4 @@ def test_a_refusal_in_the_words_of_the_file(nak: Nak, words: str) -> None:
     [Nak(Type.ARM, Reason.STATE, 0, 3), Nak(Type.COMMIT, Reason.CHECKSUM, 0, 1), Nak(Type.COMMIT, Reason.RANGE, 0, 1)],
 )  # fmt: skip
 def test_other_refusals_have_their_own_words(nak: Nak) -> None:
-    assert explain(nak, program_of(PLAN, ControllerConfig(backend="serial"), IDENT)) is None
+    assert explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial"), IDENT)) is None

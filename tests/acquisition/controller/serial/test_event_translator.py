@@ -16,20 +16,20 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
 )
 from vaoi_station.acquisition.controller.protocol.messages import ROW_NONE, Event, Fault, Kind, RunEnd, Suppressed
-from vaoi_station.acquisition.controller.serial.event_translator import Teller
+from vaoi_station.acquisition.controller.serial.event_translator import EventTranslator
 
 
 class Listener:
     def __init__(self) -> None:
-        self.teller = Teller()
+        self.translator = EventTranslator()
         self.told: list[ControllerEvent | DeviceFault] = []
-        self.teller.start(self.told.append)
-        self.teller.name_lights(lambda row: f"light {row}", "single light")
+        self.translator.start(self.told.append)
+        self.translator.set_lights(lambda row: f"light {row}", "single light")
 
     def hear(self, *events: tuple[Kind, int, int, int]) -> list[ControllerEvent | DeviceFault]:
         """(kind, detail, index, value) each, a second apart."""
         for number, (kind, detail, index, value) in enumerate(events):
-            self.teller.tell(Event(number, 2_000_000 * number, kind, detail, index, value), float(number))
+            self.translator.translate(Event(number, 2_000_000 * number, kind, detail, index, value), float(number))
         return self.told
 
 
@@ -90,7 +90,7 @@ def test_whatever_is_lost_runs_do_not_overlap_and_numbers_have_no_gaps(
 ) -> None:
     listener = Listener()
     listener.hear(*events)
-    listener.teller.end("over")
+    listener.translator.end("over")
     told = [t for t in listener.told if isinstance(t, ControllerEvent)]
     assert all(b.number == a.number + 1 for a, b in pairwise(told))
     open_runs = 0
@@ -101,4 +101,4 @@ def test_whatever_is_lost_runs_do_not_overlap_and_numbers_have_no_gaps(
         elif isinstance(event, RunEnded) and event.reason != "single":
             open_runs = 0
     assert open_runs == 0
-    assert not listener.teller.running
+    assert not listener.translator.running

@@ -19,7 +19,7 @@ from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.messages import REPLY, Type
 from vaoi_station.acquisition.controller.serial import SerialController
-from vaoi_station.acquisition.controller.serial.port import Alarm, Port
+from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError
 
@@ -123,15 +123,15 @@ def test_a_port_in_use() -> None:
 def test_closing_a_port_does_not_reset_the_board_behind_it() -> None:
     """DTR falls at the last closing only if HUPCL is set."""
     with device(lambda data: b"") as name:
-        alarm = Alarm()
+        waker = Waker()
         handle = os.open(name, os.O_RDWR | os.O_NOCTTY)
         flags = termios.tcgetattr(handle)
         flags[2] |= termios.HUPCL
         termios.tcsetattr(handle, termios.TCSANOW, flags)
-        Port(name, 250_000, alarm).close()
+        Port(name, 250_000, waker).close()
         assert not termios.tcgetattr(handle)[2] & termios.HUPCL
         os.close(handle)
-        alarm.close()
+        waker.close()
 
 
 def test_the_udev_rule_makes_the_name_that_is_looked_for() -> None:

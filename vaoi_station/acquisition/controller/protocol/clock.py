@@ -9,7 +9,7 @@ from __future__ import annotations
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.protocol.messages import TICK_S
 
-_TURN = 1 << 32
+_WRAP = 1 << 32
 
 
 class TickClock:
@@ -32,7 +32,7 @@ class TickClock:
         if not self._known:
             return tick * TICK_S
         expected = self.model.device_s(near_host_s) / TICK_S
-        return (tick + _TURN * round((expected - tick) / _TURN)) * TICK_S
+        return (tick + _WRAP * round((expected - tick) / _WRAP)) * TICK_S
 
     def host_s(self, tick: int, near_host_s: float) -> float:
         """Host time of a tick within 17 minutes of another host time; DeviceError before the first reading."""

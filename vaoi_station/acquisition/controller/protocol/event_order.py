@@ -6,20 +6,20 @@ from vaoi_station.acquisition.controller.protocol.messages import Event
 
 
 class EventOrder:
-    """Holds back what came too early, and knows which number is wanted next."""
+    """Holds back what came too early, and knows which number is next_number next."""
 
     def __init__(self) -> None:
-        self.wanted = 0
+        self.next_number = 0
         self._early: dict[int, Event] = {}
         self._announced = 0
         """All events before this number have happened."""
 
-    def take(self, event: Event) -> list[Event]:
+    def add(self, event: Event) -> list[Event]:
         """The events that are now complete up to here; none if this one is old or comes too early."""
-        if event.number >= self.wanted:
+        if event.number >= self.next_number:
             self._early[event.number] = event
             self.announce(event.number + 1)
-        return self._released()
+        return self._release()
 
     def announce(self, count: int) -> None:
         """So many have happened, says the controller."""
@@ -27,18 +27,18 @@ class EventOrder:
 
     def missing(self) -> int | None:
         """Number to be read again, because later ones exist."""
-        return self.wanted if self.wanted < self._announced else None
+        return self.next_number if self.next_number < self._announced else None
 
     def skip_to(self, number: int) -> tuple[int, list[Event]]:
         """Those before `number` are gone for ever; how many were, and what is complete without them."""
-        lost = sum(k not in self._early for k in range(self.wanted, number))
+        lost = sum(k not in self._early for k in range(self.next_number, number))
         waiting = [self._early.pop(k) for k in sorted(self._early) if k < number]
-        self.wanted = max(self.wanted, number)
-        return lost, waiting + self._released()
+        self.next_number = max(self.next_number, number)
+        return lost, waiting + self._release()
 
-    def _released(self) -> list[Event]:
+    def _release(self) -> list[Event]:
         events: list[Event] = []
-        while self.wanted in self._early:
-            events.append(self._early.pop(self.wanted))
-            self.wanted += 1
+        while self.next_number in self._early:
+            events.append(self._early.pop(self.next_number))
+            self.next_number += 1
         return events

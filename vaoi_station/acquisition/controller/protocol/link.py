@@ -25,9 +25,9 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     number_request,
 )
 
-TRY_AGAIN_S = 0.1
-TRIES = 10
-BEAT_S = 0.25
+RETRY_S = 0.1
+MAX_TRIES = 10
+HEARTBEAT_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Unanswered:
 
 
 @dataclass(frozen=True)
-class Happened:
+class EventReceived:
     """The next event."""
 
     event: Event
@@ -76,13 +76,13 @@ class Restarted:
     boots: int
 
 
-News = Replied | Refused | Unanswered | Happened | EventsLost | Restarted
+Notification = Replied | Refused | Unanswered | EventReceived | EventsLost | Restarted
 
 
 @dataclass
-class _Asked:
+class _Pending:
     request: Request
-    own: bool
+    internal: bool
     """Asked by the link itself, whose answer is nobody else's."""
     sequence: int = 0
     first_s: float = 0.0
@@ -93,11 +93,11 @@ class _Asked:
 class Link:
     """Give it the bytes that come and the time; send the bytes it gives, and hear the news."""
 
-    def __init__(self, *, beating: bool = False, first_sequence: int = 0) -> None:
-        self.beating = beating
+    def __init__(self, *, heartbeat: bool = False, first_sequence: int = 0) -> None:
+        self.heartbeat = heartbeat
         """Whether BEAT is sent; to be true while armed."""
         self.retries = 0
-        self.strays = 0
+        self.unmatched = 0
         """Messages that answer nothing."""
         self.messages = 0
         """Messages of any kind: signs of life."""
@@ -106,12 +106,12 @@ class Link:
         """The newest one."""
         self._reader = FrameReader()
         self._sequences = (k % 256 for k in itertools.count(first_sequence))
-        self._queue: deque[_Asked] = deque()
-        self._asked: _Asked | None = None
+        self._queue: deque[_Pending] = deque()
+        self._pending: _Pending | None = None
         self._order = EventOrder()
         self._acknowledged = 0
-        self._next_beat_s = 0.0
-        self._doubtful = False
+        self._next_heartbeat_s = 0.0
+        self._out_of_sync = False
         """Something does not fit the boot that is known."""
 
     @property
@@ -122,137 +122,143 @@ class Link:
     @property
     def up_to_date(self) -> bool:
         """Whether every event that is known to have happened has been told."""
-        return not self._doubtful and self._order.missing() is None
+        return not self._out_of_sync and self._order.missing() is None
 
     @property
-    def status_is_old(self) -> bool:
+    def status_is_outdated(self) -> bool:
         """Whether an event has been told that happened after the newest status."""
-        return self.status is not None and self._order.wanted > self.status.events_next
+        return self.status is not None and self._order.next_number > self.status.events_next
 
-    def ask(self, request: Request) -> None:
+    def request(self, request: Request) -> None:
         """Queue a request; its outcome will be among the news."""
-        self._queue.append(_Asked(request, own=False))
+        self._queue.append(_Pending(request, internal=False))
 
-    def abandon(self) -> None:
-        """The line is gone: what was asked is not asked again, and nobody will hear of it."""
+    def drop_requests(self) -> None:
+        """The line is gone: what was pending is not pending again, and nobody will hear of it."""
         self._queue.clear()
-        self._asked = None
+        self._pending = None
 
     def skip_history(self) -> None:
         """The events up to the newest status were somebody else's; they are not told."""
         if self.status is not None:
             self._order.skip_to(self.status.events_next)
 
-    def send(self, now_s: float) -> bytes:
+    def outgoing(self, now_s: float) -> bytes:
         """What is to be sent now: the next request, the one under way once more, or nothing."""
-        if self._asked is None:
-            self._asked = self._next(now_s)
-            if self._asked is None:
+        if self._pending is None:
+            self._pending = self._next_request(now_s)
+            if self._pending is None:
                 return b""
-            self._asked.sequence, self._asked.first_s = next(self._sequences), now_s
-        elif now_s - self._asked.last_s < TRY_AGAIN_S or self._asked.tries >= TRIES:
+            self._pending.sequence, self._pending.first_s = next(self._sequences), now_s
+        elif now_s - self._pending.last_s < RETRY_S or self._pending.tries >= MAX_TRIES:
             return b""
         else:
             self.retries += 1
-        self._asked.last_s = now_s
-        self._asked.tries += 1
-        return encode(Message(self._asked.request.type, self._asked.sequence, self._asked.request.payload))
+        self._pending.last_s = now_s
+        self._pending.tries += 1
+        return encode(Message(self._pending.request.type, self._pending.sequence, self._pending.request.payload))
 
-    def receive(self, data: bytes, now_s: float) -> list[News]:
+    def receive(self, data: bytes, now_s: float) -> list[Notification]:
         """What these bytes tell; call it with none to notice that a reply is overdue."""
-        news = [item for message in self._reader.feed(data) for item in self._take(message, now_s)]
-        asked = self._asked
-        if asked is not None and asked.tries >= TRIES and now_s - asked.last_s >= TRY_AGAIN_S:
-            self._asked = None
-            news += [] if asked.own else [Unanswered(asked.request)]
+        news = [item for message in self._reader.feed(data) for item in self._on_message(message, now_s)]
+        pending = self._pending
+        if pending is not None and pending.tries >= MAX_TRIES and now_s - pending.last_s >= RETRY_S:
+            self._pending = None
+            news += [] if pending.internal else [Unanswered(pending.request)]
         return news
 
-    def _next(self, now_s: float) -> _Asked | None:
+    def _next_request(self, now_s: float) -> _Pending | None:
         """Own needs come first: the heartbeat, then events that were lost on the way."""
-        if self.beating and now_s >= self._next_beat_s:
-            self._next_beat_s = now_s + BEAT_S
-            return _Asked(Request(Type.BEAT), own=True)
-        if self._doubtful:
-            return _Asked(Request(Type.STATUS), own=True)
+        if self.heartbeat and now_s >= self._next_heartbeat_s:
+            self._next_heartbeat_s = now_s + HEARTBEAT_S
+            return _Pending(Request(Type.BEAT), internal=True)
+        if self._out_of_sync:
+            return _Pending(Request(Type.STATUS), internal=True)
         if (missing := self._order.missing()) is not None:
-            return _Asked(number_request(Type.READ_EVENT, missing), own=True)
+            return _Pending(number_request(Type.READ_EVENT, missing), internal=True)
         if self._queue:
             return self._queue.popleft()
-        if self._acknowledged < self._order.wanted:
-            return _Asked(number_request(Type.ACK_EVENTS, self._order.wanted), own=True)
+        if self._acknowledged < self._order.next_number:
+            return _Pending(number_request(Type.ACK_EVENTS, self._order.next_number), internal=True)
         return None
 
-    def _take(self, message: Message, now_s: float) -> list[News]:
+    def _on_message(self, message: Message, now_s: float) -> list[Notification]:
         self.messages += 1
         if message.type == Type.EVENT:
-            return self._take_event(message)
-        asked = self._asked
+            return self._on_event(message)
+        pending = self._pending
         refused = message.type == Type.NAK
         if (
-            asked is None
-            or message.sequence != asked.sequence
-            or not (refused or message.type == asked.request.type | REPLY)
+            pending is None
+            or message.sequence != pending.sequence
+            or not (refused or message.type == pending.request.type | REPLY)
         ):
-            self.strays += 1
+            self.unmatched += 1
             return []
         try:
             news = (
-                self._refused(asked, Nak.unpack(message.payload)) if refused else self._replied(asked, message, now_s)
+                self._on_refusal(pending, Nak.unpack(message.payload))
+                if refused
+                else self._on_reply(pending, message, now_s)
             )
         except ValueError:  # a checksum that fits by chance, or another protocol: the request is tried again
-            self.strays += 1
+            self.unmatched += 1
             return []
-        if self._asked is asked:
-            self._asked = None
+        if self._pending is pending:
+            self._pending = None
         return news
 
-    def _take_event(self, message: Message) -> list[News]:
+    def _on_event(self, message: Message) -> list[Notification]:
         """Its sequence number is the low byte of the boot counter: so it is not taken for one of another boot."""
         try:
             event = Event.unpack(message.payload)
         except ValueError:
-            self.strays += 1
+            self.unmatched += 1
             return []
         if self.boots is None or message.sequence != self.boots % 256:
-            self._doubtful = True  # until STATUS has told the whole counter; the event will be read again
+            self._out_of_sync = True  # until STATUS has told the whole counter; the event will be read again
             return []
-        return [Happened(e) for e in self._order.take(event)]
+        return [EventReceived(e) for e in self._order.add(event)]
 
-    def _replied(self, asked: _Asked, message: Message, now_s: float) -> list[News]:
-        news: list[News] = []
+    def _on_reply(self, pending: _Pending, message: Message, now_s: float) -> list[Notification]:
+        news: list[Notification] = []
         payload = message.payload
-        if asked.request.type in (Type.STATUS, Type.BEAT):
+        if pending.request.type in (Type.STATUS, Type.BEAT):
             self.status = Status.unpack(payload)
-            self._doubtful = False
-            news += self._boot(self.status.boots)
+            self._out_of_sync = False
+            news += self._on_boot_count(self.status.boots)
             self._order.announce(self.status.events_next)
-        elif asked.request.type == Type.IDENT and payload[:1] == bytes([VERSION[0]]):
-            news += self._boot(Ident.unpack(payload).boots)
-        elif asked.request.type == Type.READ_EVENT and asked.own:
-            news += [Happened(e) for e in self._order.take(Event.unpack(payload))]
-        elif asked.request.type == Type.ACK_EVENTS and asked.own:
-            self._acknowledged = int.from_bytes(asked.request.payload, "little")
-        if not asked.own:
-            news.append(Replied(asked.request, payload, asked.first_s, now_s))
+        elif pending.request.type == Type.IDENT and payload[:1] == bytes([VERSION[0]]):
+            news += self._on_boot_count(Ident.unpack(payload).boots)
+        elif pending.request.type == Type.READ_EVENT and pending.internal:
+            news += [EventReceived(e) for e in self._order.add(Event.unpack(payload))]
+        elif pending.request.type == Type.ACK_EVENTS and pending.internal:
+            self._acknowledged = int.from_bytes(pending.request.payload, "little")
+        if not pending.internal:
+            news.append(Replied(pending.request, payload, pending.first_s, now_s))
         return news
 
-    def _refused(self, asked: _Asked, nak: Nak) -> list[News]:
-        if not asked.own:
-            return [Refused(asked.request, nak)]
-        if asked.request.type == Type.READ_EVENT and nak.reason == Reason.GONE and nak.limit > self._order.wanted:
+    def _on_refusal(self, pending: _Pending, nak: Nak) -> list[Notification]:
+        if not pending.internal:
+            return [Refused(pending.request, nak)]
+        if (
+            pending.request.type == Type.READ_EVENT
+            and nak.reason == Reason.GONE
+            and nak.limit > self._order.next_number
+        ):
             lost, events = self._order.skip_to(nak.limit)
-            return [EventsLost(lost), *(Happened(e) for e in events)]
-        self._doubtful = True
+            return [EventsLost(lost), *(EventReceived(e) for e in events)]
+        self._out_of_sync = True
         return []
 
-    def _boot(self, boots: int) -> list[News]:
-        """Compare the boot counter; the request that told it is answered, all others were asked of the past."""
+    def _on_boot_count(self, boots: int) -> list[Notification]:
+        """Compare the boot counter; the request that told it is answered, all others were pending of the past."""
         if self.boots == boots:
             return []
         first, self.boots = self.boots is None, boots
         self._order, self._acknowledged = EventOrder(), 0
         if first:
             return []
-        dropped = [a.request for a in self._queue if not a.own]
+        dropped = [a.request for a in self._queue if not a.internal]
         self._queue.clear()
         return [Restarted(boots), *(Unanswered(request) for request in dropped)]

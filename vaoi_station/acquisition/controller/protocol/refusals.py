@@ -58,7 +58,7 @@ def _dotted(version: tuple[int, ...]) -> str:
     return ".".join(str(number) for number in version)
 
 
-def sentence(nak: Nak) -> str:
+def describe(nak: Nak) -> str:
     """Why a request was refused, with field and limit."""
     request = Type(nak.request).name if nak.request in set(Type) else f"request {nak.request:#04x}"
     texts = {

@@ -12,8 +12,8 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
 from vaoi_station.acquisition.controller.protocol.messages import Ident
 from vaoi_station.acquisition.controller.serial.exchange import RefusalError, ResetError
-from vaoi_station.acquisition.controller.serial.port import Alarm
-from vaoi_station.acquisition.controller.serial.supervisor import Attendant
+from vaoi_station.acquisition.controller.serial.port import Waker
+from vaoi_station.acquisition.controller.serial.supervisor import Supervisor
 from vaoi_station.backoff import Backoff, Pace
 from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError
@@ -33,8 +33,8 @@ class SerialController:
     """A `Controller`; opened, identified and disarmed when it has been made."""
 
     def __init__(self, config: ControllerConfig) -> None:
-        self._alarm = Alarm()
-        self._attendant = Attendant(config, self._alarm)
+        self._waker = Waker()
+        self._supervisor = Supervisor(config, self._waker)
         self._broken: DeviceError | None = None
         """What a job has found broken."""
         self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
@@ -42,70 +42,70 @@ class SerialController:
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         try:
-            self._attendant.meet()
+            self._supervisor.connect()
         except BaseException:  # whatever ended it, tidy up; it is raised again
             self._release()
             raise
 
     def start(self, events: EventQueue) -> None:
         """Begin to report events."""
-        self._attendant.publish = events.put
-        self._attendant.teller.start(events.put)
+        self._supervisor.publish_reading = events.put
+        self._supervisor.translator.start(events.put)
         self._thread = threading.Thread(target=self._work, name="controller")
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
         """From now on every passage of the barrier is a run with this plan."""
-        self._do(lambda: self._attendant.arm(plan))
+        self._do(lambda: self._supervisor.arm(plan))
 
     def disarm(self) -> None:
         """Ignore the barrier; without a line, the controller will be disarmed when it is there again."""
-        attendant = self._attendant
-        with attendant.lock:
-            attendant.halted = False
-            if attendant.down is not None:
-                attendant.forget_orders()
+        supervisor = self._supervisor
+        with supervisor.lock:
+            supervisor.guard_tripped = False
+            if supervisor.unavailable is not None:
+                supervisor.drop_arming()
                 return
         try:
-            self._do(attendant.disarm)
+            self._do(supervisor.disarm)
         except DeviceError:  # it broke just now, and is told by the thread that mends it
-            with attendant.lock:
-                attendant.forget_orders()
+            with supervisor.lock:
+                supervisor.drop_arming()
 
     def fire_one(self) -> None:
         """Trigger all cameras and LEDs once."""
-        self._do(self._attendant.fire_one)
+        self._do(self._supervisor.fire_one)
 
     def read_clock(self) -> ClockReading:
         """Compare clocks."""
-        return self._do(self._attendant.read_clock)
+        return self._do(self._supervisor.read_clock)
 
     def health(self) -> str:
         """What it is and does, and how well the line is."""
-        attendant, link, ident = self._attendant, self._attendant.link, self.ident
-        state = "not reachable" if attendant.down else "armed" if attendant.orders else "idle"
+        supervisor, link, ident = self._supervisor, self._supervisor.link, self.ident
+        state = "not reachable" if supervisor.unavailable else "armed" if supervisor.arming else "idle"
         barrier = ", barrier interrupted" if link.status is not None and link.status.blocked else ""
         firmware = f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}"
-        noise = f"{link.bad_frames} bad frames, {link.retries} repeats, {link.strays} strays"
-        clock = f"clock ± {self.clock_bound_s * 1e3:.2f} ms, {attendant.time.drift_ppm():+.1f} ppm"
+        noise = f"{link.bad_frames} bad frames, {link.retries} repeats, {link.unmatched} strays"
+        clock = f"clock ± {self.clock_bound_s * 1e3:.2f} ms, {supervisor.timebase.drift_ppm():+.1f} ppm"
         return f"serial: {state}{barrier}, firmware {firmware}, start {link.boots}, {clock}, {noise}"
 
     @property
     def ident(self) -> Ident:
         """Who it is: versions, limits, start number."""
-        return self._attendant.ident
+        return self._supervisor.ident
 
     @property
     def clock_bound_s(self) -> float:
         """How well its clock is known."""
-        return self._attendant.time.bound_s()
+        return self._supervisor.timebase.bound_s()
 
     def close(self) -> None:
         """Disarm, then close the port."""
         self.disarm()
-        with self._attendant.lock:
+        with self._supervisor.lock:
             self._closing.set()
-            self._alarm.ring()
+            self._waker.wake()
         if self._thread is not None:
             self._thread.join()
         self._release()
@@ -114,12 +114,12 @@ class SerialController:
         """Let the thread do it; DeviceError at once while the line is down."""
         if self._thread is None:
             return job()
-        with self._attendant.lock:
-            if (down := self._attendant.down) is not None:
+        with self._supervisor.lock:
+            if (down := self._supervisor.unavailable) is not None:
                 raise DeviceError(down.message, action=down.action, code=down.code)
             future: Future[T] = Future()
             self._jobs.put((lambda: self._try(job), future))
-            self._alarm.ring()
+            self._waker.wake()
         return future.result()
 
     # --- the thread that talks
@@ -133,17 +133,17 @@ class SerialController:
     def _keep_at_it(self) -> None:
         while not self._closing.is_set():
             try:
-                if self._attendant.down is not None:
+                if self._supervisor.unavailable is not None:
                     self._backoff.begin()
-                    self._attendant.meet()
+                    self._supervisor.connect()
                 self._backoff.works()
                 self._serve()
             except ResetError as error:  # told when it is known what it cost
                 self._lose(error)
             except DeviceError as error:
-                self._attendant.teller.complain(error)
+                self._supervisor.translator.report_fault(error)
                 self._lose(error)
-                self._attendant.hang_up()
+                self._supervisor.disconnect()
                 self._closing.wait(self._backoff.fails())
 
     def _serve(self) -> None:
@@ -153,7 +153,7 @@ class SerialController:
             try:
                 job, future = self._jobs.get_nowait()
             except Empty:
-                self._attendant.listen()
+                self._supervisor.poll()
             else:
                 _carry_out(job, future)
                 if self._broken is not None:
@@ -171,7 +171,7 @@ class SerialController:
 
     def _lose(self, error: DeviceError) -> None:
         """Whoever waits is told, and whoever asks from now on."""
-        self._attendant.lose(error)
+        self._supervisor.mark_lost(error)
         while True:
             try:
                 _, future = self._jobs.get_nowait()
@@ -180,8 +180,8 @@ class SerialController:
             future.set_exception(error)
 
     def _release(self) -> None:
-        self._attendant.hang_up()
-        self._alarm.close()
+        self._supervisor.disconnect()
+        self._waker.close()
 
 
 def _carry_out(job: Callable[[], Any], future: Future[Any]) -> None:

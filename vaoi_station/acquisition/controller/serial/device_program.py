@@ -43,7 +43,7 @@ _MOST = {2: 0xFFFF, 9: 0xFFFF}
 
 
 @dataclass(frozen=True)
-class Program:
+class DeviceProgram:
     """A configuration of the firmware, and the names of its steps."""
 
     timing: Timing
@@ -60,7 +60,7 @@ class Program:
         return self.lights[row % len(self.lights)] if self.lights else ""
 
 
-def program_of(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> Program:
+def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
     """InputError for lights that do not exist, or that this firmware's limits forbid.
 
     What the firmware holds to be out of range it refuses itself: a value too large to be sent is sent as the largest.
@@ -82,7 +82,7 @@ def program_of(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> Pro
         _ticks(config.min_gap_s),
         _ticks(config.trigger_us * 1e-6),
     )
-    return Program(Timing(*(min(v, _MOST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values))), steps, lights)
+    return DeviceProgram(Timing(*(min(v, _MOST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values))), steps, lights)
 
 
 def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None) -> Step:
@@ -108,7 +108,7 @@ def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: floa
     return Step(sum({1 << c for c in light.channels}), width)
 
 
-def explain(nak: Nak, program: Program) -> InputError | None:
+def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
     """A refused COMMIT in the words of `station.toml`; None for a refusal that none of its values caused."""
     if nak.request != Type.COMMIT:
         return None

@@ -51,7 +51,7 @@ _FAULTS: dict[int, tuple[str, str]] = {
 }
 
 
-class Teller:
+class EventTranslator:
     """Knows whether a run is under way, and which rows it has had."""
 
     def __init__(self) -> None:
@@ -72,11 +72,11 @@ class Teller:
         """Events before this were history."""
         self._put = put
 
-    def name_lights(self, light: Callable[[int], str], single: str) -> None:
+    def set_lights(self, light: Callable[[int], str], single: str) -> None:
         """What rows and single pulses are lit by, from now on."""
         self._light, self._single_light = light, single
 
-    def tell(self, event: Event, time_s: float) -> None:
+    def translate(self, event: Event, time_s: float) -> None:
         """The next event of the firmware."""
         if event.kind == Kind.BOOT:
             return
@@ -91,7 +91,7 @@ class Teller:
             self._end(time_s, event.index + event.value, _ENDS.get(event.detail, "the controller ended it"))
         elif event.kind == Kind.FAULT and event.detail in _FAULTS:
             message, action = _FAULTS[event.detail]
-            self.complain(DeviceError(message, action=action, code="controller-safe"))
+            self.report_fault(DeviceError(message, action=action, code="controller-safe"))
 
     def end(self, reason: str) -> bool:
         """Nothing more will be heard of the run under way; False if there is none."""
@@ -100,7 +100,7 @@ class Teller:
         self._end(self._time_s, self._rows, reason)
         return True
 
-    def complain(self, error: DeviceError) -> None:
+    def report_fault(self, error: DeviceError) -> None:
         """The controller is in trouble."""
         if self._put is not None:
             self._put(DeviceFault("controller", error))
@@ -109,23 +109,23 @@ class Teller:
         if event.detail:
             self.end("the controller's report of its end was lost")
             self._running, self._rows = True, 0
-            self._tell(BarrierBlocked(next(self._numbers), time_s))
+            self._emit(BarrierBlocked(next(self._numbers), time_s))
         elif self._running:
-            self._tell(BarrierClear(next(self._numbers), time_s))
+            self._emit(BarrierClear(next(self._numbers), time_s))
 
     def _pulse(self, event: Event, time_s: float) -> None:
         if event.index == ROW_NONE:
-            self._tell(PulseFired(next(self._numbers), time_s, 0, self._single_light))
-            self._tell(RunEnded(next(self._numbers), time_s, 1, "single"))
+            self._emit(PulseFired(next(self._numbers), time_s, 0, self._single_light))
+            self._emit(RunEnded(next(self._numbers), time_s, 1, "single"))
             return
         self._running, self._rows = True, event.index + 1
-        self._tell(PulseFired(next(self._numbers), time_s, event.index, self._light(event.index)))
+        self._emit(PulseFired(next(self._numbers), time_s, event.index, self._light(event.index)))
 
     def _suppressed(self, event: Event, time_s: float) -> None:
         if event.detail == Suppressed.BOUNCE:
-            self._tell(BarrierBounce(next(self._numbers), time_s, event.value * TICK_S))
+            self._emit(BarrierBounce(next(self._numbers), time_s, event.value * TICK_S))
         elif event.detail == Suppressed.GAP:
-            self.complain(
+            self.report_fault(
                 DeviceError(
                     f"A board came {event.value * TICK_S:.3f} s after the one before had left, and was not filmed.",
                     action="Keep boards apart, or lower min_gap_s under [controller] in station.toml.",
@@ -134,12 +134,12 @@ class Teller:
             )
         elif event.detail in _SKIPPED:
             self._rows = event.index + 1
-            self._tell(PulseSkipped(next(self._numbers), time_s, event.index, _SKIPPED[event.detail]))
+            self._emit(PulseSkipped(next(self._numbers), time_s, event.index, _SKIPPED[event.detail]))
 
     def _end(self, time_s: float, rows: int, reason: str) -> None:
         self._running = False
-        self._tell(RunEnded(next(self._numbers), time_s, rows, reason))
+        self._emit(RunEnded(next(self._numbers), time_s, rows, reason))
 
-    def _tell(self, event: ControllerEvent) -> None:
+    def _emit(self, event: ControllerEvent) -> None:
         if self._put is not None:
             self._put(event)

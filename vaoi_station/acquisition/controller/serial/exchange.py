@@ -6,23 +6,23 @@ import time
 from collections.abc import Callable
 
 from vaoi_station.acquisition.controller.protocol.link import (
+    EventReceived,
     EventsLost,
-    Happened,
     Link,
-    News,
+    Notification,
     Refused,
     Replied,
     Restarted,
     Unanswered,
 )
 from vaoi_station.acquisition.controller.protocol.messages import Nak, Request, Status, Type
-from vaoi_station.acquisition.controller.protocol.refusals import check_ident, sentence
+from vaoi_station.acquisition.controller.protocol.refusals import check_ident, describe
 from vaoi_station.acquisition.controller.serial.port import Port
 from vaoi_station.errors import DeviceError
 
-TURN_S = 0.05
+POLL_S = 0.05
 """Heartbeats and repetitions are looked after this often."""
-PATIENCE_S = 4.0
+IDENTIFY_S = 4.0
 """A bootloader swallows the first bytes for one to two seconds."""
 
 
@@ -53,34 +53,34 @@ class RefusalError(DeviceError):
 
     @classmethod
     def of(cls, nak: Nak) -> RefusalError:
-        """Its sentence."""
-        error = cls(sentence(nak), action="Check [line] and [controller] in station.toml.")
+        """Its describe."""
+        error = cls(describe(nak), action="Check [line] and [controller] in station.toml.")
         error.nak = nak
         return error
 
 
-Told = Callable[[Happened | EventsLost, float], None]
+OnNotification = Callable[[EventReceived | EventsLost, float], None]
 """Called with what happened and the host time at which that was heard."""
 
 
-class Line:
+class Exchange:
     """One port, for one thread; the link outlives it."""
 
-    def __init__(self, port: Port, link: Link, told: Told, name: str) -> None:
-        self.port, self.link, self._told, self._name = port, link, told, name
-        self._before = link.messages
-        self._heard_s = time.monotonic()
+    def __init__(self, port: Port, link: Link, on_notification: OnNotification, name: str) -> None:
+        self.port, self.link, self._on_notification, self._name = port, link, on_notification, name
+        self._messages_before = link.messages
+        self._last_message_s = time.monotonic()
 
     @property
     def silence_s(self) -> float:
         """For how long nothing has been understood."""
-        return time.monotonic() - self._heard_s
+        return time.monotonic() - self._last_message_s
 
-    def ask(self, request: Request) -> Replied:
+    def request(self, request: Request) -> Replied:
         """Wait for the reply. Raises RefusalError, SilentError, ResetError or PortLostError."""
-        self.link.ask(request)
+        self.link.request(request)
         while True:
-            for item in self.turn():
+            for item in self.poll():
                 if isinstance(item, Replied):
                     return item
                 if isinstance(item, Refused):
@@ -91,21 +91,21 @@ class Line:
                         action="Check its power and its cable.",
                     )
 
-    def status(self) -> Status:
-        """As it is now, with every event up to then told."""
-        self.ask(Request(Type.STATUS))
+    def read_status(self) -> Status:
+        """As it is now, with every event up to then on_notification."""
+        self.request(Request(Type.STATUS))
         while not self.link.up_to_date:
-            self.turn()
-            self._must_live()
+            self.poll()
+            self._check_alive()
         assert self.link.status is not None
         return self.link.status
 
-    def turn(self) -> list[News]:
+    def poll(self) -> list[Notification]:
         """Send what is due, and take what comes within a moment. Raises ResetError or PortLostError."""
         try:
-            if data := self.link.send(time.monotonic()):
+            if data := self.link.outgoing(time.monotonic()):
                 self.port.write(data)
-            data = self.port.read(TURN_S)
+            data = self.port.read(POLL_S)
         except OSError as error:
             raise PortLostError(
                 f"The serial port {self._name} has gone ({error.strerror}).",
@@ -114,12 +114,12 @@ class Line:
         messages, now_s = self.link.messages, time.monotonic()
         news = self.link.receive(data, now_s)
         if self.link.messages > messages:
-            self._heard_s = now_s
+            self._last_message_s = now_s
         for item in news:
-            if isinstance(item, Happened | EventsLost):
-                self._told(item, now_s)
+            if isinstance(item, EventReceived | EventsLost):
+                self._on_notification(item, now_s)
             elif isinstance(item, Restarted):
-                self.link.abandon()
+                self.link.drop_requests()
                 raise ResetError(
                     f"The controller was reset (its start number {item.boots}).",
                     action="Nothing: it is being configured again.",
@@ -131,18 +131,18 @@ class Line:
 
         A reset that is noticed meanwhile changes nothing here: nothing else has been asked of it yet.
         """
-        give_up_s = time.monotonic() + PATIENCE_S
+        give_up_s = time.monotonic() + IDENTIFY_S
         while time.monotonic() < give_up_s:
             try:
-                payload = self.ask(Request(Type.IDENT)).payload
+                payload = self.request(Request(Type.IDENT)).payload
                 check_ident(payload)
                 return payload
             except (SilentError, ResetError):
                 continue
-        raise self._nobody()
+        raise self._no_reply()
 
-    def _nobody(self) -> DeviceError:
-        if self.port.received and self.link.messages == self._before:
+    def _no_reply(self) -> DeviceError:
+        if self.port.received and self.link.messages == self._messages_before:
             return DeviceError(
                 f"What is at {self._name} sends bytes, but no message of the trigger controller's protocol.",
                 action="Check which device the port leads to, its baud rate, and that our firmware is on it.",
@@ -153,6 +153,6 @@ class Line:
             action="Check its power and its cable, and that our firmware is on it.",
         )
 
-    def _must_live(self) -> None:
-        if self.silence_s > PATIENCE_S:
-            raise self._nobody()
+    def _check_alive(self) -> None:
+        if self.silence_s > IDENTIFY_S:
+            raise self._no_reply()

@@ -17,18 +17,18 @@ WRITE_S = 1.0
 _CONTROL_FLAGS = 2
 
 
-class Alarm:
+class Waker:
     """Ends the `read` of whichever port is open, or the next one."""
 
     def __init__(self) -> None:
-        self.handle, self._bell = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self.handle, self._write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
-    def ring(self) -> None:
+    def wake(self) -> None:
         """From any thread."""
         with contextlib.suppress(BlockingIOError):  # it rings already
-            os.write(self._bell, b"\0")
+            os.write(self._write_end, b"\0")
 
-    def stop(self) -> None:
+    def clear(self) -> None:
         """It has been heard."""
         with contextlib.suppress(BlockingIOError):
             os.read(self.handle, 4096)
@@ -36,32 +36,32 @@ class Alarm:
     def close(self) -> None:
         """Nobody rings any more."""
         os.close(self.handle)
-        os.close(self._bell)
+        os.close(self._write_end)
 
 
 class Port:
     """Open from the start; OSError from any method means that the device is gone."""
 
-    def __init__(self, name: str, baud: int, alarm: Alarm) -> None:
+    def __init__(self, name: str, baud: int, waker: Waker) -> None:
         """DeviceError says why it cannot be opened, and what to do."""
         try:
             self._serial = serial.Serial(name, baud, exclusive=True)
             _keep_dtr(self._serial.fileno())
         except (OSError, ValueError, termios.error) as error:
-            raise _refusal(name, error) from error
-        self._alarm = alarm
+            raise _open_error(name, error) from error
+        self._waker = waker
         self._incoming, self._outgoing = select.poll(), select.poll()
         self._incoming.register(self._serial.fileno(), select.POLLIN)
-        self._incoming.register(alarm.handle, select.POLLIN)
+        self._incoming.register(waker.handle, select.POLLIN)
         self._outgoing.register(self._serial.fileno(), select.POLLOUT)
         self.received = 0
         """Bytes so far."""
 
     def read(self, wait_s: float) -> bytes:
-        """What has come; nothing after `wait_s`, or when the alarm rings."""
+        """What has come; nothing after `wait_s`, or when the waker rings."""
         ready = {handle for handle, _ in self._incoming.poll(wait_s * 1000)}
-        if self._alarm.handle in ready:
-            self._alarm.stop()
+        if self._waker.handle in ready:
+            self._waker.clear()
         if self._serial.fileno() not in ready:
             return b""
         data = os.read(self._serial.fileno(), 4096)
@@ -93,7 +93,7 @@ def _keep_dtr(handle: int) -> None:
     termios.tcsetattr(handle, termios.TCSANOW, flags)
 
 
-def _refusal(name: str, error: Exception) -> DeviceError:
+def _open_error(name: str, error: Exception) -> DeviceError:
     number = getattr(error, "errno", None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         return DeviceError(

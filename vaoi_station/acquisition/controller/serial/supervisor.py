@@ -13,7 +13,7 @@ from random import randrange
 
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.controller.protocol.link import EventsLost, Happened, Link
+from vaoi_station.acquisition.controller.protocol.link import EventReceived, EventsLost, Link
 from vaoi_station.acquisition.controller.protocol.messages import (
     ClockReply,
     Fault,
@@ -30,19 +30,30 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     number_request,
 )
 from vaoi_station.acquisition.controller.protocol.refusals import check_ident
-from vaoi_station.acquisition.controller.serial.device_program import DARK, Program, explain, light_step, program_of
-from vaoi_station.acquisition.controller.serial.event_translator import Teller
-from vaoi_station.acquisition.controller.serial.exchange import Line, RefusalError, SilentError
-from vaoi_station.acquisition.controller.serial.port import Alarm, Port
+from vaoi_station.acquisition.controller.serial.device_program import (
+    DARK,
+    DeviceProgram,
+    explain_refusal,
+    light_step,
+    make_program,
+)
+from vaoi_station.acquisition.controller.serial.event_translator import EventTranslator
+from vaoi_station.acquisition.controller.serial.exchange import Exchange, RefusalError, SilentError
+from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.acquisition.controller.serial.timebase import Timebase
 from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError, StateError
 
-READINGS = 8
+CLOCK_READINGS = 8
 """Of the clock, at every meeting."""
-QUIET_S = 1.0
+STATUS_AGE_S = 1.0
 """After so long without a word on its state it is asked."""
-_CAUSES = {1: "its power came on", 2: "its reset line was pulled", 4: "its supply was too low", 8: "by its watchdog"}
+_CAUSES = {
+    1: "its power came on",
+    2: "its reset line was pulled",
+    4: "its supply was too low",
+    8: "by its watchdog",
+}
 _NOT_NOW: dict[int, str] = {
     Reason.LED_BUDGET: "the LEDs have not cooled down.",
     Reason.STATE: "the pulse before is still under way.",
@@ -51,110 +62,112 @@ _WATCHING = (State.ARMED, State.RUNNING)
 
 
 @dataclass(frozen=True)
-class Orders:
+class Arming:
     """What the controller should be doing."""
 
-    program: Program
+    program: DeviceProgram
     number: int
     """By which the firmware names this arming."""
 
 
-class Attendant:
-    """Whoever uses it from another thread holds `lock`, and touches `orders`, `down`, `halted` and `teller` alone."""
+class Supervisor:
+    """Keep the controller in the wanted state; callers in other threads hold `lock`."""
 
-    def __init__(self, config: ControllerConfig, alarm: Alarm) -> None:
-        self._config, self._alarm = config, alarm
-        self.link, self.teller, self.time = Link(), Teller(), Timebase(config.baud)
+    def __init__(self, config: ControllerConfig, waker: Waker) -> None:
+        self._config, self._waker = config, waker
+        self.link, self.translator, self.timebase = Link(), EventTranslator(), Timebase(config.baud)
         self.lock = threading.RLock()
-        self.orders: Orders | None = None
-        self.down: DeviceError | None = None
+        self.arming: Arming | None = None
+        self.unavailable: DeviceError | None = None
         """Why nothing can be asked of it at the moment."""
-        self.halted = False
+        self.guard_tripped = False
         """Its guard has spoken: it is not armed again before somebody has disarmed it."""
-        self.publish: Callable[[ClockReading], None] = lambda _reading: None
+        self.publish_reading: Callable[[ClockReading], None] = lambda _reading: None
         """Told of readings of the clock after it may have jumped."""
         self.ident: Ident
-        self._line: Line | None = None
+        self._exchange: Exchange | None = None
         self._boots: int | None = None
         """The start of the controller that its time is counted from."""
-        self._looked_at: Status | None = None
-        self._told_s = time.monotonic()
+        self._checked_status: Status | None = None
+        self._status_s = time.monotonic()
         """When it last said how it is."""
         self._number = randrange(0x10000)
 
     # --- meeting and losing it
 
-    def meet(self) -> None:
+    def connect(self) -> None:
         """Open the port if need be; who is it, what is its time, and does it do what it should?"""
-        if self._line is None:
-            port = Port(self._config.port, self._config.baud, self._alarm)
-            self._line = Line(port, self.link, self._heard, self._config.port)
-        self.link.beating = False
-        self.ident = check_ident(self._line.identify())
-        self._begin_time(self._line)
+        if self._exchange is None:
+            port = Port(self._config.port, self._config.baud, self._waker)
+            self._exchange = Exchange(port, self.link, self._on_notification, self._config.port)
+        self.link.heartbeat = False
+        self.ident = check_ident(self._exchange.identify())
+        self._start_timebase(self._exchange)
         while True:
-            orders = self.orders
-            self._bring_about(orders)
+            arming = self.arming
+            self._apply(arming)
             with self.lock:
-                if self.orders is orders:
-                    self.down = None
+                if self.arming is arming:
+                    self.unavailable = None
                     return
 
-    def lose(self, error: DeviceError) -> None:
+    def mark_lost(self, error: DeviceError) -> None:
         """From now on nothing can be asked of it."""
-        self.link.abandon()
+        self.link.drop_requests()
         with self.lock:
-            self.down = error
+            self.unavailable = error
 
-    def hang_up(self) -> None:
+    def disconnect(self) -> None:
         """Close the port, if it is open."""
-        line, self._line = self._line, None
-        if line is not None:
-            line.port.close()
+        exchange, self._exchange = self._exchange, None
+        if exchange is not None:
+            exchange.port.close()
 
-    def forget_orders(self) -> None:
+    def drop_arming(self) -> None:
         """It shall do nothing, whether or not it can be told so now."""
-        self.orders = None
-        self.teller.end("disarmed")
+        self.arming = None
+        self.translator.end("disarmed")
 
-    def _begin_time(self, line: Line) -> None:
+    def _start_timebase(self, exchange: Exchange) -> None:
         """Its clock, which a reset has begun anew; what another process did with it before is history."""
         if self._boots is None:
-            line.ask(Request(Type.STATUS))
+            exchange.request(Request(Type.STATUS))
             self.link.skip_history()
         elif self._boots != self.link.boots:
-            self._tell_of_reset()
-            self.time.restart()
+            self._report_reset()
+            self.timebase.restart()
         self._boots = self.link.boots
-        for _ in range(READINGS):
-            self.publish(self.read_clock())
+        for _ in range(CLOCK_READINGS):
+            self.publish_reading(self.read_clock())
 
-    def _bring_about(self, orders: Orders | None) -> None:
+    def _apply(self, arming: Arming | None) -> None:
         """Make it do what it should, if it does not."""
-        line, status = self._on_line(), self._on_line().status()
-        self.link.beating = orders is not None
-        if orders is None or self.halted:
+        exchange, status = self._exchange_or_error(), self._exchange_or_error().read_status()
+        self.link.heartbeat = arming is not None
+        if arming is None or self.guard_tripped:
             if status.state != State.IDLE:
-                line.ask(Request(Type.DISARM))
-        elif not (status.state in _WATCHING and (status.run, status.config_crc) == (orders.number, orders.program.crc)):
-            self._put_in_force(orders, status)
-        self._looked_at = line.status()
+                exchange.request(Request(Type.DISARM))
+        elif not (status.state in _WATCHING and (status.run, status.config_crc) == (arming.number, arming.program.crc)):
+            self._configure_and_arm(arming, status)
+        self._checked_status = exchange.read_status()
 
-    def _put_in_force(self, orders: Orders, status: Status) -> None:
-        line, program = self._on_line(), orders.program
+    def _configure_and_arm(self, arming: Arming, status: Status) -> None:
+        exchange, program = self._exchange_or_error(), arming.program
         if status.state != State.IDLE:
-            line.ask(Request(Type.DISARM))
+            exchange.request(Request(Type.DISARM))
         if status.config_crc != program.crc:
             for request in configuration(program.timing, program.steps):
-                line.ask(request)
-        line.ask(arm(orders.number, program.crc))
+                exchange.request(request)
+        exchange.request(arm(arming.number, program.crc))
 
-    def _tell_of_reset(self) -> None:
+    def _report_reset(self) -> None:
         """Named with what it cost; what had been fired of a run is kept."""
         causes = [words for bit, words in _CAUSES.items() if self.ident.reset_cause & bit]
         with self.lock:
-            cost = "the run under way was ended" if self.teller.end("the controller was reset") else "no run was cut"
-        self.teller.complain(
+            cost = (
+                "the run under way was ended" if self.translator.end("the controller was reset") else "no run was cut"
+            )
+        self.translator.report_fault(
             DeviceError(
                 f"The controller was reset ({', '.join(causes) or 'cause unknown'}); {cost}.",
                 action="Nothing, if that was meant: it is configured and armed again. Else check its supply.",
@@ -162,49 +175,49 @@ class Attendant:
             )
         )
 
-    def _on_line(self) -> Line:
-        if self._line is None:
+    def _exchange_or_error(self) -> Exchange:
+        if self._exchange is None:
             raise SilentError(f"The controller at {self._config.port} is not connected.")
-        return self._line
+        return self._exchange
 
     # --- what is asked of it
 
     def arm(self, plan: TriggerPlan) -> None:
         """See `Controller.arm`."""
-        program = program_of(plan, self._config, self.ident)
+        program = make_program(plan, self._config, self.ident)
         self._number = (self._number + 1) % 0x10000
-        orders = Orders(program, self._number)
-        line = self._on_line()
+        arming = Arming(program, self._number)
+        exchange = self._exchange_or_error()
         try:
-            self._put_in_force(orders, line.status())
+            self._configure_and_arm(arming, exchange.read_status())
         except RefusalError as refusal:
-            raise explain(refusal.nak, program) or refusal from refusal
+            raise explain_refusal(refusal.nak, program) or refusal from refusal
         with self.lock:
-            self.orders, self.halted = orders, False
-            self.teller.name_lights(program.light, program.light(0))
-        self.link.beating = True
-        self._looked_at = line.status()
+            self.arming, self.guard_tripped = arming, False
+            self.translator.set_lights(program.light, program.light(0))
+        self.link.heartbeat = True
+        self._checked_status = exchange.read_status()
 
     def disarm(self) -> None:
         """See `Controller.disarm`."""
-        line = self._on_line()
-        line.ask(Request(Type.DISARM))
-        self._looked_at = line.status()
+        exchange = self._exchange_or_error()
+        exchange.request(Request(Type.DISARM))
+        self._checked_status = exchange.read_status()
         with self.lock:
-            self.forget_orders()
-        self.link.beating = False
+            self.drop_arming()
+        self.link.heartbeat = False
 
     def fire_one(self) -> None:
         """See `Controller.fire_one`."""
-        if self.orders is not None:
+        if self.arming is not None:
             raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
         name = next(iter(self._config.lights_in_turn), "")
         step = light_step(name, self._config, self.ident) if name else DARK
-        self.teller.name_lights(lambda _row: "", name)
+        self.translator.set_lights(lambda _row: "", name)
         self._number = (self._number + 1) % 0x10000
         width = min(round(self._config.trigger_us * 2), 0xFFFF)
         try:
-            self._on_line().ask(fire_one(self._number, step, width))
+            self._exchange_or_error().request(fire_one(self._number, step, width))
         except RefusalError as refusal:
             why = _NOT_NOW.get(refusal.nak.reason)
             if why is None:
@@ -213,46 +226,46 @@ class Attendant:
 
     def read_clock(self) -> ClockReading:
         """See `Controller.read_clock`."""
-        replied = self._on_line().ask(number_request(Type.CLOCK, randrange(1 << 32)))
-        return self.time.read(ClockReply.unpack(replied.payload).tick, replied.sent_s, replied.received_s)
+        replied = self._exchange_or_error().request(number_request(Type.CLOCK, randrange(1 << 32)))
+        return self.timebase.add_reply(ClockReply.unpack(replied.payload).tick, replied.sent_s, replied.received_s)
 
     # --- what it tells
 
-    def listen(self) -> None:
+    def poll(self) -> None:
         """Hear what comes within a moment, and see that it does what it should."""
-        line, before = self._on_line(), self.link.status
-        line.turn()
-        self._look()
+        exchange, before = self._exchange_or_error(), self.link.status
+        exchange.poll()
+        self._check_status()
         if self.link.status is not before:
-            self._told_s = time.monotonic()
-        elif time.monotonic() - self._told_s > QUIET_S:
-            line.status()
+            self._status_s = time.monotonic()
+        elif time.monotonic() - self._status_s > STATUS_AGE_S:
+            exchange.read_status()
 
-    def _heard(self, item: Happened | EventsLost, now_s: float) -> None:
+    def _on_notification(self, item: EventReceived | EventsLost, now_s: float) -> None:
         with self.lock:
             if isinstance(item, EventsLost):
-                self.teller.complain(
+                self.translator.report_fault(
                     DeviceError(
                         f"{item.count} events of the controller were overwritten before they could be read.",
-                        action="The line was down or this computer stopped for long; look at the runs of that time.",
+                        action="The link was down or this computer stopped for long; check the runs of that time.",
                         code="events-lost",
                     )
                 )
                 return
             event = item.event
             if event.kind == Kind.FAULT and event.detail == Fault.GUARD:
-                self.halted = True
-            self.teller.tell(event, self.time.time_s(event.tick, now_s))
+                self.guard_tripped = True
+            self.translator.translate(event, self.timebase.time_s(event.tick, now_s))
 
-    def _look(self) -> None:
+    def _check_status(self) -> None:
         """A new status: a run whose end was overwritten has ended; what is not watching should be."""
         status = self.link.status
-        if status is None or status is self._looked_at or self.link.status_is_old or not self.link.up_to_date:
+        if status is None or status is self._checked_status or self.link.status_is_outdated or not self.link.up_to_date:
             return
-        self._looked_at = status
+        self._checked_status = status
         with self.lock:
             if status.state != State.RUNNING:
-                self.teller.end("the controller's report of its end was lost")
-            amiss = self.orders is not None and not self.halted and status.state not in _WATCHING
+                self.translator.end("the controller's report of its end was lost")
+            amiss = self.arming is not None and not self.guard_tripped and status.state not in _WATCHING
         if amiss:
-            self._bring_about(self.orders)
+            self._apply(self.arming)

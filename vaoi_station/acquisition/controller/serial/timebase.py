@@ -9,11 +9,11 @@ from __future__ import annotations
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol.clock import TickClock
 
-APART_S = 3600.0
+BOOT_SPACING_S = 3600.0
 """Between the end of one boot's stretch and the beginning of the next."""
 BITS_PER_BYTE = 10
-QUESTION_BYTES = 10
-ANSWER_BYTES = 14
+REQUEST_BYTES = 10
+REPLY_BYTES = 14
 """Frames of CLOCK and its reply on the line."""
 
 
@@ -22,18 +22,18 @@ class Timebase:
 
     def __init__(self, baud: int) -> None:
         byte_s = BITS_PER_BYTE / baud
-        self._there_s, self._back_s = QUESTION_BYTES * byte_s, ANSWER_BYTES * byte_s
+        self._request_s, self._reply_s = REQUEST_BYTES * byte_s, REPLY_BYTES * byte_s
         self._clock = TickClock()
         self._origin_s = self._latest_s = 0.0
 
     def restart(self) -> None:
         """The controller has been reset."""
         self._clock = TickClock()
-        self._origin_s = self._latest_s + APART_S
+        self._origin_s = self._latest_s + BOOT_SPACING_S
 
-    def read(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
+    def add_reply(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
         """A reply to CLOCK: the tick is of a time when the whole question had arrived and the answer had not begun."""
-        earliest_s, latest_s = sent_s + self._there_s, received_s - self._back_s
+        earliest_s, latest_s = sent_s + self._request_s, received_s - self._reply_s
         if earliest_s > latest_s:  # faster than a line of this rate: it is none
             earliest_s, latest_s = sent_s, received_s
         reading = self._clock.add(tick, earliest_s, latest_s)
