@@ -13,7 +13,7 @@ _DOUBLINGS = 20
 
 
 @dataclass(frozen=True)
-class Pace:
+class BackoffPolicy:
     """How soon a thing is tried again."""
 
     first_s: float
@@ -26,24 +26,24 @@ class Pace:
 class Backoff:
     """The failures of one thing; used by one thread, `due_s` may be read by any."""
 
-    def __init__(self, pace: Pace, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, pace: BackoffPolicy, clock: Callable[[], float] = time.monotonic) -> None:
         self._pace, self._clock = pace, clock
         self._failures = 0
         self._works_since_s: float | None = None
         self.due_s: float | None = None
         """When it is to be tried again, time.monotonic(); None while it works, or is being tried."""
 
-    def begin(self) -> None:
+    def start_attempt(self) -> None:
         """It is being tried."""
         self.due_s = self._works_since_s = None
 
-    def works(self) -> None:
+    def record_success(self) -> None:
         """It works, as far as one can tell; harmless when told again."""
         self.due_s = None
         if self._works_since_s is None:
             self._works_since_s = self._clock()
 
-    def fails(self, longest_s: float | None = None) -> float:
+    def record_failure(self, longest_s: float | None = None) -> float:
         """It works no longer, or could not be begun; how long to wait.
 
         Args:
@@ -59,10 +59,10 @@ class Backoff:
         self.due_s = now_s + pause_s
         return pause_s
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Something has changed, so that the failures so far say nothing: it is to be tried now."""
         self._failures, self._works_since_s, self.due_s = 0, None, self._clock()
 
-    def left_s(self) -> float:
+    def remaining_s(self) -> float:
         """How long to wait until it is to be tried."""
         return 0.0 if self.due_s is None else max(self.due_s - self._clock(), 0.0)

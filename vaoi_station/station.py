@@ -114,11 +114,11 @@ class Station:
 def serve(config: StationConfig, port: int | None = None) -> None:
     """The whole service, until SIGTERM or SIGINT."""
     from vaoi_station.api import create_app
-    from vaoi_station.api.serving import WebServer, listener
+    from vaoi_station.api.web_server import WebServer, open_listener
 
     address = (config.api.host, config.api.port if port is None else port)
-    with StopRequest() as stop, listener(*address, "[api]") as socket_, Station(config) as station:
-        web = WebServer(create_app(station.coordinator, (config.api.host, *config.api.names)), socket_, stop.ask)
+    with StopRequest() as stop, open_listener(*address, "[api]") as socket_, Station(config) as station:
+        web = WebServer(create_app(station.coordinator, (config.api.host, *config.api.names)), socket_, stop.request)
         web.start()
         notify("READY=1")
         if name := stop.wait():

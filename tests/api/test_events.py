@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.api import waiting
+from vaoi_station.api import event_hub
 
 
 def messages(response: Any) -> Iterator[dict[str, str]]:
@@ -91,7 +91,7 @@ def test_streams_end_when_the_station_stops(served: Any) -> None:
 
 
 def test_one_listener_too_many_is_told_before_the_stream_begins(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(waiting, "MAX_WAITING", 1)
+    monkeypatch.setattr(event_hub, "MAX_WAITING", 1)
     with served.client.stream("GET", "/api/v1/events") as response:
         stream = messages(response)
         assert next(stream)["event"] == "heartbeat"

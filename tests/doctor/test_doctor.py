@@ -96,10 +96,10 @@ def test_beside_a_station_that_runs(station_toml: Path) -> None:
     import threading
 
     from vaoi_station.api import create_app
-    from vaoi_station.api.serving import WebServer, listener
+    from vaoi_station.api.web_server import WebServer, open_listener
 
     config = read_config(station_toml)
-    with listener("127.0.0.1", config.api.port, "[api]") as bound, Station(config) as station:
+    with open_listener("127.0.0.1", config.api.port, "[api]") as bound, Station(config) as station:
         assert isinstance(bound, socket.socket)
         web = WebServer(create_app(station.coordinator, ("127.0.0.1",)), bound, threading.Event().set)
         web.start()

@@ -44,7 +44,7 @@ from vaoi_station.runs.run.order import OrderDesk
 from vaoi_station.runs.run.reference_store import ReferenceShelf
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import Answer, CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun, Reply
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
@@ -121,7 +121,7 @@ class ScriptedWorkers:
     """Does links at once unless told to keep them, and concludes with `result`."""
 
     keep: bool = False
-    kept: list[tuple[Job, Callable[[Answer], None]]] = field(default_factory=list)
+    kept: list[tuple[Job, Callable[[Reply], None]]] = field(default_factory=list)
     done: list[Job] = field(default_factory=list)
     opened: list[OpenRun] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
@@ -129,22 +129,22 @@ class ScriptedWorkers:
     displacement_px: float = 0.0
     """By which camera 1 shows itself displaced along y."""
 
-    def submit(self, job: Job, done: Callable[[Answer], None]) -> None:
+    def submit(self, job: Job, done: Callable[[Reply], None]) -> None:
         if self.keep:
             self.kept.append((job, done))
         else:
             self.perform(job, done)
 
-    def perform(self, job: Job, done: Callable[[Answer], None]) -> None:
+    def perform(self, job: Job, done: Callable[[Reply], None]) -> None:
         self.done.append(job)
         if isinstance(job, LinkJob):
-            done(Answer(tuple(Linked.of(Links.empty(task, "scripted"), 0.001) for task in job.tasks), None, 0.001))
+            done(Reply(tuple(Linked.of(Links.empty(task, "scripted"), 0.001) for task in job.tasks), None, 0.001))
         elif isinstance(job, ConcludeJob):
-            done(Answer(Concluded(gist(stitch := self.result(job.head)), stitch_text(stitch)), None, 0.002))
+            done(Reply(Concluded(gist(stitch := self.result(job.head)), stitch_text(stitch)), None, 0.002))
         elif isinstance(job, CheckJob):
-            done(Answer(self.check(job.run), None, 0.003))
+            done(Reply(self.check(job.run), None, 0.003))
         else:
-            done(Answer(b"picture", None, 0.001))
+            done(Reply(b"picture", None, 0.001))
 
     def check(self, run: str) -> RunCheck:
         """Camera 0 as it was calibrated, camera 1 displaced."""

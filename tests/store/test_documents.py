@@ -76,7 +76,7 @@ def test_what_is_written_is_there_after_a_restart(store: Store, database: Databa
     later = Store(Database(path))
     assert later.result("r1") == '{"m": 1}'
     assert later.events(0, 10) == [EventRow(1, '{"e": 1}')]
-    later.frames_are_gone("gone").result(10)
+    later.mark_frames_gone("gone").result(10)
     row = later.run("r1")
     assert row is not None
     assert row.state == "gone"

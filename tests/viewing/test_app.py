@@ -12,17 +12,17 @@ from fastapi.testclient import TestClient
 
 from vaoi_station.config import StationConfig
 from vaoi_station.viewing.app import create_app
-from vaoi_station.viewing.newest import Newest
-from vaoi_station.viewing.spec import MarkSpec
+from vaoi_station.viewing.latest_frames import LatestFrames
+from vaoi_station.viewing.mark_spec import MarkSpec
 
 
 @pytest.fixture
-def newest() -> Newest:
-    return Newest([MarkSpec("cross", 24.0, light=False, expected=4), None])
+def newest() -> LatestFrames:
+    return LatestFrames([MarkSpec("cross", 24.0, light=False, expected=4), None])
 
 
 @pytest.fixture
-def client(newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[TestClient]:
+def client(newest: LatestFrames, make_config: Callable[..., StationConfig]) -> Iterator[TestClient]:
     app = create_app(make_config(), newest, ["Armed: waiting for a board."])
     with TestClient(app, base_url="http://127.0.0.1") as client:
         yield client
@@ -34,7 +34,7 @@ def test_before_the_first_frame_there_is_nothing_to_show(client: TestClient) -> 
     assert told["notices"] == ["Armed: waiting for a board."]
 
 
-def test_figures_marks_and_picture_are_of_one_frame(client: TestClient, newest: Newest, painter: Any) -> None:
+def test_figures_marks_and_picture_are_of_one_frame(client: TestClient, newest: LatestFrames, painter: Any) -> None:
     newest.put(0, "007", 4, painter.marks())
     told = client.get("/api/look", params={"after": 0, "timeout_s": 5}).json()
     camera = told["cameras"][0]

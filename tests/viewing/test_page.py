@@ -14,21 +14,21 @@ import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
 from tests.needs import chromium
-from vaoi_station.api.serving import WebServer, listener
+from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.site import build_site
 from vaoi_station.simulation import calibration_board, scenario_path
 from vaoi_station.viewing.app import create_app
-from vaoi_station.viewing.newest import Newest
-from vaoi_station.viewing.spec import MarkSpec
+from vaoi_station.viewing.latest_frames import LatestFrames
+from vaoi_station.viewing.mark_spec import MarkSpec
 
 pytestmark = pytest.mark.browser
 PATIENCE_MS = 20_000
 
 
 @pytest.fixture
-def newest() -> Newest:
-    return Newest([MarkSpec("cross", 24.0, light=False, expected=4), None])
+def newest() -> LatestFrames:
+    return LatestFrames([MarkSpec("cross", 24.0, light=False, expected=4), None])
 
 
 @pytest.fixture
@@ -47,9 +47,9 @@ def browser() -> Iterator[Page]:
 
 
 @pytest.fixture
-def page(browser: Page, newest: Newest, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
+def page(browser: Page, newest: LatestFrames, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
     """The page with frames as a test puts them."""
-    with listener("127.0.0.1", 0, "test") as socket_:
+    with open_listener("127.0.0.1", 0, "test") as socket_:
         server = WebServer(create_app(make_config(), newest, ["Armed."]), socket_, threading.Event().set)
         server.start()
         browser.goto(server.address)
@@ -59,7 +59,7 @@ def page(browser: Page, newest: Newest, make_config: Callable[..., StationConfig
         server.check()
 
 
-def test_frames_are_shown_as_they_come(page: Page, newest: Newest, painter: Any) -> None:
+def test_frames_are_shown_as_they_come(page: Page, newest: LatestFrames, painter: Any) -> None:
     expect(page.locator("#state")).to_have_text("Waiting for the first frame.")
     newest.put(0, "001", 2, painter.marks())
     first = page.locator(".camera").nth(0)
@@ -74,7 +74,7 @@ def test_frames_are_shown_as_they_come(page: Page, newest: Newest, painter: Any)
     expect(page.locator("#notices")).to_contain_text("Armed.")
 
 
-def test_the_best_focus_is_remembered_and_hold_holds(page: Page, newest: Newest, painter: Any) -> None:
+def test_the_best_focus_is_remembered_and_hold_holds(page: Page, newest: LatestFrames, painter: Any) -> None:
     sharp = painter.marks()
     newest.put(0, "001", 0, sharp)
     words = page.locator(".words")

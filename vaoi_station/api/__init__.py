@@ -10,12 +10,12 @@ from fastapi.routing import APIRoute
 
 from vaoi_station import __version__
 from vaoi_station.api import openapi, pages, problems
-from vaoi_station.api.edge import Edge
+from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
+from vaoi_station.api.request_guard import RequestGuard
+from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import board_types, calibration, components, events, frames, runs, station, stitching
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import Health
-from vaoi_station.api.waiting import Hub
 from vaoi_station.runs.control.facade import Coordinator, StationState
 
 PREFIX = "/api/v1"
@@ -30,7 +30,7 @@ def create_app(coordinator: Coordinator, names: Iterable[str] = ()) -> FastAPI:
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for their
     callers; an event of kind "station" with state "stopping" does the same.
     """
-    services = Services(coordinator, Hub(coordinator))
+    services = Services(coordinator, EventHub(coordinator))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -55,7 +55,7 @@ def create_app(coordinator: Coordinator, names: Iterable[str] = ()) -> FastAPI:
     _add_health(app, services)
     pages.install(app)
     openapi.install(app)
-    app.add_middleware(Edge, names=allowed_names(names))
+    app.add_middleware(RequestGuard, names=allowed_names(names))
     return app
 
 

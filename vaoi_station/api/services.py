@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from vaoi_station.api.waiting import COMMAND_THREADS, PICTURE_THREADS, Hub, Threads
+from vaoi_station.api.event_hub import COMMAND_THREADS, PICTURE_THREADS, EventHub, ThreadLimit
 from vaoi_station.runs.control.facade import Coordinator
 
 
@@ -13,6 +13,6 @@ class Services:
     """The coordinator, and the ways to call it without blocking the event loop."""
 
     coordinator: Coordinator
-    hub: Hub
-    commands: Threads = field(default_factory=lambda: Threads(COMMAND_THREADS))
-    pictures: Threads = field(default_factory=lambda: Threads(PICTURE_THREADS))
+    hub: EventHub
+    commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
+    pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))

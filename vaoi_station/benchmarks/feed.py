@@ -24,7 +24,7 @@ from vaoi_station.benchmarks.film import Film
 from vaoi_station.benchmarks.sender import Order
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.control.acquisition_link import Launch, Process
-from vaoi_station.runs.host.process_setup import settle_in
+from vaoi_station.runs.host.process_setup import set_up_process
 
 if TYPE_CHECKING:
     Pipe = Connection[Any, Any]
@@ -151,5 +151,5 @@ def launched(config: StationConfig, ring: Path, film: Film, rate: float, pause_s
 def _acquire(
     config: StationConfig, ring: str, connection: Pipe, film: Film, rate: float, pause_s: float, feed: Pipe
 ) -> None:
-    settle_in(one_thread=False)
+    set_up_process(one_thread=False)
     run_acquisition(config, Path(ring), connection, partial(fed_devices, film, rate, pause_s, feed))

@@ -16,7 +16,7 @@ import numpy as np
 from vaoi_station.benchmarks.film import Film, film
 from vaoi_station.benchmarks.usage import own_memory_bytes
 from vaoi_station.errors import InternalError
-from vaoi_station.runs.host.process_setup import settle_in
+from vaoi_station.runs.host.process_setup import set_up_process
 from vaoi_station.simulation import Scenario
 
 ROWS = (4, 10, 33, 100, 333)
@@ -91,7 +91,7 @@ def _stitched_apart(board: Film) -> Growth:
 
 
 def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
-    settle_in(one_thread=True)
+    set_up_process(one_thread=True)
     import cv2
 
     from vaoi_station.runs.workers.warmup import warm_up

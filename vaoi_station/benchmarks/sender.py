@@ -15,7 +15,7 @@ from typing import Any
 
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.benchmarks.film import Film
-from vaoi_station.runs.host.process_setup import settle_in
+from vaoi_station.runs.host.process_setup import set_up_process
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def sender(film: Film) -> Iterator[Sender]:
 
 def send(film: Film, connection: Connection[Any, Any]) -> None:
     """Fill slots until the pipe ends: first comes the ring's path, then orders; each is sent back when it is done."""
-    settle_in(one_thread=True)
+    set_up_process(one_thread=True)
     frames = film.map()
     with (
         contextlib.suppress(EOFError, ConnectionResetError, BrokenPipeError),

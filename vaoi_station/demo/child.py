@@ -14,14 +14,14 @@ from pathlib import Path
 
 from vaoi_station.config import read_config
 from vaoi_station.errors import VaoiError
-from vaoi_station.runs.host.logs import start_log
+from vaoi_station.runs.host.logs import configure_logging
 from vaoi_station.station import serve
 
 
 def main(config: str, port: str) -> int:
     """Serve until SIGTERM, or until standard input ends."""
     threading.Thread(target=_end_with_the_other, name="lifeline", daemon=True).start()
-    start_log(as_json=False)
+    configure_logging(as_json=False)
     try:
         serve(read_config(Path(config)), int(port))
     except VaoiError as error:

@@ -15,7 +15,7 @@ from typing import Literal
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.store.board_stitching import BoardStitching
-from vaoi_station.store.checks import Checks
+from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.database import Database
 
 Kind = Literal["board-type", "calibration"]
@@ -55,7 +55,7 @@ class Store:
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self.checks = Checks(database)
+        self.checks = CalibrationChecks(database)
         self.stitching = BoardStitching(database)
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
@@ -121,7 +121,7 @@ class Store:
             _row(r) for r in self._database.read(f"SELECT {_COLUMNS} FROM runs WHERE finish_number IS NULL ORDER BY id")
         ]
 
-    def frames_are_gone(self, gone: str) -> Future[None]:
+    def mark_frames_gone(self, gone: str) -> Future[None]:
         """All finished runs of earlier lives: their memory no longer exists."""
 
         def write(connection: sqlite3.Connection) -> None:

@@ -11,17 +11,17 @@ from fastapi.responses import FileResponse, Response
 
 from vaoi_station import __version__
 from vaoi_station.api import problems
-from vaoi_station.api.edge import Edge
 from vaoi_station.api.pages import FRESH, Assets
+from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.config import StationConfig
-from vaoi_station.viewing.newest import Newest
-from vaoi_station.viewing.shapes import shot_document
+from vaoi_station.viewing.frame_documents import frame_document
+from vaoi_station.viewing.latest_frames import LatestFrames
 
 WEB = Path(__file__).parent / "web"
 LONGEST_WAIT_S = 5.0
 
 
-def create_app(config: StationConfig, newest: Newest, notices: Sequence[str]) -> FastAPI:
+def create_app(config: StationConfig, newest: LatestFrames, notices: Sequence[str]) -> FastAPI:
     """The page and two addresses: `/api/look` (figures and marks) and `/api/cameras/N/picture` (JPEG)."""
     app = FastAPI(title="VAOI view", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
     problems.install(app)
@@ -44,7 +44,7 @@ def create_app(config: StationConfig, newest: Newest, notices: Sequence[str]) ->
         """The newest frame of every camera; waits until there is one with a number beyond `after`."""
         newest.wait(after, timeout_s)
         response.headers["Cache-Control"] = "no-store"
-        cameras = [shot_document(shot, config) for shot in newest.shots()]
+        cameras = [frame_document(shot, config) for shot in newest.shots()]
         names = [c.name for c in config.cameras]
         number = max((c["number"] for c in cameras), default=0)
         return {"station": config.name, "names": names, "number": number, "cameras": cameras, "notices": list(notices)}
@@ -55,5 +55,5 @@ def create_app(config: StationConfig, newest: Newest, notices: Sequence[str]) ->
         headers = {"Cache-Control": "no-store"}
         return Response(newest.shot(camera, number).jpeg(), media_type="image/jpeg", headers=headers)
 
-    app.add_middleware(Edge)
+    app.add_middleware(RequestGuard)
     return app

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.acquisition.process.messages import Disarm, Ready, Shutdown, Trouble
-from vaoi_station.backoff import Pace
+from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.runs.control import acquisition_link as module
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink, longest_s
 from vaoi_station.runs.states.schemas import STARTING, WAITING
@@ -103,14 +103,14 @@ def test_who_cannot_begin_or_dies_as_soon_as_it_is_ready_is_started_again_ever_m
     monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
 ) -> None:
     pauses: list[float] = []
-    fails = link._backoff.fails
+    record_failure = link._backoff.record_failure
 
     def fails_briefly(longest_s: float | None = None) -> float:
-        pauses.append(fails(longest_s))
+        pauses.append(record_failure(longest_s))
         link._backoff.due_s = None
         return 0.0
 
-    monkeypatch.setattr(link._backoff, "fails", fails_briefly)
+    monkeypatch.setattr(link._backoff, "record_failure", fails_briefly)
     for life in range(1, 7):
         peer.life(life)
         peer.say(Ready(3)) if life in (3, 4) else peer.say(Trouble("port-absent", "There is no serial port.", ""))
@@ -146,7 +146,7 @@ def test_when_it_is_started_again_is_told(
     peer.die(0)
     peer.life(2)
     assert link.status().next_try is None, "it is being started"
-    monkeypatch.setattr(link._backoff, "_pace", Pace(first_s=60.0, longest_s=60.0, proven_s=30.0))
+    monkeypatch.setattr(link._backoff, "_pace", BackoffPolicy(first_s=60.0, longest_s=60.0, proven_s=30.0))
     before = datetime.now(UTC)
     peer.say(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
     peer.die(0)

@@ -10,7 +10,7 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import InternalError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.workers.jobs import Answer, CheckJob
+from vaoi_station.runs.workers.jobs import CheckJob, Reply
 
 
 def film(rig: Any, grant: messages.Grant) -> messages.Grant:
@@ -74,7 +74,7 @@ def test_the_result_does_not_wait_for_the_check(rig: Any) -> None:
 def test_a_check_that_cannot_be_done_is_an_event(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(job: Any, done: Any) -> None:
         if isinstance(job, CheckJob):
-            done(Answer(None, InternalError("the check failed."), 0.0))
+            done(Reply(None, InternalError("the check failed."), 0.0))
         else:
             type(rig.workers).submit(rig.workers, job, done)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from vaoi_station.runs.host.gc_policy import IDLE_S, LONGEST_S, Tidying
+from vaoi_station.runs.host.gc_policy import IDLE_S, LONGEST_S, GcPolicy
 
 
 class Knot:
@@ -31,11 +31,11 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def tidying(clock: Clock) -> Iterator[Tidying]:
-    tidying = Tidying(clock)
-    tidying.begin()
-    yield tidying
-    tidying.end()
+def policy(clock: Clock) -> Iterator[GcPolicy]:
+    policy = GcPolicy(clock)
+    policy.start()
+    yield policy
+    policy.stop()
 
 
 def old_knot() -> weakref.ref[Knot]:
@@ -46,23 +46,23 @@ def old_knot() -> weakref.ref[Knot]:
     return weakref.ref(knot)
 
 
-def test_a_full_look_waits_until_nothing_is_under_way(tidying: Tidying, clock: Clock) -> None:
+def test_a_full_look_waits_until_nothing_is_under_way(policy: GcPolicy, clock: Clock) -> None:
     knot = old_knot()
     clock.now_s += IDLE_S
-    tidying.tick(busy=True)
+    policy.tick(busy=True)
     assert knot() is not None
-    tidying.tick(busy=False)
+    policy.tick(busy=False)
     assert knot() is None
 
 
-def test_a_line_without_a_pause_is_looked_through_all_the_same(tidying: Tidying, clock: Clock) -> None:
+def test_a_line_without_a_pause_is_looked_through_all_the_same(policy: GcPolicy, clock: Clock) -> None:
     knot = old_knot()
     clock.now_s += LONGEST_S
-    tidying.tick(busy=True)
+    policy.tick(busy=True)
     assert knot() is None
 
 
-def test_python_makes_no_full_look_by_itself(tidying: Tidying) -> None:
+def test_python_makes_no_full_look_by_itself(policy: GcPolicy) -> None:
     looks = gc.get_stats()[2]["collections"]
     kept = [[k] for k in range(400_000)]
     assert gc.get_stats()[2]["collections"] == looks
@@ -71,10 +71,10 @@ def test_python_makes_no_full_look_by_itself(tidying: Tidying) -> None:
 
 def test_afterwards_all_is_as_before() -> None:
     before, frozen = gc.get_threshold(), gc.get_freeze_count()
-    tidying = Tidying()
-    tidying.begin()
+    policy = GcPolicy()
+    policy.start()
     assert gc.get_freeze_count() > frozen
-    tidying.end()
-    tidying.tick(busy=False)
+    policy.stop()
+    policy.tick(busy=False)
     assert gc.get_threshold() == before
     assert gc.get_freeze_count() == 0

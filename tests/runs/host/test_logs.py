@@ -25,5 +25,5 @@ def test_a_record_is_one_json_object() -> None:
     line = JsonLines().format(record)
     assert "\n" not in line
     entry = json.loads(line)
-    assert (entry["level"], entry["logger"], entry["message"]) == ("warning", "runs.core", "run r1: größer")
+    assert (entry["level"], entry["logger"], entry["message"]) == ("warning", "runs.control.core", "run r1: größer")
     assert "ValueError" in entry["exception"]

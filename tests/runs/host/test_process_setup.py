@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from vaoi_station.runs.host.process_setup import keeping_memory
+from vaoi_station.runs.host.process_setup import keep_freed_memory
 
 FAULTS = """
 import resource
@@ -33,7 +33,7 @@ def faults() -> int:
 
 def test_memory_that_was_given_back_is_not_had_anew() -> None:
     as_it_is = faults()
-    with keeping_memory():
+    with keep_freed_memory():
         kept = faults()
     assert kept < 100 < as_it_is
 
@@ -43,6 +43,6 @@ def test_the_environment_is_put_back(monkeypatch: pytest.MonkeyPatch, before: st
     monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
     if before is not None:
         monkeypatch.setenv("GLIBC_TUNABLES", before)
-    with keeping_memory():
+    with keep_freed_memory():
         assert os.environ["GLIBC_TUNABLES"].startswith(before or "glibc.malloc.hugetlb=1")
     assert os.environ.get("GLIBC_TUNABLES") == before

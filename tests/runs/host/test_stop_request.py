@@ -22,7 +22,7 @@ def test_a_signal_ends_the_wait_and_is_named(number: signal.Signals) -> None:
 
 def test_a_part_that_ends_by_itself_ends_the_wait() -> None:
     with StopRequest() as stop:
-        asking = threading.Thread(target=stop.ask)
+        asking = threading.Thread(target=stop.request)
         asking.start()
         assert stop.wait() == ""
         asking.join()
@@ -42,9 +42,9 @@ def test_other_signals_are_not_meant() -> None:
 def test_asking_often_and_too_late_is_harmless() -> None:
     with StopRequest() as stop:
         for _ in range(100_000):  # more than a socket holds
-            stop.ask()
+            stop.request()
         assert stop.wait() == ""
-    stop.ask()
+    stop.request()
 
 
 def test_handlers_are_put_back() -> None:

@@ -12,7 +12,7 @@ from vaoi_station.runs.run.order import OrderDesk
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceShelf
 from vaoi_station.runs.run.salvage import CAUSE, camera_heads, film_from_pieces
-from vaoi_station.runs.workers.jobs import Answer, Linked, LinkJob
+from vaoi_station.runs.workers.jobs import Linked, LinkJob, Reply
 from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.store import Store
 
@@ -51,10 +51,10 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
     progress.filmed(film)
     for task in progress.needed:
         nothing = Linked.of(Links.empty(task, "scripted"), 0.0)
-        progress.answered(LinkJob(progress.context, task.a[0], (task,), {}), Answer((nothing,), None, 0.0), 60.0)
+        progress.answered(LinkJob(progress.context, task.a[0], (task,), {}), Reply((nothing,), None, 0.0), 60.0)
     conclusion = progress.conclusion()
     assert conclusion is not None
-    assert conclusion.beside == {task for task in progress.asked_s if task.a[1] == 3} != set(), "also unanswered ones"
+    assert conclusion.excluded == {task for task in progress.asked_s if task.a[1] == 3} != set(), "also unanswered ones"
 
 
 def test_without_a_pulse_there_is_no_film(

@@ -21,7 +21,7 @@ from vaoi_station.model import BoardType, Calibration
 from vaoi_station.rendering import views_of
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.workers import pool as module
-from vaoi_station.runs.workers.jobs import Answer, ConcludeJob, Job, LinkJob, OpenRun, RenderJob, RunContext
+from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, RenderJob, Reply, RunContext
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.work import StitchSetup
@@ -102,13 +102,13 @@ class Pending:
 
     def __init__(self) -> None:
         self._there = threading.Event()
-        self.answers: list[Answer] = []
+        self.answers: list[Reply] = []
 
-    def take(self, answer: Answer) -> None:
+    def take(self, answer: Reply) -> None:
         self.answers.append(answer)
         self._there.set()
 
-    def get(self) -> Answer:
+    def get(self) -> Reply:
         assert self._there.wait(PATIENCE_S)
         return self.answers[0]
 
@@ -216,13 +216,13 @@ def test_an_idle_worker_gives_signs_of_life_and_one_that_hangs_is_replaced(
     assert plant.complete == 2
 
 
-def conclusion(plant: Plant, head: Any, jobs: list[LinkJob], answers: list[Answer]) -> ConcludeJob:
+def conclusion(plant: Plant, head: Any, jobs: list[LinkJob], answers: list[Reply]) -> ConcludeJob:
     slots = {(camera, row): plant.ring.slot(0, camera, row) for camera in range(2) for row in range(3)}
     linked = {job.tasks[0]: answer.value[0] for job, answer in zip(jobs, answers, strict=True)}
     return ConcludeJob(plant.context, head, slots, linked)
 
 
-def numbers(answer: Answer) -> Any:
+def numbers(answer: Reply) -> Any:
     """What was concluded, but for the time it took."""
     assert answer.error is None, answer.error
     document = json.loads(answer.value.document)
@@ -257,7 +257,7 @@ def test_what_was_looked_at_in_vain_does_not_count(plant: Plant, make_head: Any)
     plant.all_idle()
     job = conclusion(plant, make_head(3), jobs, answers)
     assert len(numbers(plant.submit(job).get())["quality"]["unlinked"]) == 2
-    less = dataclasses.replace(job, linked={}, beside=frozenset(jobs[1].tasks))
+    less = dataclasses.replace(job, linked={}, excluded=frozenset(jobs[1].tasks))
     assert [u["a"] for u in numbers(plant.submit(less).get())["quality"]["unlinked"]] == [[0, 0]]
 
 

@@ -7,10 +7,10 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Request, Response
 
-from vaoi_station.api.caching import REVALIDATE, conditional
+from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.parameters import BoardTypeName
+from vaoi_station.api.rest_models import BoardTypeList
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import BoardTypeList
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
 
@@ -30,7 +30,7 @@ def router(services: Services) -> APIRouter:
     async def get_board_type(request: Request, name: BoardTypeName) -> Response:
         """One board type, as it was taught."""
         content = _document(await ask(coordinator.board_type, name))
-        return conditional(request, content, "application/json", cache=REVALIDATE)
+        return conditional_response(request, content, "application/json", cache=REVALIDATE)
 
     @routes.put("/{name}", response_model=BoardType, responses={201: {"model": BoardType, "description": "New."}})
     async def put_board_type(request: Request, name: BoardTypeName, board_type: BoardType) -> Response:
@@ -42,7 +42,7 @@ def router(services: Services) -> APIRouter:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
         content = _document(board_type)
         new = await ask(coordinator.put_board_type, board_type)
-        answer = conditional(request, content, "application/json", cache=REVALIDATE)
+        answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
         if new:
             answer.status_code = 201
             answer.headers["Location"] = quote(request.url.path)

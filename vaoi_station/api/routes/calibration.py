@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Response
 
-from vaoi_station.api.caching import LIVE
+from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.services import Services
 from vaoi_station.runs.control.facade import CalibrationStatus
 

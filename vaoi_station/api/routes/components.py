@@ -7,13 +7,13 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Path, Request, Response
 
-from vaoi_station.api.caching import IMMUTABLE, LIVE, conditional
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
+from vaoi_station.api.http_caching import IMMUTABLE, LIVE, conditional_response
 from vaoi_station.api.parameters import Address, FormatName, MinCoverage, PxPerMm, RunId
+from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import ComponentEntry, ComponentList, ComponentViews
-from vaoi_station.api.views import covariances, picture_query, view_entry
+from vaoi_station.api.view_entries import covariances, picture_query, view_entry
 from vaoi_station.runs.control.facade import ComponentSummary
 from vaoi_station.runs.control.facade import ImageFormat as Rendered
 from vaoi_station.runs.states.tables import FINISHED
@@ -38,7 +38,7 @@ def router(services: Services) -> APIRouter:
     async def answer(request: Request, run: str, content: ComponentList | ComponentViews) -> Response:
         done = (await ask(coordinator.run, run)).state in FINISHED
         body = content.model_dump_json(exclude_none=True).encode()
-        return conditional(request, body, "application/json", cache=IMMUTABLE if done else LIVE)
+        return conditional_response(request, body, "application/json", cache=IMMUTABLE if done else LIVE)
 
     @routes.get("", response_model=ComponentList)
     async def list_components(request: Request, run: RunId) -> Response:
@@ -72,7 +72,7 @@ def router(services: Services) -> APIRouter:
             return raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})
 
         content, headers = await services.pictures.ask(picture)
-        return conditional(request, content, MEDIA_TYPES[image_format], headers=headers)
+        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)
 
     @routes.get("/{ref:path}", response_model=ComponentViews)
     async def get_component(

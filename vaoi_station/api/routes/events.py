@@ -9,8 +9,8 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import Heartbeat
 from vaoi_station.errors import InputError
 from vaoi_station.runs.control.facade import EventRecord
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Query, Request, Response
 
-from vaoi_station.api.caching import conditional
 from vaoi_station.api.encoders import MEDIA_TYPES, choose_format, encode_image
+from vaoi_station.api.http_caching import conditional_response
 from vaoi_station.api.parameters import Camera, FormatName, Row, RunId
 from vaoi_station.api.services import Services
 
@@ -49,6 +49,6 @@ def router(services: Services) -> APIRouter:
             return content, headers | {"X-Frame-Verdict": str(record.verdict)}
 
         content, headers = await services.pictures.ask(picture)
-        return conditional(request, content, MEDIA_TYPES[image_format], headers=headers)
+        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)
 
     return routes

@@ -7,10 +7,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from vaoi_station.api.caching import IMMUTABLE, LIVE, REVALIDATE, conditional
+from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId, TimeoutS
+from vaoi_station.api.rest_models import Matrices, RunPage
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import Matrices, RunPage
 from vaoi_station.errors import NotFoundError
 from vaoi_station.runs.control.facade import LeaseStatus, RunDetail
 from vaoi_station.runs.states.tables import IN_MEMORY
@@ -65,7 +65,7 @@ def router(services: Services) -> APIRouter:
     async def get_matrices(request: Request, run: RunId) -> Response:
         """The result in the format of `docs/formats.md`; 409 while it is not there yet."""
         content = (await ask(coordinator.stitch_text, run)).encode()
-        return conditional(request, content, "application/json", cache=IMMUTABLE)
+        return conditional_response(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)
     async def release_run(response: Response, run: RunId) -> RunDetail:
@@ -95,7 +95,7 @@ def router(services: Services) -> APIRouter:
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
     """A run's state changes when its memory goes, so that its answer is asked for again by ETag."""
     content = run.model_dump_json(exclude_none=True).encode()
-    return conditional(request, content, "application/json", cache=cache)
+    return conditional_response(request, content, "application/json", cache=cache)
 
 
 async def _next(services: Services, after: str | None, timeout_s: float) -> RunDetail | None:

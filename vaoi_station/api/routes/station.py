@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Query, Response
 
-from vaoi_station.api.caching import LIVE
+from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import ArmRequest
 from vaoi_station.errors import InputError
 from vaoi_station.runs.control.facade import StationSnapshot
 

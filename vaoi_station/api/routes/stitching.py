@@ -6,10 +6,10 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Request, Response
 
-from vaoi_station.api.caching import LIVE
+from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import BoardTypeName
+from vaoi_station.api.rest_models import MethodRequest, TeachRequest
 from vaoi_station.api.services import Services
-from vaoi_station.api.shapes import MethodRequest, TeachRequest
 from vaoi_station.runs.control.facade import ReferenceStatus, StitchingMethod
 
 

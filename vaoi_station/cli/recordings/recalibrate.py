@@ -91,7 +91,7 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
         raise InputError(f"{path}: is not there; this station has filmed nothing.", action="Let boards pass first.")
     store = Store(Database(path))
     try:
-        kept = store.checks.of(digest_of(calibration.model_dump_json()), FIRST, LATEST)
+        kept = store.checks.documents(digest_of(calibration.model_dump_json()), FIRST, LATEST)
     finally:
         store.close()
     if not kept:

@@ -19,9 +19,9 @@ def serve(
     from vaoi_station import station
     from vaoi_station.acquisition.process.backends import check_backends
     from vaoi_station.config import read_config
-    from vaoi_station.runs.host.logs import start_log
+    from vaoi_station.runs.host.logs import configure_logging
 
     settings = read_config(config)
     check_backends(settings)
-    start_log(log_json)
+    configure_logging(log_json)
     station.serve(settings, port)

@@ -42,9 +42,9 @@ def view(
     from vaoi_station.config import read_config
     from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
     from vaoi_station.errors import InputError
-    from vaoi_station.viewing.live import one_row, show
-    from vaoi_station.viewing.shapes import as_text
-    from vaoi_station.viewing.spec import mark_specs
+    from vaoi_station.viewing.frame_documents import row_text
+    from vaoi_station.viewing.live_view import one_row, show
+    from vaoi_station.viewing.mark_spec import mark_specs
 
     if not once and as_json:
         raise InputError("--json belongs to --once.", action="Add --once, or leave it out.")
@@ -58,7 +58,7 @@ def view(
         with interruptible():
             if once:
                 told = one_row(station, specs, row, lambda sentence: print(sentence, file=sys.stderr), rate_hz)
-                print(json.dumps(told, indent=1) if as_json else as_text(told))
+                print(json.dumps(told, indent=1) if as_json else row_text(told))
             else:
                 show(station, specs, port, lambda sentence: print(sentence, flush=True), rate_hz)
     except KeyboardInterrupt:

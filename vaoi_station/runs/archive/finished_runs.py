@@ -200,7 +200,7 @@ class Archive:
                     detail=detail.model_dump_json(),
                 )
             )
-        self._store.frames_are_gone(RunState.GONE).result()
+        self._store.mark_frames_gone(RunState.GONE).result()
         self._announced = self._finished
 
     def _announce(self, dossier: Dossier, saved: Future[None]) -> None:

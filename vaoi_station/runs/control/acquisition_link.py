@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from vaoi_station.acquisition.process.messages import Command, Ready, Report, Shutdown, Trouble
-from vaoi_station.backoff import Backoff, Pace
+from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
-from vaoi_station.runs.host.process_setup import settle_in
+from vaoi_station.runs.host.process_setup import set_up_process
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 
@@ -27,7 +27,7 @@ WARM_S, LOOK_S = 60.0, 0.1
 """Workers have so long to warm up before boards are taken all the same, and whether they have is looked at so often."""
 LAST_S = 2.0
 """Between the end of its pipe and its own."""
-PACE = Pace(first_s=0.5, longest_s=60.0, proven_s=30.0)
+PACE = BackoffPolicy(first_s=0.5, longest_s=60.0, proven_s=30.0)
 """How soon it is started again."""
 PLUGGED_S = 6.0
 """The longest pause while something is only absent: what is plugged in is taken soon. Settings that a camera refuses,
@@ -89,7 +89,7 @@ def spawned(config: StationConfig, ring: Path) -> Launch:
 
 def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) -> None:
     """The acquisition process."""
-    settle_in(one_thread=False)
+    set_up_process(one_thread=False)
     from vaoi_station.acquisition.process.main_loop import run_acquisition
 
     run_acquisition(config, Path(ring), connection)
@@ -209,12 +209,12 @@ class AcquisitionLink:
             if self._stopping.is_set():
                 return
             self._restarts += 1
-            self._backoff.fails(longest_s(life.cause))
+            self._backoff.record_failure(longest_s(life.cause))
             self._lost(life.ending(sentence, code))
-            self._stopping.wait(self._backoff.left_s())
+            self._stopping.wait(self._backoff.remaining_s())
 
     def _begin(self) -> _Life:
-        self._backoff.begin()
+        self._backoff.start_attempt()
         process, connection = self._launch()
         with self._lock:
             self._life, self._begun = _Life(process, connection, time.monotonic()), True
@@ -233,7 +233,7 @@ class AcquisitionLink:
                     return "the acquisition process ended"
                 life.note(report)
                 if life.ready:
-                    self._backoff.works()
+                    self._backoff.record_success()
                 self._hear(report)
             elif life.process.sentinel in ready:
                 return "the acquisition process ended"

@@ -14,13 +14,13 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep
-from vaoi_station.runs.workers.jobs import Answer, Job, LinkJob, OpenRun
+from vaoi_station.runs.workers.jobs import Job, LinkJob, OpenRun, Reply
 
 
 class Workers(Protocol):
     """What a run needs of the pool of workers."""
 
-    def submit(self, job: Job, done: Callable[[Answer], None]) -> None:
+    def submit(self, job: Job, done: Callable[[Reply], None]) -> None:
         """Have a job done; `done` is called once, in any thread."""
 
     def open_run(self, opening: OpenRun) -> None:
@@ -87,18 +87,18 @@ class RunBook:
         for job in jobs:
             self._workers.submit(job, partial(self._hear_links, job))
 
-    def _hear_links(self, job: LinkJob, answer: Answer) -> None:
+    def _hear_links(self, job: LinkJob, answer: Reply) -> None:
         self._post(self._linked, job, answer, time.monotonic())
 
-    def _hear_result(self, run: str, answer: Answer) -> None:
+    def _hear_result(self, run: str, answer: Reply) -> None:
         self._post(self._concluded, run, answer, time.monotonic())
 
-    def _linked(self, job: LinkJob, answer: Answer, now_s: float) -> None:
+    def _linked(self, job: LinkJob, answer: Reply, now_s: float) -> None:
         if (progress := self.active.get(job.run)) is not None:
             progress.answered(job, answer, now_s)
             self._go_on(progress)
 
-    def _concluded(self, run: str, answer: Answer, now_s: float) -> None:
+    def _concluded(self, run: str, answer: Reply, now_s: float) -> None:
         if (progress := self.active.get(run)) is not None:
             progress.concluded(answer, now_s)
             self._end_in_order(progress)

@@ -21,8 +21,8 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Reason
-from vaoi_station.runs.workers.jobs import Answer, CheckJob
-from vaoi_station.store.checks import Checks
+from vaoi_station.runs.workers.jobs import CheckJob, Reply
+from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.documents import digest_of
 
 FIRST, LATEST = 50, 200
@@ -37,18 +37,20 @@ CODE = "calibration-drift"
 class Workers(Protocol):
     """What the watch needs of the pool of workers."""
 
-    def submit(self, job: CheckJob, done: Callable[[Answer], None]) -> None:
+    def submit(self, job: CheckJob, done: Callable[[Reply], None]) -> None:
         """Have a job done; `done` is called once, in any thread."""
 
 
 class CalibrationWatch:
     """The calibration in force and what runs have told of it."""
 
-    def __init__(self, checks: Checks, events: EventLog, calibration: Calibration, names: Sequence[str]) -> None:
+    def __init__(
+        self, checks: CalibrationChecks, events: EventLog, calibration: Calibration, names: Sequence[str]
+    ) -> None:
         self._kept, self._events, self._names = checks, events, tuple(names)
         self.digest = digest_of(calibration.model_dump_json())
         self._created = calibration.created
-        known = [RunCheck.model_validate_json(text) for text in checks.of(self.digest, FIRST, LATEST)]
+        known = [RunCheck.model_validate_json(text) for text in checks.documents(self.digest, FIRST, LATEST)]
         self._first, self._latest = known[:FIRST], deque(known[FIRST:], LATEST)
         self._runs = checks.count(self.digest)
         self._drifts, self._vanished = drifts(known), vanished(known)
@@ -85,7 +87,7 @@ class CalibrationWatch:
             cameras=tuple(self._camera(i) for i in range(len(self._names))),
         )
 
-    def _hear(self, run: str, digest: str, answer: Answer) -> None:
+    def _hear(self, run: str, digest: str, answer: Reply) -> None:
         """A check is done, or could not be done."""
         if answer.error is not None:
             if not isinstance(answer.error, StateError):  # a station that stops does no more checks

@@ -27,7 +27,7 @@ from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.status import snapshot_of
 from vaoi_station.runs.control.teaching import Teaching, listed
-from vaoi_station.runs.host.gc_policy import Tidying
+from vaoi_station.runs.host.gc_policy import GcPolicy
 from vaoi_station.runs.run.leases import OWN, Lease
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
@@ -49,7 +49,7 @@ from vaoi_station.runs.states.schemas import (
     Timeline,
 )
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.runs.workers.jobs import Answer, RenderJob
+from vaoi_station.runs.workers.jobs import RenderJob, Reply
 from vaoi_station.store import BoardTypeDirectory
 
 ARM_LIMIT_S = 30.0
@@ -76,7 +76,7 @@ class StationCoordinator:
         self._parts, self._ring, self._board_types = parts, ring, board_types
         self._make_order, self._processes, self._alive = make_order, processes, alive
         self._inbox = Inbox(self._tick)
-        self._tidying = Tidying()
+        self._gc_policy = GcPolicy()
         self._core = Core(parts, self._inbox.post)
         self._uses = itertools.count(1)
         self._teaching = threading.Lock()
@@ -86,7 +86,7 @@ class StationCoordinator:
 
     def start(self) -> None:
         """Begin to work."""
-        self._tidying.begin()
+        self._gc_policy.start()
         self._inbox.start()
 
     def hear(self, report: Report) -> None:
@@ -112,7 +112,7 @@ class StationCoordinator:
     def close(self) -> None:
         """End the thread; nobody is left waiting."""
         self._inbox.close()
-        self._tidying.end()
+        self._gc_policy.stop()
         self._parts.archive.close()
         self._parts.events.close()
 
@@ -321,7 +321,7 @@ class StationCoordinator:
         view = gallery.view_of_component(dossier, ref, k, px_per_mm, min_coverage)
         record = self._record(run, view.camera, view.row)
         assert record.slot is not None, "views are of whole frames"
-        answer: Future[Answer] = Future()
+        answer: Future[Reply] = Future()
         with self._lease(run, f"image {ref}/{k}") as bay:
             job = RenderJob(run, bay.number, bay.generation, record.slot, view, format)
             self._parts.workers.submit(job, answer.set_result)
@@ -341,7 +341,7 @@ class StationCoordinator:
 
     def _tick(self) -> None:
         self._core.tick()
-        self._tidying.tick(busy=bool(self._core.book.active))
+        self._gc_policy.tick(busy=bool(self._core.book.active))
         self._alive()
 
     def _snapshot(self) -> StationSnapshot:

@@ -20,7 +20,7 @@ _NEVER = 1_000_000_000
 """Generations that must pass before Python makes a full look by itself."""
 
 
-class Tidying:
+class GcPolicy:
     """Full looks at times of our choosing; used by one thread."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -28,7 +28,7 @@ class Tidying:
         self._last_s = 0.0
         self._before: tuple[int, int, int] | None = None
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """From now on; everything that is there is taken to stay."""
         if self._before is None:
             self._before = gc.get_threshold()
@@ -41,7 +41,7 @@ class Tidying:
         if self._before is not None and self._clock() - self._last_s >= (LONGEST_S if busy else IDLE_S):
             self._look()
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """As Python would have it."""
         if self._before is not None:
             gc.set_threshold(*self._before)

@@ -28,7 +28,7 @@ class JsonLines(logging.Formatter):
         return json.dumps(entry, ensure_ascii=False)
 
 
-def start_log(as_json: bool | None = None) -> None:
+def configure_logging(as_json: bool | None = None) -> None:
     """Log to standard output; without a word, as the station that started this process does."""
     if as_json is not None:
         os.environ[JSON_VARIABLE] = "1" if as_json else ""

@@ -7,7 +7,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from vaoi_station.runs.host.logs import start_log
+from vaoi_station.runs.host.logs import configure_logging
 
 _TUNABLES = "GLIBC_TUNABLES"
 _MEMORY = {"hugetlb": 1, "trim_threshold": 512 << 20, "mmap_threshold": 32 << 20}
@@ -15,7 +15,7 @@ _MEMORY = {"hugetlb": 1, "trim_threshold": 512 << 20, "mmap_threshold": 32 << 20
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def settle_in(one_thread: bool) -> None:
+def set_up_process(one_thread: bool) -> None:
     """Leave signals to the station, which ends its processes in order; log to where the station logs.
 
     A terminal sends Ctrl-C, and systemd SIGTERM, to every process of a group: only the station acts on
@@ -25,11 +25,11 @@ def settle_in(one_thread: bool) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if one_thread:
         os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    start_log()
+    configure_logging()
 
 
 @contextmanager
-def keeping_memory() -> Iterator[None]:
+def keep_freed_memory() -> Iterator[None]:
     """Processes that are started meanwhile, by whatever thread, keep the memory they give back, in large pages.
 
     The next board needs it. To have it anew, page by page and cleared, and to look up small pages in a large run's

@@ -12,7 +12,7 @@ _BY_ITSELF = b"\0"
 
 
 class StopRequest:
-    """SIGTERM, SIGINT or `ask` end `wait`; a context manager of the main thread, which puts everything back.
+    """SIGTERM, SIGINT or `request` end `wait`; a context manager of the main thread, which puts everything back.
 
     Not a `threading.Event` that a handler sets: the handler runs in the thread that waits, and when it comes
     upon `wait` while that holds the event's lock, both stay for ever. Nor any other lock: a signal between the
@@ -24,13 +24,13 @@ class StopRequest:
         self._here, self._there = socket.socketpair()
         self._there.setblocking(False)
 
-    def ask(self) -> None:
+    def request(self) -> None:
         """Wish for the end, from any thread, at any time."""
         with contextlib.suppress(OSError):  # full: asked often enough; closed: it has ended
             self._there.send(_BY_ITSELF)
 
     def wait(self) -> str:
-        """Wait for the first wish: the name of the signal, or "" if it was `ask`."""
+        """Wait for the first wish: the name of the signal, or "" if it was `request`."""
         while True:
             number = self._here.recv(1)[0]
             if number == _BY_ITSELF[0]:

@@ -15,7 +15,7 @@ from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.states.schemas import Reason, TaskTiming
 from vaoi_station.runs.states.tables import RUN, RunState, RunStep
-from vaoi_station.runs.workers.jobs import Answer, Concluded, ConcludeJob, Linked, LinkJob, OpenRun, RunContext
+from vaoi_station.runs.workers.jobs import Concluded, ConcludeJob, Linked, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
 
@@ -124,7 +124,7 @@ class Progress:
             return tuple(self.asked_s)
         return all_tasks(self.present, times_s, self.order.setup)
 
-    def answered(self, job: LinkJob, answer: Answer, now_s: float) -> None:
+    def answered(self, job: LinkJob, answer: Reply, now_s: float) -> None:
         """Tasks are done, or cannot be done."""
         self.unanswered.difference_update(job.tasks)
         self.awaited.difference_update(job.tasks)
@@ -152,15 +152,15 @@ class Progress:
         if self.film is None or self.concluding or self.hopeless or self.awaited:
             return None
         self.concluding = True
-        beside = frozenset(self.asked_s).difference(self.needed)  # those still under way, too
-        return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical, beside)
+        excluded = frozenset(self.asked_s).difference(self.needed)  # those still under way, too
+        return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical, excluded)
 
     @property
     def canonical(self) -> dict[Task, Linked]:
         """What the canonical tasks gave."""
         return {task: self.linked[task] for task in self.needed if task in self.linked}
 
-    def concluded(self, answer: Answer, now_s: float) -> None:
+    def concluded(self, answer: Reply, now_s: float) -> None:
         """The result is there, or cannot be had."""
         self.conclude_ms = answer.worker_s * 1e3
         if answer.error is not None:

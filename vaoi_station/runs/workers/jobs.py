@@ -95,7 +95,7 @@ class ConcludeJob:
     """The good frames."""
     linked: Mapping[Task, Linked]
     """All evidence; what the worker has already need not be sent to it."""
-    beside: Set[Task] = frozenset()
+    excluded: Set[Task] = frozenset()
     """What was looked at while filming and does not count in the end: a row was lost, a bridge took its place."""
 
     priority = Priority.CONCLUDE
@@ -178,7 +178,7 @@ class Ping:
 
 
 @dataclass(frozen=True)
-class Hello:
+class WorkerReady:
     """The worker is there: said once it has its ring and its libraries, and whenever it is asked."""
 
     pid: int
@@ -213,7 +213,7 @@ class Concluded:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Reply:
     """The outcome of a job: a value, or whose fault it is that there is none."""
 
     value: Any

@@ -20,23 +20,23 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InternalError, StateError
-from vaoi_station.runs.host.process_setup import keeping_memory
+from vaoi_station.runs.host.process_setup import keep_freed_memory
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
 from vaoi_station.runs.workers.jobs import (
-    Answer,
     CloseRun,
     ConcludeJob,
     GatherJob,
-    Hello,
     Job,
     LinkJob,
     OpenRun,
     Ping,
     Priority,
+    Reply,
+    WorkerReady,
 )
-from vaoi_station.runs.workers.queues import Done, Queued, Queues, Worker
-from vaoi_station.runs.workers.worker_process import work
+from vaoi_station.runs.workers.queues import Done, JobQueues, Queued, Worker
+from vaoi_station.runs.workers.worker_process import run_worker
 
 _log = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class WorkerPool:
         self._all_there: Callable[[], object] = lambda: None
         self._spawn = multiprocessing.get_context("spawn")
         self._workers = [Worker(k) for k in range(count)]
-        self._queues = Queues(self._workers)
+        self._queues = JobQueues(self._workers)
         self._lock = threading.RLock()
         self._wake_here, self._wake_there = multiprocessing.Pipe(duplex=False)
         self._stopping = False
@@ -147,13 +147,13 @@ class WorkerPool:
         """Start, listen, notice deaths, until stopped; all of the pool's waiting happens here."""
         while not self._stopping:
             for worker in self._workers:
-                if worker.process is None and not worker.backoff.left_s():
+                if worker.process is None and not worker.backoff.remaining_s():
                     self._begin(worker)
             sources: dict[Any, Worker] = {}
             for worker in self._workers:
                 if worker.process is not None:
                     sources[worker.connection] = sources[worker.process.sentinel] = worker
-            pauses_s = [w.backoff.left_s() for w in self._workers if w.process is None]
+            pauses_s = [w.backoff.remaining_s() for w in self._workers if w.process is None]
             for source in wait([self._wake_here, *sources], timeout=min([0.5, *pauses_s])):
                 if source is self._wake_here:
                     self._wake_here.recv_bytes()
@@ -163,12 +163,12 @@ class WorkerPool:
                 self._look_after(worker)
 
     def _begin(self, worker: Worker) -> None:
-        worker.backoff.begin()
+        worker.backoff.start_attempt()
         here, there = self._spawn.Pipe()
         process = self._spawn.Process(
-            target=work, args=(there, str(self._ring_path)), name=f"vaoi-worker-{worker.index}", daemon=True
+            target=run_worker, args=(there, str(self._ring_path)), name=f"vaoi-worker-{worker.index}", daemon=True
         )
-        with keeping_memory():
+        with keep_freed_memory():
             process.start()
         there.close()
         with self._lock:
@@ -185,17 +185,17 @@ class WorkerPool:
         worker.seen_s, worker.asked_s = time.monotonic(), None
         queued, complete = None, False
         with self._lock:
-            if isinstance(message, Answer) and worker.jobs:
+            if isinstance(message, Reply) and worker.jobs:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
                 self._queues.pass_on(worker, queued.job, message)
-            if isinstance(message, Hello) and not worker.ready:  # later ones are signs of life
+            if isinstance(message, WorkerReady) and not worker.ready:  # later ones are signs of life
                 worker.ready = True
-                worker.backoff.works()
+                worker.backoff.record_success()
                 complete = self.all_ready()
             self._dispatch()
         if complete:
             self._all_there()
-        if isinstance(message, Answer) and queued is not None:
+        if isinstance(message, Reply) and queued is not None:
             queued.done(message)
 
     def _look_after(self, worker: Worker) -> None:
@@ -240,7 +240,7 @@ class WorkerPool:
             worker.opened.clear()
             worker.evidence.clear()
             worker.restarts += 1
-            worker.backoff.fails()
+            worker.backoff.record_failure()
             spent = queued is not None and self._again(queued)
             self._dispatch()
         sentence = f"Worker {worker.index} ended with code {code}" + (
@@ -294,8 +294,8 @@ class WorkerPool:
             return left
 
 
-def _refused(error: StateError | InternalError) -> Answer:
-    return Answer(None, error, 0.0)
+def _refused(error: StateError | InternalError) -> Reply:
+    return Reply(None, error, 0.0)
 
 
 def _send(connection: Connection[Any, Any], message: object) -> None:

@@ -9,12 +9,12 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from vaoi_station.backoff import Backoff, Pace
-from vaoi_station.runs.workers.jobs import Answer, ConcludeJob, GatherJob, Job, LinkJob, OpenRun, Priority
+from vaoi_station.backoff import Backoff, BackoffPolicy
+from vaoi_station.runs.workers.jobs import ConcludeJob, GatherJob, Job, LinkJob, OpenRun, Priority, Reply
 from vaoi_station.stitching.matching.evidence import Task
 
-Done = Callable[[Answer], None]
-PACE = Pace(first_s=0.25, longest_s=30.0, proven_s=30.0)
+Done = Callable[[Reply], None]
+PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
 """How soon a worker that died is started again."""
 
 
@@ -58,7 +58,7 @@ class Worker:
         return self.jobs[0] if self.jobs else None
 
 
-class Queues:
+class JobQueues:
     """One queue per priority."""
 
     def __init__(self, workers: Sequence[Worker]) -> None:
@@ -104,7 +104,7 @@ class Queues:
             links.remove(mine)
         return mine
 
-    def pass_on(self, worker: Worker, job: Job, answer: Answer) -> None:
+    def pass_on(self, worker: Worker, job: Job, answer: Reply) -> None:
         """What a worker found is wanted by the one that will conclude the run."""
         if not isinstance(job, LinkJob) or answer.error is not None or job.run not in self.runs:
             return

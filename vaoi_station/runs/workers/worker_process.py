@@ -6,17 +6,17 @@ import gc
 from multiprocessing.connection import Connection
 from typing import Any
 
-from vaoi_station.runs.host.process_setup import settle_in
+from vaoi_station.runs.host.process_setup import set_up_process
 
 
-def work(connection: Connection[Any, Any], ring_path: str) -> None:
+def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
     """Do jobs until there are no more; heavy imports only after the number of threads is set."""
-    settle_in(one_thread=True)
+    set_up_process(one_thread=True)
     from vaoi_station.runs.workers.jobs import CloseRun, Ping
     from vaoi_station.runs.workers.warmup import warm_up
-    from vaoi_station.runs.workers.worker_runtime import Bench
+    from vaoi_station.runs.workers.worker_runtime import WorkerRuntime
 
-    with connection, Bench(ring_path) as bench:
+    with connection, WorkerRuntime(ring_path) as bench:
         try:
             warm_up()
             gc.collect()

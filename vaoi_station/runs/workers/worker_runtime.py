@@ -24,19 +24,19 @@ from vaoi_station.files.results import gist, stitch_text
 from vaoi_station.rendering import render
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers.jobs import (
-    Answer,
     CheckJob,
     CloseRun,
     Concluded,
     ConcludeJob,
     GatherJob,
-    Hello,
     Job,
     Linked,
     LinkJob,
     OpenRun,
     Ping,
     RenderJob,
+    Reply,
+    WorkerReady,
 )
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.work import TaskRunner
@@ -54,7 +54,7 @@ class _OpenedRun:
     """What was found here, and what was gathered from other workers."""
 
 
-class Bench:
+class WorkerRuntime:
     """One worker's tools; single-threaded, for the other cores have workers of their own."""
 
     def __init__(self, ring_path: str) -> None:
@@ -63,18 +63,18 @@ class Bench:
         self._runs: dict[str, _OpenedRun] = {}
         self._reference: Recording | None = None
 
-    def __enter__(self) -> Bench:
+    def __enter__(self) -> WorkerRuntime:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._runs.clear()
         self._ring.close()
 
-    def hello(self) -> Hello:
+    def hello(self) -> WorkerReady:
         """The sign of being ready."""
-        return Hello(os.getpid())
+        return WorkerReady(os.getpid())
 
-    def take(self, message: OpenRun | CloseRun | Ping | Job) -> Answer | Hello | None:
+    def take(self, message: OpenRun | CloseRun | Ping | Job) -> Reply | WorkerReady | None:
         """Carry out one message; jobs have an answer."""
         if isinstance(message, Ping):
             return self.hello()
@@ -92,7 +92,7 @@ class Bench:
         except Exception as fault:  # noqa: BLE001  a fault in one job must not take the worker's other runs with it
             _log.exception("%s failed", message)
             value, error = None, InternalError(f"{message} failed: {type(fault).__name__}: {fault}.")
-        return Answer(value, error, time.monotonic() - began_s)
+        return Reply(value, error, time.monotonic() - began_s)
 
     def _open(self, opening: OpenRun) -> None:
         slots: dict[FrameKey, int] = {}
@@ -152,7 +152,7 @@ class Bench:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
         self._gather(job)
-        evidence = [found for task, found in opened.evidence.items() if task not in job.beside]
+        evidence = [found for task, found in opened.evidence.items() if task not in job.excluded]
         stitch = self._guarded(
             job.context.bay,
             job.context.generation,

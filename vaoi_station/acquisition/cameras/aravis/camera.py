@@ -24,7 +24,7 @@ from vaoi_station.acquisition.cameras.interface import (
     Slot,
 )
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.backoff import Backoff, Pace
+from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 
 CHECK_S = 0.25
@@ -32,7 +32,7 @@ CHECK_S = 0.25
 HEARTBEAT_S = 1.0
 """Aravis asks a camera so often whether it still is ours; what it says of that may be as old."""
 TEMPERATURE_S = 5.0
-PACE = Pace(first_s=0.25, longest_s=30.0, proven_s=10.0)
+PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=10.0)
 """How soon a camera that is lost is opened again; one that refuses its settings will do so again …"""
 ABSENT_S = 2.0
 """… but one that is absent, or in other hands, may be back at any time: the longest pause then, and between two looks
@@ -158,8 +158,8 @@ class AravisCamera:
 
     def _supervise(self) -> None:
         temperature_due_s = 0.0
-        self._backoff.works()
-        while not self._closing.wait(CHECK_S if self._connection else min(self._backoff.left_s(), ABSENT_S)):
+        self._backoff.record_success()
+        while not self._closing.wait(CHECK_S if self._connection else min(self._backoff.remaining_s(), ABSENT_S)):
             if self._connection is None:
                 self._reopen_when_due()
                 continue
@@ -173,15 +173,15 @@ class AravisCamera:
 
     def _reopen_when_due(self) -> None:
         """Open it if it is time; what has been unplugged since it refused may be mended when it is back."""
-        if self._backoff.left_s() > 0:
+        if self._backoff.remaining_s() > 0:
             if self._is_gige and not gvcp.is_reachable(self._identity.address):
-                self._backoff.forget()
+                self._backoff.reset()
             return
-        self._backoff.begin()
+        self._backoff.start_attempt()
         if self._reopen():
-            self._backoff.works()
+            self._backoff.record_success()
         else:
-            self._backoff.fails(self._longest_pause_s())
+            self._backoff.record_failure(self._longest_pause_s())
 
     def _longest_pause_s(self) -> float:
         return ABSENT_S if self._fault and self._fault.code in _ABSENT else PACE.longest_s
@@ -218,7 +218,7 @@ class AravisCamera:
             assert connection is not None
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
-        self._backoff.fails(self._longest_pause_s())
+        self._backoff.record_failure(self._longest_pause_s())
         why = error.message.removeprefix(f"{self.config.called}: ").rstrip(".")
         self._arrivals.put(CameraLost(self.number, self._last_reply_s, why, error))
         connection.close(gone=True)

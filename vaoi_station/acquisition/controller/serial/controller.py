@@ -14,13 +14,13 @@ from vaoi_station.acquisition.controller.protocol.messages import Ident
 from vaoi_station.acquisition.controller.serial.exchange import RefusalError, ResetError
 from vaoi_station.acquisition.controller.serial.port import Waker
 from vaoi_station.acquisition.controller.serial.supervisor import Supervisor
-from vaoi_station.backoff import Backoff, Pace
+from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError
 
 T = TypeVar("T")
 
-PACE = Pace(first_s=0.1, longest_s=1.0, proven_s=5.0)
+PACE = BackoffPolicy(first_s=0.1, longest_s=1.0, proven_s=5.0)
 """How soon a port is opened again."""
 
 
@@ -134,9 +134,9 @@ class SerialController:
         while not self._closing.is_set():
             try:
                 if self._supervisor.unavailable is not None:
-                    self._backoff.begin()
+                    self._backoff.start_attempt()
                     self._supervisor.connect()
-                self._backoff.works()
+                self._backoff.record_success()
                 self._serve()
             except ResetError as error:  # told when it is known what it cost
                 self._lose(error)
@@ -144,7 +144,7 @@ class SerialController:
                 self._supervisor.translator.report_fault(error)
                 self._lose(error)
                 self._supervisor.disconnect()
-                self._closing.wait(self._backoff.fails())
+                self._closing.wait(self._backoff.record_failure())
 
     def _serve(self) -> None:
         """Until something breaks: carry out what is asked, hear what comes."""

@@ -11,7 +11,7 @@ import pytest
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage, noise, thread_names, wait_for_remains
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
-from vaoi_station.backoff import Backoff, Pace
+from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 
@@ -133,7 +133,7 @@ def test_a_camera_that_refuses_its_settings_is_left_in_peace_until_it_is_unplugg
     mortal = device(0)
     stage = opened(station(mortal))
     camera = stage.cameras[0]
-    camera._backoff = Backoff(Pace(first_s=5.0, longest_s=60.0, proven_s=10.0))
+    camera._backoff = Backoff(BackoffPolicy(first_s=5.0, longest_s=60.0, proven_s=10.0))
     mortal.unplug()
     stage.until(CameraLost)
     stubborn = device(0, "stubborn", serial=mortal.serial)

@@ -14,14 +14,14 @@ from typing import Any
 from vaoi_station.acquisition.process.filming import Finish, Notice, Settle, film, film_pulses
 from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished
 from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.api.serving import WebServer, listener
+from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.model import Verdict
 from vaoi_station.viewing.app import create_app
-from vaoi_station.viewing.newest import Newest, Shot
-from vaoi_station.viewing.shapes import shot_document
-from vaoi_station.viewing.spec import MarkSpec
+from vaoi_station.viewing.frame_documents import frame_document
+from vaoi_station.viewing.latest_frames import LatestFrames, ViewedFrame
+from vaoi_station.viewing.mark_spec import MarkSpec
 
 _log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ def show(
     With a rate, so many pulses a second are fired without the light barrier; else boards are filmed. When a
     line that has only so many boards is out of them, the last frames stay.
     """
-    newest, ended = Newest(specs), threading.Event()
+    newest, ended = LatestFrames(specs), threading.Event()
     notices: deque[str] = deque(maxlen=NOTICES)
 
     def notice(sentence: str) -> None:
@@ -53,7 +53,7 @@ def show(
         if ended.is_set():
             web.check()
 
-    with listener(LOOPBACK, port, "--port") as socket_:
+    with open_listener(LOOPBACK, port, "--port") as socket_:
         web = WebServer(create_app(config, newest, notices), socket_, ended.set)
         web.start()
         say(f"Live frames: {web.address}")
@@ -94,8 +94,8 @@ def one_row(
                 continue
             if f.verdict is Verdict.OK and f.slot is not None:
                 pixels = ring.snapshot(f.slot, generation)
-                shot = Shot(f.camera, finished.run, f.row, f.camera + 1, pixels, specs[f.camera])
-                cameras.append(shot_document(shot, config))
+                shot = ViewedFrame(f.camera, finished.run, f.row, f.camera + 1, pixels, specs[f.camera])
+                cameras.append(frame_document(shot, config))
             else:
                 cameras.append({"camera": f.camera, "name": config.cameras[f.camera].name, "missing": f.cause})
         documents.append({"run": finished.run, "row": chosen, "rows": rows, "cameras": cameras})

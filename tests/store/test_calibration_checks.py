@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.store import RunRow, Store
-from vaoi_station.store import checks as module
+from vaoi_station.store import calibration_checks as module
 
 
 def a_run(store: Store, run: str, calibration: str) -> None:
@@ -23,7 +23,7 @@ def test_the_first_and_the_latest_are_kept(store: Store, monkeypatch: pytest.Mon
         store.checks.save(f"r{number}", this, f'"{number}"').result(10)
     a_run(store, "r8", other)
     store.checks.save("r8", other, '"other"').result(10)
-    assert store.checks.of(this, 50, 50) == ['"0"', '"1"', '"5"', '"6"', '"7"']
-    assert store.checks.of(this, 1, 2) == ['"0"', '"6"', '"7"']
-    assert store.checks.of(other, 1, 1) == ['"other"']
+    assert store.checks.documents(this, 50, 50) == ['"0"', '"1"', '"5"', '"6"', '"7"']
+    assert store.checks.documents(this, 1, 2) == ['"0"', '"6"', '"7"']
+    assert store.checks.documents(other, 1, 1) == ['"other"']
     assert (store.checks.count(this), store.checks.count(other)) == (5, 1)

@@ -39,7 +39,7 @@ _SHARPER = 0.5
 
 
 @dataclass(frozen=True)
-class Figures:
+class ImageQuality:
     """What one frame says of focus and exposure; levels are shares of the full scale."""
 
     focus: float
@@ -59,7 +59,7 @@ class Figures:
     """Share of the pixels that are as bright as pixels can be."""
 
 
-def measure(pixels: Image) -> Figures:
+def measure(pixels: Image) -> ImageQuality:
     """The figures of a frame (h, w) or (h, w, 3), 8 or 16 bit."""
     channels = pixels if pixels.ndim == 2 else pixels.max(axis=2)
     full = full_scale(channels)
@@ -68,7 +68,7 @@ def measure(pixels: Image) -> Figures:
     blurs = _blur_of_blocks(grey)
     rows = [np.array_split(part, TILES, axis=1) for part in np.array_split(blurs, TILES, axis=0)]
     blur = _sharpest(blurs)
-    return Figures(
+    return ImageQuality(
         focus=_focus(grey),
         blur_px=blur,
         mtf50=None if blur is None else min(_MTF50 / max(blur, 1e-6), 0.5),

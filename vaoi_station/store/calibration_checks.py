@@ -11,7 +11,7 @@ FIRST_KEPT, LATEST_KEPT = 100, 2000
 """Of each calibration: what runs showed when it was new, and what they show lately."""
 
 
-class Checks:
+class CalibrationChecks:
     """The checks of one station."""
 
     def __init__(self, database: Database) -> None:
@@ -35,7 +35,7 @@ class Checks:
 
         return self._database.write(write)
 
-    def of(self, calibration_digest: str, first: int, latest: int) -> list[str]:
+    def documents(self, calibration_digest: str, first: int, latest: int) -> list[str]:
         """So many of the first and of the latest checks of a calibration, oldest first, each once."""
         rows = self._database.read(
             """SELECT run, document FROM calibration_checks WHERE calibration_digest = ?1 AND (

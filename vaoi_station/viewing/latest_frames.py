@@ -11,16 +11,16 @@ import cv2
 
 from vaoi_station.errors import GoneError
 from vaoi_station.files.images import Image, encode_jpeg
-from vaoi_station.viewing.figures import full_scale
-from vaoi_station.viewing.look import Look, look_at
-from vaoi_station.viewing.spec import MarkSpec
+from vaoi_station.viewing.image_quality import full_scale
+from vaoi_station.viewing.inspection import FrameInspection, inspect_frame
+from vaoi_station.viewing.mark_spec import MarkSpec
 
 _KEPT = 3
 """Looks per camera whose picture can still be fetched."""
 
 
 @dataclass(eq=False)
-class Shot:
+class ViewedFrame:
     """One frame that was taken, and what is found in it when somebody asks."""
 
     camera: int
@@ -32,14 +32,14 @@ class Shot:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
-    def look(self) -> Look:
-        """Figures and marks; worked out once."""
+    def look(self) -> FrameInspection:
+        """ImageQuality and marks; worked out once."""
         with self._lock:
             return self._look
 
     @cached_property
-    def _look(self) -> Look:
-        return look_at(self.pixels, self.spec)
+    def _look(self) -> FrameInspection:
+        return inspect_frame(self.pixels, self.spec)
 
     def jpeg(self) -> bytes:
         """As a picture of 8 bit."""
@@ -48,14 +48,14 @@ class Shot:
         return encode_jpeg(cv2.convertScaleAbs(self.pixels, alpha=255 / full_scale(self.pixels)), 85)
 
 
-class Newest:
+class LatestFrames:
     """Frames come in from the film, looks go out to the page; safe for threads."""
 
     def __init__(self, specs: Sequence[MarkSpec | None]) -> None:
         """One spec of marks per camera."""
         self._specs = tuple(specs)
-        self._newest: dict[int, Shot] = {}
-        self._looked: dict[int, list[Shot]] = {n: [] for n in range(len(specs))}
+        self._newest: dict[int, ViewedFrame] = {}
+        self._looked: dict[int, list[ViewedFrame]] = {n: [] for n in range(len(specs))}
         self._count = 0
         self._change = threading.Condition()
 
@@ -63,7 +63,7 @@ class Newest:
         """A frame has come; it is kept until a newer one does."""
         with self._change:
             self._count += 1
-            self._newest[camera] = Shot(camera, run, row, self._count, pixels, self._specs[camera])
+            self._newest[camera] = ViewedFrame(camera, run, row, self._count, pixels, self._specs[camera])
             self._change.notify_all()
 
     def wait(self, after: int, timeout_s: float) -> int:
@@ -72,7 +72,7 @@ class Newest:
             self._change.wait_for(lambda: self._count > after, timeout_s)
             return self._count
 
-    def shots(self) -> list[Shot]:
+    def shots(self) -> list[ViewedFrame]:
         """The newest of every camera that has one; their pictures stay to be fetched for a while."""
         with self._change:
             out = [self._newest[n] for n in sorted(self._newest)]
@@ -83,7 +83,7 @@ class Newest:
                     del kept[:-_KEPT]
             return out
 
-    def shot(self, camera: int, number: int) -> Shot:
+    def shot(self, camera: int, number: int) -> ViewedFrame:
         """A frame that was shown; GoneError if newer ones have taken its place."""
         with self._change:
             found = next((s for s in self._looked.get(camera, []) if s.number == number), None)

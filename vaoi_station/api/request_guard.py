@@ -40,7 +40,7 @@ SAFETY = {
 }
 
 
-class Edge:
+class RequestGuard:
     """ASGI middleware around the whole application."""
 
     def __init__(

@@ -10,8 +10,8 @@ from typing import Any
 import httpx2
 import pytest
 
-from vaoi_station.api import waiting
-from vaoi_station.api.waiting import Hub
+from vaoi_station.api import event_hub
+from vaoi_station.api.event_hub import EventHub
 from vaoi_station.errors import BusyError, StateError
 
 NEXT = "/api/v1/runs/next"
@@ -87,7 +87,7 @@ def test_slow_pictures_do_not_hold_up_commands(served: Any, monkeypatch: pytest.
     monkeypatch.setattr(served.station, "frame", slow)
     with ThreadPoolExecutor(20) as pool:
         pictures = [pool.submit(served.client.get, f"/api/v1/runs/{run}/frames/0/0") for _ in range(20)]
-        for _ in range(waiting.PICTURE_THREADS):
+        for _ in range(event_hub.PICTURE_THREADS):
             begun.acquire()
         assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
         go_on.set()
@@ -95,10 +95,10 @@ def test_slow_pictures_do_not_hold_up_commands(served: Any, monkeypatch: pytest.
 
 
 def test_too_many_callers_are_sent_away(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(waiting, "MAX_WAITING", 1)
+    monkeypatch.setattr(event_hub, "MAX_WAITING", 1)
 
     async def crowd() -> None:
-        hub = Hub(station)
+        hub = EventHub(station)
         async with hub.place():
             with pytest.raises(BusyError, match="1 callers are waiting"):
                 async with hub.place():
@@ -112,7 +112,7 @@ def test_a_log_that_cannot_be_read_ends_the_waiting(station: Any, monkeypatch: p
         raise StateError("the log is closed")
 
     async def wait() -> tuple[Any, bool]:
-        hub = Hub(station)
+        hub = EventHub(station)
         monkeypatch.setattr(station, "events", broken)
         async with hub.listening():
             return await hub.events(0, 30), hub.closed

@@ -58,7 +58,7 @@ class WebServer:
             self._ended()  # without its web server the station is of no use
 
 
-def listener(host: str, port: int, where: str) -> socket.socket:
+def open_listener(host: str, port: int, where: str) -> socket.socket:
     """A listening socket; DeviceError, which names `where` the address was given, if it cannot be had."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:

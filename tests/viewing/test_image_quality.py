@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.viewing.figures import full_scale, measure
+from vaoi_station.viewing.image_quality import full_scale, measure
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.5, 4.0])

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from vaoi_station.config import StationConfig
-from vaoi_station.viewing.figures import Figures
-from vaoi_station.viewing.newest import Shot
+from vaoi_station.viewing.image_quality import ImageQuality
+from vaoi_station.viewing.latest_frames import ViewedFrame
 
 
-def shot_document(shot: Shot, config: StationConfig) -> dict[str, Any]:
+def frame_document(shot: ViewedFrame, config: StationConfig) -> dict[str, Any]:
     """One frame: where it comes from, figures, marks in raw px, remarks."""
     look, camera = shot.look, config.cameras[shot.camera]
     return {
@@ -23,16 +23,16 @@ def shot_document(shot: Shot, config: StationConfig) -> dict[str, Any]:
         "exposure_us": camera.exposure_us,
         "figures": _figures(look.figures),
         "marks": [
-            {"x": round(m.x, 3), "y": round(m.y, 3), "score": round(m.score, 3)} for m in look.marks if not m.why_not
+            {"x": round(m.x, 3), "y": round(m.y, 3), "score": round(m.score, 3)} for m in look.marks if not m.doubt
         ],
-        "doubtful": [{"x": round(m.x, 1), "y": round(m.y, 1), "why": m.why_not} for m in look.marks if m.why_not],
+        "doubtful": [{"x": round(m.x, 1), "y": round(m.y, 1), "why": m.doubt} for m in look.marks if m.doubt],
         "mark_size_px": None if look.size_px is None else round(look.size_px, 2),
         "marks_expected": look.expected,
         "remarks": list(look.remarks),
     }
 
 
-def as_text(told: dict[str, Any]) -> str:
+def row_text(told: dict[str, Any]) -> str:
     """The figures of a row, for people."""
     return "\n".join([f"run {told['run']}, row {told['row']} of {told['rows']}", *map(_camera_text, told["cameras"])])
 
@@ -50,7 +50,7 @@ def _camera_text(document: dict[str, Any]) -> str:
     return "\n".join([line, *(f"  - {r}" for r in document["remarks"])])
 
 
-def _figures(f: Figures) -> dict[str, Any]:
+def _figures(f: ImageQuality) -> dict[str, Any]:
     return {
         "focus": float(f"{f.focus:.5g}"),
         "blur_px": _rounded(f.blur_px),

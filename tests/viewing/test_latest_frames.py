@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from vaoi_station.errors import GoneError
-from vaoi_station.viewing import newest as module
-from vaoi_station.viewing.newest import Newest
+from vaoi_station.viewing import latest_frames as module
+from vaoi_station.viewing.latest_frames import LatestFrames
 
 
 def frame(level: int) -> Any:
@@ -19,7 +19,7 @@ def frame(level: int) -> Any:
 
 
 def test_only_the_newest_is_shown_but_what_was_shown_can_still_be_fetched() -> None:
-    newest = Newest([None, None])
+    newest = LatestFrames([None, None])
     assert newest.shots() == []
     for k in range(3):
         newest.put(0, "1", k, frame(k))
@@ -45,8 +45,8 @@ def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPat
         calls.append(int(pixels[0, 0]))
         return "looked"
 
-    monkeypatch.setattr(module, "look_at", look)
-    newest = Newest([None])
+    monkeypatch.setattr(module, "inspect_frame", look)
+    newest = LatestFrames([None])
     newest.put(0, "1", 0, frame(5))
     shot = newest.shots()[0]
     threads = [threading.Thread(target=lambda: shot.look) for _ in range(8)]
@@ -58,7 +58,7 @@ def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPat
 
 
 def test_who_waits_is_woken_by_the_next_frame() -> None:
-    newest = Newest([None])
+    newest = LatestFrames([None])
     newest.put(0, "1", 0, frame(1))
     assert newest.wait(0, 0) == 1
     assert newest.wait(1, 0) == 1, "the time is over"
@@ -72,7 +72,7 @@ def test_who_waits_is_woken_by_the_next_frame() -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_pictures_use_the_whole_scale(dtype: type) -> None:
-    newest = Newest([None])
+    newest = LatestFrames([None])
     pixels: Any = np.full((24, 32), 4095 if dtype is np.uint16 else 255, dtype)
     newest.put(0, "1", 0, pixels)
     jpeg = newest.shots()[0].jpeg()

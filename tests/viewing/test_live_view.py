@@ -15,8 +15,8 @@ import pytest
 from vaoi_station.config import StationConfig
 from vaoi_station.demo.site import as_toml
 from vaoi_station.errors import InputError
-from vaoi_station.viewing.live import one_row
-from vaoi_station.viewing.spec import MarkSpec
+from vaoi_station.viewing.live_view import one_row
+from vaoi_station.viewing.mark_spec import MarkSpec
 
 Make = Callable[..., StationConfig]
 View = Callable[..., AbstractContextManager[tuple[str, subprocess.Popen[str]]]]

@@ -12,8 +12,8 @@ from vaoi_station.files.images import Image
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.marks import locate, search
 from vaoi_station.marks.search import reduction
-from vaoi_station.viewing.figures import Figures, measure
-from vaoi_station.viewing.spec import MarkSpec
+from vaoi_station.viewing.image_quality import ImageQuality, measure
+from vaoi_station.viewing.mark_spec import MarkSpec
 
 _MOST = 200
 SATURATED_LIMIT = 0.005
@@ -26,57 +26,57 @@ LEAST_MARKS = 4
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A mark in a frame, raw px; `why_not` tells why it does not count."""
+class MarkDetection:
+    """A mark in a frame, raw px; `doubt` tells why it does not count."""
 
     x: float
     y: float
     score: float
-    why_not: str = ""
+    doubt: str = ""
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameInspection:
     """What a frame shows."""
 
-    figures: Figures
-    marks: tuple[Seen, ...]
+    figures: ImageQuality
+    marks: tuple[MarkDetection, ...]
     size_px: float | None
     """Of a mark; None where none are looked for."""
     expected: int | None
     remarks: tuple[str, ...]
 
 
-def look_at(pixels: Image, spec: MarkSpec | None) -> Look:
+def inspect_frame(pixels: Image, spec: MarkSpec | None) -> FrameInspection:
     """Measure a frame and find the marks in it."""
     figures = measure(pixels)
     marks = () if spec is None else find_marks(to_grey(pixels), spec)
     remarks = (*_of_exposure(figures), *_of_focus(figures), *_of_marks(marks, spec))
-    return Look(figures, marks, spec.size_px if spec else None, spec.expected if spec else None, remarks)
+    return FrameInspection(figures, marks, spec.size_px if spec else None, spec.expected if spec else None, remarks)
 
 
-def find_marks(grey: NDArray[np.uint8], spec: MarkSpec) -> tuple[Seen, ...]:
+def find_marks(grey: NDArray[np.uint8], spec: MarkSpec) -> tuple[MarkDetection, ...]:
     """All marks of a frame; those of a calibration board are found as `vaoi calibrate` finds them."""
     if spec.shape == "cross" and spec.light is not None:
         found = sight(grey, MarkKind(spec.size_px, spec.arm, spec.light))
-        sure = [Seen(float(x), float(y), float(s)) for (x, y), s in zip(found.px, found.score, strict=True)]
-        return (*sure, *(Seen(x, y, 0.0, why) for (x, y), why in found.doubtful))
+        sure = [MarkDetection(float(x), float(y), float(s)) for (x, y), s in zip(found.px, found.score, strict=True)]
+        return (*sure, *(MarkDetection(x, y, 0.0, why) for (x, y), why in found.doubtful))
     factor = reduction(spec.size_px)
     h, w = (side // factor * factor for side in grey.shape)
     small = grey[:h, :w].reshape(h // factor, factor, w // factor, factor).mean(axis=(1, 3)).astype(np.uint8)
     places, _ = search(small, spec.shape, spec.size_px / factor, _MOST, arm=spec.arm)
-    marks: list[Seen] = []
+    marks: list[MarkDetection] = []
     for place in (places + 0.5) * factor - 0.5:
         mark = locate(grey, place, spec.shape, spec.size_px, arm=spec.arm, surround=SURROUND)
         if isinstance(mark, Failure):
             continue
         x, y = (float(v) for v in mark.px)
         if all(np.hypot(x - m.x, y - m.y) > spec.size_px / 2 for m in marks):
-            marks.append(Seen(x, y, float(mark.score)))
+            marks.append(MarkDetection(x, y, float(mark.score)))
     return tuple(marks)
 
 
-def _of_exposure(f: Figures) -> list[str]:
+def _of_exposure(f: ImageQuality) -> list[str]:
     if f.saturated > SATURATED_LIMIT:
         return [
             f"too bright: {100 * f.saturated:.1f} % of the pixels are saturated (limit {100 * SATURATED_LIMIT:.1f} %)"
@@ -86,7 +86,7 @@ def _of_exposure(f: Figures) -> list[str]:
     return []
 
 
-def _of_focus(f: Figures) -> list[str]:
+def _of_focus(f: ImageQuality) -> list[str]:
     if f.blur_px is None:
         return ["no edges to judge the focus by"]
     if f.blur_px > BLUR_LIMIT_PX:
@@ -98,10 +98,10 @@ def _of_focus(f: Figures) -> list[str]:
     return []
 
 
-def _of_marks(marks: tuple[Seen, ...], spec: MarkSpec | None) -> list[str]:
+def _of_marks(marks: tuple[MarkDetection, ...], spec: MarkSpec | None) -> list[str]:
     if spec is None:
         return []
-    sure = sum(1 for m in marks if not m.why_not)
+    sure = sum(1 for m in marks if not m.doubt)
     if not sure:
         return ["no mark found"]
     if spec.light is None:

@@ -31,7 +31,7 @@ LISTEN_S = 1.0
 """Longest wait of the listener, and with it the delay of a stop that no event announces."""
 
 
-class Threads:
+class ThreadLimit:
     """A bounded pool for blocking calls."""
 
     def __init__(self, threads: int) -> None:
@@ -47,13 +47,13 @@ class Threads:
         return await anyio.to_thread.run_sync(task, limiter=self._limiter, abandon_on_cancel=True)
 
 
-class Hub:
+class EventHub:
     """Wakes everybody who waits for events; one thread, however many wait."""
 
     def __init__(self, coordinator: Coordinator) -> None:
         self._coordinator = coordinator
-        self._readers = Threads(4)
-        self._listener = Threads(1)
+        self._readers = ThreadLimit(4)
+        self._listener = ThreadLimit(1)
         self._news = asyncio.Event()
         self._newest = 0
         self.waiting = 0

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from starlette.types import Message
 
-from vaoi_station.api.edge import MAX_BODY_BYTES, Edge
 from vaoi_station.api.hosts import addressed, allowed_names
+from vaoi_station.api.request_guard import MAX_BODY_BYTES, RequestGuard
 
 ARM = "/api/v1/station/arm"
 ORDER = '{"board_type": "demo-board", "board_id": "B1"}'
@@ -130,7 +130,7 @@ def test_a_body_that_trickles_is_given_up() -> None:
             sent.append(message)
 
         scope = {"type": "http", "method": "POST", "path": ARM, "headers": [(b"host", b"localhost")]}
-        await Edge(never, body_limit_s=0.01)(scope, receive, send)
+        await RequestGuard(never, body_limit_s=0.01)(scope, receive, send)
         return sent
 
     start, body = asyncio.run(ask())

@@ -15,7 +15,7 @@ REVALIDATE = "no-cache"
 LIVE = "no-store"
 
 
-def conditional(
+def conditional_response(
     request: Request,
     content: bytes,
     media_type: str,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
-from vaoi_station.api.shapes import ViewEntry
+from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.model import FrameRecord
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import write_calibration
 from vaoi_station.model import Calibration
-from vaoi_station.viewing.spec import mark_specs
+from vaoi_station.viewing.mark_spec import mark_specs
 
 Make = Callable[..., StationConfig]
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.viewing.look import find_marks, look_at
-from vaoi_station.viewing.spec import MarkSpec
+from vaoi_station.viewing.inspection import find_marks, inspect_frame
+from vaoi_station.viewing.mark_spec import MarkSpec
 
 CROSS = MarkSpec("cross", 24.0, light=False)
 
@@ -23,31 +23,31 @@ def test_marks_are_found_where_they_are(painter: Any, centres: Any, spec: MarkSp
 
 
 def test_a_good_frame_needs_no_remark(painter: Any) -> None:
-    look = look_at(painter.marks(), MarkSpec("cross", 24.0, light=False, expected=4))
+    look = inspect_frame(painter.marks(), MarkSpec("cross", 24.0, light=False, expected=4))
     assert look.remarks == ()
     assert (look.size_px, look.expected, len(look.marks)) == (24.0, 4, 4)
-    assert look_at(painter.tilted_board(0.8), None).remarks == ()
+    assert inspect_frame(painter.tilted_board(0.8), None).remarks == ()
 
 
 def test_what_is_wrong_is_said_with_its_number(painter: Any) -> None:
     board = painter.tilted_board(0.8)
-    assert "too bright: " in look_at(cv2.convertScaleAbs(board, alpha=1.3), None).remarks[0]
-    assert "dark: the 99th percentile is 20 % of full scale" in look_at(board // 4, None).remarks[0]
-    assert look_at(painter.tilted_board(2.0), None).remarks[0].startswith("blurred by ")
+    assert "too bright: " in inspect_frame(cv2.convertScaleAbs(board, alpha=1.3), None).remarks[0]
+    assert "dark: the 99th percentile is 20 % of full scale" in inspect_frame(board // 4, None).remarks[0]
+    assert inspect_frame(painter.tilted_board(2.0), None).remarks[0].startswith("blurred by ")
     half = np.hstack([painter.tilted_board(0.7)[:, :360], painter.tilted_board(2.5)[:, 360:]])
-    assert "is the camera tilted?" in look_at(half, None).remarks[0]
-    assert look_at(np.full((100, 100), 120, np.uint8), None).remarks == ("no edges to judge the focus by",)
+    assert "is the camera tilted?" in inspect_frame(half, None).remarks[0]
+    assert inspect_frame(np.full((100, 100), 120, np.uint8), None).remarks == ("no edges to judge the focus by",)
 
 
 def test_marks_that_are_absent_or_damaged_are_told(painter: Any) -> None:
-    assert "no mark found" in look_at(painter.tilted_board(1.0), CROSS).remarks
-    assert "no mark found" in look_at(painter.marks(light=True), CROSS).remarks, "of the other polarity"
+    assert "no mark found" in inspect_frame(painter.tilted_board(1.0), CROSS).remarks
+    assert "no mark found" in inspect_frame(painter.marks(light=True), CROSS).remarks, "of the other polarity"
     covered = painter.marks()
     covered[165:190, 245:262] = 190
-    look = look_at(covered, CROSS)
+    look = inspect_frame(covered, CROSS)
     assert "marks found: 3; a calibration takes 4" in look.remarks
-    assert all(m.why_not for m in look.marks if np.hypot(m.x - 260, m.y - 190.75) < 20)
-    six = look_at(painter.marks(), MarkSpec("cross", 24.0, light=False, expected=6))
+    assert all(m.doubt for m in look.marks if np.hypot(m.x - 260, m.y - 190.75) < 20)
+    six = inspect_frame(painter.marks(), MarkSpec("cross", 24.0, light=False, expected=6))
     assert six.remarks == ("marks found: 4 of the 6 that should be in view",)
 
 
@@ -55,4 +55,4 @@ def test_deep_and_coloured_frames_are_looked_at_alike(painter: Any) -> None:
     plain = painter.marks()
     deep = plain.astype(np.uint16) * 16
     for frame in (deep, np.dstack([plain] * 3)):
-        assert len(look_at(frame, CROSS).marks) == 4
+        assert len(inspect_frame(frame, CROSS).marks) == 4
