@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.needs import need_emulator
-from vaoi_station.rig.devices.network import INSIDE, isolation
+from vaoi_station.rig.devices.network import NAMESPACE_VARIABLE, isolation_command
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,9 +22,15 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What `on_the_rig` saw."""
     need_emulator()
     directory = tmp_path_factory.mktemp("doctor") / "rig"
-    command = [*isolation(), sys.executable, "-m", "tests.doctor.on_the_rig", str(directory)]
+    command = [*isolation_command(), sys.executable, "-m", "tests.doctor.on_the_rig", str(directory)]
     done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | {INSIDE: "1"}, capture_output=True, text=True, check=False, timeout=280
+        command,
+        cwd=ROOT,
+        env=os.environ | {NAMESPACE_VARIABLE: "1"},
+        check=False,
+        timeout=280,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     document: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.needs import need_emulator
-from vaoi_station.rig.devices.chip import build
-from vaoi_station.rig.line.films import Film, films
+from vaoi_station.rig.devices.firmware import build
+from vaoi_station.rig.line.rendered_boards import RenderedBoard, render_boards
 from vaoi_station.simulation import Scenario, read_scenario, scenario_path
 
 
@@ -18,9 +18,9 @@ def small() -> Scenario:
 
 
 @pytest.fixture(scope="session")
-def filmed(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[Film, ...]:
+def filmed(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedBoard, ...]:
     """Two boards."""
-    return films(small, [0, 1], tmp_path_factory.mktemp("films"), lambda _: None)
+    return render_boards(small, [0, 1], tmp_path_factory.mktemp("films"), lambda _: None)
 
 
 @pytest.fixture(scope="session")

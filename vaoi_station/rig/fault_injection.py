@@ -1,4 +1,4 @@
-"""Does what the faults say, when the board and row they name are fired, and remembers what may be lost by it."""
+"""Inject faults into devices and processes when the board and row they name are fired, and record what may be lost."""
 
 from __future__ import annotations
 
@@ -13,37 +13,38 @@ from dataclasses import dataclass, replace
 from vaoi_station.errors import DeviceError, InternalError
 from vaoi_station.rig.line.assembly import Devices
 from vaoi_station.rig.line.faults import Fault
-from vaoi_station.rig.line.stage import Mischief
-from vaoi_station.rig.scoring.score import Trouble
+from vaoi_station.rig.line.virtual_line import FrameFaults
+from vaoi_station.rig.scoring.score import Outage
 
-FOREVER_NS = 2**63
-"""Until the station is ready again, which is told by `mend`."""
-
-
-_AT_A_ROW = ("kill", "stall", "reset")
+OPEN_END_NS = 2**63
+"""End of an outage that lasts until `close_outage` is called."""
 
 
-def mischief_of(faults: Sequence[Fault]) -> Mischief:
-    """What the stage does by itself."""
-    return Mischief(
+_ROW_FAULTS = ("kill", "stall", "reset")
+
+
+def frame_faults_of(faults: Sequence[Fault]) -> FrameFaults:
+    """Return the faults that the virtual line injects by itself."""
+    return FrameFaults(
         loss=max((f.share for f in faults if f.kind == "loss"), default=0.0),
         ignored=frozenset((f.board, f.row, f.camera) for f in faults if f.kind == "ignored"),
     )
 
 
 @dataclass(frozen=True)
-class Back:
-    """A device works again."""
+class DeviceRecovery:
+    """The moment at which a device works again after a fault."""
 
     fault: Fault
     began_ns: int
-    back_ns: int
+    """CLOCK_MONOTONIC of the fault; identifies its outage."""
+    recovered_ns: int
 
 
-class Saboteur:
-    """Hears of every row in the chip's thread; what takes time is done in threads of its own.
+class FaultInjector:
+    """Inject faults by row; a context manager that resumes stopped processes and restarts no device after its end.
 
-    A context manager: at its end what was stopped runs on, and nothing is put back any more.
+    `on_row` runs in the chip's thread; whatever takes time runs in threads of its own.
     """
 
     def __init__(self, faults: Sequence[Fault]) -> None:
@@ -52,36 +53,38 @@ class Saboteur:
         self._processes: Callable[[], Mapping[str, int]] = dict
         self._threads: list[threading.Thread] = []
         self._change, self._closing = threading.Lock(), threading.Event()
-        self.troubles: list[Trouble] = []
-        self.backs: list[Back] = []
+        self.outages: list[Outage] = []
+        self.recoveries: list[DeviceRecovery] = []
         self.failed: list[str] = []
+        """Faults that could not be injected, one sentence each."""
 
-    def ask_for_processes(self, processes: Callable[[], Mapping[str, int]]) -> None:
-        """How to learn of the station's processes: name → pid."""
+    def set_process_source(self, processes: Callable[[], Mapping[str, int]]) -> None:
+        """Set the function that returns the station's processes: name → pid."""
         self._processes = processes
 
-    def use(self, devices: Devices) -> None:
-        """The rig to do it to."""
+    def attach(self, devices: Devices) -> None:
+        """Set the devices, and start the noise on the serial line."""
         self._devices = devices
         for fault in self._faults:
             if fault.kind == "noise":
-                devices.chip.tell(f"noise {fault.share} {fault.share}")
+                devices.chip.send(f"noise {fault.share} {fault.share}")
 
-    def noticed(self, board: int, row: int) -> None:
-        """The pulse of a row has been fired; no camera has heard of it."""
-        for fault in [f for f in self._faults if f.kind in _AT_A_ROW and f.at(board, row)]:
+    def on_row(self, board: int, row: int) -> None:
+        """Inject the faults of a row; called when its pulse has been fired, before the cameras are triggered."""
+        for fault in [f for f in self._faults if f.kind in _ROW_FAULTS and f.at(board, row)]:
+            # Removed first: a fault happens once, even where a pulse of the row is fired again.
             self._faults.remove(fault)
             {"kill": self._kill, "stall": self._stall, "reset": self._reset}[fault.kind](fault)
 
-    def over(self) -> None:
-        """Wait for what is under way, and complain of what never happened."""
+    def finish(self) -> None:
+        """Wait for the faults under way, and record those that never happened."""
         for thread in self._threads:
             thread.join()
         for fault in self._faults:
-            if fault.kind in _AT_A_ROW:
+            if fault.kind in _ROW_FAULTS:
                 self.failed.append(f"{fault.kind} did not happen: board {fault.board} had no row {fault.row}")
 
-    def __enter__(self) -> Saboteur:
+    def __enter__(self) -> FaultInjector:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -90,71 +93,74 @@ class Saboteur:
             thread.join()
 
     def _kill(self, fault: Fault) -> None:
-        camera = self._at_work().cameras[fault.camera]
+        camera = self._attached_devices().cameras[fault.camera]
         began_ns = time.monotonic_ns()
         camera.kill()
-        self._remember(Trouble(began_ns, FOREVER_NS, fault.camera, "the camera was dead"))
+        self._add_outage(Outage(began_ns, OPEN_END_NS, fault.camera, "the camera was dead"))
 
-        def put_back() -> None:
+        def restart() -> None:
+            # When the rig is taken down in the meantime, the camera stays dead: no board follows.
             if self._closing.wait(fault.for_s):
                 return
-            camera.begin()
+            camera.start()
             try:
-                camera.wait()
+                camera.wait_ready()
             except DeviceError as error:
                 self.failed.append(str(error))
                 return
-            self._back(fault, began_ns)
+            self._add_recovery(fault, began_ns)
 
-        self._later(put_back)
+        self._run_aside(restart)
 
     def _stall(self, fault: Fault) -> None:
         name = "worker 0" if fault.who == "worker" else fault.who
         pid = self._processes().get(name)
         if pid is None:
+            # A worker may be missing because the scenario has fewer; the run fails, as the fault was not tested.
             self.failed.append(f"the station has no process {name!r} to stop")
             return
         began_ns = time.monotonic_ns()
         os.kill(pid, signal.SIGSTOP)
 
-        def let_run() -> None:
+        def resume() -> None:
             self._closing.wait(fault.for_s)
-            with contextlib.suppress(ProcessLookupError):  # the station has given it up and started another
+            with contextlib.suppress(ProcessLookupError):  # the station has restarted it in the meantime
                 os.kill(pid, signal.SIGCONT)
+            # Only the acquisition process receives frames: a stopped station or worker is no reason to lose one.
             if name == "acquisition":
-                self._remember(Trouble(began_ns, FOREVER_NS, None, "the acquisition process was stopped"))
-            self._back(fault, began_ns)
+                self._add_outage(Outage(began_ns, OPEN_END_NS, None, "the acquisition process was stopped"))
+            self._add_recovery(fault, began_ns)
 
-        self._later(let_run)
+        self._run_aside(resume)
 
     def _reset(self, fault: Fault) -> None:
         began_ns = time.monotonic_ns()
-        self._at_work().chip.tell("reset external")
-        self._remember(Trouble(began_ns, FOREVER_NS, None, "the controller was reset"))
-        self._back(fault, began_ns)
+        self._attached_devices().chip.send("reset external")
+        self._add_outage(Outage(began_ns, OPEN_END_NS, None, "the controller was reset"))
+        self._add_recovery(fault, began_ns)
 
-    def mend(self, back: Back, ready_ns: int) -> None:
-        """The station has been ready since then: from then on nothing may be lost by this fault."""
+    def close_outage(self, recovery: DeviceRecovery, ready_ns: int) -> None:
+        """End the outage of a fault: the station has been ready since `ready_ns`, and may lose nothing by it later."""
         with self._change:
-            self.troubles = [
-                replace(t, until_ns=ready_ns) if (t.from_ns, t.until_ns) == (back.began_ns, FOREVER_NS) else t
-                for t in self.troubles
+            self.outages = [
+                replace(t, until_ns=ready_ns) if (t.from_ns, t.until_ns) == (recovery.began_ns, OPEN_END_NS) else t
+                for t in self.outages
             ]
 
-    def _at_work(self) -> Devices:
+    def _attached_devices(self) -> Devices:
         if self._devices is None:
-            raise InternalError("a board passed before the rig was put together.")
+            raise InternalError("a board passed before the devices were attached.")
         return self._devices
 
-    def _remember(self, trouble: Trouble) -> None:
+    def _add_outage(self, outage: Outage) -> None:
         with self._change:
-            self.troubles.append(trouble)
+            self.outages.append(outage)
 
-    def _back(self, fault: Fault, began_ns: int) -> None:
+    def _add_recovery(self, fault: Fault, began_ns: int) -> None:
         with self._change:
-            self.backs.append(Back(fault, began_ns, time.monotonic_ns()))
+            self.recoveries.append(DeviceRecovery(fault, began_ns, time.monotonic_ns()))
 
-    def _later(self, do: Callable[[], None]) -> None:
-        thread = threading.Thread(target=do, name="sabotage")
+    def _run_aside(self, do: Callable[[], None]) -> None:
+        thread = threading.Thread(target=do, name="fault injection")
         self._threads.append(thread)
         thread.start()

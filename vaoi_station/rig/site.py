@@ -1,4 +1,4 @@
-"""A station for the rig, as files: the station.toml a real line would have, with nothing of the rig but addresses."""
+"""Write the files of a station for the rig: the station.toml of a real line with the rig's addresses."""
 
 from __future__ import annotations
 
@@ -10,19 +10,26 @@ from vaoi_station.config import CameraConfig, ControllerConfig, LightConfig, Rin
 from vaoi_station.demo.site import as_toml, ring_directory
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.rig.line.films import Film
-from vaoi_station.rig.line.scenarios import lamp_of
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.line.scenarios import lighting_of
 from vaoi_station.simulation import Scenario, Twin
 from vaoi_station.simulation.motion.timetable import line_of
 
 
 def build_site(
-    scenario: Scenario, film: Film, folder: Path, *, name: str, addresses: Sequence[str], port: Path, workers: int
+    scenario: Scenario,
+    rendered: RenderedBoard,
+    folder: Path,
+    *,
+    name: str,
+    addresses: Sequence[str],
+    port: Path,
+    workers: int,
 ) -> Path:
-    """Calibration, board type and station.toml in an empty folder; the station's data will be there too."""
-    write_calibration(folder / "calibration.json", film.calibration)
-    write_board_type(folder / "board-types" / f"{film.board_type.name}.json", film.board_type)
-    lamp = lamp_of(scenario)
+    """Write calibration, board type and station.toml into an empty folder, which also takes the station's data."""
+    write_calibration(folder / "calibration.json", rendered.calibration)
+    write_board_type(folder / "board-types" / f"{rendered.board_type.name}.json", rendered.board_type)
+    lighting = lighting_of(scenario)
     config = StationConfig(
         name=name,
         calibration=folder / "calibration.json",
@@ -35,14 +42,15 @@ def build_site(
             backend="serial",
             port=str(port),
             lights={
-                light: LightConfig(channels=channels, on_us=max(lamp.exposures_us))
-                for light, channels in lamp.channels.items()
+                # LEDs stay on for the longest exposure; cameras with a shorter one see part of it.
+                light: LightConfig(channels=channels, on_us=max(lighting.exposures_us))
+                for light, channels in lighting.channels.items()
             },
             order=scenario.line.lights,
         ),
     )
-    room = ring_directory(RingLayout.of(config).file_bytes, folder)
-    config = config.model_copy(update={"ring": RingConfig(directory=room)})
+    directory = ring_directory(RingLayout.of(config).file_bytes, folder)
+    config = config.model_copy(update={"ring": RingConfig(directory=directory)})
     path = folder / "station.toml"
     write_bytes(path, as_toml(config).encode())
     return path

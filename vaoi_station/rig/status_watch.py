@@ -1,4 +1,4 @@
-"""What the station says of itself, four times a second."""
+"""Poll the station's status four times a second."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from typing import Any
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import DeviceError
 
-EVERY_S = 0.25
+INTERVAL_S = 0.25
 _READY = ("armed", "filming")
 
 
-class Watch:
-    """A thread of its own; a context manager."""
+class StatusWatch:
+    """A polling thread; a context manager."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
         self._closing = threading.Event()
         self._change = threading.Condition()
-        self._seen: list[tuple[int, bool]] = []
-        """CLOCK_MONOTONIC of an answer, and whether the station was ready with all its cameras."""
-        self._asked_ns = 0
+        self._states: list[tuple[int, bool]] = []
+        """CLOCK_MONOTONIC of each reply, and whether the station was ready with all its cameras."""
+        self._requested_ns = 0
         self.last: dict[str, Any] = {}
-        self._thread = threading.Thread(target=self._work, name="watch")
+        """JSON of the last reply to `GET station`."""
+        self._thread = threading.Thread(target=self._poll, name="status watch")
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> StatusWatch:
         self._thread.start()
         return self
 
@@ -35,46 +36,48 @@ class Watch:
         self._closing.set()
         self._thread.join()
 
-    def wait(self, true: Callable[[dict[str, Any]], bool], timeout_s: float) -> bool:
-        """Until the station, asked from now on, says something of itself that is so."""
+    def wait(self, condition: Callable[[dict[str, Any]], bool], timeout_s: float) -> bool:
+        """Wait until a status that is requested after this call meets a condition; False after the timeout."""
         now_ns = time.monotonic_ns()
         with self._change:
-            return self._change.wait_for(lambda: self._asked_ns >= now_ns and true(self.last), timeout_s)
+            # An older reply may describe the state before the fault whose end is awaited.
+            return self._change.wait_for(lambda: self._requested_ns >= now_ns and condition(self.last), timeout_s)
 
     def wait_ready(self, timeout_s: float) -> bool:
-        """Until it takes boards, with all its cameras."""
-        return self.wait(lambda station: station["state"] == "armed" and all_there(station), timeout_s)
+        """Wait until the station is armed with all its cameras; False after the timeout."""
+        return self.wait(lambda station: station["state"] == "armed" and all_connected(station), timeout_s)
 
     def ready_since(self, after_ns: int) -> int | None:
-        """CLOCK_MONOTONIC of the first answer behind the last one that was not ready; None if it is not ready now.
+        """Return CLOCK_MONOTONIC since when the station has been ready without a break; None if it is not ready now.
 
         Args:
-            after_ns: answers before this time do not count.
+            after_ns: replies before this time do not count.
         """
         with self._change:
-            seen = [(when, ready) for when, ready in self._seen if when >= after_ns]
-        if not seen or not seen[-1][1]:
+            states = [(when, ready) for when, ready in self._states if when >= after_ns]
+        if not states or not states[-1][1]:
             return None
-        first = len(seen) - 1
-        while first and seen[first - 1][1]:
+        first = len(states) - 1
+        while first and states[first - 1][1]:
             first -= 1
-        return seen[first][0]
+        return states[first][0]
 
-    def _work(self) -> None:
-        while not self._closing.wait(EVERY_S):
-            asked_ns = time.monotonic_ns()
+    def _poll(self) -> None:
+        while not self._closing.wait(INTERVAL_S):
+            requested_ns = time.monotonic_ns()
             try:
                 station = self._client.get("/station")
+            # The service may be stopped, or ending: a missing reply is no state.
             except DeviceError:  # it is being stopped, or has been
                 continue
-            ready = station["state"] in _READY and all_there(station)
+            ready = station["state"] in _READY and all_connected(station)
             with self._change:
-                self._asked_ns = asked_ns
-                self._seen.append((time.monotonic_ns(), ready))
+                self._requested_ns = requested_ns
+                self._states.append((time.monotonic_ns(), ready))
                 self.last = station
                 self._change.notify_all()
 
 
-def all_there(station: dict[str, Any]) -> bool:
+def all_connected(station: dict[str, Any]) -> bool:
     """Whether all cameras are connected."""
     return all(camera["connected"] for camera in station["cameras"])

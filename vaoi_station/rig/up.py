@@ -1,4 +1,4 @@
-"""`vaoi rig up`: devices for a station that somebody starts beside them; boards keep passing until Ctrl-C."""
+"""`vaoi rig up`: run devices for a station that the user starts beside them; boards pass until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -9,66 +9,68 @@ from pathlib import Path
 from typing import NoReturn
 
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.devices.network import entrance
-from vaoi_station.rig.fault_injection import Saboteur, mischief_of
-from vaoi_station.rig.line.assembly import Devices, film_boards
-from vaoi_station.rig.line.faults import Fault, befallen
-from vaoi_station.rig.line.feeder import Conveyor
-from vaoi_station.rig.line.films import Film
-from vaoi_station.rig.line.scenarios import least_interval_s
+from vaoi_station.rig.devices.network import entry_command
+from vaoi_station.rig.fault_injection import FaultInjector, frame_faults_of
+from vaoi_station.rig.line.assembly import Devices, prepare_boards
+from vaoi_station.rig.line.faults import Fault, with_belt_faults
+from vaoi_station.rig.line.feeder import BoardFeeder
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.line.scenarios import min_interval_s
 from vaoi_station.rig.site import build_site
 from vaoi_station.simulation import Scenario
 
 
-def keep_up(
+def run_until_interrupted(
     scenario: Scenario,
     faults: tuple[Fault, ...],
     folder: Path,
-    films: Path,
+    cache: Path,
     different: int,
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
     *,
     still: bool = False,
 ) -> NoReturn:
-    """Ends by KeyboardInterrupt, with everything put away but the folder; by DeviceError if the chip's emulator ends.
+    """Run the devices until KeyboardInterrupt, or DeviceError if the emulator ends; only the folder remains.
 
     Args:
-        scenario: of the twin.
-        faults: those that name a board befall it once, others last.
-        folder: new or empty; station.toml, the controller's port and the station's data will be there.
-        films: where films are kept.
-        different: boards that are filmed, and pass in turn.
-        tell: takes one line.
+        scenario: the twin's.
+        faults: faults of one board are injected once, the others last.
+        folder: new or empty; takes station.toml, the controller's port and the station's data.
+        cache: where rendered boards are kept.
+        different: number of boards that are rendered; they pass in turn.
+        progress: takes one line of text.
         still: no board passes; the calibration board lies under the cameras.
     """
-    plagued = befallen(scenario, faults)
-    boards = film_boards(plagued, faults, different, different, films, tell)
-    saboteur = Saboteur(faults)
-    with Devices(plagued, folder, mischief_of(faults), saboteur.noticed) as devices, saboteur:
-        saboteur.use(devices)
-        tell("Laying the calibration board under the cameras.")
+    faulty = with_belt_faults(scenario, faults)
+    boards = prepare_boards(faulty, faults, different, different, cache, progress)
+    injector = FaultInjector(faults)
+    with Devices(faulty, folder, frame_faults_of(faults), injector.on_row) as devices, injector:
+        injector.attach(devices)
+        progress("Rendering the calibration board.")
+        # Its first frames are rendered now: a station that starts at once must not wait for them.
         devices.lay_calibration_board()
         config = build_site(
-            plagued, boards[0], folder, name="rig", addresses=devices.addresses, port=devices.terminal, workers=2
+            faulty, boards[0], folder, name="rig", addresses=devices.addresses, port=devices.terminal, workers=2
         )
-        tell(f"{len(devices.cameras)} cameras at {devices.addresses[0]} …, the controller at {devices.terminal}.")
-        tell(f"Start the station: {' '.join([*entrance(), 'vaoi', 'serve', '--config', str(config)])}")
+        progress(f"{len(devices.cameras)} cameras at {devices.addresses[0]} …, the controller at {devices.terminal}.")
+        progress(f"Start the station: {' '.join([*entry_command(), 'vaoi', 'serve', '--config', str(config)])}")
         if still:
-            tell("No board passes: the calibration board lies under the cameras. Ctrl-C ends it.")
-            _lie_still(devices)
-        tell("Boards pass, whether somebody films them or not. Ctrl-C ends it.")
-        _let_pass(devices, boards, least_interval_s(scenario, boards))
+            progress("No board passes: the calibration board lies under the cameras. Press Ctrl-C to stop.")
+            _wait_without_boards(devices)
+        progress("Boards pass, whether the station is armed or not. Press Ctrl-C to stop.")
+        _feed_forever(devices, boards, min_interval_s(scenario, boards))
 
 
-def _lie_still(devices: Devices) -> NoReturn:
+def _wait_without_boards(devices: Devices) -> NoReturn:
     while devices.chip.alive:
         threading.Event().wait(1.0)
     raise DeviceError("the emulated chip has ended.")
 
 
-def _let_pass(devices: Devices, boards: Sequence[Film], interval_s: float) -> NoReturn:
+def _feed_forever(devices: Devices, boards: Sequence[RenderedBoard], interval_s: float) -> NoReturn:
     while True:
-        with Conveyor(devices.stage, boards, interval_s) as conveyor:
-            while not conveyor.empty.wait(1.0):
+        # The line counts boards over all rounds, so a fault of one row happens once.
+        with BoardFeeder(devices.line, boards, interval_s) as feeder:
+            while not feeder.finished.wait(1.0):
                 pass
-        threading.Event().wait(max(interval_s - math.fsum((boards[-1].lasts_s, 1.0)), 0.0))
+        threading.Event().wait(max(interval_s - math.fsum((boards[-1].duration_s, 1.0)), 0.0))

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from vaoi_station import __version__
 from vaoi_station.cli import app
 from vaoi_station.errors import InputError, NotFoundError
-from vaoi_station.rig.devices import chip
+from vaoi_station.rig.devices import firmware
 from vaoi_station.rig.line.faults import KINDS
 
 
@@ -53,13 +53,14 @@ def test_up_does_not_write_into_what_others_have_written(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("arguments", [("run",), ("up", "--out", "rig")])
-def test_an_installed_package_says_that_it_needs_its_sources_before_anything_is_filmed(
+def test_missing_firmware_sources_are_refused_before_a_board_is_rendered(
     arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(chip, "SOURCES", tmp_path / "hw" / "firmware")
+    monkeypatch.setattr(firmware, "PACKAGED", tmp_path / "packaged")
+    monkeypatch.setattr(firmware, "CHECKOUT", tmp_path / "hw" / "firmware")
     error = refusal(*arguments)
     assert isinstance(error, NotFoundError)
-    assert "sources are not part of an installed package" in error.message
-    assert f"Get the sources of version {__version__}; in their directory: python -m vaoi_station rig" in error.action
+    assert "its sources are neither in" in error.message
+    assert f"Install version {__version__} again" in error.action
     assert list(tmp_path.iterdir()) == []

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.errors import InputError, InternalError
-from vaoi_station.rig.devices.camera_description import wired
-from vaoi_station.rig.devices.camera_orders import Order
+from vaoi_station.rig.devices.camera_commands import TriggerCommand
+from vaoi_station.rig.devices.camera_description import with_line0_trigger
 from vaoi_station.rig.devices.network import addresses
-from vaoi_station.rig.devices.virtual_camera import BLACK_LEVEL, lit
+from vaoi_station.rig.devices.virtual_camera import BLACK_LEVEL, apply_brightness
 
 MONO_8, MONO_16 = 0x01080001, 0x01100007
 SOURCES = """<RegisterDescription>
@@ -26,19 +26,19 @@ SOURCES = """<RegisterDescription>
 
 @given(
     st.builds(
-        Order,
+        TriggerCommand,
         st.integers(-1, 10**6),
         st.integers(0, 2**63),
         st.floats(0, 8),
         st.floats(0, 1),
     )
 )
-def test_an_order_is_understood_as_it_was_meant(order: Order) -> None:
-    assert Order.of(order.line()) == order
+def test_an_order_is_understood_as_it_was_meant(command: TriggerCommand) -> None:
+    assert TriggerCommand.from_line(command.to_line()) == command
 
 
 def test_only_the_trigger_sources_change_places() -> None:
-    changed = wired(SOURCES)
+    changed = with_line0_trigger(SOURCES)
     other, source = changed.split('<Enumeration Name="TriggerSource"')
     assert 'Name="Line0"><Value>0</Value>' in other
     assert 'Name="Line0" NameSpace="Standard"><Value>1</Value>' in source
@@ -49,7 +49,7 @@ def test_only_the_trigger_sources_change_places() -> None:
 @pytest.mark.parametrize("gone", ['Name="TriggerSource"', 'Name="Line0" NameSpace', 'Name="Software"'])
 def test_another_description_is_refused(gone: str) -> None:
     with pytest.raises(InternalError, match="Aravis' fake camera has no"):
-        wired(SOURCES.replace(gone, 'Name="Else" NameSpace'))
+        with_line0_trigger(SOURCES.replace(gone, 'Name="Else" NameSpace'))
 
 
 @pytest.mark.parametrize(("code", "kind", "scale"), [(MONO_8, "u1", 1), (MONO_16, "<u2", 256)])
@@ -57,11 +57,11 @@ def test_light_multiplies_what_is_above_the_black_level(code: int, kind: str, sc
     black, top = BLACK_LEVEL * scale, 256 * scale - 1
     pixels = np.array([0, black, black + 10 * scale, 200 * scale, top], kind)
     flat = pixels.view(np.uint8)
-    assert lit(flat, 1.0, code) is flat
-    half = lit(flat, 0.5, code).view(kind).tolist()
+    assert apply_brightness(flat, 1.0, code) is flat
+    half = apply_brightness(flat, 0.5, code).view(kind).tolist()
     assert half == [black // 2, black, black + 5 * scale, 101 * scale, round(black + (top - black) / 2)]
-    assert lit(flat, 0.0, code).view(kind).tolist() == [black] * 5
-    assert lit(flat, 100.0, code).view(kind).tolist()[2:] == [top] * 3
+    assert apply_brightness(flat, 0.0, code).view(kind).tolist() == [black] * 5
+    assert apply_brightness(flat, 100.0, code).view(kind).tolist()[2:] == [top] * 3
 
 
 def test_every_camera_has_an_address_of_its_own() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.rig.line.faults import KINDS, befallen, check_faults, parse_fault
+from vaoi_station.rig.line.faults import KINDS, check_faults, parse_fault, with_belt_faults
 from vaoi_station.simulation import Scenario
 
 
@@ -43,7 +43,7 @@ def test_keys_change_what_they_name() -> None:
         ("kill:camera=1,camera=2", "is 'kill:camera=1,camera=2', but must be written with camera once"),
     ],
 )
-def test_what_is_wrong_is_told(text: str, words: str) -> None:
+def test_what_is_wrong_is_station_verdicts(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         parse_fault(text)
 
@@ -59,6 +59,6 @@ def test_a_fault_needs_its_board_and_its_camera() -> None:
 
 def test_the_twin_plays_what_happens_on_the_belt() -> None:
     faults = [parse_fault(t) for t in ("stuck:board=2,row=5", "bounce:board=0,at_s=0.1,for_s=0.002", "loss")]
-    known = befallen(Scenario(), faults).faults
+    known = with_belt_faults(Scenario(), faults).faults
     assert [(f.board, f.row) for f in known.stuck] == [(2, 5)]
     assert [(f.board, f.at_s, f.duration_s) for f in known.bounces] == [(0, 0.1, 0.002)]

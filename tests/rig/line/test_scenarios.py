@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.rig.devices.pins import Shot
-from vaoi_station.rig.line.films import Film
-from vaoi_station.rig.line.scenarios import check_playable, lamp_of, least_interval_s, with_cameras
+from vaoi_station.rig.devices.pulses import Pulse
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.line.scenarios import check_supported, lighting_of, min_interval_s, with_cameras
 from vaoi_station.simulation import Scenario
 from vaoi_station.simulation.scenario import (
     ArraySection,
@@ -34,9 +34,9 @@ def test_a_larger_array_sees_a_wider_board() -> None:
 
 
 def test_cameras_that_do_wrong_by_themselves_are_asked_for_by_faults() -> None:
-    check_playable(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
+    check_supported(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
     with pytest.raises(InputError, match=r"faults\.ignored_triggers befall the cameras of the in-process twin only"):
-        check_playable(Scenario(faults=FaultSection(ignored_triggers=(IgnoredTrigger(camera=0, row=1),))))
+        check_supported(Scenario(faults=FaultSection(ignored_triggers=(IgnoredTrigger(camera=0, row=1),))))
 
 
 def scenario_of(lights: tuple[str, ...], exposures_us: tuple[float, ...] = (250.0,)) -> Scenario:
@@ -47,37 +47,37 @@ def scenario_of(lights: tuple[str, ...], exposures_us: tuple[float, ...] = (250.
     )
 
 
-def shot(channels: tuple[int, ...], on_us: float) -> Shot:
-    return Shot(0, 0, channels, on_us)
+def pulse(channels: tuple[int, ...], on_us: float) -> Pulse:
+    return Pulse(0, 0, channels, on_us)
 
 
 def test_every_light_has_a_channel() -> None:
-    lamp = lamp_of(scenario_of(("ring", "low", "ring")))
-    assert lamp.channels == {"ring": (0,), "low": (1,)}
-    assert lamp.light_of(shot((1,), 250.1)) == "low"
-    assert lamp.brightness(shot((1,), 250.1), 0) == 1.0
-    assert lamp.light_of(shot((0, 1), 250.0)) is None
-    assert lamp.brightness(shot((0, 1), 250.0), 0) == 0.0
+    lighting = lighting_of(scenario_of(("ring", "low", "ring")))
+    assert lighting.channels == {"ring": (0,), "low": (1,)}
+    assert lighting.light_of(pulse((1,), 250.1)) == "low"
+    assert lighting.brightness(pulse((1,), 250.1), 0) == 1.0
+    assert lighting.light_of(pulse((0, 1), 250.0)) is None
+    assert lighting.brightness(pulse((0, 1), 250.0), 0) == 0.0
     with pytest.raises(InputError, match="at most 4 different ones"):
-        lamp_of(scenario_of(("a", "b", "c", "d", "e")))
+        lighting_of(scenario_of(("a", "b", "c", "d", "e")))
 
 
 def test_a_camera_sees_the_light_within_its_own_exposure() -> None:
-    lamp = lamp_of(scenario_of(("ring",), (250.0, 1000.0)))
-    assert lamp.brightness(shot((0,), 1000.0), 0) == 1.0
-    assert lamp.brightness(shot((0,), 500.0), 1) == 0.5
+    lighting = lighting_of(scenario_of(("ring",), (250.0, 1000.0)))
+    assert lighting.brightness(pulse((0,), 1000.0), 0) == 1.0
+    assert lighting.brightness(pulse((0,), 500.0), 1) == 0.5
 
 
 @dataclass(frozen=True)
-class Short(Film):
+class Short(RenderedBoard):
     seconds: float = 0.0
 
     @property
-    def lasts_s(self) -> float:
+    def duration_s(self) -> float:
         return self.seconds
 
 
-def test_boards_do_not_come_faster_than_they_pass(filmed: tuple[Film, ...]) -> None:
+def test_boards_do_not_come_faster_than_they_pass(filmed: tuple[RenderedBoard, ...]) -> None:
     scenario = scenario_of(("ring",))
-    assert least_interval_s(scenario, filmed) == scenario.line.interval_s
-    assert least_interval_s(scenario, [Short(filmed[0].directory, 7.13), *filmed]) == 8.0
+    assert min_interval_s(scenario, filmed) == scenario.line.interval_s
+    assert min_interval_s(scenario, [Short(filmed[0].directory, 7.13), *filmed]) == 8.0

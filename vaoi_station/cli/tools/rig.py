@@ -38,10 +38,10 @@ def run(
     from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
     from vaoi_station.demo.site import find_scenario
     from vaoi_station.files.documents import write_json
-    from vaoi_station.rig.devices.chip import check_sources
-    from vaoi_station.rig.devices.network import isolate
+    from vaoi_station.rig.devices.firmware import check_sources
+    from vaoi_station.rig.devices.network import enter_namespace
     from vaoi_station.rig.line.faults import check_faults, parse_fault
-    from vaoi_station.rig.line.scenarios import check_playable, with_cameras
+    from vaoi_station.rig.line.scenarios import check_supported, with_cameras
     from vaoi_station.rig.run import Plan, run_rig
     from vaoi_station.rig.scoring.tables import as_text
     from vaoi_station.simulation import read_scenario
@@ -57,10 +57,10 @@ def run(
         min(different, boards),
         workers,
     )
-    check_playable(plan.scenario)
+    check_supported(plan.scenario)
     check_faults(plan.faults, plan.scenario.array.cameras, boards)
     check_sources()
-    isolate()
+    enter_namespace()
     try:
         with interruptible():
             report = run_rig(plan, lambda line: typer.echo(line, err=True))
@@ -92,26 +92,26 @@ def up(
     from vaoi_station.demo.interrupting import interruptible
     from vaoi_station.demo.site import find_scenario
     from vaoi_station.errors import InputError
-    from vaoi_station.rig.devices.chip import check_sources
-    from vaoi_station.rig.devices.network import isolate, may_add
+    from vaoi_station.rig.devices.firmware import check_sources
+    from vaoi_station.rig.devices.network import enter_namespace, may_add_addresses
     from vaoi_station.rig.line.faults import check_faults, parse_fault
-    from vaoi_station.rig.line.scenarios import check_playable, with_cameras
-    from vaoi_station.rig.up import keep_up
+    from vaoi_station.rig.line.scenarios import check_supported, with_cameras
+    from vaoi_station.rig.up import run_until_interrupted
     from vaoi_station.simulation import read_scenario
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: must be a new or empty directory.", action="Give another --out.")
     faults = tuple(map(parse_fault, fault or ()))
     chosen = with_cameras(read_scenario(find_scenario(scenario)), cameras)
-    check_playable(chosen)
+    check_supported(chosen)
     check_faults(faults, chosen.array.cameras, different)
     check_sources()
-    if own_network or not may_add():
-        isolate()
+    if own_network or not may_add_addresses():
+        enter_namespace()
     out.mkdir(parents=True, exist_ok=True)
     try:
         with interruptible():
-            keep_up(
+            run_until_interrupted(
                 chosen, faults, out.resolve(), (films or out / "films").resolve(), different, typer.echo, still=still
             )
     except KeyboardInterrupt:

@@ -1,1 +1,1 @@
-"""Emulate devices: the firmware on its chip, GigE Vision cameras on loopback."""
+"""Emulate devices: the firmware on its chip, GigE Vision cameras on loopback addresses."""

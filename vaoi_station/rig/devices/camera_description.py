@@ -1,8 +1,8 @@
-"""Aravis' fake camera, made to wait for a wired trigger: its description is changed in memory.
+"""Change the GenICam description of Aravis' fake camera so that the fake waits for a hardware trigger on Line0.
 
-The fake fires only while its trigger source has the number that its own description calls *Software*, and a program
-fires it by a register. So the numbers of the entries *Line0* and *Software* change places: a client that selects Line0
-and reads Line0 back has selected what we fire, and one that fires by software fires nothing.
+The fake fires only while its trigger source register holds the number of the entry *Software*; a program fires it by
+writing a register. So the numbers of the entries *Line0* and *Software* are exchanged. A client that selects Line0 and
+reads Line0 back has then selected the source that the rig fires, and a client that fires by software fires nothing.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ _TEMPERATURE = """
 """
 
 
-def wired(description: str, celsius: float = 41.5) -> str:
-    """The fake's GenICam description with Line0 as the trigger that works, and a thermometer.
+def with_line0_trigger(description: str, celsius: float = 41.5) -> str:
+    """Return the fake's GenICam description with Line0 as the working trigger source, and with a temperature.
 
     Raises:
-        InternalError: this version of Aravis describes its fake camera in another way.
+        InternalError: this version of Aravis describes its fake camera differently.
     """
     head, source, rest = _split(description)
     line, software = (_number(source, name) for name in ("Line0", "Software"))
-    source = _renumbered(_renumbered(source, "Line0", software), "Software", line)
+    # The new numbers are distinct only after both replacements; each is found by its entry's name.
+    source = _with_number(_with_number(source, "Line0", software), "Software", line)
     end = rest.rindex("</RegisterDescription>")
     return head + source + rest[:end] + _TEMPERATURE.format(celsius=celsius) + rest[end:]
 
 
 def _split(description: str) -> tuple[str, str, str]:
-    """What comes before, in and after the enumeration of trigger sources."""
+    """Split a description into the text before, in and after the enumeration of trigger sources."""
     start = description.find('<Enumeration Name="TriggerSource"')
     end = description.find("</Enumeration>", start)
     if start < 0 or end < 0:
@@ -44,11 +45,13 @@ def _split(description: str) -> tuple[str, str, str]:
 
 
 def _number(source: str, name: str) -> int:
+    """Return the number of one trigger source."""
     found = re.search(_ENTRY.format(name), source, re.DOTALL)
     if found is None:
         raise InternalError(f"Aravis' fake camera has no trigger source {name}.")
     return int(found[2])
 
 
-def _renumbered(source: str, name: str, number: int) -> str:
+def _with_number(source: str, name: str, number: int) -> str:
+    """Return the enumeration with another number for one trigger source."""
     return re.sub(_ENTRY.format(name), rf"\g<1>{number}\g<3>", source, count=1, flags=re.DOTALL)

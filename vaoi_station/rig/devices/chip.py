@@ -1,13 +1,12 @@
-"""The firmware on its emulated chip: built, started behind a terminal, its pins in our hands.
+"""Run the firmware on the emulated chip: pass on the edges of its pins, and send it commands.
 
-See `hw/virtual_rig/README.md` for what the emulator is told and tells. It keeps the pace of CLOCK_MONOTONIC, so every
-cycle has a time of this computer, however late we hear of it.
+`hw/virtual_rig/README.md` lists the emulator's commands and lines. The emulator keeps pace with CLOCK_MONOTONIC, so
+every cycle has a time of this computer, however late its line arrives.
 """
 
 from __future__ import annotations
 
 import queue
-import shutil
 import subprocess
 import threading
 from collections.abc import Callable
@@ -15,21 +14,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from vaoi_station import __version__
-from vaoi_station.errors import DeviceError, NotFoundError
-from vaoi_station.rig.devices.processes import go_first, see_off
+from vaoi_station.errors import DeviceError
+from vaoi_station.rig.devices.processes import raise_priority, stop_process
 
 HZ = 16_000_000
 NS_PER_CYCLE = 62.5
-SOURCES = Path(__file__).resolve().parents[3] / "hw" / "firmware"
-READY_S = 10.0
-END_S = 5.0
-_TOOLS = {"make": "make", "gcc": "gcc", "avr-gcc": "gcc-avr avr-libc"}
+READY_TIMEOUT_S = 10.0
+STOP_TIMEOUT_S = 5.0
 
 
 @dataclass(frozen=True)
 class Edge:
-    """An output has changed."""
+    """A change of one output of the chip."""
 
     cycle: int
     pin: str
@@ -38,51 +34,23 @@ class Edge:
     """CLOCK_MONOTONIC of the cycle."""
 
 
-def check_sources() -> None:
-    """Refuse at once what would be found out when the boards have been filmed.
-
-    Raises:
-        NotFoundError: the package was installed without the firmware's sources.
-        DeviceError: a tool is missing.
-    """
-    if not (SOURCES / "Makefile").is_file():
-        raise NotFoundError(
-            "the rig runs the real firmware, whose sources are not part of an installed package (there is no "
-            f"{SOURCES}).",
-            action=f"Get the sources of version {__version__}; in their directory: python -m vaoi_station rig …",
-        )
-    if missing := [packages for tool, packages in _TOOLS.items() if shutil.which(tool) is None]:
-        words = f"Install the distribution's packages {' '.join(missing)} libsimavr-dev libelf-dev."
-        raise DeviceError("the firmware cannot be built here.", action=words)
-
-
-def build(folder: Path) -> Path:
-    """Firmware and emulator, made from `hw/firmware` beside the package.
-
-    Returns:
-        The folder, with `firmware.elf` and `emulator`.
-
-    Raises:
-        NotFoundError, DeviceError: see `check_sources`; or the build fails, and the message has its words.
-    """
-    check_sources()
-    command = ["make", "-C", str(SOURCES), f"BUILD={folder.resolve()}", "all", "emulator"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise DeviceError(f"the firmware does not build: {(done.stderr or done.stdout).strip()[-1000:]}")
-    return folder
-
-
 class Chip:
-    """The running emulator; a context manager. Edges are passed on by a thread of its own."""
+    """The running emulator; a context manager. A thread passes edges and resets on."""
 
     def __init__(
-        self, built: Path, terminal: Path, heard: Callable[[Edge], None], restarted: Callable[[], None] = lambda: None
+        self, built: Path, terminal: Path, on_edge: Callable[[Edge], None], on_reset: Callable[[], None] = lambda: None
     ) -> None:
-        """`terminal` is the link that a station opens as the controller's port; `restarted` hears of resets."""
+        """Prepare the emulator; it starts when the context is entered.
+
+        Args:
+            built: the folder with `firmware.elf` and `emulator`.
+            terminal: path of the link that a station opens as the controller's serial port.
+            on_edge: called with each edge, in the order of cycles.
+            on_reset: called after each reset of the chip.
+        """
         self.terminal = terminal
         self._command = [str(built / "emulator"), str(built / "firmware.elf"), "--pty", str(terminal)]
-        self._heard, self._restarted = heard, restarted
+        self._on_edge, self._on_reset = on_edge, on_reset
         self._origin: tuple[int, int] = (0, 0)
         self._ready: queue.SimpleQueue[bool] = queue.SimpleQueue()
         self._process: subprocess.Popen[str] | None = None
@@ -90,7 +58,7 @@ class Chip:
 
     @property
     def pid(self) -> int:
-        """Of the emulator."""
+        """Process id of the emulator."""
         assert self._process is not None
         return self._process.pid
 
@@ -100,17 +68,17 @@ class Chip:
         return self._process is not None and self._process.poll() is None
 
     def cycle_at(self, host_ns: int) -> int:
-        """The chip's cycle at a time of CLOCK_MONOTONIC."""
+        """Return the chip's cycle at a time of CLOCK_MONOTONIC."""
         cycle, ns = self._origin
         return cycle + round((host_ns - ns) / NS_PER_CYCLE)
 
     def host_ns(self, cycle: int) -> int:
-        """CLOCK_MONOTONIC of a cycle."""
+        """Return CLOCK_MONOTONIC of a cycle."""
         first, ns = self._origin
         return ns + round((cycle - first) * NS_PER_CYCLE)
 
-    def tell(self, command: str) -> None:
-        """One command.
+    def send(self, command: str) -> None:
+        """Send one command.
 
         Raises:
             DeviceError: the emulator has ended.
@@ -125,26 +93,32 @@ class Chip:
 
     def __enter__(self) -> Chip:
         self._process = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, start_new_session=True
+            # In a session of its own the emulator does not get Ctrl-C: boards and cameras are stopped before it.
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+            start_new_session=True,
         )
-        go_first(self._process.pid)
+        raise_priority(self._process.pid)
         assert self._process.stdout is not None
         self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), name="chip")
         self._reader.start()
         try:
-            if not self._ready.get(timeout=READY_S):
+            if not self._ready.get(timeout=READY_TIMEOUT_S):
                 raise DeviceError("the emulated chip does not start.")
         except queue.Empty:
             self.__exit__()
-            raise DeviceError(f"the emulated chip says nothing for {READY_S:.0f} s.") from None
-        except BaseException:  # whatever it was: no process is left behind
+            raise DeviceError(f"the emulated chip does not answer within {READY_TIMEOUT_S:.0f} s.") from None
+        except BaseException:  # on any failure, Ctrl-C included, no process may be left behind
             self.__exit__()
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
         assert self._process is not None
-        see_off(self._process, END_S)
+        stop_process(self._process, STOP_TIMEOUT_S)
         if self._reader is not None:
             self._reader.join()
 
@@ -153,11 +127,13 @@ class Chip:
             for line in lines:
                 word, *rest = line.split()
                 if word == "clock":
+                    # The emulator repeats this line after a reset, when it starts its clock again.
                     self._origin = (int(rest[0]), int(rest[1]))
                     self._ready.put(True)
                 elif word == "edge":
                     cycle = int(rest[0])
-                    self._heard(Edge(cycle, rest[1], rest[2] == "1", self.host_ns(cycle)))
+                    self._on_edge(Edge(cycle, rest[1], rest[2] == "1", self.host_ns(cycle)))
                 elif word == "reset":
-                    self._restarted()
+                    self._on_reset()
+        # End of file: an emulator that ends before it is ready must not keep __enter__ for the full timeout.
         self._ready.put(False)

@@ -1,17 +1,18 @@
-"""A virtual GigE Vision camera: Aravis' own on one address of this machine; trigger, pictures and losses are ours.
+"""A virtual GigE Vision camera: Aravis' fake camera on one local address, with a trigger, given frames and packet loss.
 
     python -m vaoi_station.rig.devices.virtual_camera 127.0.0.2 SERIAL
 
-GVCP and GVSP are real, the port is the standard's: one camera per address. stdin, one order per line:
+GVCP and GVSP are real and use the standard's port, so there is one camera per address. Standard input takes one
+command per line:
 
-    film PATH                          raw frames one behind the other, each as large as the client's payload;
-                                       for the triggers from now on
-    fire PICTURE STAMP LIGHT LOST      the trigger line rises: send this picture of the film (-1: darkness)
+    film PATH                          raw frames in one file, each as large as the client's payload;
+                                       used by the triggers that follow
+    fire PICTURE STAMP LIGHT LOST      a rising edge of the trigger line: send this picture of the file (-1: black)
 
-STAMP is the start of the exposure by the camera's clock in ns (CLOCK_REALTIME, as the fake has it; 0: now), LIGHT the
-brightness relative to the film's, LOST the share of this frame's packets that are not sent. stdout says `ready
-ADDRESS`, then of every frame `sent PICTURE ID`, and `ignored PICTURE` of a trigger that came while the camera was not
-armed for it. The program ends with its standard input.
+STAMP is the start of the exposure in the camera's clock in ns (CLOCK_REALTIME, as in the fake; 0: now). LIGHT is a
+factor on the brightness. LOST is the share of this frame's packets that are not sent. Standard output has the line
+`ready ADDRESS`, then `sent PICTURE ID` for every frame, and `ignored PICTURE` for a trigger that came while the camera
+was not armed for it. The program ends at the end of its standard input.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.aravis.library import aravis, shared_library
 from vaoi_station.errors import DeviceError, VaoiError
-from vaoi_station.rig.devices.camera_description import wired
-from vaoi_station.rig.devices.camera_orders import DARK, Order
+from vaoi_station.rig.devices.camera_commands import DARK, TriggerCommand
+from vaoi_station.rig.devices.camera_description import with_line0_trigger
 
 POLL_HZ = 50.0
-"""How often the fake looks at its trigger. It spins through the last millisecond of every interval: more costs CPU."""
+"""Frequency at which the fake polls its trigger. It spins through the last millisecond of each interval."""
 BLACK_LEVEL = 2
 """Grey value without light, of 255."""
 _MONO_16 = 0x01100007
@@ -43,44 +44,46 @@ _MONO_16 = 0x01100007
 class VirtualCamera:
     """One camera at one local address; it lives until the process ends."""
 
-    def __init__(self, address: str, serial: str, tell: TextIO) -> None:
-        """Serve at once.
+    def __init__(self, address: str, serial: str, output: TextIO) -> None:
+        """Start to serve.
 
         Raises:
-            DeviceError: this machine has no such address, or another program serves GVCP there.
+            DeviceError: this machine does not have the address, or another program serves GVCP there.
         """
         self._aravis, self._library = _aravis()
-        self._tell, self._orders = tell, deque[tuple[Order, _Film]]()
-        self._speaking = threading.Lock()
-        self._film = _Film()
+        self._output, self._commands = output, deque[tuple[TriggerCommand, _FrameFile]]()
+        self._reporting = threading.Lock()
+        self._frames = _FrameFile()
         self._server = self._serve(address, serial)
         self._fake = self._server.get_fake_camera()
         self._fake.set_trigger_frequency(POLL_HZ)
-        self._fill = _FILL(self._paint)  # C keeps no reference
+        # The C library keeps no reference: without this attribute the callback would be collected.
+        self._fill = _FILL(self._fill_buffer)
         self._library.arv_fake_camera_set_fill_pattern(hash(self._fake), self._fill, None)
-        self.say(f"ready {address}")
+        self.report(f"ready {address}")
 
-    def obey(self, line: str) -> None:
-        """One order."""
+    def execute(self, line: str) -> None:
+        """Execute one command."""
         word, *rest = line.split(maxsplit=1)
         if word == "film":
-            self._film = _Film(Path(rest[0].rstrip("\n")))
+            self._frames = _FrameFile(Path(rest[0].rstrip("\n")))
         elif word == "fire":
-            self._trigger(Order.of(line))
+            self._trigger(TriggerCommand.from_line(line))
         else:
-            raise ValueError(f"unknown order {line!r}")
+            raise ValueError(f"unknown command {line!r}")
 
-    def say(self, line: str) -> None:
-        """One line for whoever started us."""
-        with self._speaking:
-            self._tell.write(line + "\n")
-            self._tell.flush()
+    def report(self, line: str) -> None:
+        """Write one line to the process that started this one."""
+        with self._reporting:
+            self._output.write(line + "\n")
+            self._output.flush()
 
     def _serve(self, address: str, serial: str) -> Any:
         plain = self._aravis.FakeCamera.new(serial).get_genicam_xml()
         text = plain[0] if isinstance(plain, tuple) else plain
-        with tempfile.NamedTemporaryFile("w", suffix=".xml") as file:  # read once, while it is made
-            file.write(wired(text))
+        # The fake reads the file once, in its constructor; afterwards it may be deleted.
+        with tempfile.NamedTemporaryFile("w", suffix=".xml") as file:
+            file.write(with_line0_trigger(text))
             file.flush()
             server = self._aravis.GvFakeCamera.new_full(address, serial, file.name)
         if not server.is_running():
@@ -90,18 +93,21 @@ class VirtualCamera:
             )
         return server
 
-    def _trigger(self, order: Order) -> None:
+    def _trigger(self, command: TriggerCommand) -> None:
         if not self._armed():
-            self.say(f"ignored {order.picture}")
+            self.report(f"ignored {command.picture}")
             return
-        self._orders.append((order, self._film))
-        self._pull()
+        self._commands.append((command, self._frames))
+        self._fire()
 
-    def _pull(self) -> None:
+    def _fire(self) -> None:
         self._write("TRIGGER_SOFTWARE", 1)
 
     def _armed(self) -> bool:
-        """A real camera forgets an edge that comes before AcquisitionStart; the fake would keep it."""
+        """Whether a client has armed the camera for the hardware trigger.
+
+        A real camera ignores an edge before AcquisitionStart; the fake would keep it and send a frame later.
+        """
         return bool(
             self._fake.get_control_channel_privilege()
             and self._fake.get_acquisition_status()
@@ -111,24 +117,27 @@ class VirtualCamera:
     def _write(self, register: str, value: int) -> None:
         self._fake.write_register(getattr(self._aravis, f"FAKE_CAMERA_REGISTER_{register}"), value)
 
-    def _paint(self, buffer: int, _: Any, _exposure_us: int, _gain: int, pixel_format: int) -> None:
-        """In the server's thread, before the frame's first packet."""
-        order, film = self._orders.popleft() if self._orders else (Order(DARK), self._film)  # running freely
-        unused = ctypes.c_size_t()  # nothing has been "received" yet
+    def _fill_buffer(self, buffer: int, _: Any, _exposure_us: int, _gain: int, pixel_format: int) -> None:
+        """Fill a frame; the server's thread calls this before it sends the first packet."""
+        # Without a command the client lets the camera run freely: it gets black frames.
+        command, frames = self._commands.popleft() if self._commands else (TriggerCommand(DARK), self._frames)
+        # Before the frame is sent its received size is still 0; the payload is the true size.
+        unused = ctypes.c_size_t()
         address = self._library.arv_buffer_get_data(buffer, ctypes.byref(unused))
         size = self._fake.get_payload()
         target = np.ctypeslib.as_array((ctypes.c_ubyte * size).from_address(address))
-        target[:] = film.picture(order.picture, order.light, size, pixel_format)
-        self._server.set_property("gvsp-lost-ratio", order.lost)
-        if order.stamp_ns:
-            self._library.arv_buffer_set_timestamp(buffer, order.stamp_ns)
-        if self._orders:  # two edges within one look at the register
-            self._pull()
-        self.say(f"sent {order.picture} {self._library.arv_buffer_get_frame_id(buffer)}")
+        target[:] = frames.picture(command.picture, command.brightness, size, pixel_format)
+        self._server.set_property("gvsp-lost-ratio", command.lost_share)
+        if command.timestamp_ns:
+            self._library.arv_buffer_set_timestamp(buffer, command.timestamp_ns)
+        # Two edges within one poll of the register set it only once: the second frame is fired from here.
+        if self._commands:
+            self._fire()
+        self.report(f"sent {command.picture} {self._library.arv_buffer_get_frame_id(buffer)}")
 
 
-class _Film:
-    """Frames in a file, mapped; without a file all is dark."""
+class _FrameFile:
+    """Frames in a memory-mapped file; without a file all frames are black."""
 
     def __init__(self, path: Path | None = None) -> None:
         self._bytes: NDArray[np.uint8] = np.zeros(0, np.uint8)
@@ -136,38 +145,40 @@ class _Film:
             with path.open("rb") as file:
                 self._bytes = np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
 
-    def picture(self, number: int, light: float, size: int, pixel_format: int) -> NDArray[np.uint8]:
-        """The bytes of a frame, (size,), under more or less light than it was filmed with."""
+    def picture(self, number: int, brightness: float, size: int, pixel_format: int) -> NDArray[np.uint8]:
+        """Return the bytes of a frame, (size,), with its brightness scaled."""
         first = number * size
         if number < 0 or first + size > len(self._bytes):
-            return lit(np.zeros(size, np.uint8), 0.0, pixel_format)
-        return lit(self._bytes[first : first + size], light, pixel_format)
+            return apply_brightness(np.zeros(size, np.uint8), 0.0, pixel_format)
+        return apply_brightness(self._bytes[first : first + size], brightness, pixel_format)
 
 
-def lit(pixels: NDArray[np.uint8], light: float, pixel_format: int) -> NDArray[np.uint8]:
-    """The flat bytes of a frame under other light: what is above the black level is multiplied, then clipped.
+def apply_brightness(pixels: NDArray[np.uint8], brightness: float, pixel_format: int) -> NDArray[np.uint8]:
+    """Scale what is above the black level, round and clip.
 
     Args:
         pixels: flat bytes, Mono8 or little-endian Mono16.
-        light: 1 leaves them as they are, 0 is darkness.
+        brightness: 1 returns the pixels unchanged, 0 gives black.
         pixel_format: GenICam's number.
     """
-    if light == 1:
+    if brightness == 1:
         return pixels
     scale = 256 if pixel_format == _MONO_16 else 1
     values = np.arange(256 * scale, dtype=np.float32)
     black = np.float32(BLACK_LEVEL * scale)
-    table = np.clip(np.rint(black + (values - black) * np.float32(light)), 0, 256 * scale - 1)
+    # A table is faster than arithmetic on every pixel: twelve cameras share two cores with the station.
+    table = np.clip(np.rint(black + (values - black) * np.float32(brightness)), 0, 256 * scale - 1)
     kind = np.dtype("<u2") if scale > 1 else np.dtype("u1")
     return np.asarray(table.astype(kind)[pixels.view(kind)]).view(np.uint8)
 
 
 _FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
-"""void (ArvBuffer *, void *, exposure in us, gain, pixel format)"""
+"""C type of the callback: void (ArvBuffer *, void *, exposure in us, gain, pixel format)."""
 
 
 def _aravis() -> tuple[Any, ctypes.CDLL]:
-    """Its binding, and the library itself: the binding of the fill pattern crashes before 0.9.1."""
+    """Return Aravis' binding and the C library with its argument types."""
+    # PyGObject's set_fill_pattern crashes before Aravis 0.9.1; through ctypes the function works.
     library = shared_library()
     library.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, _FILL, ctypes.c_void_p]
     library.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
@@ -179,14 +190,15 @@ def _aravis() -> tuple[Any, ctypes.CDLL]:
 
 
 def main(address: str, serial: str) -> int:
-    """Serve until standard input ends."""
+    """Serve until the end of standard input; return the exit code."""
+    # The camera writes its refusal to standard error, where CameraProcess reads it.
     try:
         camera = VirtualCamera(address, serial, sys.stdout)
     except VaoiError as error:
         sys.stderr.write(f"{error}\n")
         return 3
     for line in sys.stdin:
-        camera.obey(line)
+        camera.execute(line)
     return 0
 
 

@@ -1,1 +1,1 @@
-"""Move boards past the emulated devices, with faults."""
+"""Let rendered boards pass: the virtual line, its faults, and the frames that were not rendered beforehand."""

@@ -1,7 +1,7 @@
-"""Frames that no film has: a pulse at another time or under another light, or while no board passes.
+"""Render frames that were not rendered beforehand: at another time, under another light, or while no board passes.
 
-A process of its own draws the twin when the first one is asked for, and renders while the station waits: such frames
-come late, but they show what is under the cameras.
+A process of its own draws the twin at the first request and renders while the station waits. Such frames arrive late,
+but they show what is under the cameras.
 """
 
 from __future__ import annotations
@@ -26,47 +26,49 @@ from vaoi_station.simulation import Scenario, Twin, calibration_board
 
 
 @dataclass(frozen=True)
-class View:
-    """What is to be seen by all cameras."""
+class FrameRequest:
+    """What all cameras see at one time."""
 
     board: int | None
-    """None: the calibration board, which lies still under the cameras while no board passes."""
+    """Number of the board; None: the calibration board, which lies under the cameras while no board passes."""
     time_s: float = 0.0
-    """Since the passage's start."""
+    """Time since the start of the passage."""
     light: str = ""
     noise: int = 0
+    """Key of the random numbers."""
 
 
-class Darkroom:
-    """Owns its process; used by one thread at a time."""
+class FrameRenderer:
+    """Renders frames on demand in one process, one request at a time."""
 
     def __init__(self, scenario: Scenario, folder: Path) -> None:
-        """`folder` takes the pictures; it is made when it is needed."""
+        """Prepare the renderer; the process starts at the first request. `folder` takes the frames, and is created."""
         self._scenario, self._folder = scenario, folder
         self._numbers = count()
-        self._still: Path | None = None
+        self._calibration_board: Path | None = None
         self._process: BaseProcess | None = None
         self._connection: Connection[Any, Any] | None = None
-        self._working = threading.Lock()
+        self._rendering = threading.Lock()
 
-    def develop(self, view: View) -> Path:
-        """A file with the flat bytes of every camera's frame, one behind the other.
+    def render(self, request: FrameRequest) -> Path:
+        """Return a file with the flat bytes of every camera's frame, one after the other.
 
         Raises:
             InternalError: the process has ended.
         """
-        with self._working:
-            if view.board is None and self._still is not None:
-                return self._still
-            path = self._folder / f"view-{next(self._numbers):06d}.raw"
+        with self._rendering:
+            # The calibration board does not move, so its frames are rendered once.
+            if request.board is None and self._calibration_board is not None:
+                return self._calibration_board
+            path = self._folder / f"request-{next(self._numbers):06d}.raw"
             connection = self._connection or self._open()
             try:
-                connection.send((view, path))
+                connection.send((request, path))
                 connection.recv()
             except (EOFError, OSError) as error:
                 raise InternalError("the process that renders frames on demand has ended.") from error
-            if view.board is None:
-                self._still = path
+            if request.board is None:
+                self._calibration_board = path
             return path
 
     def close(self) -> None:
@@ -80,27 +82,30 @@ class Darkroom:
         self._folder.mkdir(exist_ok=True)
         spawn = multiprocessing.get_context("spawn")
         self._connection, there = spawn.Pipe()
-        self._process = spawn.Process(target=work, args=(self._scenario, there), name="vaoi-darkroom", daemon=True)
+        self._process = spawn.Process(
+            target=render_worker, args=(self._scenario, there), name="vaoi-extra-frames", daemon=True
+        )
         self._process.start()
+        # This end must be closed here, or recv() would wait for ever after the process has ended.
         there.close()
         return self._connection
 
 
-def work(scenario: Scenario, connection: Connection[Any, Any]) -> None:
-    """Render until the pipe ends: a view and a path come in, the path goes back."""
+def render_worker(scenario: Scenario, connection: Connection[Any, Any]) -> None:
+    """Render until the pipe ends: receive a request and a path, return the path."""
     twin = Twin(scenario)
     with contextlib.suppress(EOFError, ConnectionResetError, BrokenPipeError, KeyboardInterrupt), connection:
         while True:
-            view, path = connection.recv()
-            np.concatenate(list(_frames(twin, view))).tofile(path)
+            request, path = connection.recv()
+            np.concatenate(list(_frames(twin, request))).tofile(path)
             connection.send(path)
 
 
-def _frames(twin: Twin, view: View) -> Iterator[NDArray[np.uint8]]:
-    if view.board is None:
+def _frames(twin: Twin, request: FrameRequest) -> Iterator[NDArray[np.uint8]]:
+    if request.board is None:
         for _, _, image in calibration_board.frames(twin):
             yield to_bytes(image)
         return
-    passage = twin.passage(view.board)
+    passage = twin.passage(request.board)
     for camera in range(twin.scenario.array.cameras):
-        yield to_bytes(passage.frame_at(camera, view.time_s, view.light, view.noise))
+        yield to_bytes(passage.frame_at(camera, request.time_s, request.light, request.noise))

@@ -1,4 +1,4 @@
-"""What goes wrong on the rig: `--fault NAME` or `--fault NAME:KEY=VALUE,…`, each told when and to whom."""
+"""Faults of the rig, as given on the command line: `--fault NAME` or `--fault NAME:KEY=VALUE,…`."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from vaoi_station.simulation.scenario import Bounce, StuckBoard
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong; which fields mean something depends on `kind`."""
+    """One fault; `kind` decides which of the other fields have a meaning."""
 
     kind: str
     board: int = 1
-    """Boards and rows count from 0."""
+    """Board, counted from 0; rows count from 0 too."""
     row: int = 2
     camera: int = 0
     share: float = 0.0
@@ -26,7 +26,7 @@ class Fault:
     who: str = "station"
 
     def at(self, board: int, row: int) -> bool:
-        """Whether it begins with the pulse of this row."""
+        """Whether the fault begins with the pulse of this row."""
         return (self.board, self.row) == (board, row)
 
 
@@ -52,11 +52,11 @@ KINDS: dict[str, tuple[Fault, tuple[str, ...], str]] = {
         "the barrier shows the opposite for a moment",
     ),
 }
-"""Name → the fault as it is without any key, the keys it takes, what it is."""
+"""Name → the fault with its default values, the keys it takes, a description."""
 
 
 def parse_fault(text: str) -> Fault:
-    """One fault as written on the command line.
+    """Parse one fault as written on the command line.
 
     Raises:
         InputError: an unknown name or key, or a value that is no number.
@@ -71,6 +71,7 @@ def parse_fault(text: str) -> Fault:
         key, _, value = part.partition("=")
         if key not in keys:
             raise InputError.field("vaoi rig", f"--fault {name}", part, f"KEY=VALUE, KEY one of {', '.join(keys)}")
+        # The second value would silently replace the first.
         if key in changes:
             raise InputError.field("vaoi rig", f"--fault {name}", text, f"written with {key} once; give --fault twice")
         try:
@@ -84,7 +85,7 @@ def parse_fault(text: str) -> Fault:
 
 
 def check_faults(faults: Sequence[Fault], cameras: int, boards: int) -> None:
-    """InputError for a fault of a board or a camera that is not there."""
+    """Raise InputError for a fault of a board or a camera that does not exist."""
     for fault in faults:
         _, keys, _ = KINDS[fault.kind]
         for key, count in (("camera", cameras), ("board", boards)):
@@ -93,8 +94,8 @@ def check_faults(faults: Sequence[Fault], cameras: int, boards: int) -> None:
                 raise InputError.field("vaoi rig", f"--fault {fault.kind}: {key}", getattr(fault, key), limit)
 
 
-def befallen(scenario: Scenario, faults: Sequence[Fault]) -> Scenario:
-    """The scenario with what goes wrong on the belt and at the barrier: the twin plays that."""
+def with_belt_faults(scenario: Scenario, faults: Sequence[Fault]) -> Scenario:
+    """Return the scenario with the faults of the belt and the barrier added: the twin simulates these."""
     known = scenario.faults
     stuck = tuple(StuckBoard(board=f.board, row=f.row) for f in faults if f.kind == "stuck")
     bounces = tuple(
@@ -112,6 +113,7 @@ def _check(fault: Fault) -> None:
         raise InputError.field("vaoi rig", f"{where}: for_s", fault.for_s, "above 0, at most 60 s")
     if fault.row < 0:
         raise InputError.field("vaoi rig", f"{where}: row", fault.row, "at least 0")
+    # Written as a range, so that nan is refused too.
     if "at_s" in KINDS[fault.kind][1] and not 0 <= fault.at_s <= 60:
         raise InputError.field("vaoi rig", f"{where}: at_s", fault.at_s, "from 0 to 60 s")
     if not re.fullmatch(r"station|acquisition|worker( \d+)?", fault.who):

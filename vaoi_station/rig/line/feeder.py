@@ -1,4 +1,4 @@
-"""Whoever feeds the line: one board after another, each when the station takes boards."""
+"""Feed the line: let one board after another pass, each when the station is ready for it."""
 
 from __future__ import annotations
 
@@ -7,34 +7,45 @@ import time
 from collections.abc import Callable, Sequence
 
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.line.films import Film
-from vaoi_station.rig.line.stage import Passing, Stage
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.line.virtual_line import BoardPassage, VirtualLine
 
-PATIENCE_S = 30.0
-"""A station that takes no boards for so long is given one all the same."""
-AFTER_S = 1.0
-"""From the last pulse of a passage to its end."""
+READY_TIMEOUT_S = 30.0
+"""Longest wait for a station that is not ready; then the next board passes nevertheless."""
+END_MARGIN_S = 1.0
+"""Time from the last pulse of a passage to its end."""
 
 
-class Conveyor:
-    """A thread of its own; a context manager that waits for the last board.
+class BoardFeeder:
+    """A thread that feeds boards; a context manager that waits for the last one.
 
-    At its end it raises the DeviceError for which no more boards could pass.
+    If the chip ends, its DeviceError is raised at the end of the context.
     """
 
     def __init__(
-        self, stage: Stage, films: Sequence[Film], interval_s: float, taken: Callable[[float], bool] = lambda _: True
+        self,
+        line: VirtualLine,
+        boards: Sequence[RenderedBoard],
+        interval_s: float,
+        wait_ready: Callable[[float], bool] = lambda _: True,
     ) -> None:
-        """`taken` waits so long at most until the station takes boards."""
-        self._stage, self._films, self._interval_s, self._taken = stage, films, interval_s, taken
+        """Prepare the feeder.
+
+        Args:
+            line: lets a board pass.
+            boards: those that pass, in order.
+            interval_s: time between the starts of two passages.
+            wait_ready: called with a timeout in seconds; waits until the station takes boards.
+        """
+        self._line, self._boards, self._interval_s, self._wait_ready = line, boards, interval_s, wait_ready
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="conveyor")
-        self.passed: list[Passing] = []
-        self.empty = threading.Event()
-        """All boards have passed, or no more can."""
+        self._thread = threading.Thread(target=self._work, name="feeder")
+        self.passages: list[BoardPassage] = []
+        self.finished = threading.Event()
+        """Set when all boards have passed, or when no more can."""
         self._failure: DeviceError | None = None
 
-    def __enter__(self) -> Conveyor:
+    def __enter__(self) -> BoardFeeder:
         self._thread.start()
         return self
 
@@ -47,17 +58,19 @@ class Conveyor:
     def _work(self) -> None:
         try:
             self._feed()
-        except DeviceError as error:  # told by whoever waits for us
+        except DeviceError as error:
+            # The exception must not end in this thread, where only a message would remain; __exit__ raises it.
             self._failure = error
-        self.empty.set()
+        self.finished.set()
 
     def _feed(self) -> None:
         due_s = time.monotonic()
-        for film in self._films:
+        for board in self._boards:
             if self._closing.wait(max(due_s - time.monotonic(), 0.0)):
                 return
-            self._taken(PATIENCE_S)
+            self._wait_ready(READY_TIMEOUT_S)
+            # Counted from the moment the station was ready, so that a slow station does not get two boards at once.
             due_s = time.monotonic() + self._interval_s
-            self.passed.append(self._stage.let_pass(film))
-            if self._closing.wait(film.lasts_s + AFTER_S):
+            self.passages.append(self._line.start_passage(board))
+            if self._closing.wait(board.duration_s + END_MARGIN_S):
                 return

@@ -1,4 +1,4 @@
-"""What follows from a scenario: its array made larger, its lights on LED channels, how soon boards may follow."""
+"""Derive from a scenario: a larger array, LED channels for its lights, the shortest interval between boards."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import math
 from collections.abc import Sequence
 
 from vaoi_station.errors import InputError
-from vaoi_station.rig.devices.pins import CHANNELS
+from vaoi_station.rig.devices.pulses import CHANNELS
 from vaoi_station.rig.line.faults import KINDS
-from vaoi_station.rig.line.films import Film
-from vaoi_station.rig.line.stage import Lamp
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.line.virtual_line import Lighting
 from vaoi_station.simulation import Scenario
 
-_OF_SIMULATED_CAMERAS = (
+_SIMULATED_CAMERA_FAULTS = (
     "late_frames", "incomplete_frames", "ignored_triggers", "extra_frames", "exchanged_frames", "free_running",
 )  # fmt: skip
 
 
 def with_cameras(scenario: Scenario, count: int | None) -> Scenario:
-    """The scenario with more or fewer cameras, and a board as much wider or narrower."""
+    """Return the scenario with another number of cameras, and a board that is wider or narrower accordingly."""
     array = scenario.array
     if count is None or count == array.cameras:
         return scenario
@@ -29,16 +29,16 @@ def with_cameras(scenario: Scenario, count: int | None) -> Scenario:
     return scenario.model_copy(update={"array": array.model_copy(update={"cameras": count}), "board": board})
 
 
-def check_playable(scenario: Scenario) -> None:
-    """InputError for a scenario whose cameras themselves do wrong: here that is asked for by `--fault`."""
-    for name in _OF_SIMULATED_CAMERAS:
+def check_supported(scenario: Scenario) -> None:
+    """Raise InputError for a scenario whose cameras have faults: on the rig `--fault` asks for these."""
+    for name in _SIMULATED_CAMERA_FAULTS:
         if getattr(scenario.faults, name):
             action = f"Take them out, and ask for {', '.join(KINDS)} by --fault."
             raise InputError(f"scenario: faults.{name} befall the cameras of the in-process twin only.", action=action)
 
 
-def lamp_of(scenario: Scenario) -> Lamp:
-    """Every light of the scenario on a channel of its own, lit for the longest exposure.
+def lighting_of(scenario: Scenario) -> Lighting:
+    """Assign a channel to each light of the scenario; every LED is on for the longest exposure.
 
     Raises:
         InputError: more lights than channels.
@@ -47,9 +47,10 @@ def lamp_of(scenario: Scenario) -> Lamp:
     if len(names) > len(CHANNELS):
         raise InputError.field("scenario", "line.lights", names, f"at most {len(CHANNELS)} different ones")
     exposures_us = tuple(scenario.array.exposure_us(n) for n in range(scenario.array.cameras))
-    return Lamp({name: (n,) for n, name in enumerate(names)}, exposures_us)
+    return Lighting({name: (n,) for n, name in enumerate(names)}, exposures_us)
 
 
-def least_interval_s(scenario: Scenario, films: Sequence[Film]) -> float:
-    """Boards come no faster than one passes, is told of and makes room."""
-    return max(scenario.line.interval_s, math.ceil(10 * (max(f.lasts_s for f in films) + 0.8)) / 10)
+def min_interval_s(scenario: Scenario, boards: Sequence[RenderedBoard]) -> float:
+    """Return the shortest interval between boards: one must have passed and left its bay before the next."""
+    # 0.8 s for the tail and the feeder's margin, rounded up to a tenth of a second.
+    return max(scenario.line.interval_s, math.ceil(10 * (max(b.duration_s for b in boards) + 0.8)) / 10)

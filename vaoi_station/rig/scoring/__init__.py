@@ -1,1 +1,1 @@
-"""Score a rig run against the truth of the twin."""
+"""Score a rig run against the twin's truth, and print the report."""

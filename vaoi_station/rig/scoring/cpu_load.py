@@ -1,4 +1,4 @@
-"""CPU time of everybody in a rig run."""
+"""CPU time of all processes of a rig run."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from vaoi_station.benchmarks.usage import cpu_s
 from vaoi_station.rig.scoring.rig_report import Load
 
 
-class LoadMeter:
-    """Since it was made; processes that have ended meanwhile count for nothing."""
+class CpuLoadMeter:
+    """Measures CPU time from its construction on; processes that end in the meantime are left out."""
 
     def __init__(self, pids: Mapping[str, int | None]) -> None:
-        """`pids` by names as in `Load`, with a number behind where there are several: `cameras 3`."""
+        """Start to measure; `pids` has the names of `Load`, with a number where there are several: `cameras 3`."""
         self._pids = {name: pid for name, pid in pids.items() if pid is not None}
         self._before = {name: spent for name, pid in self._pids.items() if (spent := _spent(pid)) is not None}
         self._since_s = time.monotonic()
 
     def read(self, frames: int) -> Load:
-        """Cores in use, on average."""
+        """Return the average number of cores in use."""
         over_s = time.monotonic() - self._since_s
         spent = dict.fromkeys(("station", "acquisition", "workers", "cameras", "chip", "rig"), 0.0)
         for name, before in self._before.items():
             now = _spent(self._pids[name])
+            # A process that has ended has taken its counters with it; its share is unknown, not negative.
             if now is not None:
                 spent[name.split()[0]] += now - before
         cores = {name: round(value / over_s, 3) for name, value in spent.items()}

@@ -1,4 +1,4 @@
-"""What `vaoi rig run` tells: one document for programs, tables for people."""
+"""The report of `vaoi rig run`: one document for programs, shown to people as tables."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from vaoi_station.demo.deviation import Deviation
 from vaoi_station.model import Strict
 
 LIMIT_PX = 0.10
-"""Component positions, root mean square over all boards whose runs are ok; others tell their own uncertainty."""
+"""Limit of the component positions, rms over all boards whose runs are ok; other runs state their own uncertainty."""
 LATE_MS = 300.0
-"""A frame that leaves its virtual camera later than this after its pulse may come too late for the station."""
+"""A frame that leaves its virtual camera later than this after its pulse may arrive too late for the station."""
 READY_LIMIT_S = 12.0
-"""From a device that is back to a station that is ready."""
+"""Longest time from a recovered device to a ready station."""
 
 
-class Named(Strict):
-    """A frame that is not whole: what the station says of it, and what was done to it."""
+class AffectedFrame(Strict):
+    """A frame that is not whole: the station's verdict and cause, and the fault that the rig injected."""
 
     camera: int
     row: int
@@ -22,15 +22,15 @@ class Named(Strict):
     cause: str
     """The station's."""
     done: str
-    """The rig's; empty: nothing."""
+    """The rig's; empty: none."""
 
 
 class BoardScore(Strict):
-    """One board against truth and film."""
+    """One board compared with the truth and the rendered frames."""
 
     board: int
     run: str | None
-    """None: the station filmed nothing of it."""
+    """None: the station has no run of this board."""
     state: str | None
     status: str | None
     reasons: tuple[str, ...]
@@ -38,62 +38,62 @@ class BoardScore(Strict):
     rows: int
     """Pulses that were fired."""
     rows_due: int
-    """Pulses that the board should have had."""
+    """Pulses that the board needs."""
     ok: int
     incomplete: int
     missing: int
     proven: int | None
-    """Whole frames of which every pixel is the film's for their camera and row; None: nobody could look."""
+    """Whole frames whose pixels all equal the frame rendered for their camera and row; None: not checked."""
     wrong: tuple[str, ...]
-    """Frames with pixels of anything else."""
-    affected: tuple[Named, ...]
+    """Frames with other pixels."""
+    affected: tuple[AffectedFrame, ...]
     innocent: tuple[tuple[int, int], ...]
-    """(camera, row) that are not whole although nothing was done to them."""
+    """(camera, row) that are not whole although no fault was injected."""
     unnamed: tuple[tuple[int, int], ...]
     """(camera, row) that are not whole and have no cause."""
     unfilmed: int
-    """Frames that were fired and that the station says nothing about."""
+    """Frames that were fired and that the station's run does not list."""
     pulse_off_us: float
-    """Largest difference between a pulse and the time its frames were rendered for."""
+    """Largest difference between a pulse and the time for which its frames were rendered."""
     sent_late_ms: float | None
-    """From a pulse to the first packet of a frame, the longest of all; None: a frame never left its camera."""
+    """Longest time from a pulse to the first packet of a frame; None: a frame never left its camera."""
     notes: tuple[str, ...]
     deviation: Deviation
     ready_after_last_frame_ms: float | None
     links_open: int | None
-    """Tasks of the stitch that were not done when the last frame had come; those of the last row cannot be."""
+    """Tasks of the stitch that were not done when the last frame had come; those of the last row never can be."""
 
     @property
     def sound(self) -> bool:
-        """Nothing in a wrong row, nothing lost without a reason, nothing without a cause."""
+        """Whether no frame is in a wrong row, none is lost without a fault, and every loss has a cause."""
         proven = self.proven is None or self.proven == self.ok
         return proven and not (self.wrong or self.innocent or self.unnamed or self.notes)
 
     @property
     def faultless(self) -> bool:
-        """All of it was filmed, and stitched with a verdict of ok."""
+        """Whether all frames arrived and were stitched with the verdict ok."""
         return self.sound and self.status == "ok" and self.ok == self.rows_due * self.cameras
 
 
 class Recovery(Strict):
-    """How long it took."""
+    """How long the station took after a fault."""
 
     fault: str
     back_s: float
-    """Since the rig's start, when the device was back."""
+    """Time since the start of the rig at which the device worked again."""
     ready_after_s: float | None
-    """Until the station was ready again with all its cameras; None: it was not."""
+    """Time until the station was ready again with all its cameras; None: it was not."""
 
 
 class Load(Strict):
-    """CPU time over the time from the first board to the last result, in cores."""
+    """CPU time divided by the time from the first board to the last result, in cores."""
 
     over_s: float
     station: float
     acquisition: float
     workers: float
     cameras: float
-    """The senders: they stand in for cameras and network card."""
+    """The virtual cameras, which stand for cameras and network card."""
     chip: float
     rig: float
     acquisition_ms_per_frame: float
@@ -121,7 +121,7 @@ class RigReport(Strict):
     recoveries: tuple[Recovery, ...]
     load: Load | None
     machine_load: float
-    """Of the machine over the last minute, at the end."""
+    """Load average of the machine over the last minute, at the end."""
     took_s: float
     failings: tuple[str, ...]
-    """Why it is not ok."""
+    """The reasons why it is not ok."""

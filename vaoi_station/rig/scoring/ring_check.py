@@ -1,6 +1,6 @@
-"""What lies in the ring after a run, held against the film: every pixel of every frame.
+"""Compare every pixel in the ring after a run with the rendered frames.
 
-The ring is mapped as tester software would map it, read-only, while its memory still belongs to the run.
+The ring is mapped read-only, as tester software would map it, while its memory still belongs to the run.
 """
 
 from __future__ import annotations
@@ -16,39 +16,39 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import EMPTY, NO_ROW
 from vaoi_station.acquisition.ring.ring_layout import OK as WHOLE
-from vaoi_station.rig.devices.virtual_camera import lit
-from vaoi_station.rig.line.stage import Passing
+from vaoi_station.rig.devices.virtual_camera import apply_brightness
+from vaoi_station.rig.line.virtual_line import BoardPassage
 
 MONO_8, MONO_16 = 0x01080001, 0x01100007
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """(camera, row) by what their memory holds."""
+class RingCheck:
+    """(camera, row) of a bay, by the content of their memory."""
 
     proven: frozenset[tuple[int, int]]
-    """Whole, and every pixel is that of the film's frame of this camera and row."""
-    partly: frozenset[tuple[int, int]]
-    """Incomplete; every pixel that is not black is the film's."""
+    """Whole, and every pixel equals the frame rendered for this camera and row."""
+    partial: frozenset[tuple[int, int]]
+    """Incomplete; every pixel that is not black equals the rendered one."""
     wrong: dict[tuple[int, int], str]
-    """Anything else, in words."""
-    looked: bool = True
-    """Whether the memory was still the run's."""
+    """Anything else, with a description."""
+    valid: bool = True
+    """Whether the memory still belonged to the run after the comparison."""
 
 
-def look_at(ring: Ring, bay: int, passing: Passing) -> Sighting:
-    """Compare one bay of the ring with the film of the board that was filmed into it.
+def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:
+    """Compare one bay of the ring with the rendered frames of the board that was recorded into it.
 
     Args:
         ring: the station's.
-        bay: the one of the run.
-        passing: which board, and under which light its rows were fired.
+        bay: that of the run.
+        passage: the board, and the brightness of its rows.
     """
-    frames = passing.film.map()
-    lights = {fired.row: fired.light for fired in passing.fired if fired.row is not None}
+    frames = passage.rendered.map_frames()
+    brightness = {fired.row: fired.brightness for fired in passage.fired if fired.row is not None}
     generation = ring.generation(bay)
     proven: set[tuple[int, int]] = set()
-    partly: set[tuple[int, int]] = set()
+    partial: set[tuple[int, int]] = set()
     wrong: dict[tuple[int, int], str] = {}
     for camera in range(ring.layout.cameras):
         for k in range(ring.layout.slots_per_camera):
@@ -59,24 +59,25 @@ def look_at(ring: Ring, bay: int, passing: Passing) -> Sighting:
             cell = (camera, row)
             shape = ring.layout.frames[camera]
             mono = MONO_8 if shape.nbytes == shape.width * shape.height else MONO_16
-            why = _compare(ring.memory(slot), frames, cell, lights, mono, whole=state == WHOLE)
-            if why:
-                wrong[cell] = why
+            difference = _compare(ring.memory(slot), frames, cell, brightness, mono, whole=state == WHOLE)
+            if difference:
+                wrong[cell] = difference
             else:
-                (proven if state == WHOLE else partly).add(cell)
-    looked = ring.generation(bay) == generation
-    return Sighting(frozenset(proven), frozenset(partly), wrong, looked)
+                (proven if state == WHOLE else partial).add(cell)
+    # The station may give the bay to the next board during the comparison; then the result means nothing.
+    valid = ring.generation(bay) == generation
+    return RingCheck(frozenset(proven), frozenset(partial), wrong, valid)
 
 
-def filmed_bays(station: Mapping[str, Any]) -> dict[str, int]:
-    """Run → bay, by `GET station`, of the runs whose frames are all there."""
+def bays_to_check(station: Mapping[str, Any]) -> dict[str, int]:
+    """Return run → bay, from the JSON of `GET station`, of the runs whose frames are all there."""
     return {
         str(bay["run"]): int(bay["bay"]) for bay in station["ring"]["bays"] if bay["use"] in ("stitching", "finished")
     }
 
 
 def attach(station: Mapping[str, Any]) -> Ring:
-    """The ring that `GET station` names."""
+    """Map the ring whose path `GET station` reports."""
     return Ring.attach(Path(station["ring"]["path"]))
 
 
@@ -84,23 +85,23 @@ def _compare(
     pixels: NDArray[np.uint8],
     frames: NDArray[np.uint8],
     cell: tuple[int, int],
-    lights: Mapping[int, list[float]],
+    brightness: Mapping[int, list[float]],
     mono: int,
     *,
     whole: bool,
 ) -> str:
     camera, row = cell
-    if row not in lights:
+    if row not in brightness:
         return "a row that was never fired"
-    expected = lit(frames[row, camera], lights[row][camera], mono)
+    expected = apply_brightness(frames[row, camera], brightness[row][camera], mono)
     if whole:
-        return "" if np.array_equal(pixels, expected) else _whose(pixels, frames, camera, row)
-    strange = (pixels != expected) & (pixels != 0)
-    return f"{int(strange.sum())} pixels of another picture" if strange.any() else ""
+        return "" if np.array_equal(pixels, expected) else _identify(pixels, frames, camera, row)
+    foreign = (pixels != expected) & (pixels != 0)
+    return f"{int(foreign.sum())} pixels of another picture" if foreign.any() else ""
 
 
-def _whose(pixels: NDArray[np.uint8], frames: NDArray[np.uint8], camera: int, row: int) -> str:
-    """Whether it is at least a frame of this film."""
+def _identify(pixels: NDArray[np.uint8], frames: NDArray[np.uint8], camera: int, row: int) -> str:
+    """Describe which rendered frame this is, if any."""
     for other, of_row in enumerate(frames):
         for place, frame in enumerate(of_row):
             if np.array_equal(pixels, frame):

@@ -1,4 +1,4 @@
-"""A rig run as text."""
+"""Format a rig run as text."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _HEAD = (
 )
 _FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>9s}{:>8s}{:>8s}{:>6s}{:>10s}"
 MOST = 40
-"""Lines about frames that are not whole."""
+"""Largest number of lines about frames that are not whole."""
 
 
 def as_text(report: RigReport) -> str:
-    """The report for people."""
+    """Format the report for people."""
     return "\n".join(_lines(report))
 
 
@@ -53,9 +53,9 @@ def _lines(report: RigReport) -> Iterator[str]:
             f"senders {load.cameras:.2f}, chip {load.chip:.2f}, rig {load.rig:.2f}; "
             f"load of the machine {report.machine_load:.1f}"
         )
-    yield f"took {report.took_s:.0f} s: {'all is as it must be' if report.ok else 'NOT as it must be'}"
-    for words in report.failings:
-        yield f"  - {words}"
+    yield f"took {report.took_s:.0f} s: {'all checks passed' if report.ok else 'checks FAILED'}"
+    for text in report.failings:
+        yield f"  - {text}"
 
 
 def _row(board: BoardScore) -> tuple[str, ...]:
@@ -77,11 +77,11 @@ def _row(board: BoardScore) -> tuple[str, ...]:
 
 
 def _reasons(report: RigReport) -> Iterator[str]:
-    """But for those that only list frames: these are told one by one."""
+    """Yield the reasons of every run, without those that only list frames: `_affected` yields these."""
     for board in report.boards:
-        words = [reason for reason in board.reasons if not reason.startswith("Frames (camera, row)")]
-        if words:
-            yield f"  board {board.board}, {board.rows} of {board.rows_due} rows: {' '.join(words)}"
+        text = [reason for reason in board.reasons if not reason.startswith("Frames (camera, row)")]
+        if text:
+            yield f"  board {board.board}, {board.rows} of {board.rows_due} rows: {' '.join(text)}"
 
 
 def _affected(report: RigReport) -> Iterator[str]:
@@ -91,14 +91,14 @@ def _affected(report: RigReport) -> Iterator[str]:
             key = (board.board, named.camera, named.verdict, named.cause, named.done)
             groups.setdefault(key, []).append(named.row)
     for (number, camera, verdict, cause, done), rows in list(groups.items())[:MOST]:
-        words = done or "NOTHING was done to it"
-        yield f"  board {number}, camera {camera}, row {_ranges(rows)}: {verdict}, {cause!r} ({words})"
+        text = done or "NO fault was injected"
+        yield f"  board {number}, camera {camera}, row {_ranges(rows)}: {verdict}, {cause!r} ({text})"
     if len(groups) > MOST:
         yield f"  … and {len(groups) - MOST} more"
 
 
 def _ranges(rows: list[int]) -> str:
-    """1, 2, 3, 7 → "1–3, 7"."""
+    """Join row numbers: 1, 2, 3, 7 → "1–3, 7"."""
     spans: list[list[int]] = []
     for row in sorted(rows):
         if spans and row == spans[-1][1] + 1:

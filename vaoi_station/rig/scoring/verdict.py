@@ -1,4 +1,4 @@
-"""Whether a rig run is as it must be, and if not, why: pure logic over the report."""
+"""Decide whether a rig run is as expected, and state what is not. No I/O."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from collections.abc import Iterator, Sequence
 from vaoi_station.rig.line.faults import Fault
 from vaoi_station.rig.scoring.rig_report import LATE_MS, LIMIT_PX, READY_LIMIT_S, BoardScore, RigReport
 
-_HARMLESS = {"noise", "bounce"}
-"""Nothing may be lost by these."""
-
 
 def failings(report: RigReport, faults: Sequence[Fault], boards: int) -> tuple[str, ...]:
-    """One sentence each; empty: all is as it must be."""
+    """Return one sentence for each failing; empty: everything is as expected."""
     return tuple(_failings(report, faults, boards))
 
 
 def _failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterator[str]:
     if len(report.boards) < boards:
         yield f"only {len(report.boards)} of {boards} boards passed"
+    # These faults cut a board short, so its missing rows and its verdict are expected.
     hurt = {f.board for f in faults if f.kind in ("stuck", "reset") or f.who == "acquisition"}
     for board in report.boards:
-        yield from _of_board(board, hurt)
+        yield from _board_failings(board, hurt)
     if report.boards_missed and not hurt:
         yield f"the station missed {report.boards_missed} board(s)"
     if report.stray_pulses:
@@ -35,39 +33,39 @@ def _failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterat
             yield f"after {recovery.fault} it took {recovery.ready_after_s} s to be ready, the limit is {READY_LIMIT_S}"
 
 
-def _of_board(board: BoardScore, hurt: set[int]) -> Iterator[str]:
+def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
     where = f"board {board.board}"
     if board.run is None:
-        yield f"{where} was not filmed"
+        yield f"{where} has no run"
         return
     for words in (*board.wrong, *board.notes):
         yield f"{where}: {words}"
     if board.proven is None:
-        yield f"{where}: nobody could look at its pixels"
+        yield f"{where}: its pixels could not be checked"
     elif board.proven != board.ok:
-        yield f"{where}: {board.ok - board.proven} frame(s) that are told to be whole are not in the ring"
+        yield f"{where}: {board.ok - board.proven} frame(s) reported as whole are not in the ring"
     if board.affected and (board.sent_late_ms is None or board.sent_late_ms > LATE_MS):
-        late = "for ever" if board.sent_late_ms is None else f"{board.sent_late_ms:.0f} ms"
-        yield f"{where}: the rig itself kept frames back {late}: this machine is too busy for a verdict"
+        late = "without end" if board.sent_late_ms is None else f"{board.sent_late_ms:.0f} ms"
+        yield f"{where}: the rig itself delayed frames by {late}: this machine is too busy for a verdict"
     for cell in board.innocent:
-        yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and nothing was done to it"
+        yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and no fault was injected"
     for cell in board.unnamed:
-        yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and no cause is told"
-    yield from _of_its_words(board, board.board in hurt)
+        yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and the station reports no cause"
+    yield from _result_failings(board, board.board in hurt)
 
 
-def _of_its_words(board: BoardScore, hurt: bool) -> Iterator[str]:
-    """Verdict and reasons; of a board that a fault has cut or stopped only that there is a reason."""
+def _result_failings(board: BoardScore, hurt: bool) -> Iterator[str]:
+    """Yield what is wrong with verdict and reasons; a board that a fault has cut short only needs a reason."""
     where = f"board {board.board}"
     if board.rows < board.rows_due and not board.reasons:
-        yield f"{where}: only {board.rows} of {board.rows_due} rows were fired, and the station does not tell why"
+        yield f"{where}: only {board.rows} of {board.rows_due} rows were fired, and the station reports no reason"
     if hurt:
         return
     if board.rows < board.rows_due:
         yield f"{where}: only {board.rows} of {board.rows_due} rows were fired"
     if board.unfilmed:
-        yield f"{where}: nothing is told of {board.unfilmed} frame(s) that were fired"
+        yield f"{where}: the station does not list {board.unfilmed} frame(s) that were fired"
     if board.reasons and not board.affected:
-        yield f"{where} is {board.status}, but says: {'; '.join(board.reasons)}"
+        yield f"{where} is {board.status}, but has reasons: {'; '.join(board.reasons)}"
     elif board.status not in (("ok", "degraded") if board.affected else ("ok",)):
         yield f"{where} is {board.status}: {'; '.join(board.reasons)}"

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.needs import need_aravis
-from vaoi_station.rig.devices.network import INSIDE, isolation
+from vaoi_station.rig.devices.network import NAMESPACE_VARIABLE, isolation_command
 
 WIRE = Path(__file__).parent / "wire"
 ROOT = Path(__file__).parents[4]
@@ -25,12 +25,18 @@ ROOT = Path(__file__).parents[4]
 def test_in_a_network_of_its_own(name: str) -> None:
     need_aravis()
     command = [
-        *isolation(),
+        *isolation_command(),
         *(sys.executable, "-m", "pytest", "--quiet", "--no-header", "-p", "no:cacheprovider"),
         *("-o", "python_files=wire_*.py", str(WIRE / name)),
     ]
     done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | {INSIDE: "1"}, capture_output=True, text=True, check=False, timeout=280
+        command,
+        cwd=ROOT,
+        env=os.environ | {NAMESPACE_VARIABLE: "1"},
+        check=False,
+        timeout=280,
+        capture_output=True,
+        text=True,
     )
     if done.returncode:
         pytest.fail(f"{' '.join(command)}\n{done.stdout}\n{done.stderr}", pytrace=False)

@@ -11,12 +11,12 @@ import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, thread_names, wait_for_remains
 from vaoi_station.config import StationConfig
-from vaoi_station.rig.devices.network import Loopback, addresses
+from vaoi_station.rig.devices.network import LoopbackAddresses, addresses
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _addresses() -> Iterator[None]:
-    with Loopback(addresses(14)):
+    with LoopbackAddresses(addresses(14)):
         yield
 
 

@@ -18,7 +18,7 @@ from functools import reduce
 from vaoi_station.acquisition.cameras.aravis.library import shared_library
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.rig.devices import virtual_camera as camera
-from vaoi_station.rig.devices.camera_description import wired
+from vaoi_station.rig.devices.camera_description import with_line0_trigger
 
 CLOCK_ADDRESS = 0x8000
 CLOCK_AHEAD_NS = 4_000_000_000_000
@@ -72,12 +72,12 @@ CHANGES = {change.__name__: change for change in (formats, stubborn, free_runnin
 class Device(camera.VirtualCamera):
     """One camera with orders of its own."""
 
-    def obey(self, line: str) -> None:
+    def execute(self, line: str) -> None:
         if line.startswith("width "):
             self._write("WIDTH", int(line.split()[1]))
-            self.say("done")
+            self.report("done")
         else:
-            super().obey(line)
+            super().execute(line)
 
     def tick(self, over: threading.Event) -> None:
         """Let the clock run until it is over."""
@@ -95,16 +95,16 @@ class Device(camera.VirtualCamera):
 
 def main(address: str, serial: str, *changes: str) -> None:
     def changed(text: str) -> str:
-        return reduce(lambda so_far, name: CHANGES[name](so_far), changes, wired(text))
+        return reduce(lambda so_far, name: CHANGES[name](so_far), changes, with_line0_trigger(text))
 
-    vars(camera)["wired"] = changed
+    vars(camera)["with_line0_trigger"] = changed
     device = Device(address, serial, sys.stdout)
     over = threading.Event()
     if "latch" in changes:
         threading.Thread(target=device.tick, args=(over,)).start()
     try:
         for line in sys.stdin:
-            device.obey(line)
+            device.execute(line)
     finally:
         over.set()
 

@@ -1,0 +1,110 @@
+"""Films: the right frames at the right times, made once."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.simulated.board import SimulatedBoard
+from vaoi_station.errors import DeviceError
+from vaoi_station.rig.line.faults import parse_fault, with_belt_faults
+from vaoi_station.rig.line.rendered_boards import RenderedBoard, render_boards
+from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    """The small one, with a bounce that delays nothing and a frame that never arrives."""
+    small = read_scenario(scenario_path("small"))
+    return with_belt_faults(small, [parse_fault("bounce:board=1,at_s=0.1,for_s=0.001")])
+
+
+@pytest.fixture(scope="module")
+def made(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedBoard, ...]:
+    return render_boards(scenario, [0, 1], tmp_path_factory.mktemp("films"), lambda _: None)
+
+
+def test_frames_are_those_of_the_simulated_station(scenario: Scenario, made: tuple[RenderedBoard, ...]) -> None:
+    """Same edges, same pulses, same pixels as the in-process twin shows its controller and cameras."""
+    twin = Twin(scenario)
+    for film in made:
+        board = SimulatedBoard(twin.passage(film.metadata.board), TriggerPlan.of(twin.line, scenario.line.lights), 2)
+        assert list(film.metadata.edges) == board.edges
+        assert list(film.metadata.pulses_s) == [pulse.time_s for pulse in board.pulses]
+    film, passage = made[0], twin.passage(0)
+    for camera, row in ((0, 0), (1, 3)):
+        expected = passage.frame_at(camera, film.metadata.pulses_s[row], "ring", row)
+        assert np.array_equal(film.map_frames()[row, camera], expected.reshape(-1))
+    assert {(int(c), int(r)) for views in film.metadata.views.values() for c, r, _, _ in views} >= {(0, 1), (1, 1)}
+
+
+def test_a_film_is_made_once_and_whatever_befalls_other_boards(
+    scenario: Scenario, made: tuple[RenderedBoard, ...]
+) -> None:
+    folder, messages = made[0].directory.parent, list[str]()
+    when = made[0].frames_path.stat().st_mtime_ns
+    other = with_belt_faults(scenario, [parse_fault("stuck:board=1,row=2")])
+    again = render_boards(other, [0], folder, messages.append)
+    assert (again, messages, made[0].frames_path.stat().st_mtime_ns) == (made[:1], [], when)
+    (made[1].directory / "film.json").unlink()
+    assert not made[1].complete
+    assert render_boards(scenario, [0, 1], folder, messages.append) == made
+    assert messages == ["Rendering 1 board(s) of 60 × 40 mm."]
+
+
+def test_other_boards_have_other_films(scenario: Scenario, made: tuple[RenderedBoard, ...], tmp_path: Path) -> None:
+    assert made[0].directory != made[1].directory
+    assert not np.array_equal(made[0].map_frames()[2, 0], made[1].map_frames()[2, 0])
+
+
+def test_without_room_it_is_messages_where_and_how_much(scenario: Scenario, tmp_path: Path) -> None:
+    with (
+        files_of_at_most(1_000_000),
+        pytest.raises(DeviceError, match=r"frames\.raw: \d+ MB: File too large\. Free space"),
+    ):
+        render_boards(scenario, [0], tmp_path, lambda _: None)
+    assert not list(tmp_path.rglob("*.raw"))
+
+
+def test_a_file_is_no_place_for_films(scenario: Scenario, tmp_path: Path) -> None:
+    (tmp_path / "films").write_text("")
+    with pytest.raises(DeviceError, match=r"rendered boards cannot be stored: .*: Not a directory\. .*another --films"):
+        render_boards(scenario, [0], tmp_path / "films", lambda _: None)
+
+
+def test_an_interruption_ends_the_filming(
+    scenario: Scenario, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As Ctrl-C does: no process is left, and none tells of its end."""
+
+    def interrupt() -> None:
+        while not multiprocessing.active_children():
+            pass
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        render_boards(scenario, [0], tmp_path, lambda _: None)
+    assert multiprocessing.active_children() == []
+    assert capfd.readouterr().err == ""
+
+
+@contextmanager
+def files_of_at_most(size_bytes: int) -> Iterator[None]:
+    """What a full disk is like, for this process and those it starts."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

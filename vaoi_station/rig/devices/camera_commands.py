@@ -1,0 +1,33 @@
+"""Commands for a virtual camera, as lines of text on its standard input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+DARK = -1
+"""Picture number of a frame without light."""
+
+
+@dataclass(frozen=True)
+class TriggerCommand:
+    """One rising edge of the trigger line, and what the camera delivers for it."""
+
+    picture: int
+    """Index in the file of frames; DARK: a black frame."""
+    timestamp_ns: int = 0
+    """Start of the exposure in the camera's clock; 0: the time at which the frame is sent."""
+    brightness: float = 1.0
+    """Factor on the grey values above the black level."""
+    lost_share: float = 0.0
+    """Share of the frame's packets that are not sent, 0 to 1."""
+
+    def to_line(self) -> str:
+        """Format the command as one line, without the line end."""
+        # repr keeps all digits of a float, so that from_line returns an equal command.
+        return f"fire {self.picture} {self.timestamp_ns} {self.brightness!r} {self.lost_share!r}"
+
+    @classmethod
+    def from_line(cls, line: str) -> TriggerCommand:
+        """Parse the line that `to_line` writes."""
+        _, picture, timestamp, brightness, lost_share = line.split()
+        return cls(int(picture), int(timestamp), float(brightness), float(lost_share))

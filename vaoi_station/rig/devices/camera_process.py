@@ -1,0 +1,157 @@
+"""The process of one virtual camera: start and stop it, send trigger commands, receive its reports."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from vaoi_station.errors import DeviceError
+from vaoi_station.rig.devices.camera_commands import TriggerCommand
+from vaoi_station.rig.devices.processes import raise_priority, stop_process
+
+READY_TIMEOUT_S = 30.0
+"""Time for a camera to serve GVCP; half a second is enough on an idle computer."""
+STOP_TIMEOUT_S = 10.0
+ReportHandler = Callable[[str, int, int], None]
+"""Called with `sent` or `ignored`, the picture number and the frame id (0: no frame)."""
+
+
+class CameraProcess:
+    """One camera process; a context manager. A thread passes its reports on."""
+
+    def __init__(self, address: str, serial: str, on_report: ReportHandler = lambda _word, _picture, _id: None) -> None:
+        self.address, self.serial = address, serial
+        self._on_report = on_report
+        self._process: subprocess.Popen[str] | None = None
+        self._reader: threading.Thread | None = None
+        self._frames: Path | None = None
+        self._sending = threading.Lock()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id; None while the process does not run."""
+        return self._process.pid if self._process is not None else None
+
+    def start(self) -> None:
+        """Start the process without waiting for it."""
+        command = [sys.executable, "-m", "vaoi_station.rig.devices.virtual_camera", self.address, self.serial]
+        # A session of its own keeps Ctrl-C away from the camera: the rig stops its processes in order.
+        # One OpenBLAS thread, as a camera computes no matrices and twelve of them share the cores.
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1,
+            start_new_session=True, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+        raise_priority(self._process.pid)
+        self._ready: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        assert self._process.stdout is not None
+        self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), name=f"camera {self.address}")
+        self._reader.start()
+        # After a kill the new process must show the frames that the old one had.
+        if self._frames is not None:
+            self.select_frames(self._frames)
+
+    def wait_ready(self) -> None:
+        """Wait until the camera serves its address.
+
+        Raises:
+            DeviceError: the camera does not start; the message has the end of its standard error.
+        """
+        try:
+            ready = self._ready.get(timeout=READY_TIMEOUT_S)
+        except queue.Empty:
+            ready = False
+        if not ready:
+            tail = self._stderr_tail()
+            raise DeviceError(f"the virtual camera at {self.address} does not start. {tail}".strip())
+
+    def select_frames(self, path: Path) -> None:
+        """Take the frames of coming triggers from this file."""
+        self._frames = path
+        self._send(f"film {path}")
+
+    def trigger(self, command: TriggerCommand, frames: Path | None = None) -> bool:
+        """Trigger the camera once; False if its process does not run.
+
+        Args:
+            command: picture, time, brightness, loss.
+            frames: the file of this one picture, if it is not the selected one.
+        """
+        if frames is None:
+            return self._send(command.to_line())
+        # The three lines are written together, so that no other thread's trigger reads the temporary file.
+        return self._send(f"film {frames}", command.to_line(), *([f"film {self._frames}"] if self._frames else []))
+
+    def kill(self) -> None:
+        """Kill the process, as if the camera lost its power."""
+        if self._process is not None:
+            self._process.kill()
+            self._reap()
+
+    def stop(self) -> None:
+        """Close the camera's standard input and wait for the end of the process."""
+        if self._process is not None:
+            stop_process(self._process, STOP_TIMEOUT_S)
+            self._reap()
+
+    def __enter__(self) -> CameraProcess:
+        self.start()
+        try:
+            self.wait_ready()
+        except BaseException:  # on any failure, Ctrl-C included, no process may be left behind
+            self.kill()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _send(self, *lines: str) -> bool:
+        with self._sending:
+            process = self._process
+            if process is None or process.stdin is None:
+                return False
+            try:
+                process.stdin.write("".join(f"{line}\n" for line in lines))
+                process.stdin.flush()
+            except (BrokenPipeError, ValueError):  # another thread has killed the process or closed the pipe
+                return False
+            return True
+
+    def _read(self, lines: IO[str]) -> None:
+        with lines:
+            for line in lines:
+                word, *rest = line.split()
+                if word == "ready":
+                    self._ready.put(True)
+                else:
+                    self._on_report(word, int(rest[0]), int(rest[1]) if len(rest) > 1 else 0)
+        # End of file: a process that ends before it is ready must not keep wait_ready for its full timeout.
+        self._ready.put(False)
+
+    def _stderr_tail(self) -> str:
+        """Kill the process and return the end of its standard error."""
+        process = self._process
+        if process is None or process.stderr is None:
+            return ""
+        # Reading the pipe to its end would block while the process still holds the other side open.
+        process.kill()
+        process.wait()
+        return process.stderr.read().strip()[-500:]
+
+    def _reap(self) -> None:
+        process, self._process = self._process, None
+        assert process is not None
+        process.wait()
+        if self._reader is not None:
+            self._reader.join()
+        for pipe in (process.stdin, process.stderr):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()

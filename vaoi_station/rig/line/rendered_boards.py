@@ -1,0 +1,260 @@
+"""Render boards before they pass: frames for the exact times at which the firmware will fire, and the truth.
+
+The motion of the twin's boards follows from their scenario, and the firmware's rule is known. So the times of all
+pulses, bounces included, are known to a fraction of a microsecond, and nothing is rendered while a board passes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import mmap
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.simulated.board import barrier_edges, predict_pulses, to_bytes
+from vaoi_station.errors import DeviceError, InputError, InternalError
+from vaoi_station.files import read_board_type, read_calibration, write_board_type, write_calibration
+from vaoi_station.files.documents import parse, read_json, write_json
+from vaoi_station.model import BoardType, Calibration, Strict
+from vaoi_station.simulation import Passage, Scenario, Twin
+from vaoi_station.simulation.truth import views
+
+_FRAMES, _METADATA, _CALIBRATION, _BOARD_TYPE = "frames.raw", "film.json", "calibration.json", "board.json"
+_FORMAT = 1
+"""Version of a board's directory; boards of another version are rendered again."""
+
+
+class BoardMetadata(Strict):
+    """Times, lights and truth of a rendered board; times are seconds since the start of the passage."""
+
+    board: int
+    cameras: int
+    frame_bytes: int
+    edges: tuple[tuple[float, bool], ...]
+    """Times at which the light barrier changes, and whether it is interrupted from then on."""
+    pulses_s: tuple[float, ...]
+    lights: tuple[str, ...]
+    """Light of every pulse."""
+    lost: tuple[tuple[int, int], ...]
+    """(camera, row) that the scenario keeps from arriving."""
+    views: dict[str, tuple[tuple[float, float, float, float], ...]]
+    """The truth: camera, row, x, y of the centre of every component's footprint, in raw pixels."""
+
+
+@dataclass(frozen=True)
+class RenderedBoard:
+    """One rendered board in a directory; frame number row · cameras + camera."""
+
+    directory: Path
+
+    @property
+    def frames_path(self) -> Path:
+        """The file with all frames, one after the other."""
+        return self.directory / _FRAMES
+
+    @cached_property
+    def metadata(self) -> BoardMetadata:
+        """Times, lights and truth."""
+        path = self.directory / _METADATA
+        return parse(BoardMetadata, read_json(path), path)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration of the array."""
+        return read_calibration(self.directory / _CALIBRATION)
+
+    @property
+    def board_type(self) -> BoardType:
+        """The board type of the board."""
+        return read_board_type(self.directory / _BOARD_TYPE)
+
+    @property
+    def rows(self) -> int:
+        """Number of pulses of the passage."""
+        return len(self.metadata.pulses_s)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the board was rendered to its end."""
+        return (self.directory / _METADATA).is_file()
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the start of the passage to its last pulse or change of the barrier."""
+        return max(self.metadata.pulses_s[-1:] + tuple(t for t, _ in self.metadata.edges))
+
+    def load_into_cache(self) -> None:
+        """Read all frames once, so that no camera waits for a disk."""
+        chunk = bytearray(1 << 22)
+        with self.frames_path.open("rb", buffering=0) as file:
+            while file.readinto(chunk):
+                pass
+
+    def map_frames(self) -> NDArray[np.uint8]:
+        """Map the flat bytes of all frames, (rows, cameras, bytes), read-only and without a copy."""
+        with self.frames_path.open("rb") as file:
+            memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        return np.frombuffer(memory, np.uint8).reshape(self.rows, self.metadata.cameras, self.metadata.frame_bytes)
+
+
+def render_boards(
+    scenario: Scenario, boards: Sequence[int], directory: Path, progress: Callable[[str], None]
+) -> tuple[RenderedBoard, ...]:
+    """Return boards of a scenario by their numbers, each in a directory of its own; render those that are missing.
+
+    A process of its own draws and renders: a drawn board may take gigabytes, which the process returns at its end.
+
+    Raises:
+        DeviceError: the directory cannot be written, or the disk is full.
+        InternalError: the process failed.
+    """
+    rendered = tuple(RenderedBoard(directory / _directory_name(scenario, board)) for board in boards)
+    missing = [n for n, board in enumerate(rendered) if not board.complete]
+    if missing:
+        progress(
+            f"Rendering {len(missing)} board(s) of {scenario.board.width_mm:.0f} × {scenario.board.length_mm:.0f} mm."
+        )
+        _render_in_process(scenario, [boards[n] for n in missing], [rendered[n].directory for n in missing])
+    return rendered
+
+
+def _render_in_process(scenario: Scenario, boards: Sequence[int], directories: Sequence[Path]) -> None:
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=render_worker, args=(scenario, boards, directories, there), name="vaoi-render")
+    try:
+        with _sigint_blocked():
+            process.start()
+        # This end must be closed here, or recv() would wait for ever after the process has ended.
+        there.close()
+        with here:
+            reason = here.recv()
+    except EOFError:
+        reason = ""
+    except BaseException:  # Ctrl-C above all: the caller no longer needs the boards
+        if process.is_alive():
+            process.terminate()
+        raise
+    finally:
+        if process.pid is not None:
+            process.join()
+    if reason:
+        raise DeviceError(
+            f"rendered boards cannot be stored: {reason}.", action="Free space there, or give another --films."
+        )
+    if process.exitcode:
+        raise InternalError(f"rendering ended with code {process.exitcode}; its message is above.")
+
+
+@contextmanager
+def _sigint_blocked() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C from their first instruction on; the parent handles it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def render_worker(
+    scenario: Scenario, boards: Sequence[int], directories: Sequence[Path], connection: Connection[Any, Any]
+) -> None:
+    """Render boards into directories; the metadata of a board is written last.
+
+    A refusal of the system is sent over the connection; otherwise the connection is closed without a message. The
+    process ends with its parent.
+    """
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
+    twin = Twin(scenario)
+    with connection:
+        try:
+            for board, directory in zip(boards, directories, strict=True):
+                _render_board(twin.passage(board), directory)
+        except (OSError, InputError) as error:
+            reason = (
+                f"{error.filename or directories[0]}: {error.strerror}" if isinstance(error, OSError) else str(error)
+            )
+            connection.send(reason.removesuffix("."))
+
+
+def _exit_with_parent() -> None:
+    """End this process when its parent has ended."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)  # nothing half-written counts: without its metadata a board is incomplete
+
+
+def _render_board(passage: Passage, directory: Path) -> None:
+    twin, cameras = passage.twin, passage.twin.scenario.array.cameras
+    edges = barrier_edges(passage)
+    pulses = predict_pulses(edges, TriggerPlan.of(twin.line, twin.scenario.line.lights))
+    array = twin.scenario.array
+    frame_bytes = array.width_px * array.height_px * array.bits // 8
+    directory.mkdir(parents=True, exist_ok=True)
+    # Cached properties are computed here once; the threads below would each compute them.
+    _ = twin.scene, passage.placements  # drawn once, before threads ask for them
+    frames = _allocate_frames(directory / _FRAMES, (len(pulses), cameras, frame_bytes))
+
+    def render(row: int) -> None:
+        for camera in range(cameras):
+            frames[row, camera] = to_bytes(passage.frame_at(camera, pulses[row].time_s, pulses[row].light, row))
+
+    # Threads are enough: OpenCV and numpy release the GIL in the expensive parts.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(render, range(len(pulses))))
+    write_calibration(directory / _CALIBRATION, twin.calibration)
+    write_board_type(directory / _BOARD_TYPE, twin.board_type)
+    metadata = BoardMetadata(
+        board=passage.board_number,
+        cameras=cameras,
+        frame_bytes=frame_bytes,
+        edges=tuple(edges),
+        pulses_s=tuple(pulse.time_s for pulse in pulses),
+        lights=tuple(pulse.light for pulse in pulses),
+        lost=tuple((c, r) for r in range(len(pulses)) for c in range(cameras) if passage.faults.lost(c, r)),
+        views=views(twin, passage.pinholes, [passage.pose(pulse.time_s) for pulse in pulses]),
+    )
+    # Written last: its presence marks the board as complete.
+    write_json(directory / _METADATA, metadata.model_dump(mode="json"))
+
+
+def _allocate_frames(path: Path, shape: tuple[int, int, int]) -> NDArray[Any]:
+    """Create the file of frames with all its blocks."""
+    size_bytes = math.prod(shape)
+    with path.open("wb") as file:
+        try:
+            # A write into a hole of a mapped file on a full disk would end the process by SIGBUS.
+            os.posix_fallocate(file.fileno(), 0, size_bytes)
+        except OSError as error:
+            path.unlink()
+            raise OSError(error.errno, f"{size_bytes / 1e6:.0f} MB: {error.strerror}", str(path)) from error
+    frames: NDArray[Any] = np.memmap(path, np.uint8, "r+", shape=shape)
+    return frames
+
+
+def _directory_name(scenario: Scenario, board: int) -> str:
+    """Return a name for one board of a scenario; it depends on the board's own faults, not on those of other boards."""
+    own_faults = {
+        name: [fault.model_dump(mode="json") for fault in faults if getattr(fault, "board", None) in (None, board)]
+        for name, faults in scenario.faults
+    }
+    own = scenario.model_dump(mode="json", exclude={"faults"}) | {k: v for k, v in own_faults.items() if v}
+    digest = hashlib.sha256(json.dumps([_FORMAT, board, own]).encode()).hexdigest()
+    return f"{scenario.board.name}-{board:03d}-{digest[:12]}"

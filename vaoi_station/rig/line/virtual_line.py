@@ -1,0 +1,290 @@
+"""The line under the cameras: boards pass the barrier, the chip fires, the cameras show the twin at that time.
+
+    belt ──barrier edges──▶ chip ──edges of its pins──▶ pulses ──rendered frames──▶ cameras
+
+All times are cycles of the chip: the edges of the barrier are planned in cycles, and the cycle of a trigger decides
+where the board is in its frame. Every pulse and what happened to its frames is recorded for the score.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from vaoi_station.errors import InternalError
+from vaoi_station.rig.devices.camera_commands import DARK, TriggerCommand
+from vaoi_station.rig.devices.camera_process import CameraProcess
+from vaoi_station.rig.devices.chip import HZ, Chip, Edge
+from vaoi_station.rig.devices.pulses import Pulse, PulseDecoder
+from vaoi_station.rig.line.extra_frames import FrameRequest
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+
+LEAD_S = 0.05
+"""Time from `start_passage` to the start of the passage, within which the emulator must receive the edges."""
+PULSE_TOLERANCE_S = 5e-6
+"""Largest difference between a pulse and its rendered time; 0.02 px at 100 mm/s and 40 px/mm."""
+BRIGHTNESS_TOLERANCE = 0.005
+"""Relative difference up to which the brightness counts as the rendered one: LED on-times are exact to 0.2 us."""
+LOST_PACKET_SHARE = 0.05
+"""Share of packets that a frame with packet loss loses; of a hundred packets, one frame in two hundred loses none."""
+
+_MIN_READINGS, _MAX_READINGS, _NARROW_NS = 3, 100, 20_000
+END_MARGIN_S = 0.5
+"""Time after the end of a rendered board from which a pulse no longer belongs to it."""
+
+FrameOutcome = Literal["sent", "ignored", "hit", "lost", "dead", "late", "unarmed"]
+"""What happened to a camera's frame: sent whole; trigger ignored; packets missing; all packets missing; camera dead;
+rendered on demand; no frame, because no client had armed the camera.
+"""
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """The station's light configuration: LED channels by the name of the light."""
+
+    channels: dict[str, tuple[int, ...]]
+    exposures_us: tuple[float, ...]
+    """Exposure of every camera; LEDs have no effect outside it."""
+
+    def light_of(self, pulse: Pulse) -> str | None:
+        """Return the name of the light that was on; None: no light, or LEDs that belong to no single light."""
+        return next((name for name, channels in self.channels.items() if channels == pulse.channels), None)
+
+    def brightness(self, pulse: Pulse, camera: int) -> float:
+        """Return the brightness relative to a light that is on for the camera's whole exposure."""
+        if self.light_of(pulse) is None:
+            return 0.0
+        share = min(pulse.on_us / self.exposures_us[camera], 1.0)
+        return 1.0 if abs(share - 1) < BRIGHTNESS_TOLERANCE else share
+
+
+@dataclass
+class FiredPulse:
+    """One pulse, and what happened to its frames."""
+
+    row: int | None
+    """Row of the rendered board; None: the pulse came at a time that was not rendered."""
+    pulse: Pulse
+    offset_us: float
+    """Time of the pulse minus the rendered time."""
+    outcomes: list[FrameOutcome]
+    """One for each camera."""
+    brightness: list[float]
+    """Brightness for each camera, relative to the rendered one."""
+    note: str = ""
+    """Difference from what was rendered; empty: none."""
+    sent_ms: dict[int, float] = field(default_factory=dict)
+    """Camera → time from the pulse to the first packet of its frame."""
+
+
+@dataclass
+class BoardPassage:
+    """One board's passage."""
+
+    board: int
+    rendered: RenderedBoard
+    start_cycle: int
+    blocked_ns: int
+    """CLOCK_MONOTONIC at which the board interrupts the barrier."""
+    fired: list[FiredPulse] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class FrameFaults:
+    """Faults that the line itself injects into frames."""
+
+    loss: float = 0.0
+    """Share of the frames that lose packets."""
+    ignored: frozenset[tuple[int, int, int]] = frozenset()
+    """(board, row, camera) of pulses that a camera ignores."""
+
+
+class VirtualLine:
+    """Lets boards pass; it uses the chip and the cameras, which start before it and end after it."""
+
+    def __init__(
+        self,
+        cameras: Sequence[CameraProcess],
+        lighting: Lighting,
+        frame_faults: FrameFaults | None = None,
+        on_row: Callable[[int, int], None] = lambda _board, _row: None,
+        render_on_demand: Callable[[FrameRequest], Path | None] = lambda _: None,
+        seed: int = 1,
+    ) -> None:
+        """Prepare the line; no board passes yet.
+
+        Args:
+            cameras: one process for each camera.
+            lighting: LED channels of each light.
+            frame_faults: faults to inject.
+            on_row: called with board and row before the cameras are triggered, in the chip's thread.
+            render_on_demand: renders what was not rendered beforehand; None: a black frame.
+            seed: decides which frames lose packets.
+        """
+        self._cameras, self._lighting, self._frame_faults = cameras, lighting, frame_faults or FrameFaults()
+        self._render_on_demand = render_on_demand
+        self._on_row = on_row
+        self._random = random.Random(seed)
+        self._decoder = PulseDecoder()
+        self._change = threading.Lock()
+        self._passage: BoardPassage | None = None
+        self._chip: Chip | None = None
+        self._boards = 0
+        self._end_ns = 0
+        self.unexpected_pulses: list[Pulse] = []
+        """Pulses while no board passed."""
+
+    def attach_chip(self, chip: Chip) -> None:
+        """Set the chip whose edges `on_edge` receives."""
+        self._chip = chip
+
+    def on_edge(self, edge: Edge) -> None:
+        """Handle a change of one of the chip's outputs."""
+        pulse = self._decoder.process(edge)
+        if pulse is not None:
+            with self._change:
+                self._handle_pulse(pulse)
+
+    def on_camera_report(self, camera: int, word: str, picture: int) -> None:
+        """Record what a camera has done with a trigger.
+
+        Called in the camera's thread, without a lock: `_handle_pulse` holds the lock while it writes to cameras, and
+        must not wait for a thread that waits for it.
+        """
+        now_ns, passage = time.monotonic_ns(), self._passage
+        if passage is None or picture < 0:
+            return
+        for fired in list(passage.fired):
+            if fired.row == picture // len(self._cameras):
+                if word == "ignored":
+                    fired.outcomes[camera] = "unarmed"
+                else:
+                    fired.sent_ms[camera] = (now_ns - fired.pulse.host_ns) * 1e-6
+
+    def start_passage(self, rendered: RenderedBoard) -> BoardPassage:
+        """Let a board pass; the one before must have passed."""
+        assert self._chip is not None
+        for camera in self._cameras:
+            camera.select_frames(rendered.frames_path)
+        start = self._chip.cycle_at(time.monotonic_ns() + round(LEAD_S * 1e9))
+        blocked_s = next(t for t, blocked in rendered.metadata.edges if blocked)
+        passage = BoardPassage(self._boards, rendered, start, self._chip.host_ns(start + round(blocked_s * HZ)))
+        with self._change:
+            self._passage, self._boards = passage, self._boards + 1
+            self._end_ns = self._chip.host_ns(start + round((rendered.duration_s + END_MARGIN_S) * HZ))
+        self._plan_edges(passage, start)
+        return passage
+
+    def on_chip_reset(self) -> None:
+        """Handle a reset of the chip: its outputs are low, and it has lost the planned edges of the barrier."""
+        assert self._chip is not None
+        self._decoder = PulseDecoder()
+        if self._passage is not None:
+            self._plan_edges(self._passage, self._chip.cycle_at(time.monotonic_ns()))
+
+    def _plan_edges(self, passage: BoardPassage, after_cycle: int) -> None:
+        assert self._chip is not None
+        for t, blocked in passage.rendered.metadata.edges:
+            cycle = passage.start_cycle + round(t * HZ)
+            if cycle >= after_cycle:
+                self._chip.send(f"at {cycle} PB0 {int(blocked)}")
+
+    def _handle_pulse(self, pulse: Pulse) -> None:
+        passage = self._passage
+        row, offset_s = _rendered_row(passage, pulse) if passage is not None else (None, 0.0)
+        if passage is None or pulse.host_ns > self._end_ns:
+            self.unexpected_pulses.append(pulse)
+            self._render_late(FrameRequest(None), pulse)
+            return
+        if row is not None:
+            self._on_row(passage.board, row)
+        note, count = self._mismatch(passage, row, pulse), len(self._cameras)
+        brightness = [self._lighting.brightness(pulse, n) for n in range(count)]
+        fired = FiredPulse(row, pulse, offset_s * 1e6, ["late"] * count, brightness, note)
+        # Recorded before the cameras are triggered, because they may report at once.
+        passage.fired.append(fired)  # before the cameras can answer
+        # The frames are triggered here, in the chip's thread: no queue adds latency.
+        if row is not None and not note:
+            timestamp_ns = wall_clock_ns(pulse.host_ns)
+            for n in range(count):
+                self._trigger_camera(passage, fired, row, n, timestamp_ns)
+        if note:
+            t = (pulse.cycle - passage.start_cycle) / HZ
+            light_name = self._lighting.light_of(pulse) or passage.rendered.metadata.lights[0]
+            self._render_late(FrameRequest(passage.rendered.metadata.board, t, light_name, len(passage.fired)), pulse)
+
+    def _mismatch(self, passage: BoardPassage, row: int | None, pulse: Pulse) -> str:
+        """Describe how the pulse differs from what was rendered; empty if it does not."""
+        if row is None:
+            return "fired at a time for which no frame was rendered"
+        light = passage.rendered.metadata.lights[row]
+        if self._lighting.light_of(pulse) not in (light, None) or (
+            pulse.channels and self._lighting.light_of(pulse) is None
+        ):
+            return f"LED channels {pulse.channels} were lit, not those of {light!r}"
+        return ""
+
+    def _trigger_camera(
+        self, passage: BoardPassage, fired: FiredPulse, row: int, camera: int, timestamp_ns: int
+    ) -> None:
+        if (passage.board, row, camera) in self._frame_faults.ignored:
+            fired.outcomes[camera] = "ignored"
+            return
+        fired.outcomes[camera], lost = self._outcome(passage, row, camera)
+        picture = row * len(self._cameras) + camera
+        if not self._cameras[camera].trigger(TriggerCommand(picture, timestamp_ns, fired.brightness[camera], lost)):
+            fired.outcomes[camera] = "dead"
+
+    def _outcome(self, passage: BoardPassage, row: int, camera: int) -> tuple[FrameOutcome, float]:
+        """Decide what happens to a frame, and which share of its packets is lost."""
+        if (camera, row) in passage.rendered.metadata.lost:
+            return "lost", 1.0
+        return ("hit", LOST_PACKET_SHARE) if self._random.random() < self._frame_faults.loss else ("sent", 0.0)
+
+    def _render_late(self, request: FrameRequest, pulse: Pulse) -> None:
+        """Render in a thread of its own, then trigger the cameras with the pulse's time."""
+
+        def send() -> None:
+            with contextlib.suppress(InternalError):  # the rig is being taken down
+                frames = self._render_on_demand(request)
+                self._trigger_all(frames, pulse)
+
+        # Rendering takes longer than a period; in the chip's thread it would delay the pulses that follow.
+        threading.Thread(target=send, name="late frames", daemon=True).start()
+
+    def _trigger_all(self, frames: Path | None, pulse: Pulse) -> None:
+        timestamp_ns = wall_clock_ns(pulse.host_ns)
+        for n, camera in enumerate(self._cameras):
+            command = TriggerCommand(n if frames else DARK, timestamp_ns, self._lighting.brightness(pulse, n))
+            camera.trigger(command, frames)
+
+
+def wall_clock_ns(host_ns: int) -> int:
+    """Return CLOCK_REALTIME at a time of CLOCK_MONOTONIC: the cameras' clock.
+
+    An interruption between the readings of the two clocks falsifies their difference, so the narrowest of several
+    readings counts.
+    """
+    readings: list[tuple[int, int]] = []
+    while len(readings) < _MIN_READINGS or (min(readings)[0] > _NARROW_NS and len(readings) < _MAX_READINGS):
+        before_ns, wall_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        readings.append((after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2))
+    return host_ns + min(readings)[1]
+
+
+def _rendered_row(passage: BoardPassage, pulse: Pulse) -> tuple[int | None, float]:
+    """Return the rendered row of a pulse and its distance in s; row None: none was rendered for that time."""
+    t = (pulse.cycle - passage.start_cycle) / HZ
+    pulses = passage.rendered.metadata.pulses_s
+    if not pulses:
+        return None, 0.0
+    # The nearest row by time, not by count: after a reset or a bounce the count may be another.
+    row = min(range(len(pulses)), key=lambda j: abs(pulses[j] - t))
+    offset_s = t - pulses[row]
+    return (row if abs(offset_s) <= PULSE_TOLERANCE_S else None), offset_s
