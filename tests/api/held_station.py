@@ -16,7 +16,7 @@ from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundE
 from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
-from vaoi_station.rendering import View, render, views_of
+from vaoi_station.rendering import View, compute_views, render
 from vaoi_station.runs.control import facade as f
 
 CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
@@ -318,7 +318,7 @@ class HeldStation:
         component = board_type.component(ref)
         if component is None:
             raise NotFoundError(f"There is no component {ref!r}.", code="unknown-component")
-        found = views_of(
+        found = compute_views(
             component, board_type, self.stitch(run), self.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage
         )
         whole = {(r.camera, r.row) for r in self.run(run).frames if r.verdict == Verdict.OK}

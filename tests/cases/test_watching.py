@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.drift.checks import RunCheck, joint
-from vaoi_station.drift.displacement import displaced
+from vaoi_station.drift.checks import RunCheck, combine_runs
+from vaoi_station.drift.displacement import displace_camera
 from vaoi_station.drift.recorded import check_recording
 from vaoi_station.geometry import Camera
 from vaoi_station.stitching.recordings.opening import open_run
@@ -26,7 +26,7 @@ def under_old_calibration(case: Path, moved_px: Any) -> tuple[RunCheck, Camera, 
     opened = open_run(case)
     cameras = list(opened.setup.cameras)
     hangs = cameras[KNOCKED]
-    cameras[KNOCKED] = displaced(hangs, -np.array(moved_px))
+    cameras[KNOCKED] = displace_camera(hangs, -np.array(moved_px))
     setup = replace(opened.setup, cameras=tuple(cameras))
     return check_recording(replace(opened, setup=setup)), hangs, cameras[KNOCKED]
 
@@ -36,10 +36,10 @@ def under_old_calibration(case: Path, moved_px: Any) -> tuple[RunCheck, Camera, 
 )
 def test_a_knock_along_the_belt_or_about_the_axis_is_undone(cases: Any, moved_px: tuple[float, float, float]) -> None:
     told = [under_old_calibration(cases(name), moved_px) for name in ("ulx3s-top", "ulx3s-top-again")]
-    found = joint([check for check, _, _ in told])
+    found = combine_runs([check for check, _, _ in told])
     assert (found.moved, found.rivals) == ((KNOCKED,), ())
     _, hangs, calibrated = told[0]
-    corrected = displaced(calibrated, found.displacement_px[KNOCKED])
+    corrected = displace_camera(calibrated, found.displacement_px[KNOCKED])
     grid = np.stack(np.meshgrid(np.linspace(0, 1391, 9), np.linspace(0, 1039, 7)), -1).reshape(-1, 2)
     off = np.hypot(*(corrected.project(hangs.ground(grid)) - grid).T)
     assert np.sqrt((off**2).mean()) < 0.03
@@ -50,7 +50,7 @@ def test_a_knock_across_the_belt_that_leaves_one_neighbour_is_known_as_well_as_i
     """The other overlap is too narrow then, and one alone cannot tell a moved camera from a higher board."""
     moved_px = (way * FOCAL_PX * TENTH_DEG, 0.0, 0.0)
     check, _, _ = under_old_calibration(cases("ulx3s-top"), moved_px)
-    found = joint([check])
+    found = combine_runs([check])
     assert found.moved == (KNOCKED,)
     off = found.displacement_px[KNOCKED] - moved_px
     assert found.sigma_px[KNOCKED, 0] > 0.25

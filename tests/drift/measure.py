@@ -18,7 +18,7 @@ import numpy as np
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.drift.recalibrate import recalibrate
-from vaoi_station.drift.watch import drifts
+from vaoi_station.drift.watch import find_drifts
 from vaoi_station.errors import InputError
 from vaoi_station.model import Calibration, Stitch
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
@@ -82,7 +82,7 @@ def main(name: str, camera: int, undisturbed: int, knocked: int, seed: int = 0) 
     scenario = scenario_of(name, seed)
     still = Twin(Scenario.model_validate(scenario))
     checks = [Board(still, number).stitched()[0] for number in range(undisturbed)]
-    alarms = sum(bool(drifts(checks[: k + 1])) for k in range(undisturbed))
+    alarms = sum(bool(find_drifts(checks[: k + 1])) for k in range(undisturbed))
     shown = np.array([[c.displacement_px for c in check.cameras] for check in checks])
     print(f"{name}, seed {seed}: {undisturbed} undisturbed runs, {alarms} with an alarm")
     print(f"displacements shown: rms {np.sqrt((shown**2).mean()):.4f}, largest {np.abs(shown).max():.4f} px")
@@ -102,7 +102,7 @@ def creep(scenario: dict[str, Any], camera: int, before: list[RunCheck]) -> None
         board = Board(Twin(Scenario.model_validate(scenario)), len(before) + step - 1)
         check, stitch = board.stitched()
         checks.append(check)
-        if found := drifts(checks):
+        if found := find_drifts(checks):
             off = matrix_px(board.passage.twin.calibration, board.passage, camera)
             named = [(d.camera, round(d.size_px, 3), d.since_run, d.instead) for d in found]
             print(f"creeping: told after {step} boards, N off by {off} px; {named}")
@@ -116,7 +116,7 @@ def tell(twin: Twin, camera: int, axis: str, before: list[RunCheck], knocked: in
     boards = [Board(twin, len(before) + k) for k in range(knocked)]
     results = [board.stitched() for board in boards]
     since = [check for check, _ in results]
-    told = [drifts(before + since[: k + 1]) for k in range(knocked)]
+    told = [find_drifts(before + since[: k + 1]) for k in range(knocked)]
     runs = next((k + 1 for k, found in enumerate(told) if found), None)
     named = [(d.camera, round(d.size_px, 3), d.since_run, d.instead) for d in told[-1]]
     print(f"about {axis}: told after {runs} runs; {named}")

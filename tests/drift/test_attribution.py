@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.drift.attribution import attributed
+from vaoi_station.drift.attribution import attribute_motion
 from vaoi_station.geometry.transforms import Floats
 
 SIGMA_PX = 0.02
@@ -26,7 +26,7 @@ def between_neighbours(d: Floats) -> tuple[Floats, Floats]:
 def test_one_camera_of_four_that_moved_is_named(camera: int, moved: tuple[float, float, float]) -> None:
     d = np.zeros((4, 3))
     d[camera] = moved
-    found = attributed(*between_neighbours(d))
+    found = attribute_motion(*between_neighbours(d))
     assert found.moved == (camera,)
     assert found.rivals == ()
     assert found.displacement_px == pytest.approx(d, abs=0.02)
@@ -35,19 +35,19 @@ def test_one_camera_of_four_that_moved_is_named(camera: int, moved: tuple[float,
 def test_two_cameras_of_five() -> None:
     d = np.zeros((5, 3))
     d[1], d[4] = (3.0, -1.0, 0.5), (0.0, 2.0, 0.0)
-    found = attributed(*between_neighbours(d))
+    found = attribute_motion(*between_neighbours(d))
     assert found.moved == (1, 4)
     assert found.displacement_px == pytest.approx(d, abs=0.02)
 
 
 def test_of_two_cameras_both_are_named_and_the_first_is_corrected() -> None:
     d = np.array([[0.0, 0.0, 0.0], [5.0, -1.0, 0.3]])
-    found = attributed(*between_neighbours(d))
+    found = attribute_motion(*between_neighbours(d))
     assert (found.moved, found.rivals) == ((0,), (1,))
     assert found.displacement_px[0] == pytest.approx(-d[1], abs=0.02)
 
 
 def test_a_motion_of_the_whole_array_is_not_seen() -> None:
-    found = attributed(*between_neighbours(np.full((4, 3), 7.0)))
+    found = attribute_motion(*between_neighbours(np.full((4, 3), 7.0)))
     assert found.moved == ()
     assert found.displacement_px == pytest.approx(np.zeros((4, 3)), abs=1e-6)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.drift.displacement import arm_px, displaced, moved_from_calibrated, size_px
+from vaoi_station.drift.displacement import corner_radius_px, displace_camera, moved_from_calibrated, size_px
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.transforms import apply
 
@@ -32,15 +32,15 @@ def test_a_turn_is_told_by_how_far_the_corner_goes(distance_mm: float | None) ->
     off = apply(t, [640.0, 480.0]) - (640.0, 480.0)
     assert np.hypot(*off) == pytest.approx(0.7, rel=5e-3)
     assert off[0] < 0 < off[1], "from x towards y"
-    assert arm_px(camera) == pytest.approx(400.8, abs=0.1)
+    assert corner_radius_px(camera) == pytest.approx(400.8, abs=0.1)
 
 
 def test_a_turned_camera_hangs_where_it_hung() -> None:
-    assert displaced(CAMERA, np.array([12.0, -7.0, 1.0])).foot_mm == pytest.approx(CAMERA.foot_mm, abs=0.01)
+    assert displace_camera(CAMERA, np.array([12.0, -7.0, 1.0])).foot_mm == pytest.approx(CAMERA.foot_mm, abs=0.01)
 
 
 def test_no_displacement_is_no_change() -> None:
-    assert displaced(CAMERA, np.zeros(3)) is CAMERA
+    assert displace_camera(CAMERA, np.zeros(3)) is CAMERA
 
 
 def test_the_size_is_the_rms_over_the_frame() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.drift.recalibrate import recalibrate
-from vaoi_station.drift.watch import drifts
+from vaoi_station.drift.watch import find_drifts
 from vaoi_station.errors import InputError
 from vaoi_station.model import Calibration
 from vaoi_station.simulation import Twin
@@ -33,8 +33,8 @@ def test_a_knock_by_a_tenth_of_a_degree_is_found_and_corrected(
 ) -> None:
     twin = knocked_twin({"camera": 1, "about": about, "angle_deg": 0.1, "from_board": 4})
     since = [film(twin, board) for board in range(4, 7)]
-    assert drifts(undisturbed) == ()
-    (drift,) = drifts([*undisturbed, *since[:2]])
+    assert find_drifts(undisturbed) == ()
+    (drift,) = find_drifts([*undisturbed, *since[:2]])
     assert (drift.camera, drift.since_run) == (1, "run 4")
     proposal = recalibrate(twin.calibration, twin.heads, since)
     passage = twin.passage(6)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.drift.watch import drifts, vanished
+from vaoi_station.drift.watch import find_drifts, find_vanished_cameras
 
 Made = Callable[..., RunCheck]
 STILL = (0.0, 0.0, 0.0)
@@ -17,14 +17,14 @@ STILL = (0.0, 0.0, 0.0)
 def test_scatter_is_no_drift(made: Made) -> None:
     g = np.random.default_rng(0)
     runs = [made(k, [tuple(g.normal(0, 0.02, 3)) for _ in range(6)]) for k in range(300)]
-    assert not any(drifts(runs[:k]) for k in range(0, 301, 10))
+    assert not any(find_drifts(runs[:k]) for k in range(0, 301, 10))
 
 
 def test_a_knock_is_told_with_camera_size_and_since(made: Made) -> None:
     runs = [made(k, [STILL, STILL, STILL]) for k in range(6)]
     runs += [made(k, [STILL, (0.0, 30.0, 0.9), STILL]) for k in (6, 7)]
-    assert drifts(runs[:7]) == (), "one odd board is not believed"
-    (drift,) = drifts(runs)
+    assert find_drifts(runs[:7]) == (), "one odd board is not believed"
+    (drift,) = find_drifts(runs)
     assert (drift.camera, drift.since_run, drift.since_time, drift.runs) == (1, "r006", "t006", 2)
     assert drift.displacement_px == pytest.approx((0.0, 30.0, 0.9))
     assert drift.size_px == pytest.approx(np.hypot(30.0, 0.9 / np.sqrt(3)))
@@ -32,29 +32,29 @@ def test_a_knock_is_told_with_camera_size_and_since(made: Made) -> None:
 
 def test_one_odd_board_raises_no_alarm_later_either(made: Made) -> None:
     runs = [made(k, [STILL, (8.0 if k == 7 else 0.0, 0.0, 0.0)]) for k in range(20)]
-    assert not any(drifts(runs[:k]) for k in range(21))
+    assert not any(find_drifts(runs[:k]) for k in range(21))
 
 
 def test_a_creeping_drift_is_told_before_it_hurts(made: Made) -> None:
     runs = [made(k, [STILL, (0.01 * max(k - 8, 0), 0.0, 0.0), STILL]) for k in range(40)]
-    told = next(k for k in range(41) if drifts(runs[:k]))
+    told = next(k for k in range(41) if find_drifts(runs[:k]))
     assert runs[told - 1].cameras[1].x_px < 0.2
-    (drift,) = drifts(runs[:told])
+    (drift,) = find_drifts(runs[:told])
     assert drift.camera == 1
 
 
 def test_a_camera_set_right_is_believed_after_some_runs(made: Made) -> None:
     runs = [made(k, [STILL, (2.0 if 5 <= k < 15 else 0.0, 0.0, 0.0)]) for k in range(40)]
-    assert drifts(runs[:15])
-    assert drifts(runs) == ()
+    assert find_drifts(runs[:15])
+    assert find_drifts(runs) == ()
 
 
 def test_small_habits_of_a_board_type_are_no_drift_but_large_ones_are(made: Made) -> None:
     habit = [STILL, (0.1, 0.0, 0.0), STILL]
     two = [made(k, habit if k % 2 else [STILL] * 3, board_type="ab"[k % 2]) for k in range(60)]
-    assert not any(drifts(two[:k]) for k in range(61))
+    assert not any(find_drifts(two[:k]) for k in range(61))
     knocked_before = [made(k, [STILL, (0.4, 0.0, 0.0), STILL]) for k in range(4)]
-    (drift,) = drifts(knocked_before)
+    (drift,) = find_drifts(knocked_before)
     assert (drift.camera, drift.since_run) == (1, "r000")
 
 
@@ -67,20 +67,20 @@ def blind(run: RunCheck, camera: int) -> RunCheck:
 def test_a_camera_that_lost_its_neighbours_has_vanished(made: Made) -> None:
     runs = [made(k, [STILL, STILL, STILL]) for k in range(8)]
     after = [blind(made(k, [STILL, STILL, STILL]), 2) for k in range(8, 11)]
-    assert vanished(runs) == ()
-    assert vanished(runs + after[:2]) == ()
-    assert vanished(runs + after) == (2,)
-    assert drifts(runs + after) == ()
-    assert vanished([*runs, *after, runs[0]]) == ()
+    assert find_vanished_cameras(runs) == ()
+    assert find_vanished_cameras(runs + after[:2]) == ()
+    assert find_vanished_cameras(runs + after) == (2,)
+    assert find_drifts(runs + after) == ()
+    assert find_vanished_cameras([*runs, *after, runs[0]]) == ()
 
 
 def test_a_camera_that_small_boards_never_cover_has_not_vanished(made: Made) -> None:
     small = [blind(made(k, [STILL] * 3, board_type="small"), 2) for k in range(12)]
     large = [made(k, [STILL] * 3, board_type="large") for k in range(12)]
-    assert vanished(small) == ()
-    assert vanished([*large, *small]) == ()
+    assert find_vanished_cameras(small) == ()
+    assert find_vanished_cameras([*large, *small]) == ()
 
 
 def test_no_runs_no_drift() -> None:
-    assert drifts([]) == ()
-    assert vanished([]) == ()
+    assert find_drifts([]) == ()
+    assert find_vanished_cameras([]) == ()

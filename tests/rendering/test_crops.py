@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component
-from vaoi_station.rendering.crops import MOST_PIXELS, crops_of
+from vaoi_station.rendering.crops import MOST_PIXELS, compute_crops
 
 SIDES = [(y, s) for y in ("up", "down") for s in ("top", "bottom")]
 
@@ -26,7 +26,7 @@ def part(rotation: float = 0.0, width: float = 4.0, height: float = 2.0) -> Comp
 
 @pytest.mark.parametrize(("y_axis", "side"), SIDES)
 def test_the_edges_of_the_box_are_the_outer_edges_of_the_border_pixels(y_axis: str, side: str) -> None:
-    crops = crops_of([part()], board(y_axis, side), 10.0)
+    crops = compute_crops([part()], board(y_axis, side), 10.0)
     assert crops.size.tolist() == [[40, 20]]
     corners = apply(crops.crop_from_cad[0], [[8, 19], [12, 21]])
     assert np.sort(corners[:, 0]) == pytest.approx([-0.5, 39.5])
@@ -37,7 +37,7 @@ def test_the_edges_of_the_box_are_the_outer_edges_of_the_border_pixels(y_axis: s
 @pytest.mark.parametrize(("y_axis", "side"), SIDES)
 def test_upright_as_the_camera_sees_it(y_axis: str, side: str) -> None:
     """CAD x runs to the right on the top and to the left on the bottom; CAD up is up."""
-    m = crops_of([part()], board(y_axis, side), 10.0).crop_from_cad[0]
+    m = compute_crops([part()], board(y_axis, side), 10.0).crop_from_cad[0]
     assert m[0, 0] == pytest.approx(10 if side == "top" else -10)
     assert m[1, 1] == pytest.approx(-10 if y_axis == "up" else 10)
     assert (np.linalg.det(m) < 0) == ((y_axis == "up") != (side == "bottom")), "mirrors when CAD → image does"
@@ -45,12 +45,12 @@ def test_upright_as_the_camera_sees_it(y_axis: str, side: str) -> None:
 
 @pytest.mark.parametrize("rotation", [0.0, 90.0, 180.0, 270.0, -90.0, 450.0])
 def test_quarter_turns_swap_the_sides(rotation: float) -> None:
-    size = crops_of([part(rotation)], board(), 10.0).size[0].tolist()
+    size = compute_crops([part(rotation)], board(), 10.0).size[0].tolist()
     assert size == ([40, 20] if rotation % 180 == 0 else [20, 40])
 
 
 def test_at_45_degrees_the_box_holds_the_part() -> None:
-    crops = crops_of([part(45.0)], board(), 100.0)
+    crops = compute_crops([part(45.0)], board(), 100.0)
     assert crops.size[0].tolist() == pytest.approx([6 / math.sqrt(2) * 100] * 2, abs=0.5)
 
 
@@ -71,7 +71,7 @@ def test_the_whole_footprint_is_in_the_picture_and_pixels_are_square_within_roun
     k = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}[unit]
     board_type = board(*kind, unit)
     component = part(rotation, size[0] / k, size[1] / k)
-    crops = crops_of([component], board_type, px_per_mm)
+    crops = compute_crops([component], board_type, px_per_mm)
     w, h = crops.size[0]
     corners = apply(crops.crop_from_cad[0], board_type.footprint(component))
     assert corners.min(0) == pytest.approx([-0.5, -0.5], abs=1e-6 * max(w, h))
@@ -84,10 +84,10 @@ def test_the_whole_footprint_is_in_the_picture_and_pixels_are_square_within_roun
 
 def test_a_picture_without_end_is_refused_by_name() -> None:
     with pytest.raises(InputError, match=r"U1: px_per_mm is 5000.0, but must be small enough for 16 megapixels"):
-        crops_of([part()], board(), 5000.0)
+        compute_crops([part()], board(), 5000.0)
     just = math.sqrt(MOST_PIXELS / 8) * 0.999
-    assert crops_of([part()], board(), just).size.prod() <= MOST_PIXELS
+    assert compute_crops([part()], board(), just).size.prod() <= MOST_PIXELS
 
 
 def test_a_speck_has_one_pixel() -> None:
-    assert crops_of([part(width=1e-4, height=1e-4)], board(), 10.0).size.tolist() == [[1, 1]]
+    assert compute_crops([part(width=1e-4, height=1e-4)], board(), 10.0).size.tolist() == [[1, 1]]

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.rendering import render, views_of
+from vaoi_station.rendering import compute_views, render
 
 BENT = (0.012, 0.001)
 
@@ -31,7 +31,7 @@ def test_a_dot_lies_where_cad_says(make: Any, y_axis: str, side: str, lens: Any)
     s = make(y_axis=y_axis, side=side, lens=lens)
     component = s.board_type.components[4]
     dot = (component.center[0] + 1.3, component.center[1] + 0.6)
-    for view in views_of(component, s.board_type, s.stitch, s.cameras, px_per_mm=16.0, min_coverage=0.99):
+    for view in compute_views(component, s.board_type, s.stitch, s.cameras, px_per_mm=16.0, min_coverage=0.99):
         picture = render(view, frame_of(s, view.camera, view.row, [dot])).astype(float) - 20
         assert picture.shape == (view.height, view.width)
         weight = np.maximum(picture, 0)[..., None]
@@ -47,7 +47,7 @@ def test_a_ramp_stays_the_ramp(make: Any) -> None:
     s = make()
     at = pixels_of((180, 240))
     frame = (20 + 0.6 * at[..., 0] + 0.4 * at[..., 1]).astype(np.float32)
-    for view in views_of(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0):
+    for view in compute_views(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0):
         where = view.image_from_crop(pixels_of((view.height, view.width)))
         assert np.abs(render(view, frame) - (20 + where @ (0.6, 0.4))).max() < 0.01
 
@@ -58,7 +58,9 @@ def test_tiles_are_as_good_as_every_pixel_by_itself(make: Any) -> None:
     at, shown = pixels_of((180, 240)), 0
     texture = 128 + 60 * np.cos(at[..., 0] / 6) * np.cos(at[..., 1] / 7) + 40 * np.cos((at[..., 0] + at[..., 1]) / 5)
     frame = np.clip(np.round(texture), 0, 255).astype(np.uint8)
-    views = views_of(s.board_type.components[0], s.board_type, s.stitch, s.cameras, px_per_mm=24.0, min_coverage=0.2)
+    views = compute_views(
+        s.board_type.components[0], s.board_type, s.stitch, s.cameras, px_per_mm=24.0, min_coverage=0.2
+    )
     for view in [v for v in views if v.distorted]:
         grid = pixels_of((view.height, view.width))
         raw = s.raw_px(view.camera, view.row, view.cad_from_crop(grid)).astype(np.float32)
@@ -76,7 +78,7 @@ def test_tiles_are_as_good_as_every_pixel_by_itself(make: Any) -> None:
 def test_pictures_have_the_pixel_type_of_the_frame(make: Any, lens: Any, channels: Any, dtype: Any) -> None:
     s = make(lens=lens)
     frame = np.full((180, 240, *channels), np.iinfo(dtype).max // 3, dtype=dtype)
-    view = views_of(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0)[0]
+    view = compute_views(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0)[0]
     picture = render(view, frame)
     assert picture.dtype == dtype
     assert picture.shape == (view.height, view.width, *channels)
@@ -86,7 +88,7 @@ def test_pictures_have_the_pixel_type_of_the_frame(make: Any, lens: Any, channel
 def test_what_lies_outside_the_frame_is_black(make: Any) -> None:
     s = make()
     for component in s.board_type.components:
-        for view in views_of(component, s.board_type, s.stitch, s.cameras, min_coverage=0.2):
+        for view in compute_views(component, s.board_type, s.stitch, s.cameras, min_coverage=0.2):
             picture = render(view, np.full((180, 240), 100, dtype=np.uint8))
             share = float((picture == 100).mean())
             assert share == pytest.approx(view.coverage, abs=0.13)

@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station.errors import InputError, StateError
 from vaoi_station.geometry import apply
-from vaoi_station.rendering import Album, View, views_of
+from vaoi_station.rendering import View, ViewCalculator, compute_views
 
 BENT = (0.012, 0.001)
 HARDLY_BENT = (0.0002,)
@@ -36,10 +36,10 @@ def raw_from_crop(view: View, at: Any) -> Any:
 @pytest.mark.parametrize(("y_axis", "side"), list(product(("up", "down"), ("top", "bottom"))))
 def test_pixels_lead_where_the_model_leads(make: Any, y_axis: str, side: str, surface: bool, lens: Any) -> None:
     s = make(y_axis=y_axis, side=side, surface=surface, lens=lens)
-    album, seen = Album(s.board_type, s.stitch, s.cameras), 0
+    calculator, seen = ViewCalculator(s.board_type, s.stitch, s.cameras), 0
     for component in s.board_type.components:
         height = float(s.stitch.surface.height_mm(component.center)) if surface else 0.0
-        for view in album.views(component):
+        for view in calculator.compute(component):
             at = pixels(view)
             cad = view.cad_from_crop(at)
             np.testing.assert_allclose(view.crop_from_cad(cad), at, atol=1e-9)
@@ -56,7 +56,7 @@ def test_pixels_lead_where_the_model_leads(make: Any, y_axis: str, side: str, su
 @pytest.mark.parametrize(("y_axis", "side", "y_up"), list(product(("up", "down"), ("top", "bottom"), (False, True))))
 def test_pictures_are_upright_and_never_mirrored(make: Any, y_axis: str, side: str, y_up: bool) -> None:
     s = make(y_axis=y_axis, side=side, y_up_in_tester=y_up)
-    for view in views_of(s.board_type.components[4], s.board_type, s.stitch, s.cameras):
+    for view in compute_views(s.board_type.components[4], s.board_type, s.stitch, s.cameras):
         linear = view.image_from_crop.matrix[:2, :2]
         assert np.linalg.det(linear) > 0
         assert linear[0, 0] > 0.9
@@ -68,7 +68,7 @@ def test_pictures_are_upright_and_never_mirrored(make: Any, y_axis: str, side: s
 def test_every_frame_that_shows_enough_and_no_other(make: Any, least: float, lens: Any) -> None:
     s = make(lens=lens)
     for component in s.board_type.components:
-        views = views_of(component, s.board_type, s.stitch, s.cameras, min_coverage=least)
+        views = compute_views(component, s.board_type, s.stitch, s.cameras, min_coverage=least)
         given = {(v.camera, v.row): v.coverage for v in views}
         assert len(given) == len(views)
         half = np.array([component.width, component.height]) / 2
@@ -90,7 +90,7 @@ def test_every_frame_that_shows_enough_and_no_other(make: Any, least: float, len
 def test_the_best_comes_first(make: Any) -> None:
     s = make()
     for component in s.board_type.components:
-        views = views_of(component, s.board_type, s.stitch, s.cameras, min_coverage=0.1)
+        views = compute_views(component, s.board_type, s.stitch, s.cameras, min_coverage=0.1)
         order = [(-round(v.coverage, 3), v.off_center) for v in views]
         assert order == sorted(order)
         for v in views:
@@ -101,11 +101,11 @@ def test_the_best_comes_first(make: Any) -> None:
 
 def test_all_components_at_once_are_each_by_itself(make: Any) -> None:
     s = make(lens=BENT, surface=True)
-    album = Album(s.board_type, s.stitch, s.cameras)
-    whole = album.board(s.board_type.components)
+    calculator = ViewCalculator(s.board_type, s.stitch, s.cameras)
+    whole = calculator.compute_all(s.board_type.components)
     assert set(whole) == {c.address for c in s.board_type.components}
     for component in s.board_type.components:
-        alone = album.views(component)
+        alone = calculator.compute(component)
         assert len(alone) == len(whole[component.address])
         for a, b in zip(alone, whole[component.address], strict=True):
             assert (a.camera, a.row, a.width, a.height, a.distorted) == (
@@ -116,19 +116,19 @@ def test_all_components_at_once_are_each_by_itself(make: Any) -> None:
                 b.distorted,
             )
             np.testing.assert_allclose(a.matrix, b.matrix, atol=1e-9)
-    assert album.board([]) == {}
+    assert calculator.compute_all([]) == {}
 
 
 def test_resolution_is_the_cameras_unless_asked_for(make: Any) -> None:
     s = make(unit="inch")
     component = s.board_type.components[4]
-    own = views_of(component, s.board_type, s.stitch, s.cameras)[0]
+    own = compute_views(component, s.board_type, s.stitch, s.cameras)[0]
     assert own.px_per_mm == pytest.approx(8.0, rel=0.001)
     assert (own.width, own.height) == (40, 24)
-    fine = views_of(component, s.board_type, s.stitch, s.cameras, px_per_mm=20.0)[0]
+    fine = compute_views(component, s.board_type, s.stitch, s.cameras, px_per_mm=20.0)[0]
     assert (fine.width, fine.height) == (100, 60)
     with pytest.raises(InputError, match="px_per_mm"):
-        views_of(component, s.board_type, s.stitch, s.cameras, px_per_mm=2000.0)
+        compute_views(component, s.board_type, s.stitch, s.cameras, px_per_mm=2000.0)
 
 
 def test_frames_that_were_not_placed_show_nothing(make: Any) -> None:
@@ -137,22 +137,22 @@ def test_frames_that_were_not_placed_show_nothing(make: Any) -> None:
     matrices[0][1] = None
     stitch = s.stitch.model_copy(update={"image_matrices": tuple(map(tuple, matrices))})
     for component in s.board_type.components:
-        before = views_of(component, s.board_type, s.stitch, s.cameras)
-        after = views_of(component, s.board_type, stitch, s.cameras)
+        before = compute_views(component, s.board_type, s.stitch, s.cameras)
+        after = compute_views(component, s.board_type, stitch, s.cameras)
         assert [(v.camera, v.row) for v in after] == [(v.camera, v.row) for v in before if (v.camera, v.row) != (0, 1)]
 
 
 def test_a_component_nobody_sees_has_no_views(make: Any) -> None:
     far = [{"ref": "X", "center": [500, 500], "width": 2, "height": 2}]
     s = make(components=far)
-    assert views_of(s.board_type.components[0], s.board_type, s.stitch, s.cameras, min_coverage=0.0) == ()
+    assert compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras, min_coverage=0.0) == ()
 
 
 def test_without_a_cad_mapping_there_is_nothing_to_cut(make: Any) -> None:
     s = make()
     stitch = s.stitch.model_copy(update={"cad_matrix": None, "reasons": ("the fiducials were not found",)})
     with pytest.raises(StateError, match="no CAD mapping") as refused:
-        views_of(s.board_type.components[0], s.board_type, stitch, s.cameras)
+        compute_views(s.board_type.components[0], s.board_type, stitch, s.cameras)
     assert refused.value.code == "no-cad-mapping"
     assert "the fiducials were not found" in str(refused.value)
 
@@ -160,7 +160,9 @@ def test_without_a_cad_mapping_there_is_nothing_to_cut(make: Any) -> None:
 def test_tiles_cover_the_picture_once(make: Any) -> None:
     big = [{"ref": "ALL", "center": [20, 15], "width": 26, "height": 20}]
     s = make(lens=BENT, components=big)
-    views = views_of(s.board_type.components[0], s.board_type, s.stitch, s.cameras, px_per_mm=30.0, min_coverage=0.1)
+    views = compute_views(
+        s.board_type.components[0], s.board_type, s.stitch, s.cameras, px_per_mm=30.0, min_coverage=0.1
+    )
     assert any(v.distorted for v in views)
     for view in views:
         if not view.distorted:
@@ -174,7 +176,7 @@ def test_tiles_cover_the_picture_once(make: Any) -> None:
 
 def test_a_lens_that_hardly_bends_is_in_the_matrix(make: Any) -> None:
     s = make(lens=HARDLY_BENT)
-    views = views_of(s.board_type.components[0], s.board_type, s.stitch, s.cameras)
+    views = compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras)
     assert views
     assert not any(v.distorted for v in views)
 
@@ -182,6 +184,6 @@ def test_a_lens_that_hardly_bends_is_in_the_matrix(make: Any) -> None:
 def test_without_working_distance_there_is_no_parallax(make: Any) -> None:
     s = make(surface=True)
     blind = tuple(replace(c, working_distance_mm=None) for c in s.cameras)
-    view = views_of(s.board_type.components[0], s.board_type, s.stitch, blind)[0]
+    view = compute_views(s.board_type.components[0], s.board_type, s.stitch, blind)[0]
     flat = s.raw_px(view.camera, view.row, view.cad_from_crop(pixels(view)))
     assert np.abs(view.image_from_crop(pixels(view)) - flat).max() < 1e-6

@@ -60,8 +60,8 @@ def apart_px(a: Stitch, b: Stitch, twin: Twin) -> float:
 def offline(reference: Path, recording: Path, method: MethodName) -> Stitch:
     """What `vaoi stitch RECORDING --reference DIR --method METHOD` makes of it."""
     opened = open_run(recording, reference=reference, method=method)
-    assert opened.taught is not None
-    return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, opened.taught.recording.frame)
+    assert opened.reference is not None
+    return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, opened.reference.recording.frame)
 
 
 def shows(path: Path, station: StationCoordinator, run: RunDetail) -> bool:

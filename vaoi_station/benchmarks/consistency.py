@@ -20,8 +20,8 @@ from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.surface import basis
+from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
-from vaoi_station.stitching.quality.verdict import Findings
 from vaoi_station.stitching.work import TaskRunner, all_tasks
 
 FIRST_SEED = 3000
@@ -175,13 +175,13 @@ def run_of(material: Material, surface_mm: dict[str, float] | None = None) -> Ru
 
 def _surface(findings: Findings, true_mm: dict[str, float]) -> tuple[Floats, Floats]:
     """Errors and standard deviations (k,) mm of the board's height under its components."""
-    frame, adjusted = findings.frame, findings.adjusted
-    if frame is None or not len(adjusted.surface_mm) or not true_mm:
+    plane, adjusted = findings.plane, findings.adjusted
+    if plane is None or not len(adjusted.surface_mm) or not true_mm:
         return np.zeros(0), np.zeros(0)
-    parts = [p for p in frame.board_type.components if p.address in true_mm]
+    parts = [p for p in plane.board_type.components if p.address in true_mm]
     cad = np.array([p.center for p in parts])
-    found = basis(frame.board_type, cad) @ adjusted.surface_mm
-    return found - [true_mm[p.address] for p in parts], surface_sigma_mm(frame, adjusted, cad)
+    found = basis(plane.board_type, cad) @ adjusted.surface_mm
+    return found - [true_mm[p.address] for p in parts], surface_sigma_mm(plane, adjusted, cad)
 
 
 def varied(seed: int) -> Scenario:

@@ -20,7 +20,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, locate
 from vaoi_station.marks.artwork import Shape
 from vaoi_station.marks.baseline import center_of_gravity
-from vaoi_station.stitching.board.fiducial_detection import sight_marks
+from vaoi_station.stitching.board.fiducial_detection import detect_marks
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
@@ -186,7 +186,7 @@ def _whole_frame_ms(material: Material) -> float:
         _ = frame.quarter  # links want it anyway
         camera = material.setup.cameras[key[0]]
         start = time.process_time()
-        sight_marks(Task("marks", key), frame, camera, material.board_type)
+        detect_marks(Task("marks", key), frame, camera, material.board_type)
         times.append((time.process_time() - start) * 1e3)
     return round(statistics.median(times), 3)
 

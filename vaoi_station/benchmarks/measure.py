@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vaoi_station.benchmarks.frames import Material
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Stitch
-from vaoi_station.rendering import Album, render
+from vaoi_station.rendering import ViewCalculator, render
 from vaoi_station.stitching.baseline import paper_features as paper
 from vaoi_station.stitching.matching.evidence import Evidence
 from vaoi_station.stitching.matching.prepared_frame import to_eight_bit, to_grey
@@ -135,12 +135,12 @@ def _rendering(material: Material, stitch: Stitch, repetitions: int) -> tuple[fl
         return 0.0, 0.0
 
     def ours() -> int:
-        views = Album(material.board_type, stitch, cameras).board(material.board_type.components)
+        views = ViewCalculator(material.board_type, stitch, cameras).compute_all(material.board_type.components)
         for view in chain.from_iterable(views.values()):
             render(view, material.frames[view.camera, view.row])
         return sum(map(len, views.values()))
 
-    views = Album(material.board_type, stitch, cameras).board(material.board_type.components)
+    views = ViewCalculator(material.board_type, stitch, cameras).compute_all(material.board_type.components)
     crops = list(chain.from_iterable(views.values()))
 
     def bare() -> None:

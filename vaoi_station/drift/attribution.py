@@ -28,7 +28,7 @@ apart is the keystone of a turn, which a shifted camera does not have."""
 
 
 @dataclass(frozen=True, eq=False)
-class Attributed:
+class Attribution:
     """Displacements in px of n cameras, with their covariance given who has moved."""
 
     displacement_px: Floats
@@ -49,7 +49,7 @@ class Attributed:
         return np.asarray(np.sqrt(np.diag(self.covariance)).reshape(-1, PARAMETERS))
 
 
-def attributed(information: Floats, vector: Floats) -> Attributed:
+def attribute_motion(information: Floats, vector: Floats) -> Attribution:
     """The displacements behind information (3n, 3n) px⁻² and vector (3n,) px⁻¹.
 
     The probability has several maxima: one is sought from each camera taken as fixed. Of equally good ones the first
@@ -60,10 +60,10 @@ def attributed(information: Floats, vector: Floats) -> Attributed:
     good = [a for cost, a in found if cost < least + _CLOSE and len(a.moved) == len(best.moved)]
     first = min(good, key=lambda a: a.moved) if best.moved else best
     others = {camera for a in good for camera in a.moved} - {*first.moved}
-    return Attributed(first.displacement_px, first.covariance, tuple(sorted(others)))
+    return Attribution(first.displacement_px, first.covariance, tuple(sorted(others)))
 
 
-def _maximum(information: Floats, vector: Floats, still: int) -> tuple[float, Attributed]:
+def _maximum(information: Floats, vector: Floats, still: int) -> tuple[float, Attribution]:
     """The maximum reached from one camera held fast, by reweighting (EM), and minus its logarithm."""
     weight = np.full(len(vector), 1 / _WIDE_PX**2)
     weight[PARAMETERS * still : PARAMETERS * (still + 1)] = 1 / STILL_PX**2
@@ -75,4 +75,4 @@ def _maximum(information: Floats, vector: Floats, still: int) -> tuple[float, At
         np.log1p(moved / STILL_PX**2).sum()
     )
     covariance = np.asarray(np.linalg.inv(information + np.diag(weight)), dtype=np.float64)
-    return cost, Attributed(np.asarray(d.reshape(-1, PARAMETERS), dtype=np.float64), covariance)
+    return cost, Attribution(np.asarray(d.reshape(-1, PARAMETERS), dtype=np.float64), covariance)

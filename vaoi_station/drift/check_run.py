@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from vaoi_station.drift.checks import RunCheck, check_of
-from vaoi_station.drift.equations import told_by
-from vaoi_station.drift.evidence import lay_out, thinned
+from vaoi_station.drift.checks import RunCheck, make_run_check
+from vaoi_station.drift.equations import estimate_displacements
+from vaoi_station.drift.evidence import prepare_evidence, subsample_links
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch
 from vaoi_station.stitching.matching.evidence import Evidence
@@ -33,6 +33,6 @@ def check_run(
         evidence: of its tasks, in any order.
         stitch: its result.
     """
-    few = [thinned(e) for e in sorted(evidence, key=lambda e: e.task)]
-    laid_out = lay_out(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, few, stitch)
-    return check_of(run, time, board_type, told_by(laid_out))
+    few = [subsample_links(e) for e in sorted(evidence, key=lambda e: e.task)]
+    laid_out = prepare_evidence(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, few, stitch)
+    return make_run_check(run, time, board_type, estimate_displacements(laid_out))

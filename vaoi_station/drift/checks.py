@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vaoi_station.drift.attribution import Attributed, attributed
+from vaoi_station.drift.attribution import Attribution, attribute_motion
 from vaoi_station.drift.displacement import PARAMETERS
-from vaoi_station.drift.equations import Told
+from vaoi_station.drift.equations import DisplacementEstimate
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Strict
 
@@ -68,9 +68,9 @@ class RunCheck(Strict):
         return matrix + np.tril(matrix, -1).T, np.array(self.vector)
 
 
-def check_of(run: str, time: str, board_type: str, told: Told) -> RunCheck:
+def make_run_check(run: str, time: str, board_type: str, told: DisplacementEstimate) -> RunCheck:
     """What is kept of a run."""
-    found = attributed(told.information, told.vector)
+    found = attribute_motion(told.information, told.vector)
     return RunCheck(
         run=run,
         time=time,
@@ -82,7 +82,7 @@ def check_of(run: str, time: str, board_type: str, told: Told) -> RunCheck:
     )
 
 
-def _camera(told: Told, found: Attributed, i: int) -> CameraCheck:
+def _camera(told: DisplacementEstimate, found: Attribution, i: int) -> CameraCheck:
     x, y, turn = (round(float(v), 5) for v in found.displacement_px[i])
     sigma_x, sigma_y, sigma_turn = (round(float(v), 5) for v in found.sigma_px[i])
     return CameraCheck(
@@ -105,11 +105,11 @@ def _short(values: Floats) -> tuple[float, ...]:
     return tuple(float(f"{v:.{_DIGITS}g}") for v in values)
 
 
-def joint(checks: Sequence[RunCheck]) -> Attributed:
+def combine_runs(checks: Sequence[RunCheck]) -> Attribution:
     """The displacements that all these runs tell together."""
     size = PARAMETERS * len(checks[0].cameras)
     information, vector = np.zeros((size, size)), np.zeros(size)
     for check in checks:
         i, v = check.told()
         information, vector = information + i, vector + v
-    return attributed(information, vector)
+    return attribute_motion(information, vector)

@@ -20,7 +20,7 @@ from vaoi_station.geometry.transforms import Floats
 PARAMETERS = 3
 
 
-def arm_px(camera: Camera) -> float:
+def corner_radius_px(camera: Camera) -> float:
     """From the middle of the frame to its corner: where a turn moves the picture most."""
     return math.hypot(camera.width_px, camera.height_px) / 2
 
@@ -32,7 +32,7 @@ def moved_from_calibrated(camera: Camera, displacement_px: Floats) -> Floats:
     """
     x, y, corner = (float(v) for v in displacement_px)
     cx, cy = camera.principal_point_px or camera.center_px
-    turn = corner / arm_px(camera)
+    turn = corner / corner_radius_px(camera)
     if camera.working_distance_mm is None:
         c, s = math.cos(turn), math.sin(turn)
         return np.array([[c, -s, x + cx - c * cx + s * cy], [s, c, y + cy - s * cx - c * cy], [0, 0, 1]])
@@ -42,7 +42,7 @@ def moved_from_calibrated(camera: Camera, displacement_px: Floats) -> Floats:
     return np.asarray(inner @ rotation @ np.linalg.inv(inner), dtype=np.float64)
 
 
-def displaced(camera: Camera, displacement_px: Floats) -> Camera:
+def displace_camera(camera: Camera, displacement_px: Floats) -> Camera:
     """The camera as it looks now."""
     if not np.any(displacement_px):
         return camera

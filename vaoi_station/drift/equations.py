@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vaoi_station.drift.displacement import PARAMETERS, displaced
+from vaoi_station.drift.displacement import PARAMETERS, displace_camera
 from vaoi_station.drift.evidence import RunEvidence
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import huber_weights, median_sigma
@@ -45,7 +45,7 @@ _SCALE_SIGMA = 3e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class DisplacementEstimate:
     """What a run says of its n cameras, in px: minimise (d − d̂)ᵀ·information·(d − d̂)."""
 
     information: Floats
@@ -62,7 +62,7 @@ class Told:
     """(n,) sightings of fiducials that were used."""
 
 
-def told_by(run: RunEvidence) -> Told:
+def estimate_displacements(run: RunEvidence) -> DisplacementEstimate:
     """Solve one run for the displacements of its cameras.
 
     Args:
@@ -248,7 +248,7 @@ class _Solver:
         off, _ = self._fiducial_residuals()
         return links, ((off * self.run.fiducials.px_per_mm[:, None]) ** 2).sum(1)
 
-    def told(self) -> Told:
+    def told(self) -> DisplacementEstimate:
         """The result."""
         run = self.run
         self._look()
@@ -258,7 +258,7 @@ class _Solver:
         links = sum(np.bincount(camera[kept], minlength=self.n) for camera in (run.camera_a, run.camera_b))
         marks = np.bincount(run.camera_f, minlength=self.n)
         before, after = (self._rms(squares, kept, links + marks) for squares in (self.held, self._squares()))
-        return Told(self.information, self.vector, before, after, np.asarray(links), marks)
+        return DisplacementEstimate(self.information, self.vector, before, after, np.asarray(links), marks)
 
     def _rms(self, squares: tuple[Floats, Floats], kept: Ints, count: Ints) -> Floats:
         """(n,) px: of the links to neighbours that are kept, and of the fiducials; NaN without any."""
@@ -276,9 +276,9 @@ def _ground(cameras: Sequence[Camera], d: Floats, which: Ints, px: Floats) -> tu
         at = np.flatnonzero(which == i)
         if not len(at):
             continue
-        ground[at] = displaced(camera, d[i]).row_from_image(px[at])
+        ground[at] = displace_camera(camera, d[i]).row_from_image(px[at])
         for k, step in enumerate(np.eye(PARAMETERS) * _STEP_PX):
-            by[at, :, k] = (displaced(camera, d[i] + step).row_from_image(px[at]) - ground[at]) / _STEP_PX
+            by[at, :, k] = (displace_camera(camera, d[i] + step).row_from_image(px[at]) - ground[at]) / _STEP_PX
     return ground, by
 
 

@@ -15,8 +15,9 @@ from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.observations import Ints, Observations, to_observations
 from vaoi_station.stitching.adjustment.problem import FiducialPoints, SurfaceBasis
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
-from vaoi_station.stitching.board.fiducial_assignment import Frame, assign, board_frame
-from vaoi_station.stitching.board.footprints import component_of
+from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
+from vaoi_station.stitching.board.fiducial_assignment import assign_fiducials
+from vaoi_station.stitching.board.footprints import component_at
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
 
 _LINKS_OF_ROWS = 24
@@ -47,7 +48,7 @@ class RunEvidence:
     nominal_scale: float
 
 
-def lay_out(
+def prepare_evidence(
     cameras: tuple[Camera, ...],
     board_type: BoardType | None,
     times_s: Floats,
@@ -70,12 +71,12 @@ def lay_out(
     pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
     seen = to_observations(found, cameras)
     motion = chain_links(nominal_motion(times_s, np.asarray(velocity_mm_s, dtype=np.float64), pivot), seen)
-    frame = None if board_type is None or stitch.cad_matrix is None else board_frame(board_type, cameras[0])
-    c = None if frame is None or stitch.cad_matrix is None else _similarity(stitch.cad_matrix)
-    if frame is not None and c is not None:
-        bare = component_of(frame, c, motion.board(seen.p, seen.a_mm)) < 0
+    plane = None if board_type is None or stitch.cad_matrix is None else board_plane(board_type, cameras[0])
+    c = None if plane is None or stitch.cad_matrix is None else _similarity(stitch.cad_matrix)
+    if plane is not None and c is not None:
+        bare = component_at(plane, c, motion.board(seen.p, seen.a_mm)) < 0
         found, seen = _kept(found, bare), to_observations(_kept(found, bare), cameras)
-    points, camera_f, f_px = _fiducials(frame, c, order, cameras, motion)
+    points, camera_f, f_px = _fiducials(plane, c, order, cameras, motion)
     return RunEvidence(
         cameras,
         times_s,
@@ -85,7 +86,7 @@ def lay_out(
         _spread([(e.task.b or e.task.a)[0] for e in seen.groups], seen.groups),
         _stacked([cameras[(e.task.b or e.task.a)[0]].lens.undistort(e.b_px) for e in seen.groups]),
         motion,
-        _surface(frame, c, motion, seen, points),
+        _surface(plane, c, motion, seen, points),
         points,
         camera_f,
         f_px,
@@ -94,7 +95,7 @@ def lay_out(
     )
 
 
-def thinned(e: Evidence) -> Evidence:
+def subsample_links(e: Evidence) -> Evidence:
     """Evenly chosen links of a pair of rows, of which there are more than are needed here; the rest as it is."""
     if not isinstance(e, Links) or e.task.kind != "rows" or len(e.a_px) <= _LINKS_OF_ROWS:
         return e
@@ -119,14 +120,14 @@ def _similarity(cad_matrix: Floats) -> Floats:
 
 
 def _fiducials(
-    frame: Frame | None, c: Floats | None, evidence: Sequence[Evidence], cameras: Sequence[Camera], motion: Motion
+    plane: BoardPlane | None, c: Floats | None, evidence: Sequence[Evidence], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[FiducialPoints | None, Ints, Floats]:
     """Detections that are fiducials under C, with their cameras and pixels; None if there are none."""
     parts, camera, px = [], [], []
     for s in evidence:
-        if frame is None or c is None or not isinstance(s, Detections) or not len(s.px):
+        if plane is None or c is None or not isinstance(s, Detections) or not len(s.px):
             continue
-        points = assign(frame, c, [s], cameras, motion)
+        points = assign_fiducials(plane, c, [s], cameras, motion)
         if len(points.row):
             parts.append(points)
             camera.append(np.full(len(points.row), s.task.a[0]))
@@ -145,13 +146,13 @@ def _pixels_of(points: FiducialPoints, s: Detections, camera: Camera) -> Floats:
 
 
 def _surface(
-    frame: Frame | None, c: Floats | None, motion: Motion, links: Observations, points: FiducialPoints | None
+    plane: BoardPlane | None, c: Floats | None, motion: Motion, links: Observations, points: FiducialPoints | None
 ) -> SurfaceBasis:
     marks = np.zeros((0, 2)) if points is None else motion.board(points.row, points.ground_mm)
-    if frame is None or c is None:
+    if plane is None or c is None:
         return SurfaceBasis(np.ones((len(links), 1)), np.ones((len(marks), 1)), SIGMA_MM[:1])
     on_board = motion.board(links.p, links.a_mm)
-    at_links, at_marks = (basis_at_board(frame.board_type, frame.matrix(c), at) for at in (on_board, marks))
+    at_links, at_marks = (basis_at_board(plane.board_type, plane.matrix(c), at) for at in (on_board, marks))
     return SurfaceBasis(at_links, at_marks, SIGMA_MM)
 
 

@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from vaoi_station.drift.attribution import Attributed
-from vaoi_station.drift.checks import RunCheck, joint
-from vaoi_station.drift.displacement import PARAMETERS, displaced, size_px
+from vaoi_station.drift.attribution import Attribution
+from vaoi_station.drift.checks import RunCheck, combine_runs
+from vaoi_station.drift.displacement import PARAMETERS, displace_camera, size_px
 from vaoi_station.drift.watch import LEAST_PX
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import Camera
@@ -33,7 +33,7 @@ class Proposal:
     """A corrected calibration and what it rests on."""
 
     calibration: Calibration
-    found: Attributed
+    found: Attribution
     corrected: tuple[int, ...]
     """Cameras whose N_i changes."""
     before_px: tuple[float | None, ...]
@@ -82,7 +82,7 @@ def recalibrate(
     """
     cameras = calibration.cameras(tuple(heads))
     _refuse_too_little(checks, len(cameras))
-    found = joint(checks)
+    found = combine_runs(checks)
     corrected = tuple(i for i in range(len(cameras)) if _has_moved(found, i))
     for i in corrected:
         _refuse_vague(found, i)
@@ -91,7 +91,7 @@ def recalibrate(
     if isinstance(covariances, list):
         covariances = [_wider(c, cameras[i], found, i) if i in corrected else c for i, c in enumerate(covariances)]
     for i in corrected:
-        matrices[i] = displaced(cameras[i], found.displacement_px[i]).image_from_row.matrix
+        matrices[i] = displace_camera(cameras[i], found.displacement_px[i]).image_from_row.matrix
     made = (created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
     update = {"camera_matrices": tuple(matrices), "covariances": covariances, "created": made}
     return Proposal(
@@ -104,7 +104,7 @@ def recalibrate(
     )
 
 
-def _has_moved(found: Attributed, i: int) -> bool:
+def _has_moved(found: Attribution, i: int) -> bool:
     d = found.displacement_px[i]
     at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
     distance = float(np.sqrt(d @ np.linalg.solve(found.covariance[at, at], d)))
@@ -136,7 +136,7 @@ def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
             )
 
 
-def _refuse_vague(found: Attributed, i: int) -> None:
+def _refuse_vague(found: Attribution, i: int) -> None:
     """A camera that shares too little with its neighbours: what it shows may as well be the height of the boards."""
     sigma = found.sigma_px[i]
     if sigma.max() > _KNOWN_PX:
@@ -150,7 +150,7 @@ def _refuse_vague(found: Attributed, i: int) -> None:
         )
 
 
-def _refuse_contradictions(checks: Sequence[RunCheck], found: Attributed, i: int) -> None:
+def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: int) -> None:
     """Runs before and after a knock, or of a mount that is loose, have no common answer."""
     worst: tuple[float, RunCheck] | None = None
     for check in checks:
@@ -171,11 +171,11 @@ def _refuse_contradictions(checks: Sequence[RunCheck], found: Attributed, i: int
         )
 
 
-def _wider(covariance: list[list[float]], camera: Camera, found: Attributed, i: int) -> list[list[float]]:
+def _wider(covariance: list[list[float]], camera: Camera, found: Attribution, i: int) -> list[list[float]]:
     """The covariance of N_i (n11 … n32, then the lens) with that of the displacement added."""
 
     def entries(d: Floats) -> Floats:
-        m = displaced(camera, d).image_from_row.matrix
+        m = displace_camera(camera, d).image_from_row.matrix
         return np.asarray((m / m[2, 2]).ravel()[:8])
 
     d = found.displacement_px[i]

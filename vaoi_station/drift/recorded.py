@@ -6,11 +6,11 @@ import hashlib
 
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.stitching.recordings.opening import Opened
+from vaoi_station.stitching.recordings.opening import OpenedRun
 from vaoi_station.stitching.work import all_tasks
 
 
-def check_recording(opened: Opened) -> RunCheck:
+def check_recording(opened: OpenedRun) -> RunCheck:
     """Stitch a recording and look at what it tells of its cameras; it is named by its directory."""
     times_s, present = opened.recording.head.row_times_s(), opened.present
     runner = opened.runner()

@@ -19,7 +19,7 @@ from vaoi_station.drift.displacement import PARAMETERS, size_px
 from vaoi_station.geometry.robust import median_sigma
 from vaoi_station.geometry.transforms import Floats
 
-HABIT_RUNS = 5
+BASELINE_RUNS = 5
 """The first runs of a board type show its habits …"""
 _HABIT_PX = 0.15
 """… and larger displacements (root of the sum of the three squares) are none."""
@@ -56,7 +56,7 @@ class Drift:
     """Cameras that may have moved in its place."""
 
 
-def drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
+def find_drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
     """Drifts that hold at the end of these runs.
 
     Args:
@@ -74,7 +74,7 @@ def drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
     return tuple(drift for drift in found if drift.size_px >= LEAST_PX)
 
 
-def vanished(checks: Sequence[RunCheck]) -> tuple[int, ...]:
+def find_vanished_cameras(checks: Sequence[RunCheck]) -> tuple[int, ...]:
     """Cameras of which the last boards tell nothing, though boards of their type used to: perhaps knocked far away.
 
     Args:
@@ -82,7 +82,7 @@ def vanished(checks: Sequence[RunCheck]) -> tuple[int, ...]:
     """
     alike = [check for check in checks if check.board_type == checks[-1].board_type]
     seen = np.array([[camera.seen for camera in check.cameras] for check in alike])
-    if len(seen) < VANISHED_RUNS + HABIT_RUNS:
+    if len(seen) < VANISHED_RUNS + BASELINE_RUNS:
         return ()
     used_to = seen[:-VANISHED_RUNS].mean(0) >= _USUALLY
     return tuple(np.flatnonzero(used_to & ~seen[-VANISHED_RUNS:].any(0)).tolist())
@@ -95,7 +95,7 @@ def _habits(checks: Sequence[RunCheck], d: Floats) -> Floats:
         by_type[check.board_type].append(k)
     habits = np.zeros_like(d)
     for at in by_type.values():
-        usual = np.median(d[at[:HABIT_RUNS]], axis=0)
+        usual = np.median(d[at[:BASELINE_RUNS]], axis=0)
         small = np.hypot.reduce(usual, axis=1, keepdims=True) <= _HABIT_PX
         habits[at] = np.where(small, usual, 0.0)
     return habits

@@ -1,6 +1,6 @@
 """Temporary images: upright, CAD-aligned pictures of components, resampled from the frames (section 3.4)."""
 
 from vaoi_station.rendering.temporary import render
-from vaoi_station.rendering.views import Album, View, views_of
+from vaoi_station.rendering.views import View, ViewCalculator, compute_views
 
-__all__ = ["Album", "View", "render", "views_of"]
+__all__ = ["View", "ViewCalculator", "compute_views", "render"]

@@ -31,7 +31,7 @@ class Crops:
     """(k, 3, 3) the inverse."""
 
 
-def crops_of(components: Sequence[Component], board_type: BoardType, px_per_mm: float) -> Crops:
+def compute_crops(components: Sequence[Component], board_type: BoardType, px_per_mm: float) -> Crops:
     """Pictures of components, upright as CAD shows them, as the camera sees the board.
 
     Raises:

@@ -22,7 +22,7 @@ from vaoi_station.errors import StateError
 from vaoi_station.geometry import Camera, Projective, System
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Component, Stitch
-from vaoi_station.rendering.crops import crops_of
+from vaoi_station.rendering.crops import compute_crops
 
 GRID = 9
 """Points per side at which the coverage of a picture that is cut off is computed."""
@@ -86,7 +86,7 @@ class View:
         return Projective(self.matrix, System.IMAGE, System.CROP)
 
 
-class Album:
+class ViewCalculator:
     """The views of one stitched board: what its components share is computed once."""
 
     def __init__(self, board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> None:
@@ -117,20 +117,20 @@ class Album:
         self._size = np.array([(c.width_px, c.height_px) for c in cameras], dtype=np.float64)[self._camera]
         self._bend = np.array([_bend(c) for c in cameras])[self._camera]
 
-    def views(
+    def compute(
         self, component: Component, *, px_per_mm: float | None = None, min_coverage: float = 0.5
     ) -> tuple[View, ...]:
         """Every frame that sees a component; see `views_of`."""
-        return self.board([component], px_per_mm=px_per_mm, min_coverage=min_coverage)[component.address]
+        return self.compute_all([component], px_per_mm=px_per_mm, min_coverage=min_coverage)[component.address]
 
-    def board(
+    def compute_all(
         self, components: Sequence[Component], *, px_per_mm: float | None = None, min_coverage: float = 0.5
     ) -> dict[str, tuple[View, ...]]:
         """The views of many components at once, by address."""
         if not components:
             return {}
         resolution = px_per_mm or self._resolution
-        crops = crops_of(components, self._board_type, resolution)
+        crops = compute_crops(components, self._board_type, resolution)
         matrices = self._matrices(components, crops.cad_from_crop)
         ends = _project(matrices, _grid(crops.size, 3)[:, _CORNERS])
         spread = self._bend[None, :, None]
@@ -195,7 +195,7 @@ class Album:
         return np.asarray(image_from_cad @ cad_from_crop[:, None], dtype=np.float64)
 
 
-def views_of(
+def compute_views(
     component: Component,
     board_type: BoardType,
     stitch: Stitch,
@@ -218,7 +218,9 @@ def views_of(
         StateError: the run has no CAD mapping.
         InputError: the picture would be too large.
     """
-    return Album(board_type, stitch, cameras).views(component, px_per_mm=px_per_mm, min_coverage=min_coverage)
+    return ViewCalculator(board_type, stitch, cameras).compute(
+        component, px_per_mm=px_per_mm, min_coverage=min_coverage
+    )
 
 
 def _bend(camera: Camera) -> float:

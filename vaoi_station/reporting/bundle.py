@@ -34,7 +34,7 @@ def write_bundle(directory: Path, story: Story) -> None:
 def replay_command(directory: Path, story: Story) -> str:
     """How the bundle is stitched again."""
     words = ["vaoi stitch", str(directory), "--method", story.stitch.method]
-    if story.opened.taught:
+    if story.opened.reference:
         words += ["--reference", str(directory / REFERENCE)]
     return " ".join([*words, "--out again.json"])
 
@@ -45,8 +45,8 @@ def _fill(draft: Path, story: Story) -> None:
     shutil.copyfile(o.calibration_path, draft / "calibration.json")
     if o.board_path:
         shutil.copyfile(o.board_path, draft / "board.json")
-    if o.taught:
-        shutil.copytree(o.taught.recording.directory, draft / REFERENCE, ignore=shutil.ignore_patterns("truth.json"))
+    if o.reference:
+        shutil.copytree(o.reference.recording.directory, draft / REFERENCE, ignore=shutil.ignore_patterns("truth.json"))
     write_stitch(draft / RESULT, story.stitch)
     arrays = link_arrays(story) | {f"sighting_{k}": v for k, v in sighting_arrays(story).items()}
     packed = io.BytesIO()

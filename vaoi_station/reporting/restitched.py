@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.reporting.drawing.thumbnails import Thumbnail, thumbnail, thumbnail_width
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Links
-from vaoi_station.stitching.quality.verdict import Findings
-from vaoi_station.stitching.recordings.opening import Opened
+from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.recordings.opening import OpenedRun
 from vaoi_station.stitching.work import all_tasks
 
 
@@ -49,7 +49,7 @@ class Pair:
 class Story:
     """A run, its result, and how it came about."""
 
-    opened: Opened
+    opened: OpenedRun
     evidence: tuple[Evidence, ...]
     stitch: Stitch
     findings: Findings
@@ -94,7 +94,7 @@ class Story:
         return out
 
 
-def tell(opened: Opened) -> Story:
+def tell(opened: OpenedRun) -> Story:
     """Stitch a run and keep evidence, findings, times, and a small picture of every frame."""
     head, present = opened.recording.head, opened.present
     width = thumbnail_width(len(present))

@@ -24,15 +24,16 @@ from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.observations import LinkStore, Observations, to_observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
-from vaoi_station.stitching.board.cad_mapping import Known, map_cad
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.cad_mapping import MappingInputs, map_cad
 from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.fiducial_assignment import Frame
-from vaoi_station.stitching.board.footprints import footprint_views
+from vaoi_station.stitching.board.footprints import views_by_address
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS
-from vaoi_station.stitching.quality.verdict import Findings, judge, quality_of
+from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.quality.verdict import decide_verdict, quality_document
 
 _MOTION_MM = 5e-4
 """So far the motion from links alone converges at first: where the board is found all is adjusted once more."""
@@ -59,7 +60,7 @@ class Stages:
 class PriorKnowledge:
     """What was known before the board was filmed."""
 
-    frame: Frame | None
+    plane: BoardPlane | None
     """Of the board type that is on the belt; None leaves C out."""
     expectation: Expectation
     velocity_mm_s: Floats
@@ -102,15 +103,15 @@ def conclude(
     texture = _texture(observed, moved) if method.links else np.zeros((0, 2))
     stages.done("motion")
 
-    frame = prior.frame
-    known = Known(prior.expectation, method, detections, texture, prior.reference, referred)
-    found = NO_BOARD_TYPE if frame is None else map_cad(frame, scene, problem, moved, known)
+    plane = prior.plane
+    known = MappingInputs(prior.expectation, method, detections, texture, prior.reference, referred)
+    found = NO_BOARD_TYPE if plane is None else map_cad(plane, scene, problem, moved, known)
     if isinstance(found, Failure) and method.links:
         moved = adjust(problem, moved.motion)
     stages.done("cad")
-    findings = Findings(frame, prior.expectation, scene, method, links, problem, moved, found)
-    status, reasons = judge(findings)
-    quality = quality_of(findings) | {
+    findings = Findings(plane, prior.expectation, scene, method, links, problem, moved, found)
+    status, reasons = decide_verdict(findings)
+    quality = quality_document(findings) | {
         "timings_ms": stages.ms,
         "software": f"vaoi_station {__version__}",
         **({"reference": prior.reference.name} if prior.reference is not None and method.reference else {}),
@@ -132,9 +133,9 @@ def _result(
 ) -> Stitch:
     rows, placed = findings.adjusted.motion.rows_from_tester, findings.placed
     matrix, components = findings.cad_matrix, None
-    if findings.frame is not None and findings.views is not None:
-        addresses = findings.frame.parts.addresses
-        components = footprint_views(addresses, findings.views) if addresses else {}
+    if findings.plane is not None and findings.views is not None:
+        addresses = findings.plane.components.addresses
+        components = views_by_address(addresses, findings.views) if addresses else {}
     images = (
         tuple(
             m if there else None for m, there in zip(_fixed(camera.image_from_row.matrix @ rows), placed, strict=True)

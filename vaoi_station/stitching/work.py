@@ -20,9 +20,9 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.stitching.adjustment.observations import LinkStore
+from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.fiducial_assignment import Frame, board_frame
-from vaoi_station.stitching.board.fiducial_detection import sight_marks
+from vaoi_station.stitching.board.fiducial_detection import detect_marks
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.conclude import PriorKnowledge, conclude
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links, Task
@@ -31,7 +31,7 @@ from vaoi_station.stitching.matching.overlap import overlap_share
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS, MethodName
-from vaoi_station.stitching.quality.verdict import Findings
+from vaoi_station.stitching.quality.findings import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
 """Prepared frames that a runner keeps: the row being done, the two before it, and a few."""
@@ -55,9 +55,9 @@ class StitchSetup:
     """A stitched run of the board type; its frames come from the task runner."""
 
     @cached_property
-    def frame(self) -> Frame | None:
+    def plane(self) -> BoardPlane | None:
         """The board type's plane as these cameras see it."""
-        return None if self.board_type is None else board_frame(self.board_type, self.cameras[0])
+        return None if self.board_type is None else board_plane(self.board_type, self.cameras[0])
 
 
 def possible_tasks(
@@ -117,7 +117,7 @@ class TaskRunner:
         setup = self._setup
         if task.kind == "marks":
             fixture = METHODS[setup.method].fixture
-            return sight_marks(task, self._get(task.a), setup.cameras[task.a[0]], setup.board_type, fixture=fixture)
+            return detect_marks(task, self._get(task.a), setup.cameras[task.a[0]], setup.board_type, fixture=fixture)
         assert task.b is not None
         if task.kind == "reference":
             return link_reference(task, self._get(task.a), self._referred(task.b), setup.cameras[task.a[0]])
@@ -146,7 +146,7 @@ class TaskRunner:
         return conclude(
             Scene(s.cameras, tuple(sorted(present)), self._get),
             PriorKnowledge(
-                s.frame, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference
+                s.plane, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference
             ),
             np.asarray(times_s, dtype=np.float64),
             list(evidence),

@@ -18,7 +18,7 @@ from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.model import BoardType, Calibration
-from vaoi_station.rendering import views_of
+from vaoi_station.rendering import compute_views
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.workers import pool as module
 from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, RenderJob, Reply, RunContext
@@ -83,7 +83,7 @@ class Plant:
     def picture(self, make_stitch: Callable[..., Any], head: Any) -> RenderJob:
         board_type = self.setup.board_type
         assert board_type is not None
-        view = views_of(board_type.components[0], board_type, make_stitch(head), self.cameras)[0]
+        view = compute_views(board_type.components[0], board_type, make_stitch(head), self.cameras)[0]
         slot = self.ring.slot(0, view.camera, view.row)
         return RenderJob("r1", 0, self.generation, slot, view, "png")
 

@@ -16,19 +16,17 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.solver import apply_similarity
+from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import (
-    Frame,
+    FiducialCandidates,
     Hypothesis,
-    Places,
-    assign,
-    board_frame,
-    distinct,
-    expected_angle,
+    assign_fiducials,
     find_board,
-    gather,
+    keep_distinct,
+    match_nearest,
+    merge_detections,
     outside_share,
-    together,
 )
 from vaoi_station.stitching.matching.evidence import Detections, Task
 
@@ -57,26 +55,28 @@ def board(
     )
 
 
-def lying(frame: Frame, camera: Any, turn_rad: float = 0.0, at: tuple[float, float] = (12.0, -30.0)) -> Array:
+def lying(plane: BoardPlane, camera: Any, turn_rad: float = 0.0, at: tuple[float, float] = (12.0, -30.0)) -> Array:
     """The similarity of a board that lies as expected but for a turn, its middle at a place."""
-    angle = expected_angle(frame, camera, UPRIGHT) + turn_rad
-    scale = frame.board_type.mm_per_unit
+    angle = expected_angle(plane, camera, UPRIGHT) + turn_rad
+    scale = plane.board_type.mm_per_unit
     a, b = scale * math.cos(angle), scale * math.sin(angle)
-    low, high = frame.board_type.extent()
-    middle = apply_similarity(np.array([a, b, 0, 0]), frame.flat((low + high) / 2)[None])[0]
+    low, high = plane.board_type.extent()
+    middle = apply_similarity(np.array([a, b, 0, 0]), plane.flat((low + high) / 2)[None])[0]
     return np.array([a, b, at[0] - middle[0], at[1] - middle[1]])
 
 
-def sighted(mm: Array, score: float = 0.97) -> Places:
-    return Places(mm, np.zeros(len(mm), dtype=np.int_), np.full(len(mm), score))
+def sighted(mm: Array, score: float = 0.97) -> FiducialCandidates:
+    return FiducialCandidates(mm, np.zeros(len(mm), dtype=np.int_), np.full(len(mm), score))
 
 
-def with_look_alikes(places: Places, count: int, g: np.random.Generator, score: tuple[float, float]) -> Places:
+def with_look_alikes(
+    places: FiducialCandidates, count: int, g: np.random.Generator, score: tuple[float, float]
+) -> FiducialCandidates:
     more = g.uniform((-15, -50), (40, -10), (count, 2))
     kept = np.concatenate([places.mm, more])
     order = g.permutation(len(kept))
     scores = np.concatenate([places.score, g.uniform(*score, count)])
-    return Places(kept[order], np.zeros(len(kept), dtype=np.int_), scores[order])
+    return FiducialCandidates(kept[order], np.zeros(len(kept), dtype=np.int_), scores[order])
 
 
 @pytest.mark.parametrize("y_up_in_tester", [False, True])
@@ -87,18 +87,18 @@ def test_handedness_follows_from_board_type_and_cameras(
 ) -> None:
     """An upright board shows CAD x to the right on the top side, to the left on the bottom; CAD up points up."""
     camera = workshop.camera((12.0, -30.0), angle_rad=0.01, y_up=y_up_in_tester)
-    frame = board_frame(board(y_axis, side), camera)
-    truth = lying(frame, camera, 0.02)
+    plane = board_plane(board(y_axis, side), camera)
+    truth = lying(plane, camera, 0.02)
     found = find_board(
-        frame,
-        sighted(apply_similarity(truth, frame.fiducials)),
-        expected_angle(frame, camera, UPRIGHT),
+        plane,
+        sighted(apply_similarity(truth, plane.fiducials)),
+        expected_angle(plane, camera, UPRIGHT),
         UPRIGHT,
         NOTHING,
     )
     assert isinstance(found, Hypothesis)
     assert found.c == pytest.approx(truth, abs=1e-9)
-    image_from_cad = camera.image_from_row.matrix @ frame.matrix(found.c)
+    image_from_cad = camera.image_from_row.matrix @ plane.matrix(found.c)
     mirrors = np.linalg.det(image_from_cad / image_from_cad[2, 2]) < 0
     assert mirrors == ((y_axis == "up") != (side == "bottom"))
     middle, right, up = (apply(image_from_cad, p) for p in ((20, 10), (21, 10), (20, 11 if y_axis == "up" else 9)))
@@ -109,11 +109,11 @@ def test_handedness_follows_from_board_type_and_cameras(
 @pytest.mark.parametrize("unit", ["mm", "inch", "mil"])
 def test_units(workshop: Any, unit: Literal["mm", "inch", "mil"]) -> None:
     camera = workshop.camera()
-    frame = board_frame(board(unit=unit), camera)
-    truth = lying(frame, camera)
-    found = find_board(frame, sighted(apply_similarity(truth, frame.fiducials)), 0.0, UPRIGHT, NOTHING)
+    plane = board_plane(board(unit=unit), camera)
+    truth = lying(plane, camera)
+    found = find_board(plane, sighted(apply_similarity(truth, plane.fiducials)), 0.0, UPRIGHT, NOTHING)
     assert isinstance(found, Hypothesis)
-    assert math.hypot(*found.c[:2]) == pytest.approx(frame.board_type.mm_per_unit)
+    assert math.hypot(*found.c[:2]) == pytest.approx(plane.board_type.mm_per_unit)
 
 
 @settings(max_examples=20, deadline=None)
@@ -121,13 +121,13 @@ def test_units(workshop: Any, unit: Literal["mm", "inch", "mil"]) -> None:
 def test_look_alikes_do_not_win(workshop: Any, seed: int, turn: float) -> None:
     g = np.random.default_rng(seed)
     camera = workshop.camera()
-    frame = board_frame(board(), camera)
-    truth = lying(frame, camera, turn)
-    marks = apply_similarity(truth, frame.fiducials) + g.normal(0, 0.01, (3, 2))
+    plane = board_plane(board(), camera)
+    truth = lying(plane, camera, turn)
+    marks = apply_similarity(truth, plane.fiducials) + g.normal(0, 0.01, (3, 2))
     places = with_look_alikes(sighted(marks), 60, g, (0.75, 0.93))
-    found = find_board(frame, places, expected_angle(frame, camera, UPRIGHT), UPRIGHT, NOTHING)
+    found = find_board(plane, places, expected_angle(plane, camera, UPRIGHT), UPRIGHT, NOTHING)
     assert isinstance(found, Hypothesis)
-    assert np.abs(apply_similarity(found.c, frame.fiducials) - marks).max() < 0.4, (
+    assert np.abs(apply_similarity(found.c, plane.fiducials) - marks).max() < 0.4, (
         "a first answer, from two of the three"
     )
     assert found.fiducials == (0, 1, 2)
@@ -135,15 +135,15 @@ def test_look_alikes_do_not_win(workshop: Any, seed: int, turn: float) -> None:
 
 def test_two_fiducials_are_enough_and_one_is_not(workshop: Any) -> None:
     camera = workshop.camera()
-    frame = board_frame(board(), camera)
-    marks = apply_similarity(lying(frame, camera), frame.fiducials)
-    two = find_board(frame, sighted(marks[:2]), 0.0, UPRIGHT, NOTHING)
+    plane = board_plane(board(), camera)
+    marks = apply_similarity(lying(plane, camera), plane.fiducials)
+    two = find_board(plane, sighted(marks[:2]), 0.0, UPRIGHT, NOTHING)
     assert isinstance(two, Hypothesis)
     assert two.fiducials == (0, 1)
-    one = find_board(frame, sighted(marks[:1]), 0.0, UPRIGHT, NOTHING)
+    one = find_board(plane, sighted(marks[:1]), 0.0, UPRIGHT, NOTHING)
     assert isinstance(one, Failure)
     assert "1 place(s) look like fiducials" in one.reason
-    bare = board_frame(board(fiducials=FIDUCIALS[:1]), camera)
+    bare = board_plane(board(fiducials=FIDUCIALS[:1]), camera)
     refused = find_board(bare, sighted(marks), 0.0, UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "has 1 fiducials; two are needed" in refused.reason
@@ -151,20 +151,20 @@ def test_two_fiducials_are_enough_and_one_is_not(workshop: Any) -> None:
 
 def test_a_board_far_from_its_direction_is_refused_and_the_reason_says_by_how_much(workshop: Any) -> None:
     camera = workshop.camera()
-    frame = board_frame(board(), camera)
-    places = sighted(apply_similarity(lying(frame, camera, 0.3), frame.fiducials))
-    refused = find_board(frame, places, expected_angle(frame, camera, UPRIGHT), UPRIGHT, NOTHING)
+    plane = board_plane(board(), camera)
+    places = sighted(apply_similarity(lying(plane, camera, 0.3), plane.fiducials))
+    refused = find_board(plane, places, expected_angle(plane, camera, UPRIGHT), UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "turned by 17.2°" in refused.reason
 
 
 def test_a_board_turned_by_half_a_turn_has_fewer_fiducials_as_expected_than_turned(workshop: Any) -> None:
     camera = workshop.camera()
-    frame = board_frame(board(), camera)
-    places = sighted(apply_similarity(lying(frame, camera, math.pi), frame.fiducials))
-    angle = expected_angle(frame, camera, UPRIGHT)
-    as_expected = find_board(frame, places, angle, UPRIGHT, NOTHING)
-    turned = find_board(frame, places, angle + math.pi, UPRIGHT, NOTHING)
+    plane = board_plane(board(), camera)
+    places = sighted(apply_similarity(lying(plane, camera, math.pi), plane.fiducials))
+    angle = expected_angle(plane, camera, UPRIGHT)
+    as_expected = find_board(plane, places, angle, UPRIGHT, NOTHING)
+    turned = find_board(plane, places, angle + math.pi, UPRIGHT, NOTHING)
     assert isinstance(turned, Hypothesis)
     assert turned.fiducials == (0, 1, 2)
     assert isinstance(as_expected, Failure) or len(as_expected.fiducials) < 3
@@ -172,9 +172,9 @@ def test_a_board_turned_by_half_a_turn_has_fewer_fiducials_as_expected_than_turn
 
 def test_another_scale_is_refused(workshop: Any) -> None:
     camera = workshop.camera()
-    frame = board_frame(board(), camera)
-    marks = apply_similarity(lying(frame, camera), frame.fiducials)
-    refused = find_board(frame, sighted(marks * 1.006), 0.0, UPRIGHT, NOTHING)
+    plane = board_plane(board(), camera)
+    marks = apply_similarity(lying(plane, camera), plane.fiducials)
+    refused = find_board(plane, sighted(marks * 1.006), 0.0, UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "scale off by" in refused.reason
 
@@ -182,27 +182,27 @@ def test_another_scale_is_refused(workshop: Any) -> None:
 def test_texture_must_lie_on_the_board(workshop: Any) -> None:
     """Two pairs of marks fit equally well; the linked texture says where the board is."""
     camera, g = workshop.camera(), np.random.default_rng(1)
-    frame = board_frame(board(fiducials=FIDUCIALS[:2]), camera)
-    here, there = lying(frame, camera), lying(frame, camera, at=(12.0, 40.0))
-    both = np.concatenate([apply_similarity(c, frame.fiducials) for c in (there, here)])
-    texture = apply_similarity(here, frame.flat(g.uniform((0, 0), (40, 20), (200, 2))))
-    found = find_board(frame, sighted(both), expected_angle(frame, camera, UPRIGHT), UPRIGHT, texture)
+    plane = board_plane(board(fiducials=FIDUCIALS[:2]), camera)
+    here, there = lying(plane, camera), lying(plane, camera, at=(12.0, 40.0))
+    both = np.concatenate([apply_similarity(c, plane.fiducials) for c in (there, here)])
+    texture = apply_similarity(here, plane.flat(g.uniform((0, 0), (40, 20), (200, 2))))
+    found = find_board(plane, sighted(both), expected_angle(plane, camera, UPRIGHT), UPRIGHT, texture)
     assert isinstance(found, Hypothesis)
     assert found.c == pytest.approx(here, abs=1e-6)
-    assert outside_share(frame, here, texture) == 0
-    assert outside_share(frame, there, texture) == 1
-    refused = find_board(frame, sighted(both[:2]), expected_angle(frame, camera, UPRIGHT), UPRIGHT, texture)
+    assert outside_share(plane, here, texture) == 0
+    assert outside_share(plane, there, texture) == 1
+    refused = find_board(plane, sighted(both[:2]), expected_angle(plane, camera, UPRIGHT), UPRIGHT, texture)
     assert isinstance(refused, Failure)
 
 
 def test_the_mechanics_of_the_line_choose_between_equals(workshop: Any) -> None:
     camera = workshop.camera()
-    frame = board_frame(board(fiducials=FIDUCIALS[:2]), camera)
-    here, there = lying(frame, camera), lying(frame, camera, at=(12.0, 40.0))
-    both = np.concatenate([apply_similarity(c, frame.fiducials) for c in (there, here)])
-    angle = expected_angle(frame, camera, UPRIGHT)
+    plane = board_plane(board(fiducials=FIDUCIALS[:2]), camera)
+    here, there = lying(plane, camera), lying(plane, camera, at=(12.0, 40.0))
+    both = np.concatenate([apply_similarity(c, plane.fiducials) for c in (there, here)])
+    angle = expected_angle(plane, camera, UPRIGHT)
     for truth, low in ((here, -40.0), (there, 30.0)):
-        found = find_board(frame, sighted(both), angle, Expectation(corner_mm=(None, low)), NOTHING)
+        found = find_board(plane, sighted(both), angle, Expectation(corner_mm=(None, low)), NOTHING)
         assert isinstance(found, Hypothesis)
         assert found.c == pytest.approx(truth, abs=1e-6)
 
@@ -211,20 +211,20 @@ def test_fiducials_of_different_kinds_are_not_mixed_up(workshop: Any) -> None:
     camera = workshop.camera()
     data = board().model_dump(mode="json", exclude_none=True)
     data["fiducials"][1]["shape"] = "diamond"
-    frame = board_frame(BoardType.model_validate(data), camera)
-    marks = apply_similarity(lying(frame, camera), frame.fiducials)
-    right = Places(marks, np.array([0, 1, 0]), np.full(3, 0.97))
-    wrong = Places(marks, np.array([1, 0, 1]), np.full(3, 0.97))
-    assert isinstance(find_board(frame, right, 0.0, UPRIGHT, NOTHING), Hypothesis)
-    assert isinstance(find_board(frame, wrong, 0.0, UPRIGHT, NOTHING), Failure)
+    plane = board_plane(BoardType.model_validate(data), camera)
+    marks = apply_similarity(lying(plane, camera), plane.fiducials)
+    right = FiducialCandidates(marks, np.array([0, 1, 0]), np.full(3, 0.97))
+    wrong = FiducialCandidates(marks, np.array([1, 0, 1]), np.full(3, 0.97))
+    assert isinstance(find_board(plane, right, 0.0, UPRIGHT, NOTHING), Hypothesis)
+    assert isinstance(find_board(plane, wrong, 0.0, UPRIGHT, NOTHING), Failure)
 
 
 def test_sightings_of_one_mark_in_many_frames_are_one_place_and_each_counts(workshop: Any) -> None:
     cameras = (workshop.camera((0, 0)), workshop.camera((4, 0)))
     motion = nominal_motion(np.array([0.0, 0.1]), np.array([0.0, 50.0]), np.zeros(2))
-    frame = board_frame(board(), cameras[0])
-    c = lying(frame, cameras[0], at=(-8.0, -9.0))
-    marks = apply_similarity(c, frame.fiducials)
+    plane = board_plane(board(), cameras[0])
+    c = lying(plane, cameras[0], at=(-8.0, -9.0))
+    marks = apply_similarity(c, plane.fiducials)
     detections, seen = [], []
     for i, camera in enumerate(cameras):
         for j in (0, 1):
@@ -235,10 +235,10 @@ def test_sightings_of_one_mark_in_many_frames_are_one_place_and_each_counts(work
             detections.append(
                 Detections(Task("marks", (i, j)), px[inside], np.full(k, 0.01), np.full(k, 0.9), np.zeros(k, dtype=int))
             )
-    places = gather(detections, cameras, motion)
+    places = merge_detections(detections, cameras, motion)
     assert len(places.mm) == len(set(seen))
     assert len(seen) > len(set(seen)), "a mark is in the overlap"
-    points = assign(frame, c, detections, cameras, motion)
+    points = assign_fiducials(plane, c, detections, cameras, motion)
     assert sorted(points.which.tolist()) == sorted(seen)
     assert points.px_per_mm == pytest.approx(10.0)
     assert points.sigma_mm == pytest.approx(0.001)
@@ -251,7 +251,7 @@ def test_sightings_of_one_mark_in_many_frames_are_one_place_and_each_counts(work
 def test_of_places_close_together_the_first_of_a_kind_is_kept(seed: int, apart: float) -> None:
     g = np.random.default_rng(seed)
     mm, kind = g.uniform(0, 6, (40, 2)), g.integers(0, 2, 40)
-    kept = distinct(mm, kind, apart)
+    kept = keep_distinct(mm, kind, apart)
     for n in range(len(mm)):
         earlier = kept[:n] & (kind[:n] == kind[n]) & (np.hypot(*(mm[:n] - mm[n]).T) < apart)
         assert kept[n] == (not earlier.any())
@@ -262,13 +262,13 @@ def test_of_places_close_together_the_first_of_a_kind_is_kept(seed: int, apart: 
 def test_each_frame_gives_a_mark_the_nearest_sighting_of_its_kind(seed: int) -> None:
     g = np.random.default_rng(seed)
     marks, mark_kind = g.uniform(0, 10, (6, 2)), g.integers(0, 2, 6)
-    frame = np.sort(g.integers(0, 4, 30))
+    plane = np.sort(g.integers(0, 4, 30))
     seen, kind = marks[g.integers(0, 6, 30)] + g.normal(0, 0.5, (30, 2)), g.integers(0, 2, 30)
-    ends = np.searchsorted(frame, np.arange(5))
-    at, mark = together(seen, kind, ends, marks, mark_kind, 0.4)
-    found = dict(zip(zip(frame[at].tolist(), mark.tolist(), strict=True), at.tolist(), strict=True))
+    ends = np.searchsorted(plane, np.arange(5))
+    at, mark = match_nearest(seen, kind, ends, marks, mark_kind, 0.4)
+    found = dict(zip(zip(plane[at].tolist(), mark.tolist(), strict=True), at.tolist(), strict=True))
     for f in range(4):
         for m in range(6):
             off = np.hypot(*(seen - marks[m]).T)
-            off[(frame != f) | (kind != mark_kind[m])] = np.inf
+            off[(plane != f) | (kind != mark_kind[m])] = np.inf
             assert found.get((f, m)) == (int(off.argmin()) if off.min() < 0.4 else None)

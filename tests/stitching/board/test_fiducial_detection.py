@@ -6,7 +6,12 @@ import numpy as np
 
 from vaoi_station.geometry import apply
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.fiducial_detection import look_again, look_deeper, mark_kinds, sight_marks
+from vaoi_station.stitching.board.fiducial_detection import (
+    detect_marks,
+    detect_more_marks,
+    mark_kinds,
+    relocate_fiducials,
+)
 from vaoi_station.stitching.matching.evidence import Detections, Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
@@ -27,7 +32,7 @@ def test_every_fiducial_in_view_is_among_the_sightings(filmed: Any) -> None:
     seen = 0
     for key, truth in true_places(filmed).items():
         camera = filmed.setup.cameras[key[0]]
-        detections = sight_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), camera, filmed.board_type)
+        detections = detect_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), camera, filmed.board_type)
         assert len(detections.px) == len(detections.sigma_px) == len(detections.score) == len(detections.kind)
         for place in truth.values():
             assert np.hypot(*(detections.px - place).T).min() < 0.1
@@ -37,7 +42,7 @@ def test_every_fiducial_in_view_is_among_the_sightings(filmed: Any) -> None:
 
 def test_without_a_board_type_nothing_is_sought(filmed: Any) -> None:
     key = filmed.present[0]
-    detections = sight_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), filmed.setup.cameras[0], None)
+    detections = detect_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), filmed.setup.cameras[0], None)
     assert detections.px.shape == (0, 2)
 
 
@@ -47,14 +52,14 @@ def test_what_look_alikes_pushed_off_the_list_is_looked_for_where_it_must_be(fil
     scene = Scene(filmed.setup.cameras, tuple(filmed.present), prepared.__getitem__)
     none = np.zeros(0)
     nothing = [Detections(Task("marks", k), np.zeros((0, 2)), none, none, none.astype(int)) for k in filmed.present]
-    again = look_again(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, nothing)
+    again = relocate_fiducials(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, nothing)
     assert [s.task for s in again] == [s.task for s in nothing]
     for s in again:
         for place in true_places(filmed)[s.task.a].values():
             assert np.hypot(*(s.px - place).T).min() < 0.1
-    twice = look_again(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, again)
+    twice = relocate_fiducials(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, again)
     assert [len(s.px) for s in twice] == [len(s.px) for s in again], "what is known is not listed twice"
-    deep = look_deeper(filmed.board_type, scene, nothing, fixture=False)
+    deep = detect_more_marks(filmed.board_type, scene, nothing, fixture=False)
     assert sum(len(s.px) for s in deep) >= sum(len(s.px) for s in again)
 
 

@@ -8,9 +8,9 @@ import pytest
 from vaoi_station.geometry import Euclidean, System
 from vaoi_station.model import BoardType, Surface
 from vaoi_station.stitching.adjustment.solver import apply_similarity
-from vaoi_station.stitching.board.component_index import Parts
-from vaoi_station.stitching.board.fiducial_assignment import board_frame
-from vaoi_station.stitching.board.footprints import Views, component_of, footprint_views, landmarks
+from vaoi_station.stitching.board.board_plane import board_plane
+from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.board.footprints import FootprintViews, component_at, landmarks, views_by_address
 
 C = np.array([1.0, 0.02, -12.0, -8.0])
 
@@ -27,26 +27,26 @@ def part(ref: str, x: float, y: float, w: float, h: float, **keys: Any) -> dict[
 @pytest.mark.parametrize("rotation", [0.0, 30.0, 90.0, -45.0])
 def test_points_belong_to_the_part_on_whose_footprint_they_lie(workshop: Any, y_axis: str, rotation: float) -> None:
     kind = board([part("A", 8, 10, 6, 3, rotation=rotation), part("B", 22, 10, 4, 4)], y_axis=y_axis)
-    frame = board_frame(kind, workshop.camera())
+    plane = board_plane(kind, workshop.camera())
     corners = kind.footprint(kind.components[0])
     middle = corners.mean(0)
     inside, outside = middle + 0.95 * (corners - middle), middle + 1.35 * (corners - middle)
     cad = np.concatenate([inside, outside, [[22, 10], [1, 1]]])
-    assert component_of(frame, C, apply_similarity(C, frame.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
+    assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
 
 
 def test_the_smaller_of_two_parts_wins_and_flat_ones_are_board(workshop: Any) -> None:
     kind = board([part("BIG", 10, 10, 8, 8), part("SMALL", 10, 10, 2, 2), part("PAD", 25, 10, 2, 2, body_height=0.0)])
-    frame = board_frame(kind, workshop.camera())
+    plane = board_plane(kind, workshop.camera())
     cad = np.array([[10.0, 10], [13, 13], [25, 10]])
-    assert component_of(frame, C, apply_similarity(C, frame.flat(cad))).tolist() == [1, 0, -1]
+    assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [1, 0, -1]
 
 
 def test_of_two_alike_that_touch_the_later_one_wins(workshop: Any) -> None:
     kind = board([part(ref, x, 10, 2, 2) for ref, x in (("A", 10.0), ("B", 12.2), ("C", 14.4))])
-    frame = board_frame(kind, workshop.camera())
+    plane = board_plane(kind, workshop.camera())
     cad = np.array([[11.1, 10], [13.3, 10], [12.2, 10]])
-    assert component_of(frame, C, apply_similarity(C, frame.flat(cad))).tolist() == [1, 2, 1]
+    assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [1, 2, 1]
 
 
 @pytest.mark.parametrize("lift", [None, 1.0])
@@ -54,11 +54,11 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
     kind = board([part("A", 8, 10, 6, 3), part("B", 22, 10, 4, 4), part("FAR", 29, 19, 1, 1)], y_axis="down")
     cameras = [workshop.camera((x, 0.0), distance_mm=100.0) for x in (-5, 9)]
     motion = [Euclidean.motion(0.001 * j, (0, 4.0 * j), System.ROW, System.TESTER) for j in range(3)]
-    matrix = board_frame(kind, cameras[0]).matrix(C)
+    matrix = board_plane(kind, cameras[0]).matrix(C)
     surface = None if lift is None else Surface(lift_mm=lift)
-    parts = Parts.of(kind)
-    seen = Views.of(parts.center, matrix, cameras, np.array([d.matrix for d in motion]), surface)
-    views = footprint_views(parts.addresses, seen)
+    parts = ComponentIndex.of(kind)
+    seen = FootprintViews.of(parts.center, matrix, cameras, np.array([d.matrix for d in motion]), surface)
+    views = views_by_address(parts.addresses, seen)
     assert list(views) == ["A", "B", "FAR"]
     for component in kind.components:
         place = matrix @ (*component.center, 1)
@@ -73,7 +73,7 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
 
 
 def test_a_board_without_parts_has_corners(workshop: Any) -> None:
-    names, cad = landmarks(board_frame(board([]), workshop.camera()))
+    names, cad = landmarks(board_plane(board([]), workshop.camera()))
     assert (len(names), cad.tolist()) == (2, [[0, 0], [30, 20]])
 
 
@@ -85,9 +85,9 @@ def test_many_points_on_many_parts_are_as_if_looked_at_one_by_one(workshop: Any,
         for n in range(60)
     ]
     kind = board(parts)
-    frame = board_frame(kind, workshop.camera())
+    plane = board_plane(kind, workshop.camera())
     cad = g.uniform((-4, -4), (34, 24), (500, 2))
-    found = component_of(frame, C, apply_similarity(C, frame.flat(cad)))
+    found = component_at(plane, C, apply_similarity(C, plane.flat(cad)))
     for point, n in zip(cad, found, strict=True):
         on = [k for k, p in enumerate(kind.components) if _on(kind, p, point)]
         areas = [kind.components[k].width * kind.components[k].height for k in on]

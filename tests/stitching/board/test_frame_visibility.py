@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.frame_visibility import Shots
+from vaoi_station.stitching.board.frame_visibility import FrameArrays
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -36,7 +36,7 @@ def shown(camera: Camera, at: NDArray[np.float64], row: int) -> NDArray[np.float
 def test_points_are_looked_for_where_a_frame_shows_them_closest_to_its_middle(workshop: Any) -> None:
     s = scene(workshop)
     points = np.random.default_rng(0).uniform((-12, -28), (46, 12), (400, 2))
-    number = Shots.of(s, MOTION).nearest(points)
+    number = FrameArrays.of(s, MOTION).nearest(points)
     off = np.full((len(points), len(s.present)), np.inf)
     for n, (i, j) in enumerate(s.present):
         camera = s.cameras[i]
@@ -50,7 +50,7 @@ def test_points_are_looked_for_where_a_frame_shows_them_closest_to_its_middle(wo
 
 def test_places_in_a_frame_are_those_of_its_camera(workshop: Any) -> None:
     s = scene(workshop)
-    shots = Shots.of(s, MOTION)
+    shots = FrameArrays.of(s, MOTION)
     pieces = np.random.default_rng(1).uniform((-8, -24), (40, 8), (60, 1, 2)) + np.random.default_rng(2).normal(
         0, 0.5, (60, 3, 2)
     )

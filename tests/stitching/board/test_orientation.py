@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.board.orientation import check, outline_of
+from vaoi_station.stitching.board.orientation import check, measure_outline_contrast
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -87,7 +87,7 @@ def test_without_outline_and_parts_there_is_nothing_to_compare(workshop: Any) ->
     kind = board(fiducials=fiducials)
     seen = scene(workshop, [(OUTLINE, 80.0)])
     assert check(kind, PLACED, TURNED, seen, STILL) is None
-    assert outline_of(kind, PLACED, seen, STILL) is None
+    assert measure_outline_contrast(kind, PLACED, seen, STILL) is None
 
 
 def test_an_outline_that_lies_the_same_both_ways_tells_nothing(workshop: Any) -> None:
@@ -101,12 +101,12 @@ def shifted(x_mm: float) -> NDArray[np.float64]:
 
 def test_the_outline_is_visible_where_it_is_and_nowhere_else(workshop: Any) -> None:
     seen = scene(workshop, [(OUTLINE, 80.0)])
-    here = outline_of(board(outline=OUTLINE), PLACED, seen, STILL)
+    here = measure_outline_contrast(board(outline=OUTLINE), PLACED, seen, STILL)
     assert here is not None
     assert here.visible
     assert here.contrast == pytest.approx(60, abs=3)
     assert here.pieces >= 20
-    off = outline_of(board(outline=OUTLINE), shifted(1.5), seen, STILL)
+    off = measure_outline_contrast(board(outline=OUTLINE), shifted(1.5), seen, STILL)
     assert off is not None
     assert not off.visible
 
@@ -114,7 +114,7 @@ def test_the_outline_is_visible_where_it_is_and_nowhere_else(workshop: Any) -> N
 def test_polygons_count_as_outlines(workshop: Any) -> None:
     corners = [[0.0, 0.0], [34.0, 0.0], [34.0, 22.0], [0.0, 22.0]]
     seen = scene(workshop, [(OUTLINE, 80.0)])
-    assert outline_of(board(outline=corners), PLACED, seen, STILL) == outline_of(
+    assert measure_outline_contrast(board(outline=corners), PLACED, seen, STILL) == measure_outline_contrast(
         board(outline=OUTLINE), PLACED, seen, STILL
     )
 
@@ -122,5 +122,5 @@ def test_polygons_count_as_outlines(workshop: Any) -> None:
 def test_a_board_out_of_view_says_nothing(workshop: Any) -> None:
     away = Motion(np.zeros(1), np.array([[500.0, 0.0]]), np.zeros(2))
     seen = scene(workshop, [(OUTLINE, 80.0)])
-    assert outline_of(board(outline=OUTLINE), PLACED, seen, away) is None
+    assert measure_outline_contrast(board(outline=OUTLINE), PLACED, seen, away) is None
     assert check(board(outline=OUTLINE), PLACED, TURNED, seen, away) is None

@@ -11,7 +11,7 @@ import pytest
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.board.outline import outline_shift
+from vaoi_station.stitching.board.outline import measure_outline_shift
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -45,7 +45,7 @@ def moved(x_mm: float, y_mm: float) -> Any:
 def test_the_outline_is_measured_to_a_few_hundredths_of_a_mm(
     workshop: Any, off: tuple[float, float], grey: float
 ) -> None:
-    found = outline_shift(board(), moved(*off), scene(workshop, grey=grey), STILL)
+    found = measure_outline_shift(board(), moved(*off), scene(workshop, grey=grey), STILL)
     assert found is not None
     assert found.mm == pytest.approx([-v for v in off], abs=0.05)
     assert found.sigma_mm.max() < 0.12
@@ -57,7 +57,9 @@ def test_the_outline_is_measured_to_a_few_hundredths_of_a_mm(
 @pytest.mark.parametrize("mrad", [-40, 30, 25, 0])
 def test_a_turn_is_measured(workshop: Any, mrad: float) -> None:
     c, s = np.cos(1e-3 * mrad), np.sin(1e-3 * mrad)
-    found = outline_shift(board(), np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ PLACED, scene(workshop), STILL)
+    found = measure_outline_shift(
+        board(), np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ PLACED, scene(workshop), STILL
+    )
     assert found is not None
     assert 1e3 * found.turn_rad == pytest.approx(-mrad, abs=5)
     assert found.turned_mm == pytest.approx(1e-3 * abs(mrad) * 17, abs=0.1)
@@ -65,7 +67,7 @@ def test_a_turn_is_measured(workshop: Any, mrad: float) -> None:
 
 def test_a_board_that_is_cut_smaller_all_round_has_not_moved(workshop: Any) -> None:
     smaller = scene(workshop, (27.6, 20.0))
-    found = outline_shift(board(), PLACED, smaller, STILL)
+    found = measure_outline_shift(board(), PLACED, smaller, STILL)
     assert found is not None
     assert found.mm == pytest.approx((-0.2, 0), abs=0.06), "the middle of a board that lost 0.4 mm on one side"
     assert found.excess_mm == 0.0
@@ -74,7 +76,7 @@ def test_a_board_that_is_cut_smaller_all_round_has_not_moved(workshop: Any) -> N
 def test_edges_out_of_view_tell_nothing_of_their_direction(workshop: Any) -> None:
     """The board is wider than all that is seen of it."""
     wide = np.array([[1.0, 0, -60.0], [0, 1, -10.0], [0, 0, 1]])
-    found = outline_shift(board(w=120.0), wide, scene(workshop, (500.0, 20.0)), STILL)
+    found = measure_outline_shift(board(w=120.0), wide, scene(workshop, (500.0, 20.0)), STILL)
     assert found is not None
     assert found.sigma_mm[1] < 0.15
     assert found.sigma_mm[0] > 1.0
@@ -82,8 +84,8 @@ def test_edges_out_of_view_tell_nothing_of_their_direction(workshop: Any) -> Non
 
 
 def test_no_edge_no_shift(workshop: Any) -> None:
-    assert outline_shift(board(), PLACED, scene(workshop, (0.0, 0.0)), STILL) is None
+    assert measure_outline_shift(board(), PLACED, scene(workshop, (0.0, 0.0)), STILL) is None
     away = Motion(np.zeros(1), np.array([[500.0, 0.0]]), np.zeros(2))
-    assert outline_shift(board(), PLACED, scene(workshop), away) is None
+    assert measure_outline_shift(board(), PLACED, scene(workshop), away) is None
     nothing = BoardType.model_validate({"name": "b", "y_axis": "down", "fiducials": []})
-    assert outline_shift(nothing, PLACED, scene(workshop), STILL) is None
+    assert measure_outline_shift(nothing, PLACED, scene(workshop), STILL) is None

@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult
-from vaoi_station.stitching.quality.covariances import longest, matrix_sigmas, row_covariances
+from vaoi_station.stitching.quality.covariances import largest_sigma, matrix_sigmas, row_covariances
 
 PIVOT = np.array([3.0, -2.0])
 MOTION = Motion(np.array([0.0, 0.3, -0.8]), np.array([[0.0, 0.0], [1.0, -8.0], [-2.0, -17.0]]), PIVOT)
@@ -58,11 +58,11 @@ def test_images_vary_as_the_sigmas_of_their_matrices_say(adjusted: AdjustmentRes
         for j in (1, 2):
             board = MOTION.board(np.full(5, j), camera.ground(frame))
             px = np.array([camera.project(m.row_from_tester(j)(board)) for m in motions])
-            spread = longest(np.array([np.cov(px[:, k].T) for k in range(5)]))
+            spread = largest_sigma(np.array([np.cov(px[:, k].T) for k in range(5)]))
             assert sigmas[i, j] == pytest.approx([spread[0], spread[1:].max()], rel=0.07)
 
 
 def test_the_longest_direction() -> None:
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
-    assert longest(turn @ np.diag([9.0, 4.0]) @ turn.T) == pytest.approx(3.0)
-    assert longest(np.zeros((2, 2, 2))) == pytest.approx([0, 0])
+    assert largest_sigma(turn @ np.diag([9.0, 4.0]) @ turn.T) == pytest.approx(3.0)
+    assert largest_sigma(np.zeros((2, 2, 2))) == pytest.approx([0, 0])

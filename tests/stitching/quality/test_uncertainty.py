@@ -10,10 +10,10 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 from vaoi_station.stitching.adjustment.solver import apply_similarity
-from vaoi_station.stitching.board.fiducial_assignment import board_frame
-from vaoi_station.stitching.board.footprints import Views, landmarks
+from vaoi_station.stitching.board.board_plane import board_plane
+from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
 from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.quality.uncertainty import MODEL_PX, Sigma, position_covariances, predicted_sigma
+from vaoi_station.stitching.quality.uncertainty import MODEL_PX, PredictedSigma, position_covariances, predict_sigma
 
 ROWS = 3
 BOARD = {
@@ -41,43 +41,43 @@ def scene(workshop: Any) -> Scene:
 
 
 @pytest.fixture
-def frame(scene: Scene) -> Any:
-    return board_frame(BoardType.model_validate(BOARD), scene.cameras[0])
+def plane(scene: Scene) -> Any:
+    return board_plane(BoardType.model_validate(BOARD), scene.cameras[0])
 
 
-def predicted(scene: Scene, frame: Any, found: AdjustmentResult) -> Sigma:
+def predicted(scene: Scene, plane: Any, found: AdjustmentResult) -> PredictedSigma:
     assert found.similarity is not None
-    rows, matrix = found.motion.rows_from_tester, frame.matrix(found.similarity)
-    return predicted_sigma(scene, frame, found, Views.of(landmarks(frame)[1], matrix, scene.cameras, rows, None))
+    rows, matrix = found.motion.rows_from_tester, plane.matrix(found.similarity)
+    return predict_sigma(scene, plane, found, FootprintViews.of(landmarks(plane)[1], matrix, scene.cameras, rows, None))
 
 
-def test_a_shift_of_so_many_mm_is_one_of_so_many_px(scene: Scene, frame: Any) -> None:
-    sigma = predicted(scene, frame, adjusted([0.0, 0.01, 0.03]))
+def test_a_shift_of_so_many_mm_is_one_of_so_many_px(scene: Scene, plane: Any) -> None:
+    sigma = predicted(scene, plane, adjusted([0.0, 0.01, 0.03]))
     assert sigma.rows_px == pytest.approx([MODEL_PX, np.hypot(0.1, MODEL_PX), np.hypot(0.3, MODEL_PX)])
     assert sigma.worst_px == pytest.approx(np.hypot(0.3, MODEL_PX))
 
 
-def test_c_counts_in_every_row(scene: Scene, frame: Any) -> None:
-    sigma = predicted(scene, frame, adjusted([0.0] * 3, c_sigma_mm=0.02))
+def test_c_counts_in_every_row(scene: Scene, plane: Any) -> None:
+    sigma = predicted(scene, plane, adjusted([0.0] * 3, c_sigma_mm=0.02))
     assert sigma.rows_px == pytest.approx([np.hypot(0.2, MODEL_PX)] * 3)
 
 
-def test_an_angle_counts_by_its_arm(scene: Scene, frame: Any) -> None:
+def test_an_angle_counts_by_its_arm(scene: Scene, plane: Any) -> None:
     """U28 is seen 4 mm from the pivot in row 0: an angle moves it across; the sigma is that across."""
-    sigma = predicted(scene, frame, adjusted([0.0] * 3, angle_sigma=0.01))
+    sigma = predicted(scene, plane, adjusted([0.0] * 3, angle_sigma=0.01))
     assert sigma.rows_px[0] == pytest.approx(np.hypot(0.01 * 4 * 10, MODEL_PX), rel=0.01)
 
 
-def test_without_c_rows_have_a_sigma_and_components_none(scene: Scene, frame: Any) -> None:
-    for board in (None, frame):
-        sigma = predicted_sigma(scene, board, adjusted([0.0, 0.01, 0.03]), None)
+def test_without_c_rows_have_a_sigma_and_components_none(scene: Scene, plane: Any) -> None:
+    for board in (None, plane):
+        sigma = predict_sigma(scene, board, adjusted([0.0, 0.01, 0.03]), None)
         assert sigma.worst_px is None
         assert sigma.rows_px[2] == pytest.approx(np.hypot(0.3, MODEL_PX))
 
 
-def test_rows_that_show_no_part_count_by_their_motion_alone(scene: Scene, frame: Any) -> None:
+def test_rows_that_show_no_part_count_by_their_motion_alone(scene: Scene, plane: Any) -> None:
     blind = replace(scene, present=((0, 0), (0, 1)))
-    sigma = predicted(blind, frame, adjusted([0.0, 0.01, 0.5]))
+    sigma = predicted(blind, plane, adjusted([0.0, 0.01, 0.5]))
     assert sigma.rows_px[2] == pytest.approx(np.hypot(5.0, MODEL_PX))
     assert sigma.worst_px == pytest.approx(np.hypot(0.1, MODEL_PX))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.stitching.recordings.reference_frames import MOST_PER_ROW, small_set
+from vaoi_station.stitching.recordings.reference_frames import MOST_PER_ROW, select_reference_frames
 
 BOARD = BoardType(name="b", outline=((0.0, 0.0), (60.0, 40.0)))
 """Its middle lies at tester (0, 0); cameras show 20 × 16 mm, one beside the other."""
@@ -32,14 +32,19 @@ def row_of_cameras(workshop: Any, n: int, apart_mm: float) -> tuple[Any, ...]:
 def test_of_many_cameras_a_few_are_kept_the_outermost_among_them(workshop: Any, mirrored: bool) -> None:
     cameras = row_of_cameras(workshop, 9, 6.0)
     present = {(i, 0) for i in range(9)}
-    chosen = small_set(stitch_of(1, 0.0, mirrored=mirrored), cameras, BOARD, present)
+    chosen = select_reference_frames(stitch_of(1, 0.0, mirrored=mirrored), cameras, BOARD, present)
     assert chosen == {(0, 0), (3, 0), (5, 0), (8, 0)}
     assert len(chosen) == MOST_PER_ROW
-    assert small_set(stitch_of(1, 0.0), cameras, BOARD, present - {(0, 0)}) == {(1, 0), (3, 0), (6, 0), (8, 0)}
+    assert select_reference_frames(stitch_of(1, 0.0), cameras, BOARD, present - {(0, 0)}) == {
+        (1, 0),
+        (3, 0),
+        (6, 0),
+        (8, 0),
+    }
 
 
 def test_frames_that_do_not_show_the_board_are_of_no_use(workshop: Any) -> None:
     cameras = row_of_cameras(workshop, 3, 41.0)
     present = {(i, j) for i in range(3) for j in range(4)}
-    chosen = small_set(stitch_of(4, 13.9), cameras, BOARD, present)
+    chosen = select_reference_frames(stitch_of(4, 13.9), cameras, BOARD, present)
     assert chosen == {(1, 0), (1, 1)}, "of the third row's frame the board covers no more than its edge"

@@ -27,7 +27,7 @@ def cut(
     from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
     from vaoi_station.files.documents import write_json
     from vaoi_station.files.images import write_image
-    from vaoi_station.rendering import render, views_of
+    from vaoi_station.rendering import compute_views, render
 
     recording = open_recording(case)
     head = recording.head
@@ -42,7 +42,7 @@ def cut(
                 f"board type {board_type.name!r} has no component {address!r}.",
                 action=f"It has {', '.join(c.address for c in board_type.components[:8])} …",
             )
-        views = views_of(part, board_type, stitch, cameras, px_per_mm=px_per_mm, min_coverage=min_coverage)
+        views = compute_views(part, board_type, stitch, cameras, px_per_mm=px_per_mm, min_coverage=min_coverage)
         listing = []
         for k, view in enumerate(views):
             frame = recording.frame(view.camera, view.row)

@@ -51,11 +51,11 @@ def recalibrate(
 def _chosen(checks: Sequence[RunCheck], runs: int | None) -> Sequence[RunCheck]:
     """The latest runs: so many, or all since the last camera moved."""
     from vaoi_station.drift.recalibrate import MOST_RUNS
-    from vaoi_station.drift.watch import drifts
+    from vaoi_station.drift.watch import find_drifts
 
     if runs is not None:
         return checks[-runs:]
-    since = max((drift.since for drift in drifts(checks)), default=0)
+    since = max((drift.since for drift in find_drifts(checks)), default=0)
     return checks[since:][-MOST_RUNS:]
 
 

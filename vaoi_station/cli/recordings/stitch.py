@@ -45,7 +45,7 @@ def stitch(
     if method is Method.PAPER:
         result = stitch_by_paper(opened.setup, recording.head, recording.frame)
     else:
-        reference_frame = opened.taught.recording.frame if opened.taught else None
+        reference_frame = opened.reference.recording.frame if opened.reference else None
         result = stitch_frames(opened.setup, recording.head, recording.frame, reference_frame)
     write_stitch(out, result)
     sigma = result.quality.get("cad_sigma_px")

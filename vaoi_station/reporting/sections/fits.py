@@ -64,7 +64,7 @@ def _target(story: Story) -> str:
     """Sightings as dots about zero."""
     f = story.findings
     points = f.problem.fiducials
-    if points is None or f.frame is None or not (points.which >= 0).any():
+    if points is None or f.plane is None or not (points.which >= 0).any():
         return ""
     mine = points.which >= 0
     off, which, rows = f.adjusted.fiducial_px[mine], points.which[mine], points.row[mine]
@@ -77,7 +77,7 @@ def _target(story: Story) -> str:
         content.append(label(_SIDE / 2 + 3, _SIDE / 2 - r - 3, f"{share * reach:g} px", class_="faint"))
     content.append(tag("line", x1=0, x2=_SIDE, y1=_SIDE / 2, y2=_SIDE / 2, stroke="#e2e6e9"))
     content.append(tag("line", x1=_SIDE / 2, x2=_SIDE / 2, y1=0, y2=_SIDE, stroke="#e2e6e9"))
-    names = [x.name for x in f.frame.board_type.fiducials]
+    names = [x.name for x in f.plane.board_type.fiducials]
     for (x, y), n, row in zip(off, which, rows, strict=True):
         told = title(f"{names[n]}, row {row}: ({number(float(x))}, {number(float(y))}) px")
         at = {"cx": _SIDE / 2 + float(x) * scale, "cy": _SIDE / 2 + float(y) * scale}

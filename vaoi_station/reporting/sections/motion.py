@@ -14,7 +14,7 @@ from vaoi_station.reporting.drawing.scales import number
 from vaoi_station.reporting.drawing.svg import text
 from vaoi_station.reporting.restitched import Story
 from vaoi_station.stitching.adjustment.motion import measured_velocity
-from vaoi_station.stitching.quality.verdict import Findings
+from vaoi_station.stitching.quality.findings import Findings
 
 _FEW_ROWS, _NARROW_PX, _WIDE_PX = 24, 374.0, 1150.0
 """Curves of few rows stand side by side."""

@@ -47,7 +47,7 @@ def identity(story: Story) -> Section:
         ("software", str(q["software"])),
         ("OpenCV, NumPy, Python", f"{q['opencv']}, {np.__version__}, {platform.python_version()}"),
         ("method", story.stitch.method),
-        ("reference", o.taught.recording.directory.name if o.taught else "none"),
+        ("reference", o.reference.recording.directory.name if o.reference else "none"),
     ]
     rests_on = [
         ("recording", digest(o.recording.directory / "recording.json")),

@@ -8,7 +8,7 @@ import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, Component, Verdict
-from vaoi_station.rendering import Album, View
+from vaoi_station.rendering import View, ViewCalculator
 from vaoi_station.runs.archive.finished_runs import Dossier
 from vaoi_station.runs.states.schemas import ComponentSummary
 
@@ -30,7 +30,7 @@ def views_of_component(dossier: Dossier, ref: str, px_per_mm: float | None, min_
     """The good frames that show a component, best first; `NotFoundError` without such a component."""
     part = component_of(dossier.board_type, ref)
     whole = {(f.camera, f.row) for f in dossier.detail.frames if f.verdict is Verdict.OK}
-    views = dossier.album.views(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
+    views = dossier.view_calculator.compute(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
     return tuple(view for view in views if (view.camera, view.row) in whole)
 
 
@@ -76,7 +76,7 @@ def _times_seen(dossier: Dossier) -> Counter[str]:
     if stitch is None or stitch.cad_matrix is None:
         return Counter()
     whole = {(f.camera, f.row) for f in dossier.detail.frames if f.verdict is Verdict.OK}
-    board = Album(dossier.board_type, stitch, dossier.cameras).board(dossier.board_type.components)
+    board = ViewCalculator(dossier.board_type, stitch, dossier.cameras).compute_all(dossier.board_type.components)
     return Counter({address: sum((v.camera, v.row) in whole for v in views) for address, views in board.items()})
 
 

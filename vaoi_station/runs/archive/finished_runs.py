@@ -14,7 +14,7 @@ from vaoi_station.errors import DeviceError, NotFoundError, StateError
 from vaoi_station.files.results import gist
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
-from vaoi_station.rendering import Album
+from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
@@ -44,9 +44,9 @@ class Dossier:
     """What was filmed; None if the station ended meanwhile."""
 
     @cached_property
-    def album(self) -> Album:
+    def view_calculator(self) -> ViewCalculator:
         """Which frames show which component; `StateError` without a CAD mapping, `NotFoundError` without a result."""
-        return Album(self.board_type, self.gist or self.result, self.cameras)
+        return ViewCalculator(self.board_type, self.gist or self.result, self.cameras)
 
     @cached_property
     def result(self) -> Stitch:

@@ -12,8 +12,8 @@ from functools import partial
 from typing import Protocol
 
 from vaoi_station.drift.checks import CameraCheck, RunCheck
-from vaoi_station.drift.evidence import thinned
-from vaoi_station.drift.watch import VANISHED_RUNS, Drift, drifts, vanished
+from vaoi_station.drift.evidence import subsample_links
+from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
 from vaoi_station.model import Calibration
 from vaoi_station.runs.archive.event_log import EventLog
@@ -53,14 +53,14 @@ class CalibrationWatch:
         known = [RunCheck.model_validate_json(text) for text in checks.documents(self.digest, FIRST, LATEST)]
         self._first, self._latest = known[:FIRST], deque(known[FIRST:], LATEST)
         self._runs = checks.count(self.digest)
-        self._drifts, self._vanished = drifts(known), vanished(known)
+        self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
 
     def look_at(self, progress: Progress, workers: Workers, post: Callable[..., None]) -> None:
         """A run has ended: have its evidence looked at."""
         stitch, film = progress.gist, progress.film
         if stitch is None or film is None or len(self._names) < 2:
             return
-        evidence = tuple(thinned(linked.evidence) for linked in progress.canonical.values())
+        evidence = tuple(subsample_links(linked.evidence) for linked in progress.canonical.values())
         job = CheckJob(
             run=progress.run,
             time=utc(),
@@ -101,7 +101,7 @@ class CalibrationWatch:
         (self._first if len(self._first) < FIRST else self._latest).append(check)
         checks = [*self._first, *self._latest]
         before, gone = self._drifts, self._vanished
-        self._drifts, self._vanished = drifts(checks), vanished(checks)
+        self._drifts, self._vanished = find_drifts(checks), find_vanished_cameras(checks)
         for camera in sorted({*self._vanished} - {*gone}):
             reason = self._unseen(camera)
             self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action)

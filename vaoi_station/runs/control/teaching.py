@@ -14,8 +14,8 @@ from vaoi_station.runs.archive.finished_runs import Dossier
 from vaoi_station.runs.run.reference_store import ReferenceShelf
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason, ReferenceRecord, ReferenceStatus, StitchingMethod
-from vaoi_station.stitching.recordings.reference_directory import write_taught
-from vaoi_station.stitching.recordings.reference_frames import small_set
+from vaoi_station.stitching.recordings.reference_directory import write_reference
+from vaoi_station.stitching.recordings.reference_frames import select_reference_frames
 
 Pixels = Callable[[int], Image]
 """A copy of the frame in a slot of the ring; raises `GoneError` when its memory goes."""
@@ -137,7 +137,7 @@ def _write(path: Path, dossier: Dossier, calibration: Calibration, pixels: Pixel
     head = dossier.head
     assert head is not None, "a run with a result was filmed"
     slots = {(f.camera, f.row): f.slot for f in dossier.detail.frames if f.verdict is Verdict.OK and f.slot is not None}
-    chosen = small_set(dossier.result, dossier.cameras, dossier.board_type, slots)
+    chosen = select_reference_frames(dossier.result, dossier.cameras, dossier.board_type, slots)
     everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
     kept = head.model_copy(update={"missing": tuple(sorted(everything - chosen)), "x_run": dossier.detail.id})
 
@@ -146,7 +146,7 @@ def _write(path: Path, dossier: Dossier, calibration: Calibration, pixels: Pixel
             yield *key, pixels(slots[key])
 
     try:
-        write_taught(path, kept, frames(), calibration, dossier.board_type, dossier.result)
+        write_reference(path, kept, frames(), calibration, dossier.board_type, dossier.result)
     except OSError as error:
         raise DeviceError(
             f"{path}: the reference cannot be written ({error.strerror}).",

@@ -19,7 +19,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
 from vaoi_station.runs.states.schemas import ReferenceRecord
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.recordings.reference_directory import open_taught
+from vaoi_station.stitching.recordings.reference_directory import open_reference
 from vaoi_station.store import Store
 
 _METHOD: TypeAdapter[MethodName] = TypeAdapter(MethodName)
@@ -82,7 +82,7 @@ class ReferenceShelf:
 
     def look_at(self, run: str, board_type: BoardType) -> Shelved:
         """A run that is kept as a reference, whoever's it is; raises as `open` does."""
-        taught = open_taught(self.path_of(run), self._cameras, board_type)
+        taught = open_reference(self.path_of(run), self._cameras, board_type)
         return Shelved(run, taught.recording.directory, taught.reference)
 
     def keep(self, board_type: str, record: ReferenceRecord) -> None:

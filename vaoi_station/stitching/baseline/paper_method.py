@@ -19,8 +19,9 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.baseline.paper_features import chain
-from vaoi_station.stitching.board.fiducial_assignment import board_frame, expected_angle, find_board, gather
-from vaoi_station.stitching.board.fiducial_detection import sight_marks
+from vaoi_station.stitching.board.board_plane import board_plane, expected_angle
+from vaoi_station.stitching.board.fiducial_assignment import find_board, merge_detections
+from vaoi_station.stitching.board.fiducial_detection import detect_marks
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.recordings.offline import Frames
@@ -71,9 +72,9 @@ def _cad_matrix(
 ) -> NDArray[np.float64] | Failure:
     if setup.board_type is None:
         return Failure("no board type was given, so there is no CAD mapping")
-    frame = board_frame(setup.board_type, setup.cameras[0])
-    detections = [sight_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
-    places = gather(detections, setup.cameras, motion)
+    frame = board_plane(setup.board_type, setup.cameras[0])
+    detections = [detect_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
+    places = merge_detections(detections, setup.cameras, motion)
     angle = expected_angle(frame, setup.cameras[0], setup.expectation)
     guess = find_board(frame, places, angle, setup.expectation, np.zeros((0, 2)))
     return guess if isinstance(guess, Failure) else frame.matrix(guess.c)

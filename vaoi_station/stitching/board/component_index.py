@@ -24,7 +24,7 @@ _MOST_CELLS = 400
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class ComponentIndex:
     """n components, in the order of the board type."""
 
     addresses: tuple[str, ...]
@@ -39,10 +39,10 @@ class Parts:
     mm_per_unit: float
 
     @staticmethod
-    def of(board_type: BoardType) -> Parts:
+    def of(board_type: BoardType) -> ComponentIndex:
         """Those of a board type."""
         parts, sign = board_type.components, 1.0 if board_type.y_axis == "up" else -1.0
-        return Parts(
+        return ComponentIndex(
             tuple(p.address for p in parts),
             np.array([p.center for p in parts], dtype=np.float64).reshape(-1, 2),
             np.array([(p.width, p.height) for p in parts], dtype=np.float64).reshape(-1, 2),
@@ -51,7 +51,7 @@ class Parts:
             board_type.mm_per_unit,
         )
 
-    def under(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
+    def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
         """Number of the part on which each board point (k, 2) lies; −1 for none; the smallest wins.
 
         Args:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -20,11 +19,10 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import FIXTURE, FiducialPoints
 from vaoi_station.stitching.adjustment.solver import apply_similarity
-from vaoi_station.stitching.board.component_index import Parts
+from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_detection import fixture_kind, kind_of, mark_kinds
 from vaoi_station.stitching.matching.evidence import Detections
@@ -40,54 +38,7 @@ _SLACK_MM = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
-    """The board type's plane, in mm and turned so that no mirror is left between it and the tester."""
-
-    board_type: BoardType
-    mirrored: bool
-    """Whether C changes handedness."""
-
-    @cached_property
-    def parts(self) -> Parts:
-        """The components as arrays."""
-        return Parts.of(self.board_type)
-
-    def flat(self, cad: Floats) -> Floats:
-        """CAD points (k, 2) in CAD units with y flipped where C mirrors: what `adjustment.apply_similarity` takes."""
-        return np.asarray(cad, dtype=np.float64) * (1.0, -1.0 if self.mirrored else 1.0)
-
-    def cad(self, flat: Floats) -> Floats:
-        """The inverse of `flat`."""
-        return self.flat(flat)
-
-    def matrix(self, c: Floats) -> Floats:
-        """C as a 3×3 matrix, CAD → tester."""
-        a, b, x, y = c
-        f = -1.0 if self.mirrored else 1.0
-        return np.array([[a, -b * f, x], [b, a * f, y], [0, 0, 1.0]])
-
-    @property
-    def fiducials(self) -> Floats:
-        """(k, 2) flat places of the board's fiducials."""
-        return self.flat(np.array([(f.x, f.y) for f in self.board_type.fiducials]).reshape(-1, 2))
-
-
-def board_frame(board_type: BoardType, camera: Camera) -> Frame:
-    """Handedness by `formats.md`: CAD → image mirrors exactly when y up differs from bottom side."""
-    return Frame(board_type, board_type.mirrors != camera.image_from_row.mirrors)
-
-
-def expected_angle(frame: Frame, camera: Camera, expectation: Expectation) -> float:
-    """Direction in the tester of the flat x axis, if the board lies as expected."""
-    upright = np.pi if frame.board_type.side == "bottom" else 0.0
-    turn = upright + expectation.angle_rad
-    middle = np.asarray(camera.center_px)
-    way = camera.row_from_image(np.stack([middle, middle + (np.cos(turn), np.sin(turn))]))
-    return float(np.arctan2(*(way[1] - way[0])[::-1]))
-
-
-@dataclass(frozen=True, eq=False)
-class Places:
+class FiducialCandidates:
     """Detections gathered over frames: places on the board (tester mm), kind, likeness."""
 
     mm: Floats
@@ -95,7 +46,7 @@ class Places:
     score: Floats
 
 
-def gather(detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion) -> Places:
+def merge_detections(detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion) -> FiducialCandidates:
     """One place per mark of the board, however many frames saw it."""
     mm, kind, score = (np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
     seen = [s for s in detections if len(s.px)]
@@ -104,8 +55,8 @@ def gather(detections: Sequence[Detections], cameras: Sequence[Camera], motion: 
         kind, score = np.concatenate([s.kind for s in seen]), np.concatenate([s.score for s in seen])
     best_first = np.argsort(-score, kind="stable")
     mm, kind, score = mm[best_first], kind[best_first].astype(np.int_), score[best_first]
-    kept = distinct(mm, kind, _SAME_PLACE_MM)
-    return Places(mm[kept], kind[kept], score[kept])
+    kept = keep_distinct(mm, kind, _SAME_PLACE_MM)
+    return FiducialCandidates(mm[kept], kind[kept], score[kept])
 
 
 def _grounded(
@@ -121,7 +72,7 @@ def _grounded(
 
 
 @compiled
-def distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArray[np.bool_]:
+def keep_distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArray[np.bool_]:
     """Which of k places are no nearer than that to an earlier one of their kind that is kept."""
     kept = np.zeros(len(mm), np.bool_)
     for n in range(len(mm)):
@@ -141,12 +92,12 @@ class Hypothesis:
     cost: float
     fiducials: tuple[int, ...]
     """Numbers of the fiducials it rests on."""
-    either_way: bool = False
+    ambiguous: bool = False
     """Turned by 180° the board would fit as well, and the pictures do not tell."""
 
 
 def find_board(
-    frame: Frame, places: Places, angle_rad: float, expectation: Expectation, texture_mm: Floats
+    plane: BoardPlane, places: FiducialCandidates, angle_rad: float, expectation: Expectation, texture_mm: Floats
 ) -> Hypothesis | Failure:
     """The similarity under which sightings are the board's fiducials.
 
@@ -157,7 +108,7 @@ def find_board(
         expectation: tolerances, and where the board should lie.
         texture_mm: (k, 2) places with texture (linked points), all of which lie on the board.
     """
-    board_type, flat = frame.board_type, frame.fiducials
+    board_type, flat = plane.board_type, plane.fiducials
     if len(flat) < 2:
         return Failure(f"board type {board_type.name!r} has {len(flat)} fiducials; two are needed for the CAD mapping")
     kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
@@ -172,9 +123,9 @@ def find_board(
                 what = f"turned by {np.degrees(turn):.1f}°, scale off by {scale:.2%}"
                 nearest = min(nearest, (off, what))
                 continue
-            cost, used = _cost(frame, c, places, kinds, pair, (i, j))
+            cost, used = _cost(plane, c, places, kinds, pair, (i, j))
             cost += (scale / _SCALE_SIGMA) ** 2 + (2 * turn / expectation.angle_tolerance_rad) ** 2
-            cost += _misplaced(frame, c, texture_mm, expectation)
+            cost += _misplaced(plane, c, texture_mm, expectation)
             if np.isfinite(cost) and (best is None or cost < best.cost):
                 best = Hypothesis(c, cost, used)
     if best is not None:
@@ -184,15 +135,15 @@ def find_board(
     return Failure(f"the fiducials of {board_type.name!r} are not where they should be: {seen}, no pair fits{hint}")
 
 
-def assign(
-    frame: Frame, c: Floats, detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
+def assign_fiducials(
+    plane: BoardPlane, c: Floats, detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> FiducialPoints:
     """The sightings that are fiducials, or marks of the fixture, under a first C."""
-    board_type = frame.board_type
+    board_type = plane.board_type
     kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
-    flat, number = frame.fiducials, np.arange(len(kinds))
+    flat, number = plane.fiducials, np.arange(len(kinds))
     if fixture_kind(board_type) is not None:
-        marks = frame.flat(np.array([(m.x, m.y) for m in board_type.fixture_marks]))
+        marks = plane.flat(np.array([(m.x, m.y) for m in board_type.fixture_marks]))
         kinds += [len(mark_kinds(board_type))] * len(marks)
         flat, number = np.vstack([flat, marks]), np.append(number, np.full(len(marks), FIXTURE))
     seen = [s for s in detections if len(s.px)]
@@ -201,7 +152,9 @@ def assign(
     camera, ground, board = _grounded(seen, cameras, motion)
     ends = np.append(0, np.cumsum([len(s.px) for s in seen]))
     of_seen = np.concatenate([s.kind for s in seen]).astype(np.int_)
-    at, mark = together(board, of_seen, ends, apply_similarity(c, flat), np.array(kinds, dtype=np.int_), _SAME_PLACE_MM)
+    at, mark = match_nearest(
+        board, of_seen, ends, apply_similarity(c, flat), np.array(kinds, dtype=np.int_), _SAME_PLACE_MM
+    )
     row = np.repeat([s.task.a[1] for s in seen], np.diff(ends))[at]
     camera, ground, lean, resolution = camera[at], ground[at], np.empty((len(at), 2)), np.empty(len(at))
     for i in np.unique(camera).tolist():
@@ -213,7 +166,7 @@ def assign(
 
 
 @compiled
-def together(
+def match_nearest(
     board_mm: Floats,
     kind: NDArray[np.int_],
     ends: NDArray[np.int_],
@@ -246,7 +199,7 @@ def together(
 
 
 def _pairs(
-    f: Floats, g: Floats, places: Places, kind_f: int, kind_g: int, mm_per_unit: float
+    f: Floats, g: Floats, places: FiducialCandidates, kind_f: int, kind_g: int, mm_per_unit: float
 ) -> list[tuple[Floats, tuple[int, int]]]:
     """Every ordered pair of places at the distance of two fiducials, with the similarity it fixes."""
     of, og = np.flatnonzero(places.kind == kind_f), np.flatnonzero(places.kind == kind_g)
@@ -265,10 +218,15 @@ def _pairs(
 
 
 def _cost(
-    frame: Frame, c: Floats, places: Places, kinds: list[int], pair: tuple[int, int], chosen: tuple[int, int]
+    plane: BoardPlane,
+    c: Floats,
+    places: FiducialCandidates,
+    kinds: list[int],
+    pair: tuple[int, int],
+    chosen: tuple[int, int],
 ) -> tuple[float, tuple[int, ...]]:
     """How unlike fiducials the matched places are; every fiducial that is not seen costs as much as a poor one."""
-    expected = apply_similarity(c, frame.fiducials)
+    expected = apply_similarity(c, plane.fiducials)
     cost, used = 0.0, []
     for f, at in enumerate(expected):
         if f in chosen:
@@ -286,14 +244,14 @@ def _cost(
     return cost, tuple(used)
 
 
-def outside_share(frame: Frame, c: Floats, texture_mm: Floats) -> float:
+def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
     """Share of the textured places that lie off the board, were C this one; fixtures and bare outlines tell nothing."""
-    board_type = frame.board_type
+    board_type = plane.board_type
     if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
         return 0.0
     low, high = board_type.extent()
     margin = _TEXTURE_MARGIN_MM / board_type.mm_per_unit
-    cad_from_board = np.linalg.inv(frame.matrix(c)).astype(np.float64)
+    cad_from_board = np.linalg.inv(plane.matrix(c)).astype(np.float64)
     return _outside(cad_from_board, texture_mm, low - margin, high + margin) / len(texture_mm)
 
 
@@ -308,14 +266,14 @@ def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats
     return count
 
 
-def _misplaced(frame: Frame, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
+def _misplaced(plane: BoardPlane, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
     """Cost of texture off the board, and of a board far from where it is expected."""
-    outside = outside_share(frame, c, texture_mm)
+    outside = outside_share(plane, c, texture_mm)
     if outside > _MOST_OUTSIDE:
         return np.inf
     cost = 400.0 * max(outside - 0.02, 0.0)
-    low, high = frame.board_type.extent()
-    corners = frame.flat(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
+    low, high = plane.board_type.extent()
+    corners = plane.flat(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
     corner = apply_similarity(c, corners).min(0)
     for at, expected in zip(corner, expectation.corner_mm, strict=True):
         if expected is not None:

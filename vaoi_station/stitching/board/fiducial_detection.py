@@ -43,7 +43,7 @@ def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
     return mark.shape, round(mark.size * board_type.mm_per_unit, 6)
 
 
-def sight_marks(
+def detect_marks(
     task: Task,
     frame: PreparedFrame,
     camera: Camera,
@@ -90,12 +90,12 @@ def _look_for(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> 
     return marks
 
 
-def look_deeper(
+def detect_more_marks(
     board_type: BoardType, scene: Scene, detections: Sequence[Detections], *, fixture: bool
 ) -> list[Detections]:
     """The same frames searched once more, with room for many more look-alikes per frame."""
     return [
-        sight_marks(
+        detect_marks(
             s.task,
             scene.prepared(s.task.a),
             scene.cameras[s.task.a[0]],
@@ -107,7 +107,7 @@ def look_deeper(
     ]
 
 
-def look_again(
+def relocate_fiducials(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
 ) -> list[Detections]:
     """The sightings, with every fiducial that must be in a frame located anew, and precisely.

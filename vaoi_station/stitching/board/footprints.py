@@ -13,7 +13,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Surface
 from vaoi_station.stitching.adjustment.motion import points_in_box
 from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.board.fiducial_assignment import Frame
+from vaoi_station.stitching.board.board_plane import BoardPlane
 
 _BEYOND_PX = 3.0
 """Views are listed until the centre is so far outside the frame."""
@@ -22,21 +22,21 @@ View = tuple[int, int, float, float]
 """Camera, row, and raw pixels."""
 
 
-def component_of(frame: Frame, c: Floats, board_mm: Floats) -> Ints:
+def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
     """Number of the component on whose footprint each board point (k, 2) lies; −1 for none; the smallest wins."""
-    return frame.parts.under(np.asarray(np.linalg.inv(frame.matrix(c)), np.float64), board_mm)
+    return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
-def landmarks(frame: Frame) -> tuple[tuple[str, ...], Floats]:
+def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
     """Names and CAD places (n, 2) of what is told in which frame it is: components, or the board's corners."""
-    parts = frame.parts
+    parts = plane.components
     if parts.addresses:
         return parts.addresses, parts.center
-    return ("low corner", "high corner"), np.array(frame.board_type.extent())
+    return ("low corner", "high corner"), np.array(plane.board_type.extent())
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
+class FootprintViews:
     """Points of the board in the frames that show them: point by point, of each in the order of cameras and rows."""
 
     point: Ints
@@ -49,7 +49,9 @@ class Views:
     """(k, 2) raw pixels; a little outside the frame is seen, too."""
 
     @staticmethod
-    def of(cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None) -> Views:
+    def of(
+        cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None
+    ) -> FootprintViews:
         """Of CAD points (n, 2); `rows` (m, 3, 3) are the D_j."""
         height = surface.height_mm(cad) if surface else np.zeros(len(cad))
         between = float(height.min()), float(height.max())
@@ -64,10 +66,10 @@ class Views:
             found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
         point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
         order = np.argsort(point, kind="stable")
-        return Views(point[order], *(values[order] for values in others))
+        return FootprintViews(point[order], *(values[order] for values in others))
 
 
-def footprint_views(addresses: Sequence[str], views: Views) -> dict[str, tuple[View, ...]]:
+def views_by_address(addresses: Sequence[str], views: FootprintViews) -> dict[str, tuple[View, ...]]:
     """Raw pixels of the centre of each footprint in every frame that shows it: {address: [(camera, row, x, y)]}."""
     x, y = np.round(views.px, 4).T.tolist()
     every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))

@@ -20,7 +20,7 @@ _MARGIN_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Shots:
+class FrameArrays:
     """f frames of c cameras in m rows."""
 
     scene: Scene
@@ -40,11 +40,11 @@ class Shots:
     """(c, 3) width, height and margin."""
 
     @staticmethod
-    def of(scene: Scene, motion: Motion) -> Shots:
+    def of(scene: Scene, motion: Motion) -> FrameArrays:
         """Those of a scene, as the board moved."""
         cameras = scene.cameras
         most = max(len(c.lens.coefficients) for c in cameras)
-        return Shots(
+        return FrameArrays(
             scene,
             np.array(scene.present, dtype=np.int_).reshape(-1, 2),
             motion.rows_from_tester,

@@ -16,7 +16,7 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.frame_visibility import Shots
+from vaoi_station.stitching.board.frame_visibility import FrameArrays
 from vaoi_station.stitching.matching.scene import Scene
 
 _PIECE_MM = 4.0
@@ -77,7 +77,7 @@ def check(
         The first evidence that decides, the outline before the parts; the last one if none does; None
         if there is nothing to compare.
     """
-    best, shots = None, Shots.of(scene, motion)
+    best, shots = None, FrameArrays.of(scene, motion)
     for evidence, lines in (("outline", outline_polygons), ("components", _parts)):
         pieces = straight_pieces(lines(board_type), board_type.mm_per_unit)
         if not len(pieces):
@@ -96,7 +96,7 @@ def check(
 
 
 @dataclass(frozen=True)
-class Outline:
+class OutlineContrast:
     """Median contrast along the board's outline as placed, and over how many pieces."""
 
     contrast: float
@@ -108,12 +108,14 @@ class Outline:
         return self.contrast >= _LEAST_OUTLINE
 
 
-def outline_of(board_type: BoardType, placed: Floats, scene: Scene, motion: Motion) -> Outline | None:
+def measure_outline_contrast(
+    board_type: BoardType, placed: Floats, scene: Scene, motion: Motion
+) -> OutlineContrast | None:
     """How plainly the pictures show the board's outline where C puts it; None where too little of it is in view."""
     pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
     pieces = pieces[spread(len(pieces))]
-    steps = _steps(pieces, placed, Shots.of(scene, motion)) if len(pieces) else np.zeros(0)
-    return Outline(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
+    steps = _steps(pieces, placed, FrameArrays.of(scene, motion)) if len(pieces) else np.zeros(0)
+    return OutlineContrast(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
 
 
 def spread(pieces: int) -> NDArray[np.int_]:
@@ -163,7 +165,7 @@ def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
     return np.asarray(nearest > _APART_MM)
 
 
-def _steps(pieces: Floats, cad_matrix: Floats, shots: Shots) -> Floats:
+def _steps(pieces: Floats, cad_matrix: Floats, shots: FrameArrays) -> Floats:
     """Contrast across every piece that some frame shows, in grey levels."""
     board = apply(cad_matrix, pieces)
     number = shots.nearest(board.mean(1))

@@ -17,7 +17,7 @@ from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.frame_visibility import Shots
+from vaoi_station.stitching.board.frame_visibility import FrameArrays
 from vaoi_station.stitching.board.orientation import outline_polygons, spread, straight_pieces
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -46,7 +46,7 @@ _LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Shift:
+class OutlineShift:
     """How far the board's outline lies from where the fiducials put it."""
 
     mm: Floats
@@ -80,7 +80,9 @@ class Shift:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def outline_shift(board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion) -> Shift | None:
+def measure_outline_shift(
+    board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion
+) -> OutlineShift | None:
     """Measure where the outline lies.
 
     Args:
@@ -116,7 +118,7 @@ def _outward(board: Floats) -> Floats:
 
 def _profiles(board: Floats, normal: Floats, scene: Scene, motion: Motion) -> Floats:
     """Grey levels (k, samples) across every piece, averaged along it; NaN where no frame shows them."""
-    shots = Shots.of(scene, motion)
+    shots = FrameArrays.of(scene, motion)
     number = shots.nearest(board.mean(1))
     reach, samples = _REACH * _STEP_MM * normal, 2 * _REACH + 1
     px = shots.project(number, np.stack([board[:, 0] - reach, board[:, 1] - reach, board[:, 0] + reach], 1))
@@ -198,7 +200,7 @@ def _heard(
     return out
 
 
-def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Shift | None:
+def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> OutlineShift | None:
     """Shift, turn and size of the outline by least squares over the edges near a shift, robustly."""
     offset, height = _edges(steps, normal @ shift / _STEP_MM + _REACH)
     use = height >= _LEAST_STEP
@@ -214,7 +216,7 @@ def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Shi
         scatter = max(1.4826 * float(np.median(np.abs(misfit))), _PIECE_SIGMA_MM)
         weight = huber_weights(misfit / scatter, _KNEE)
     covariance, turn_sigma = inverse[:2, :2] + _MACHINED_MM**2 * np.eye(2), float(np.sqrt(inverse[2, 2]))
-    return Shift(solved[:2], covariance, float(solved[2]), turn_sigma, float(np.hypot(*arm.T).max()), len(n))
+    return OutlineShift(solved[:2], covariance, float(solved[2]), turn_sigma, float(np.hypot(*arm.T).max()), len(n))
 
 
 def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
-from vaoi_station.stitching.board.fiducial_assignment import Frame
+from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 
 _SCATTER_PX = 0.03
@@ -40,8 +40,8 @@ class Reference:
         return Task("reference", key, key) if key in self.present else None
 
 
-def points_on_cad(
-    links: Sequence[Links], cameras: Sequence[Camera], frame: Frame, reference: Reference
+def cad_points(
+    links: Sequence[Links], cameras: Sequence[Camera], plane: BoardPlane, reference: Reference
 ) -> FiducialPoints:
     """Linked points as observations: seen in a row of the run, known in CAD through the reference."""
     rows, ground, lean, cad, sigma, resolution = [], [], [], [], [], []
@@ -58,7 +58,7 @@ def points_on_cad(
         rows.append(np.full(len(here), row))
         ground.append(here)
         lean.append(camera.parallax(here))
-        cad.append(frame.flat(apply(np.linalg.inv(c), there)))
+        cad.append(plane.flat(apply(np.linalg.inv(c), there)))
         sigma.append(single / camera.px_per_mm)
         resolution.append(np.full(len(here), camera.px_per_mm))
     if not rows:
@@ -74,11 +74,11 @@ def points_on_cad(
     )
 
 
-def first_similarity(frame: Frame, reference: Reference, points: FiducialPoints, motion: Motion) -> Floats:
+def initial_similarity(plane: BoardPlane, reference: Reference, points: FiducialPoints, motion: Motion) -> Floats:
     """C to start from: the reference's, shifted to where the run's points are by the belt's nominal motion."""
     c = reference.stitch.cad_matrix
     assert c is not None
     start = np.array([c[0, 0], c[1, 0], c[0, 2], c[1, 2]])
     board = motion.board(points.row, points.ground_mm)
-    off = np.median(board - apply(frame.matrix(start), frame.cad(points.cad)), axis=0)
+    off = np.median(board - apply(plane.matrix(start), plane.cad(points.cad)), axis=0)
     return np.concatenate([start[:2], start[2:] + off])

@@ -7,12 +7,14 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.solver import apply_similarity
+from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle
 from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.fiducial_assignment import Frame, expected_angle
 from vaoi_station.stitching.matching.scene import Scene
 
 
-def of_absent(scene: Scene, frame: Frame | None, expectation: Expectation, motion: Motion) -> list[str]:
+def absent_camera_reasons(
+    scene: Scene, plane: BoardPlane | None, expectation: Expectation, motion: Motion
+) -> list[str]:
     """A sentence for every camera of which no good frame arrived, with the fiducials that lay in its view alone.
 
     Args:
@@ -25,11 +27,11 @@ def of_absent(scene: Scene, frame: Frame | None, expectation: Expectation, motio
     away = [i for i in range(len(scene.cameras)) if i not in there]
     if not away:
         return []
-    board_mm = None if frame is None else expected_fiducials(frame, scene, expectation)
-    if frame is None or board_mm is None:
-        unknown = "" if frame is None else ": a fiducial in its view cannot be found"
+    board_mm = None if plane is None else expected_fiducials(plane, scene, expectation)
+    if plane is None or board_mm is None:
+        unknown = "" if plane is None else ": a fiducial in its view cannot be found"
         return [f"camera {i} delivered no whole frame of this board{unknown}" for i in away]
-    names = np.array([f.name for f in frame.board_type.fiducials])
+    names = np.array([f.name for f in plane.board_type.fiducials])
     shown = np.zeros(len(names), dtype=np.bool_)
     for i, row in scene.present:
         shown |= _seen(scene, i, row, motion, board_mm)
@@ -38,17 +40,17 @@ def of_absent(scene: Scene, frame: Frame | None, expectation: Expectation, motio
     return [f"camera {i} delivered no whole frame of this board{_lost(names[hidden[i]].tolist())}" for i in away]
 
 
-def expected_fiducials(frame: Frame, scene: Scene, expectation: Expectation) -> Floats | None:
+def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation) -> Floats | None:
     """(k, 2) tester mm of the fiducials in the first row if the board lies as expected; None if that says not where."""
     x, y = expectation.corner_mm
     if x is None or y is None:
         return None
-    angle, scale = expected_angle(frame, scene.cameras[0], expectation), frame.board_type.mm_per_unit
+    angle, scale = expected_angle(plane, scene.cameras[0], expectation), plane.board_type.mm_per_unit
     turn = np.array([scale * np.cos(angle), scale * np.sin(angle), 0.0, 0.0])
-    low, high = frame.board_type.extent()
-    corners = frame.flat(np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]))
+    low, high = plane.board_type.extent()
+    corners = plane.flat(np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]))
     shift = np.array((x, y)) - apply_similarity(turn, corners).min(0)
-    return np.asarray(apply_similarity(turn, frame.fiducials) + shift)
+    return np.asarray(apply_similarity(turn, plane.fiducials) + shift)
 
 
 def _seen(scene: Scene, camera: int, row: int, motion: Motion, board_mm: Floats) -> np.ndarray:

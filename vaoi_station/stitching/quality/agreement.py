@@ -9,8 +9,8 @@ from vaoi_station.geometry.transforms import Floats, System
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM
-from vaoi_station.stitching.board.fiducial_assignment import Frame
-from vaoi_station.stitching.board.outline import Shift
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.outline import OutlineShift
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
@@ -24,8 +24,8 @@ _PLAINLY = 4.0
 """The others must fit so much better without it than without any other one."""
 
 
-def of_fiducials(
-    frame: Frame, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
+def fiducial_reasons(
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
 ) -> list[str]:
     """Fiducials off their places, a scale or a surface that no board has, and the one to blame if three or more tell.
 
@@ -39,21 +39,21 @@ def of_fiducials(
     if adjusted.similarity is None:
         return []
     out = []
-    fiducials = frame.board_type.fiducials
+    fiducials = plane.board_type.fiducials
     seen = _places(adjusted, points, moved)
     for n, (_, off_px) in seen.items():
         if off_px > _FIDUCIAL_LIMIT_PX:
             out.append(f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})")
-    scale = float(np.hypot(*adjusted.similarity[:2])) / frame.board_type.mm_per_unit - 1
+    scale = float(np.hypot(*adjusted.similarity[:2])) / plane.board_type.mm_per_unit - 1
     if abs(scale) > _SCALE_LIMIT:
-        out.append(_of_scale(frame, scale, px_per_mm))
+        out.append(_of_scale(plane, scale, px_per_mm))
     out += _of_surface(adjusted.surface_mm)
     if out:
-        out += _blamed(frame, {n: place for n, (place, _) in seen.items()}, px_per_mm)
+        out += _blamed(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
     return out
 
 
-def of_sightings(frame: Frame, points: FiducialPoints | None, limit_px: float) -> str:
+def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit_px: float) -> str:
     """Which fiducials are to blame for positions that are too uncertain: those no sighting of which is sure."""
     if points is None:
         return ""
@@ -63,12 +63,12 @@ def of_sightings(frame: Frame, points: FiducialPoints | None, limit_px: float) -
     if not unsure:
         return ""
     names = ", ".join(
-        f"{frame.board_type.fiducials[n].name} ± {sigma_px[points.which == n].min():.2f} px" for n in unsure
+        f"{plane.board_type.fiducials[n].name} ± {sigma_px[points.which == n].min():.2f} px" for n in unsure
     )
     return f"; fiducials that are partly covered, smudged or in a glare: {names}"
 
 
-def of_outline(shift: Shift | None, px_per_mm: float) -> list[str]:
+def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
     """The outline lies elsewhere than the fiducials say."""
     if shift is None:
         return []
@@ -119,37 +119,37 @@ def _of_surface(surface_mm: Floats) -> list[str]:
     ]
 
 
-def _blamed(frame: Frame, places: dict[int, Floats], px_per_mm: float) -> list[str]:
+def _blamed(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[str]:
     """The fiducial without which the others agree with the CAD data; two alone cannot tell."""
     if len(places) < 3:
         return []
-    without = {n: _fit_without(n, frame, places) for n in places}
+    without = {n: _fit_without(n, plane, places) for n in places}
     costs = sorted((cost, n) for n, (cost, _) in without.items())
     (best, n), (second, _) = costs[0], costs[1]
     if second < _PLAINLY * max(best, 1.0):
         return []
     off_mm = without[n][1]
     return [
-        f"without fiducial {frame.board_type.fiducials[n].name} the others agree: it lies {off_mm:.2f} mm "
+        f"without fiducial {plane.board_type.fiducials[n].name} the others agree: it lies {off_mm:.2f} mm "
         f"({off_mm * px_per_mm:.1f} px) from its place in the CAD data; check it there and on the board"
     ]
 
 
-def _fit_without(n: int, frame: Frame, places: dict[int, Floats]) -> tuple[float, float]:
+def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[float, float]:
     """χ² of the other fiducials and of their scale, and how far off the fiducial then is, in mm."""
     others = [k for k in places if k != n]
-    cad, board = frame.fiducials, np.array([places[k] for k in others])
+    cad, board = plane.fiducials, np.array([places[k] for k in others])
     fit = fit_similarity(board, cad[others], System.TESTER, System.CAD, mirrored=False)
     if isinstance(fit, Failure):
         return np.inf, 0.0
     misfit = fit(cad[others]) - board
-    scale = fit.scale / frame.board_type.mm_per_unit - 1
+    scale = fit.scale / plane.board_type.mm_per_unit - 1
     cost = float((misfit**2).sum()) / _ARTWORK_MM**2 + (scale / _LAMINATE) ** 2
     return cost, float(np.hypot(*(fit(cad[n]) - places[n])))
 
 
-def _of_scale(frame: Frame, scale: float, px_per_mm: float) -> str:
-    apart_mm = float(np.hypot(*np.ptp(frame.fiducials, axis=0))) * frame.board_type.mm_per_unit
+def _of_scale(plane: BoardPlane, scale: float, px_per_mm: float) -> str:
+    apart_mm = float(np.hypot(*np.ptp(plane.fiducials, axis=0))) * plane.board_type.mm_per_unit
     off_mm = abs(scale) * apart_mm
     return (
         f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}), {off_mm:.2f} mm "

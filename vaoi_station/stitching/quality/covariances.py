@@ -38,7 +38,7 @@ def matrix_sigmas(cameras: Sequence[Camera], pivot_mm: Floats, rows: Floats) -> 
     return np.array([_sigmas(camera, pivot_mm, rows) for camera in cameras])
 
 
-def longest(covariance: Floats) -> Floats:
+def largest_sigma(covariance: Floats) -> Floats:
     """Standard deviation (…) in the worst direction, for covariances (…, 2, 2)."""
     a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     return np.asarray(np.sqrt(np.maximum((a + d) / 2 + np.hypot((a - d) / 2, b), 0)))
@@ -52,7 +52,7 @@ def _sigmas(camera: Camera, pivot_mm: Floats, rows: Floats) -> Floats:
     by_row[:, 0, 0], by_row[:, 1, 0] = -arm[:, 1], arm[:, 0]
     by_row[:, 0, 1] = by_row[:, 1, 2] = 1
     j = _slope(camera, ground) @ by_row
-    sigma = longest(j[None] @ rows[:, None] @ j.swapaxes(1, 2)[None])
+    sigma = largest_sigma(j[None] @ rows[:, None] @ j.swapaxes(1, 2)[None])
     return np.stack([sigma[:, 0], sigma[:, 1:].max(1)], -1)
 
 

@@ -21,7 +21,7 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
-from vaoi_station.stitching.board.fiducial_assignment import Frame
+from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.patches import PATCH_PX
 
 _CORE = 0.8
@@ -50,19 +50,19 @@ class Height:
     links: int
 
 
-def component_heights(frame: Frame, problem: Problem, adjusted: AdjustmentResult) -> dict[str, Height]:
+def component_heights(plane: BoardPlane, problem: Problem, adjusted: AdjustmentResult) -> dict[str, Height]:
     """Heights by address, of those parts whose links tell; small parts, which no patch fits on, have none."""
-    c, addresses = adjusted.similarity, frame.parts.addresses
+    c, addresses = adjusted.similarity, plane.components.addresses
     if problem.surface is None or c is None or not len(problem.links):
         return {}
-    o, motion, parts = problem.links, adjusted.motion, frame.parts
+    o, motion, parts = problem.links, adjusted.motion, plane.components
     near = np.flatnonzero(problem.component >= 0)
     ground = problem.surface.at_links @ adjusted.surface_mm
     a_mm, b_mm = motion.board(o.p[near], o.a_mm[near]), motion.board(o.q[near], o.b_mm[near])
     lean = motion.turned(o.q[near], o.b_lean[near]) - motion.turned(o.p[near], o.a_lean[near])
     height, sigma, sole, aside = told(
         *(near, a_mm, b_mm - a_mm, lean, ground, o.noise_mm2, o.px_per_mm, problem.component),
-        *(np.asarray(np.linalg.inv(frame.matrix(c)), np.float64), parts.center, parts.size, parts.angle_rad),
+        *(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), parts.center, parts.size, parts.angle_rad),
         *(parts.mm_per_unit, adjusted.floor_px),
     )
     good = np.flatnonzero((sigma < _WORST_MM) & (aside < _ASIDE))

@@ -20,11 +20,11 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 from vaoi_station.stitching.adjustment.surface import basis
-from vaoi_station.stitching.board.fiducial_assignment import Frame
-from vaoi_station.stitching.board.footprints import Views, landmarks
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.quality.covariances import longest
+from vaoi_station.stitching.quality.covariances import largest_sigma
 
 MODEL_PX = 0.002
 """Standard deviation of what no residual shows: calibration, artwork, flatness."""
@@ -32,7 +32,7 @@ _DIGITS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Sigma:
+class PredictedSigma:
     """Standard deviations in px, in the direction where they are largest; covariances are of x and y in one image."""
 
     rows_px: tuple[float, ...]
@@ -60,7 +60,7 @@ class Sigma:
     def of_components(self) -> dict[str, float]:
         """The largest over each component's views, by address, of those that are in view; to four decimals."""
         worst = np.zeros(len(self.names))
-        np.maximum.at(worst, self.part, longest(self.covariance_px2))
+        np.maximum.at(worst, self.part, largest_sigma(self.covariance_px2))
         told = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
         return {name: px for name, px, seen in told if seen}
 
@@ -76,7 +76,9 @@ class Sigma:
         return {name: entries[a:b] for name, (a, b) in zip(self.names, pairwise(ends), strict=True) if b > a}
 
 
-def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: AdjustmentResult, views: Views | None) -> Sigma:
+def predict_sigma(
+    scene: Scene, plane: BoardPlane | None, adjusted: AdjustmentResult, views: FootprintViews | None
+) -> PredictedSigma:
     """Covariance of components' positions in every good frame that shows them.
 
     Args:
@@ -86,11 +88,11 @@ def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: AdjustmentResul
         views: of the frame's `landmarks`; None without C.
     """
     resolution = float(np.mean([camera.px_per_mm for camera in scene.cameras]))
-    motion = np.hypot(longest(adjusted.covariance[:, 1:3, 1:3]) * resolution, MODEL_PX).tolist()
-    if frame is None or views is None:
+    motion = np.hypot(largest_sigma(adjusted.covariance[:, 1:3, 1:3]) * resolution, MODEL_PX).tolist()
+    if plane is None or views is None:
         none = np.zeros(0, dtype=np.int_)
-        return Sigma(tuple(motion), None, (), none, np.zeros((0, 2), dtype=np.int_), np.zeros((0, 2, 2)))
-    names, cad = landmarks(frame)
+        return PredictedSigma(tuple(motion), None, (), none, np.zeros((0, 2), dtype=np.int_), np.zeros((0, 2, 2)))
+    names, cad = landmarks(plane)
     whole = np.zeros((len(scene.cameras), len(motion)), dtype=np.bool_)
     whole[tuple(np.array(scene.present, dtype=np.int_).reshape(-1, 2).T)] = True
     last = np.array([(c.width_px - 1, c.height_px - 1) for c in scene.cameras])
@@ -99,17 +101,17 @@ def predicted_sigma(scene: Scene, frame: Frame | None, adjusted: AdjustmentResul
     part, camera, row = (numbers[inside] for numbers in (views.point, views.camera, views.row))
     place = views.place_mm[inside]
     covariance = position_covariances(
-        *(row, part, place, _leans(scene.cameras, camera, place), frame.flat(cad)),
-        basis(frame.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0)),
+        *(row, part, place, _leans(scene.cameras, camera, place), plane.flat(cad)),
+        basis(plane.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0)),
         *(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
     )
     px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
     covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
     rows = np.zeros(len(motion))
-    np.maximum.at(rows, row, longest(covariance))
+    np.maximum.at(rows, row, largest_sigma(covariance))
     worst = float(rows.max(initial=0)) or None
     by_row = tuple(float(v) or w for v, w in zip(rows, motion, strict=True))
-    return Sigma(by_row, worst, names, part, np.column_stack([camera, row]), covariance)
+    return PredictedSigma(by_row, worst, names, part, np.column_stack([camera, row]), covariance)
 
 
 def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
@@ -120,12 +122,12 @@ def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
     return lean
 
 
-def surface_sigma_mm(frame: Frame, adjusted: AdjustmentResult, cad: Floats) -> Floats:
+def surface_sigma_mm(plane: BoardPlane, adjusted: AdjustmentResult, cad: Floats) -> Floats:
     """Standard deviation (k,) of the board's height at CAD points (k, 2); 0 where no surface was sought."""
     f = len(adjusted.surface_mm)
     if not f:
         return np.zeros(len(cad))
-    b = basis(frame.board_type, cad)
+    b = basis(plane.board_type, cad)
     return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", b, adjusted.covariance[0, -f:, -f:], b)))
 
 

@@ -11,12 +11,12 @@ from vaoi_station.model import Calibration
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.method import MethodName
 from vaoi_station.stitching.recordings.offline import Frames
-from vaoi_station.stitching.recordings.reference_directory import Taught, open_taught, with_reference
+from vaoi_station.stitching.recordings.reference_directory import StoredReference, open_reference, with_reference
 from vaoi_station.stitching.work import StitchSetup, TaskRunner
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class OpenedRun:
     """What a recorded run is stitched from, and where it was read."""
 
     recording: Recording
@@ -24,7 +24,7 @@ class Opened:
     calibration_path: Path
     board_path: Path | None
     """None where no board type is known."""
-    taught: Taught | None
+    reference: StoredReference | None
     setup: StitchSetup
 
     @property
@@ -38,7 +38,7 @@ class Opened:
     def runner(self, frame: Frames | None = None) -> TaskRunner:
         """A task runner that reads the frames of the run by `frame`, by default from the disk."""
         return TaskRunner(
-            self.setup, frame or self.recording.frame, self.taught.recording.frame if self.taught else None
+            self.setup, frame or self.recording.frame, self.reference.recording.frame if self.reference else None
         )
 
 
@@ -49,7 +49,7 @@ def open_run(
     board: Path | None = None,
     reference: Path | None = None,
     method: MethodName = "auto",
-) -> Opened:
+) -> OpenedRun:
     """Open a recording for stitching.
 
     Args:
@@ -75,15 +75,15 @@ def open_run(
         board_type=read_board_type(board_path) if board_path else None,
         method=method,
     )
-    taught = _reference(reference, setup)
-    return Opened(recording, known, calibration_path, board_path, taught, with_reference(setup, taught))
+    stored = _open_reference(reference, setup)
+    return OpenedRun(recording, known, calibration_path, board_path, stored, with_reference(setup, stored))
 
 
-def _reference(directory: Path | None, setup: StitchSetup) -> Taught | None:
+def _open_reference(directory: Path | None, setup: StitchSetup) -> StoredReference | None:
     if directory is None:
         if setup.method == "reference":
             raise InputError("--method reference needs --reference DIR.", action="`vaoi teach` makes one.")
         return None
     if setup.board_type is None:
         raise InputError("--reference needs a board type.", action="Give one with --board.")
-    return open_taught(directory, setup.cameras, setup.board_type)
+    return open_reference(directory, setup.cameras, setup.board_type)

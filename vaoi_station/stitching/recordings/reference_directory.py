@@ -38,7 +38,7 @@ _CAD_TERMS = ("unit", "y_axis", "side", "fiducials")
 
 
 @dataclass(frozen=True, eq=False)
-class Taught:
+class StoredReference:
     """A reference and where its frames are."""
 
     reference: Reference
@@ -67,7 +67,7 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
     return stitch
 
 
-def write_taught(
+def write_reference(
     directory: Path,
     head: RecordingHead,
     frames: Iterable[tuple[int, int, Image]],
@@ -92,7 +92,7 @@ def write_taught(
         write_recording(draft, head, frames, suffix=".tiff")
 
 
-def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> Taught:
+def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> StoredReference:
     """Open a reference for runs of these cameras and this board type; one that was never stitched is stitched now.
 
     Raises:
@@ -112,12 +112,12 @@ def open_taught(directory: Path, cameras: tuple[Camera, ...], board_type: BoardT
     lost = set(recording.head.missing)
     everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
     used = stitch.model_copy(update={"image_matrices": (), "components": None, "quality": {}})
-    return Taught(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
+    return StoredReference(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
 
 
-def with_reference(setup: StitchSetup, taught: Taught | None) -> StitchSetup:
+def with_reference(setup: StitchSetup, stored: StoredReference | None) -> StitchSetup:
     """The setup of a run that is placed against a reference."""
-    return setup if taught is None else replace(setup, reference=taught.reference)
+    return setup if stored is None else replace(setup, reference=stored.reference)
 
 
 def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> StitchSetup:

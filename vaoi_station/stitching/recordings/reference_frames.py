@@ -20,7 +20,7 @@ _LEAST_SHARE = 0.05
 """Of a frame that must show the board."""
 
 
-def small_set(
+def select_reference_frames(
     stitch: Stitch, cameras: Sequence[Camera], board_type: BoardType, present: Collection[FrameKey]
 ) -> frozenset[FrameKey]:
     """The frames of a stitched run that are kept as a reference: at most `MOST_PER_ROW` of each row, spread evenly.
