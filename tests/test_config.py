@@ -119,10 +119,10 @@ def test_real_devices_come_together(tmp_path: Path) -> None:
     station = read_config(written(tmp_path, *real))
     assert station.controller.port == "/dev/ttyUSB3"
     assert station.controller.lights["top"].channels == (0, 1)
-    assert station.controller.lights_in_turn == ("top", "low")
+    assert station.controller.light_sequence == ("top", "low")
     assert station.cameras[1].readout_us == 8000.0
     ordered = (("lights.top =", 'order = ["low", "top", "low"]\nlights.top ='),)
-    assert read_config(written(tmp_path, *real, *ordered)).controller.lights_in_turn == ("low", "top", "low")
+    assert read_config(written(tmp_path, *real, *ordered)).controller.light_sequence == ("low", "top", "low")
 
 
 def test_the_configuration_is_frozen(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ class CameraConfig(Section):
     nominal_px_per_mm: Positive | None = None
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """How sentences call it: "camera left", but "camera 0" where that is its name already."""
         return self.name if self.name.lower().startswith("camera") else f"camera {self.name}"
 
@@ -196,7 +196,7 @@ class ControllerConfig(Section):
         return self
 
     @property
-    def lights_in_turn(self) -> tuple[str, ...]:
+    def light_sequence(self) -> tuple[str, ...]:
         """Names of the lights of rows 0, 1, …, then from the start again."""
         return self.order or tuple(self.lights)
 

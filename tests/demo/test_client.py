@@ -28,7 +28,7 @@ from vaoi_station.files.images import encode_png
 PICTURE = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
-class Answers(BaseHTTPRequestHandler):
+class ServiceReplies(BaseHTTPRequestHandler):
     """`/refuse/STATUS`, `/picture`, `/events`, `/nothing`; everything else is answered by itself."""
 
     def do_GET(self) -> None:
@@ -70,7 +70,7 @@ class Answers(BaseHTTPRequestHandler):
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Answers)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), ServiceReplies)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     yield f"http://127.0.0.1:{server.server_address[1]}"

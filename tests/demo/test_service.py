@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.demo.interrupting import interruptible
 from vaoi_station.demo.service import Service
+from vaoi_station.demo.signal_handling import interruptible
 from vaoi_station.errors import DeviceError
 
 

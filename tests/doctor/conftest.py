@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.files import write_board_type, write_calibration
@@ -89,8 +89,8 @@ def config(station_toml: Path) -> StationConfig:
 
 
 @pytest.fixture
-def patient(config: StationConfig) -> Patient:
-    return Patient(config, Machine(), None)
+def context(config: StationConfig) -> CheckContext:
+    return CheckContext(config, Machine(), None)
 
 
 def changed(config: StationConfig, section: str, **fields: Any) -> StationConfig:
@@ -106,7 +106,7 @@ def only(findings: Any) -> Finding:
     return finding
 
 
-def is_bad(finding: Finding, level: Level, *words: str) -> None:
+def assert_problem(finding: Finding, level: Level, *words: str) -> None:
     """It has this level, says these words, and what to do."""
     assert finding.level is level, finding
     for word in words:
@@ -115,7 +115,7 @@ def is_bad(finding: Finding, level: Level, *words: str) -> None:
 
 
 @contextmanager
-def nobody() -> Iterator[None]:
+def without_privileges() -> Iterator[None]:
     """Be somebody without any rights for a while; makes a difference for root only."""
     if os.geteuid() != 0:
         yield

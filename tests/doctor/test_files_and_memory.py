@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.conftest import changed, is_bad, nobody, only
+from tests.doctor.conftest import assert_problem, changed, only, without_privileges
 from tests.needs import lacking
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import ReplayConfig, StationConfig
-from vaoi_station.doctor.check_context import Patient
-from vaoi_station.doctor.checks import documents, memory, storage
+from vaoi_station.doctor.check_context import CheckContext
+from vaoi_station.doctor.checks import configured_files, memory, storage
 from vaoi_station.doctor.checks import running_station as running
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
@@ -24,14 +24,20 @@ from vaoi_station.doctor.machine import Machine
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def with_config(patient: Patient, config: StationConfig) -> Patient:
-    return Patient(config, patient.machine, patient.running)
+def with_config(context: CheckContext, config: StationConfig) -> CheckContext:
+    return CheckContext(config, context.machine, context.running)
 
 
-def test_a_sound_station_has_nothing_to_complain_of(patient: Patient) -> None:
-    checks = (documents.calibration, documents.board_types, documents.stand_ins, storage.data, memory.ring_space)
+def test_a_sound_station_has_nothing_to_complain_of(context: CheckContext) -> None:
+    checks = (
+        configured_files.calibration,
+        configured_files.board_types,
+        configured_files.stand_ins,
+        storage.data,
+        memory.ring_space,
+    )
     for check in checks:
-        levels = {finding.level for finding in check(patient)}
+        levels = {finding.level for finding in check(context)}
         expected = {Level.OK, Level.WARNING} if check is memory.ring_space else {Level.OK}  # tmp_path may be on a disk
         assert levels <= expected, check
 
@@ -39,77 +45,79 @@ def test_a_sound_station_has_nothing_to_complain_of(patient: Patient) -> None:
 # ── documents ──
 
 
-def test_a_calibration_of_another_array(patient: Patient) -> None:
-    cameras = (*patient.config.cameras, patient.config.cameras[0].model_copy(update={"name": "third"}))
-    three = patient.config.model_copy(update={"cameras": cameras})
-    is_bad(only(documents.calibration(with_config(patient, three))), Level.FAULT, "calibration.json", "3")
+def test_a_calibration_of_another_array(context: CheckContext) -> None:
+    cameras = (*context.config.cameras, context.config.cameras[0].model_copy(update={"name": "third"}))
+    three = context.config.model_copy(update={"cameras": cameras})
+    assert_problem(
+        only(configured_files.calibration(with_config(context, three))), Level.FAULT, "calibration.json", "3"
+    )
 
 
-def test_a_calibration_that_is_not_there(patient: Patient) -> None:
-    patient.config.calibration.unlink()
-    is_bad(only(documents.calibration(patient)), Level.FAULT, "calibration.json: there is no such file")
+def test_a_calibration_that_is_not_there(context: CheckContext) -> None:
+    context.config.calibration.unlink()
+    assert_problem(only(configured_files.calibration(context)), Level.FAULT, "calibration.json: there is no such file")
 
 
-def test_board_types_that_cannot_be_read_are_named_one_by_one(patient: Patient) -> None:
-    directory = patient.config.board_types
+def test_board_types_that_cannot_be_read_are_named_one_by_one(context: CheckContext) -> None:
+    directory = context.config.board_types
     (directory / "broken.json").write_text('{"format": "vaoi-board",')
     (directory / "foreign.json").write_text('{"format": "something"}')
-    bad = [f for f in documents.board_types(patient) if f.level is Level.FAULT]
+    bad = [f for f in configured_files.board_types(context) if f.level is Level.FAULT]
     assert [f.subject for f in bad] == ["broken.json", "foreign.json"]
     assert all(f.action for f in bad)
 
 
-def test_no_directory_of_board_types_and_an_empty_one(patient: Patient) -> None:
-    shutil.rmtree(patient.config.board_types)
-    is_bad(only(documents.board_types(patient)), Level.FAULT, "there is no directory")
-    patient.config.board_types.mkdir()
-    is_bad(only(documents.board_types(patient)), Level.WARNING, "nothing to arm with")
+def test_no_directory_of_board_types_and_an_empty_one(context: CheckContext) -> None:
+    shutil.rmtree(context.config.board_types)
+    assert_problem(only(configured_files.board_types(context)), Level.FAULT, "there is no directory")
+    context.config.board_types.mkdir()
+    assert_problem(only(configured_files.board_types(context)), Level.WARNING, "nothing to arm with")
 
 
-def test_board_types_of_somebody_else(patient: Patient) -> None:
-    for directory in (patient.config.board_types, *patient.config.board_types.parents):
+def test_board_types_of_somebody_else(context: CheckContext) -> None:
+    for directory in (context.config.board_types, *context.config.board_types.parents):
         if directory.is_relative_to(Path("/tmp")) and os.access(directory, os.W_OK):
             directory.chmod(directory.stat().st_mode | 0o055)
-    patient.config.board_types.chmod(0o555)
-    with nobody():
-        finding = only(documents.board_types(patient))
-    is_bad(finding, Level.WARNING, "cannot be written to")
+    context.config.board_types.chmod(0o555)
+    with without_privileges():
+        finding = only(configured_files.board_types(context))
+    assert_problem(finding, Level.WARNING, "cannot be written to")
 
 
-def test_a_scenario_that_does_not_fit(patient: Patient) -> None:
-    is_bad(
-        only(documents.stand_ins(with_config(patient, changed(patient.config, "line", trigger_period_s=0.2)))),
+def test_a_scenario_that_does_not_fit(context: CheckContext) -> None:
+    assert_problem(
+        only(configured_files.stand_ins(with_config(context, changed(context.config, "line", trigger_period_s=0.2)))),
         Level.FAULT,
         "period_s is 0.2",
     )
 
 
-def test_recordings_that_are_not_there(patient: Patient, tmp_path: Path) -> None:
-    config = changed(patient.config, "controller", backend="replay")
+def test_recordings_that_are_not_there(context: CheckContext, tmp_path: Path) -> None:
+    config = changed(context.config, "controller", backend="replay")
     config = config.model_copy(update={"replay": ReplayConfig(recordings=(tmp_path / "gone",))})
-    is_bad(only(documents.stand_ins(with_config(patient, config))), Level.FAULT, "gone")
+    assert_problem(only(configured_files.stand_ins(with_config(context, config))), Level.FAULT, "gone")
 
 
 # ── disk ──
 
 
-def test_a_data_directory_without_rights(patient: Patient) -> None:
-    locked = patient.config.data.parent / "locked"
+def test_a_data_directory_without_rights(context: CheckContext) -> None:
+    locked = context.config.data.parent / "locked"
     locked.mkdir(mode=0o500)
-    config = patient.config.model_copy(update={"data": locked / "data"})
-    with nobody():
-        finding = only(storage.data(with_config(patient, config)))
-    is_bad(finding, Level.FAULT, "locked/data cannot be written to by this user")
+    config = context.config.model_copy(update={"data": locked / "data"})
+    with without_privileges():
+        finding = only(storage.data(with_config(context, config)))
+    assert_problem(finding, Level.FAULT, "locked/data cannot be written to by this user")
 
 
-def test_data_where_a_file_is(patient: Patient) -> None:
-    patient.config.data.write_text("")
-    is_bad(only(storage.data(patient)), Level.FAULT, "is not a directory")
+def test_data_where_a_file_is(context: CheckContext) -> None:
+    context.config.data.write_text("")
+    assert_problem(only(storage.data(context)), Level.FAULT, "is not a directory")
 
 
-def test_a_directory_that_will_be_made_is_fine_and_is_not_made(patient: Patient) -> None:
-    assert only(storage.data(patient)).level is Level.OK
-    assert not patient.config.data.exists()
+def test_a_directory_that_will_be_made_is_fine_and_is_not_made(context: CheckContext) -> None:
+    assert only(storage.data(context)).level is Level.OK
+    assert not context.config.data.exists()
 
 
 def own_mounts() -> list[str]:
@@ -152,59 +160,61 @@ def test_a_file_system_that_is_full(
     assert found[0]["action"]
 
 
-def test_a_directory_that_is_hidden(patient: Patient) -> None:
-    hidden = patient.config.data.parent / "hidden"
+def test_a_directory_that_is_hidden(context: CheckContext) -> None:
+    hidden = context.config.data.parent / "hidden"
     hidden.mkdir(mode=0)
-    config = patient.config.model_copy(update={"board_types": hidden / "types", "calibration": hidden / "c.json"})
+    config = context.config.model_copy(update={"board_types": hidden / "types", "calibration": hidden / "c.json"})
     config = changed(config, "ring", directory=hidden / "shm")
-    for check in (documents.board_types, documents.calibration, memory.ring_space):
-        with nobody():
-            finding = only(check(with_config(patient, config)))
-        is_bad(finding, Level.FAULT, "hidden")
+    for check in (configured_files.board_types, configured_files.calibration, memory.ring_space):
+        with without_privileges():
+            finding = only(check(with_config(context, config)))
+        assert_problem(finding, Level.FAULT, "hidden")
 
 
 # ── memory ──
 
 
-def test_a_ring_larger_than_any_memory(patient: Patient) -> None:
-    config = changed(patient.config, "line", longest_board_mm=1e9)
-    is_bad(next(iter(memory.ring_space(with_config(patient, config)))), Level.FAULT, "3 runs × 2 cameras", "has")
+def test_a_ring_larger_than_any_memory(context: CheckContext) -> None:
+    config = changed(context.config, "line", longest_board_mm=1e9)
+    assert_problem(
+        next(iter(memory.ring_space(with_config(context, config)))), Level.FAULT, "3 runs × 2 cameras", "has"
+    )
 
 
-def test_a_machine_with_little_memory_left(patient: Patient, tmp_path: Path) -> None:
+def test_a_machine_with_little_memory_left(context: CheckContext, tmp_path: Path) -> None:
     (tmp_path / "proc").mkdir()
-    needed = patient.layout.file_bytes
+    needed = context.layout.file_bytes
     for available, level in ((needed // 2, Level.FAULT), (needed + needed // 4, Level.WARNING), (2 * needed, Level.OK)):
         (tmp_path / "proc" / "meminfo").write_text(f"MemTotal: 1 kB\nMemAvailable: {available // 1024} kB\n")
-        poor = Patient(patient.config, Machine(tmp_path), None)
+        poor = CheckContext(context.config, Machine(tmp_path), None)
         assert only(memory.ring_space(poor)).level is level
 
 
-def test_no_directory_for_the_ring(patient: Patient) -> None:
-    patient.config.ring.directory.rmdir()
-    is_bad(only(memory.ring_space(patient)), Level.FAULT, "there is no directory")
+def test_no_directory_for_the_ring(context: CheckContext) -> None:
+    context.config.ring.directory.rmdir()
+    assert_problem(only(memory.ring_space(context)), Level.FAULT, "there is no directory")
 
 
-def test_a_ring_on_a_disk_is_told(patient: Patient, tmp_path: Path) -> None:
+def test_a_ring_on_a_disk_is_told(context: CheckContext, tmp_path: Path) -> None:
     (tmp_path / "proc").mkdir()
     mounts = f"proc /proc proc rw 0 0\n/dev/sda1 / ext4 rw 0 0\ntmpfs {tmp_path}/shm tmpfs rw 0 0\n"
     (tmp_path / "proc" / "mounts").write_text(mounts)
-    assert only(memory.ring_space(Patient(patient.config, Machine(tmp_path), None))).level is Level.OK
+    assert only(memory.ring_space(CheckContext(context.config, Machine(tmp_path), None))).level is Level.OK
     (tmp_path / "proc" / "mounts").write_text(mounts.replace("tmpfs ", "ext4 ").replace(" tmpfs rw", " ext4 rw"))
-    last = list(memory.ring_space(Patient(patient.config, Machine(tmp_path), None)))[-1]
-    is_bad(last, Level.WARNING, "is on ext4, not in memory")
+    last = list(memory.ring_space(CheckContext(context.config, Machine(tmp_path), None)))[-1]
+    assert_problem(last, Level.WARNING, "is on ext4, not in memory")
 
 
-def test_a_user_who_may_lock_little(patient: Patient) -> None:
+def test_a_user_who_may_lock_little(context: CheckContext) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, hard))
     try:
-        with nobody():
-            finding = only(memory.lock_limit(patient))
+        with without_privileges():
+            finding = only(memory.lock_limit(context))
     finally:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (soft, hard))
-    is_bad(finding, Level.WARNING, "this user may lock 65.5 kB of 18.4 MB")
-    assert memory.judge_lock(patient.layout.file_bytes, patient.layout.file_bytes).level is Level.OK
+    assert_problem(finding, Level.WARNING, "this user may lock 65.5 kB of 18.4 MB")
+    assert memory.judge_lock(context.layout.file_bytes, context.layout.file_bytes).level is Level.OK
     assert memory.judge_lock(resource.RLIM_INFINITY, 10**12).level is Level.OK
 
 
@@ -214,8 +224,8 @@ def test_a_process_that_has_its_ring(config: StationConfig) -> None:
         found = running.find(config)
         assert found is not None
         assert found.pid == os.getpid()
-        assert found.silence
-        held = Patient(config, Machine(), found)
+        assert found.no_reply_reason
+        held = CheckContext(config, Machine(), found)
         assert only(memory.ring_space(held)).level is Level.OK
         expected = Level.WARNING if ring.lock_note else Level.OK
         assert only(memory.lock_limit(held)).level is expected
@@ -223,5 +233,5 @@ def test_a_process_that_has_its_ring(config: StationConfig) -> None:
 
 
 def test_a_running_station_that_could_not_lock() -> None:
-    is_bad(memory.judge_locked(0, 1000, 7), Level.WARNING, "process 7 has not locked")
-    is_bad(memory.judge_locked(None, 1000, 7), Level.WARNING, "process 7 has not locked")
+    assert_problem(memory.judge_locked(0, 1000, 7), Level.WARNING, "process 7 has not locked")
+    assert_problem(memory.judge_locked(None, 1000, 7), Level.WARNING, "process 7 has not locked")

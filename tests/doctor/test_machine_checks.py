@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from tests.doctor.conftest import is_bad, nobody, only
+from tests.doctor.conftest import assert_problem, only, without_privileges
 from vaoi_station.acquisition.cameras.aravis import library
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import ApiConfig, CameraConfig, StationConfig
-from vaoi_station.doctor.check_context import Patient, Running
+from vaoi_station.doctor.check_context import CheckContext, RunningProcess
 from vaoi_station.doctor.checks import camera_library as aravis
 from vaoi_station.doctor.checks import cameras, controller, memory, network, software, usb
 from vaoi_station.doctor.checks import machine_clocks as timekeeping
@@ -43,7 +43,7 @@ def test_the_range_of_pythons_is_that_of_the_package() -> None:
 
 def test_a_library_that_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)  # Python's own way to say: not there
-    is_bad(only(software.libraries(Machine())), Level.FAULT, "numba cannot be imported")
+    assert_problem(only(software.libraries(Machine())), Level.FAULT, "numba cannot be imported")
 
 
 def test_no_place_for_compiled_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,25 +52,25 @@ def test_no_place_for_compiled_code(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     locked.mkdir(mode=0o500)
     assert software.judge_cache(str(tmp_path), locked, locked).level is Level.OK
     for given in (str(locked / "cache"), None):
-        with nobody():
+        with without_privileges():
             finding = software.judge_cache(given, locked / "package", locked / "home")
-        is_bad(finding, Level.WARNING, "every start compiles")
+        assert_problem(finding, Level.WARNING, "every start compiles")
 
 
 def test_clocks() -> None:
     assert timekeeping.judge_wall_clock(0, 1500).figures == {"synchronised": True, "max_error_ms": 1.5}
-    is_bad(timekeeping.judge_wall_clock(timekeeping.TIME_ERROR, 16_000_000), Level.WARNING, "nobody keeps")
+    assert_problem(timekeeping.judge_wall_clock(timekeeping.TIME_ERROR, 16_000_000), Level.WARNING, "nobody keeps")
     assert timekeeping.judge_wall_clock(-1, 0).level is Level.NOT_APPLICABLE
     assert timekeeping.judge_monotonic(1e-9, "tsc").level is Level.OK
-    is_bad(timekeeping.judge_monotonic(4e-3, "tsc"), Level.WARNING, "4000 µs")
-    is_bad(timekeeping.judge_monotonic(1e-9, "hpet"), Level.WARNING, "hpet")
+    assert_problem(timekeeping.judge_monotonic(4e-3, "tsc"), Level.WARNING, "4000 µs")
+    assert_problem(timekeeping.judge_monotonic(1e-9, "hpet"), Level.WARNING, "hpet")
 
 
 def test_the_kernel_is_asked_where_it_keeps_its_clock(tmp_path: Path) -> None:
     directory = tmp_path / "sys/devices/system/clocksource/clocksource0"
     directory.mkdir(parents=True)
     (directory / "current_clocksource").write_text("acpi_pm\n")
-    is_bad(only(timekeeping.monotonic_clock(Machine(tmp_path))), Level.WARNING, "acpi_pm")
+    assert_problem(only(timekeeping.monotonic_clock(Machine(tmp_path))), Level.WARNING, "acpi_pm")
 
 
 # ── the network's memory ──
@@ -92,7 +92,7 @@ def test_socket_buffers(config: StationConfig, tmp_path: Path, granted: str, lev
     kernel = tmp_path / "proc/sys/net/core"
     kernel.mkdir(parents=True)
     (kernel / "rmem_max").write_text(granted + "\n")
-    finding = only(network.socket_buffers(Patient(real(config), Machine(tmp_path), None)))
+    finding = only(network.socket_buffers(CheckContext(real(config), Machine(tmp_path), None)))
     assert finding.level is level
     if level is Level.WARNING:
         assert finding.figures == {"rmem_max_bytes": 212992, "needed_bytes": 10 * 1392 * 1040}
@@ -113,10 +113,10 @@ def test_without_pygobject(config: StationConfig, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "gi", None)
     library.aravis.cache_clear()
     try:
-        finding = only(aravis.aravis(Patient(real(config), Machine(), None)))
+        finding = only(aravis.aravis(CheckContext(real(config), Machine(), None)))
     finally:
         library.aravis.cache_clear()
-    is_bad(finding, Level.FAULT, "cannot be used from Python")
+    assert_problem(finding, Level.FAULT, "cannot be used from Python")
     assert "apt install" in finding.action
 
 
@@ -128,7 +128,7 @@ def test_versions_of_aravis(version: tuple[int, int, int], perhaps_usb: int, lev
     finding = aravis.judge_version(version, "3.42.2", perhaps_usb)
     assert finding.level is level
     if level is Level.WARNING:
-        is_bad(finding, level, "unreliable with USB3")
+        assert_problem(finding, level, "unreliable with USB3")
 
 
 @pytest.mark.parametrize(
@@ -141,14 +141,14 @@ def test_usb_memory(config: StationConfig, tmp_path: Path, granted: str | None, 
         parameter = tmp_path / usb.PARAMETER
         parameter.parent.mkdir(parents=True)
         parameter.write_text(granted + "\n")
-    finding = only(usb.memory(Patient(by_serial(config), Machine(tmp_path), None)))
+    finding = only(usb.memory(CheckContext(by_serial(config), Machine(tmp_path), None)))
     assert finding.level is level
     if level is Level.FAULT:
-        is_bad(finding, level, "usbfs_memory_mb is 15, 2 cameras on USB need 16")
+        assert_problem(finding, level, "usbfs_memory_mb is 15, 2 cameras on USB need 16")
 
 
 def test_cameras_with_addresses_need_no_usb(config: StationConfig) -> None:
-    assert only(usb.memory(Patient(real(config), Machine(), None))).level is Level.NOT_APPLICABLE
+    assert only(usb.memory(CheckContext(real(config), Machine(), None))).level is Level.NOT_APPLICABLE
 
 
 # ── a station that runs ──
@@ -193,10 +193,10 @@ def at_port(config: StationConfig, port: int) -> StationConfig:
 def test_an_owner_that_does_not_answer(owned: StationConfig) -> None:
     found = running.find(owned)
     assert found is not None
-    held = Patient(owned, Machine(), found)
-    is_bad(only(running.station(held)), Level.WARNING, f"process {os.getpid()} uses", "ConnectionRefused")
-    is_bad(only(cameras.cameras(held)), Level.WARNING, "left alone")
-    is_bad(only(controller.controller(held)), Level.WARNING, "left alone")
+    held = CheckContext(owned, Machine(), found)
+    assert_problem(only(running.station(held)), Level.WARNING, f"process {os.getpid()} uses", "ConnectionRefused")
+    assert_problem(only(cameras.cameras(held)), Level.WARNING, "left alone")
+    assert_problem(only(controller.controller(held)), Level.WARNING, "left alone")
 
 
 def test_a_station_of_another_user_is_no_stranger_at_the_port(config: StationConfig, tmp_path: Path) -> None:
@@ -207,9 +207,9 @@ def test_a_station_of_another_user_is_no_stranger_at_the_port(config: StationCon
     path.chmod(0)
     for directory in [path.parent, *path.parent.parents][:-2]:
         directory.chmod(directory.stat().st_mode | 0o011)
-    with Answering(200, snapshot) as station, nobody():
+    with Answering(200, snapshot) as station, without_privileges():
         found = running.find(at_port(config, station.port))
-        held = Patient(at_port(config, station.port), Machine(), found)
+        held = CheckContext(at_port(config, station.port), Machine(), found)
         finding = only(running.station(held))
         lock = only(memory.lock_limit(held))
     assert (finding.level, finding.message) == (
@@ -226,14 +226,16 @@ def test_an_answer_that_is_no_stations(owned: StationConfig, status: int, body: 
     with Answering(status, body) as stranger:
         found = running.find(at_port(owned, stranger.port))
     assert found is not None
-    assert found.silence.startswith(("ValueError", "JSONDecodeError"))
+    assert found.no_reply_reason.startswith(("ValueError", "JSONDecodeError"))
 
 
 def test_a_port_that_another_program_has(config: StationConfig) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        is_bad(only(running.station(Patient(at_port(config, port), Machine(), None))), Level.FAULT, f":{port}")
-    assert only(running.station(Patient(at_port(config, port), Machine(), None))).level is Level.OK
+        assert_problem(
+            only(running.station(CheckContext(at_port(config, port), Machine(), None))), Level.FAULT, f":{port}"
+        )
+    assert only(running.station(CheckContext(at_port(config, port), Machine(), None))).level is Level.OK
 
 
 def test_what_a_station_complains_of_is_passed_on(config: StationConfig) -> None:
@@ -248,13 +250,13 @@ def test_what_a_station_complains_of_is_passed_on(config: StationConfig) -> None
         ],
         "controller": "armed",
     }
-    held = Patient(config, Machine(), Running(4711, snapshot))
+    held = CheckContext(config, Machine(), RunningProcess(4711, snapshot))
     state, fault, warning = running.station(held)
     assert state.level is Level.OK
-    is_bad(fault, Level.FAULT, "there is no camera")
-    is_bad(warning, Level.WARNING, "was knocked")
+    assert_problem(fault, Level.FAULT, "there is no camera")
+    assert_problem(warning, Level.WARNING, "was knocked")
     left, right = cameras.cameras(held)
-    is_bad(left, Level.FAULT, "is not connected: not open yet")
+    assert_problem(left, Level.FAULT, "is not connected: not open yet")
     assert (right.level, right.figures["delivered"]) == (Level.OK, 7)
     assert only(controller.controller(held)).message == "armed"
 
@@ -269,5 +271,5 @@ def test_packets_that_a_camera_does_not_send() -> None:
     wish = {"name": "a", "backend": "aravis", "address": "127.0.0.1", "exposure_us": 100.0, "packet_bytes": 40000}
     camera = CameraConfig.model_validate({**wish, "width": 64, "height": 64})
     found = cameras.judge_port("lo", [(camera, offered)], 0.1)
-    is_bad(found, Level.WARNING, "a is to have 40000")
+    assert_problem(found, Level.WARNING, "a is to have 40000")
     assert found.action.startswith("Set packet_bytes to 16000")

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.doctor.conftest import is_bad, nobody, only
+from tests.doctor.conftest import assert_problem, only, without_privileges
 from tests.hw.emulated.paced import PacedChip
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
@@ -23,7 +23,7 @@ from vaoi_station.acquisition.controller.protocol.messages import REPLY, Request
 from vaoi_station.acquisition.controller.serial.exchange import Exchange
 from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks.controller import LATENCY, controller, judge_clock, judge_latency
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
@@ -31,7 +31,7 @@ from vaoi_station.doctor.machine import Machine
 RING = {"ring": {"channels": [0, 1], "on_us": 250.0}}
 
 
-def patient_of(port: Path, **settings: Any) -> Patient:
+def patient_of(port: Path, **settings: Any) -> CheckContext:
     document = {
         "calibration": "c.json",
         "board_types": "types",
@@ -45,7 +45,7 @@ def patient_of(port: Path, **settings: Any) -> Patient:
         ],
         "controller": {"backend": "serial", "port": str(port), **settings},
     }  # fmt: skip
-    return Patient(StationConfig.model_validate(document), Machine(), None)
+    return CheckContext(StationConfig.model_validate(document), Machine(), None)
 
 
 def by_subject(findings: Iterable[Finding]) -> dict[str, Finding]:
@@ -83,22 +83,22 @@ def test_the_barrier_is_told_as_it_is(paced: PacedChip) -> None:
 def test_a_light_beyond_the_firmwares_limits(paced: PacedChip) -> None:
     lights = {"flash": {"channels": [2], "on_us": 800.0}}
     limits = by_subject(controller(patient_of(paced.link, lights=lights)))["limits"]
-    is_bad(limits, Level.FAULT, "controller.lights.flash.on_us is 800", "500")
+    assert_problem(limits, Level.FAULT, "controller.lights.flash.on_us is 800", "500")
 
 
 def test_a_controller_that_made_itself_safe(paced: PacedChip) -> None:
     asked(paced.link, Type.SAFE)
-    is_bad(by_subject(controller(patient_of(paced.link)))["state"], Level.WARNING, "safe (commanded)")
+    assert_problem(by_subject(controller(patient_of(paced.link)))["state"], Level.WARNING, "safe (commanded)")
 
 
 def test_no_port(tmp_path: Path) -> None:
-    is_bad(only(controller(patient_of(tmp_path / "gone"))), Level.FAULT, "there is no", "gone")
+    assert_problem(only(controller(patient_of(tmp_path / "gone"))), Level.FAULT, "there is no", "gone")
 
 
 def test_a_port_that_is_no_device(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    is_bad(only(controller(patient_of(tmp_path / "file"))), Level.FAULT, "is no serial port")
-    is_bad(only(controller(patient_of(Path("/dev/null")))), Level.FAULT, "/dev/null is no serial port")
+    assert_problem(only(controller(patient_of(tmp_path / "file"))), Level.FAULT, "is no serial port")
+    assert_problem(only(controller(patient_of(Path("/dev/null")))), Level.FAULT, "/dev/null is no serial port")
 
 
 @pytest.fixture
@@ -113,9 +113,9 @@ def terminal() -> Iterator[tuple[int, Path]]:
 
 def test_a_port_of_somebody_else(terminal: tuple[int, Path]) -> None:
     terminal[1].chmod(0)
-    with nobody():
+    with without_privileges():
         finding = only(controller(patient_of(terminal[1])))
-    is_bad(finding, Level.FAULT, "may not be read and written by this user")
+    assert_problem(finding, Level.FAULT, "may not be read and written by this user")
     assert finding.action.startswith("usermod -aG")
 
 
@@ -128,7 +128,7 @@ def test_a_port_that_another_program_uses(terminal: tuple[int, Path]) -> None:
         assert holder.stdout.readline() == "held\n"
         finding = only(controller(patient_of(terminal[1])))
         holder.communicate("")
-    is_bad(finding, Level.FAULT, "is in use by", f"process {holder.pid}")
+    assert_problem(finding, Level.FAULT, "is in use by", f"process {holder.pid}")
 
 
 class Stranger:
@@ -164,7 +164,7 @@ def test_a_device_that_is_not_ours(terminal: tuple[int, Path], payload: bytes | 
     Stranger(terminal[0], payload)
     found = by_subject(controller(patient_of(terminal[1])))
     assert found["port"].level is Level.OK
-    is_bad(found["firmware"], Level.FAULT, said)
+    assert_problem(found["firmware"], Level.FAULT, said)
     assert set(found) == {"port", "firmware"}
 
 
@@ -172,7 +172,7 @@ def test_a_bridge_that_keeps_bytes_back(tmp_path: Path) -> None:
     latency = tmp_path / LATENCY.format(name="ttyUSB0")
     latency.parent.mkdir(parents=True)
     latency.write_text("16\n")
-    is_bad(only(judge_latency(Path("/nowhere/ttyUSB0"), Machine(tmp_path))), Level.WARNING, "16 ms")
+    assert_problem(only(judge_latency(Path("/nowhere/ttyUSB0"), Machine(tmp_path))), Level.WARNING, "16 ms")
     latency.write_text("1\n")
     assert list(judge_latency(Path("/nowhere/ttyUSB0"), Machine(tmp_path))) == []
 
@@ -184,5 +184,5 @@ def test_a_clock_that_is_known_badly() -> None:
         return judge_clock([ClockReading(float(k), 100.0 + k, bound_s) for k in range(10)], period_s)
 
     assert judged(1e-3, 0.125).level is Level.OK
-    is_bad(judged(3e-3, 0.125), Level.FAULT, "± 3.00 ms", "must be to ± 2 ms")
-    is_bad(judged(1e-3, 0.006), Level.FAULT, "must be to ± 0.6 ms")
+    assert_problem(judged(3e-3, 0.125), Level.FAULT, "± 3.00 ms", "must be to ± 2 ms")
+    assert_problem(judged(1e-3, 0.006), Level.FAULT, "must be to ± 0.6 ms")

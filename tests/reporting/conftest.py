@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.reporting import Story, tell
+from vaoi_station.reporting import StitchedRun, restitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.stitching.recordings.opening import open_run
@@ -21,5 +21,5 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def story(run: Path) -> Story:
-    return tell(open_run(run))
+def stitched(run: Path) -> StitchedRun:
+    return restitch(open_run(run))

@@ -8,14 +8,14 @@ import pytest
 from playwright.sync_api import sync_playwright
 
 from tests.needs import chromium
-from vaoi_station.reporting import Story, write_report
+from vaoi_station.reporting import StitchedRun, write_report
 
 pytestmark = pytest.mark.browser
 
 
-def test_the_browser_asks_for_nothing_and_complains_of_nothing(story: Story, tmp_path: Path) -> None:
+def test_the_browser_asks_for_nothing_and_complains_of_nothing(stitched: StitchedRun, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    write_report(path, story)
+    write_report(path, stitched)
     asked: list[str] = []
     complaints: list[str] = []
     with sync_playwright() as playwright:

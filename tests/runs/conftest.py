@@ -20,7 +20,7 @@ from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, St
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files import write_board_type
-from vaoi_station.files.results import gist, stitch_text
+from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.model import (
     BoardType,
     Calibration,
@@ -140,7 +140,9 @@ class ScriptedWorkers:
         if isinstance(job, LinkJob):
             done(Reply(tuple(Linked.of(Links.empty(task, "scripted"), 0.001) for task in job.tasks), None, 0.001))
         elif isinstance(job, ConcludeJob):
-            done(Reply(Concluded(gist(stitch := self.result(job.head)), stitch_text(stitch)), None, 0.002))
+            done(
+                Reply(Concluded(without_components(stitch := self.result(job.head)), stitch_text(stitch)), None, 0.002)
+            )
         elif isinstance(job, CheckJob):
             done(Reply(self.check(job.run), None, 0.003))
         else:

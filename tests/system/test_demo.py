@@ -18,7 +18,7 @@ import cv2
 import pytest
 
 from vaoi_station.demo.client import Client
-from vaoi_station.demo.report import DemoReport
+from vaoi_station.demo.demo_report import DemoReport
 from vaoi_station.simulation import scenario_path
 
 ROOT = Path(__file__).parents[2]

@@ -14,8 +14,8 @@ from tests.system.real_board import station_of
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
-from vaoi_station.demo.site import as_toml
-from vaoi_station.demo.watching import next_run, until_idle
+from vaoi_station.demo.station_files import to_toml
+from vaoi_station.demo.waiting import wait_for_run, wait_until_idle
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
@@ -35,7 +35,7 @@ EVERY = 4
 def station_toml(case: Path, directory: Path) -> Path:
     path = directory / "station.toml"
     config = station_of(case, directory, pace="original", pause_s=0.2, runs=RUNS)
-    path.write_text(as_toml(config), encoding="utf-8")
+    path.write_text(to_toml(config), encoding="utf-8")
     return path
 
 
@@ -63,12 +63,12 @@ def test_boards_back_to_back_at_their_own_pace(
     held: list[dict[str, int]] = []
     with Service(path) as service:
         client = Client(service.address)
-        until_idle(client)
+        wait_until_idle(client)
         [board_type] = client.get("/board-types")["board_types"]
         client.post("/station/arm", board_type=board_type["name"], runs=RUNS)
         after = None
         for number in range(RUNS):
-            run = next_run(client, after)
+            run = wait_for_run(client, after)
             after = run["id"]
             assert (run["verdict"], run["counts"]["ok"]) == (expected.status, 18), run["reasons"]
             assert apart_px(client.get(f"/runs/{after}/matrices"), expected, recording) <= 1e-6

@@ -15,8 +15,8 @@ import pytest
 from vaoi_station.config import StationConfig
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
-from vaoi_station.demo.site import as_toml
-from vaoi_station.demo.watching import next_run, until_idle
+from vaoi_station.demo.station_files import to_toml
+from vaoi_station.demo.waiting import wait_for_run, wait_until_idle
 from vaoi_station.errors import BusyError, NotFoundError
 
 PATIENCE_S = 60.0
@@ -30,9 +30,9 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
         def start(config: StationConfig) -> Client:
             path = tmp_path / "station.toml"
-            path.write_text(as_toml(config), encoding="utf-8")
+            path.write_text(to_toml(config), encoding="utf-8")
             client = Client(services.enter_context(Service(path)).address)
-            until_idle(client)
+            wait_until_idle(client)
             return client
 
         yield start
@@ -70,7 +70,7 @@ def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(cl
     refusal = problem(client, "POST", "/station/arm", board_type="small", job_id="second")
     assert (refusal["status"], refusal["type"]) == (409, "/problems/wrong-state")
     assert refusal["detail"] == "The station is filming; arm is not possible now."
-    run = next_run(client, None)
+    run = wait_for_run(client, None)
     assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", "first", 0)
 
 
@@ -88,7 +88,7 @@ def test_a_worker_killed_while_a_board_passes_costs_nothing(client: Client) -> N
     until(client, "run", "filming")
     [victim] = [p["pid"] for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
     os.kill(victim, signal.SIGKILL)
-    run = next_run(client, None)
+    run = wait_for_run(client, None)
     assert (run["verdict"], run["counts"]) == ("ok", {"ok": 12, "incomplete": 0, "missing": 0}), run["reasons"]
     matrices = client.get(f"/runs/{run['id']}/matrices")
     assert matrices["status"] == "ok"

@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.config import StationConfig
-from vaoi_station.demo.site import as_toml
+from vaoi_station.demo.station_files import to_toml
 from vaoi_station.files import write_recording
 from vaoi_station.files.layouts import Layout, write_layout
 from vaoi_station.marks.artwork import Shape, coverage
@@ -110,7 +110,7 @@ def make_config(tmp_path: Path, painter: Painter) -> Callable[..., StationConfig
 @contextmanager
 def _viewing(config: StationConfig, folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """`vaoi view` as a process, and its address; ended by SIGTERM."""
-    (folder / "station.toml").write_text(as_toml(config))
+    (folder / "station.toml").write_text(to_toml(config))
     command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(folder / "station.toml"), "--port", "0"]
     process = subprocess.Popen(
         [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ}

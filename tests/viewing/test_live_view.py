@@ -13,7 +13,7 @@ import httpx2
 import pytest
 
 from vaoi_station.config import StationConfig
-from vaoi_station.demo.site import as_toml
+from vaoi_station.demo.station_files import to_toml
 from vaoi_station.errors import InputError
 from vaoi_station.viewing.live_view import one_row
 from vaoi_station.viewing.mark_spec import MarkSpec
@@ -64,7 +64,7 @@ def test_frames_keep_coming_until_it_is_stopped(make_config: Make, layout: Path,
 
 
 def test_a_replay_cannot_be_looked_at_without_its_boards(make_config: Make, tmp_path: Path) -> None:
-    (tmp_path / "station.toml").write_text(as_toml(make_config()))
+    (tmp_path / "station.toml").write_text(to_toml(make_config()))
     command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(tmp_path / "station.toml"), "--port", "0"]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert refused.returncode != 0

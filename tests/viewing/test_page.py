@@ -16,7 +16,7 @@ from playwright.sync_api import Page, expect, sync_playwright
 from tests.needs import chromium
 from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.demo.site import build_site
+from vaoi_station.demo.station_files import write_station_files
 from vaoi_station.simulation import calibration_board, scenario_path
 from vaoi_station.viewing.app import create_app
 from vaoi_station.viewing.latest_frames import LatestFrames
@@ -93,7 +93,7 @@ def test_the_best_focus_is_remembered_and_hold_holds(page: Page, newest: LatestF
 def test_the_calibration_board_is_seen_steadily_though_nothing_passes(
     browser: Page, viewing: Callable[..., Any], tmp_path: Path
 ) -> None:
-    toml, twin = build_site(scenario_path("small"), tmp_path)
+    toml, twin = write_station_files(scenario_path("small"), tmp_path)
     (tmp_path / "layout.json").write_text(json.dumps(calibration_board.layout(twin)))
     with viewing(read_config(toml), tmp_path, "--rate", "5", "--layout", str(tmp_path / "layout.json")) as (address, _):
         browser.goto(address)

@@ -21,7 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from vaoi_station import __version__
 from vaoi_station.api.hosts import addressed, allowed_names
 from vaoi_station.api.problems import problem_response
-from vaoi_station.files.documents import TwinKeyError, refuse_twins
+from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
 
 MAX_BODY_BYTES = 8 * 1024 * 1024
 """A board type of twenty thousand components has about 3 MB."""
@@ -138,8 +138,8 @@ def _foreign(headers: Headers) -> bool:
 def _twin_in(body: bytes) -> str | None:
     """What key appears twice in an object of a JSON body; what else may be wrong with it is told by its reader."""
     try:
-        json.loads(body, object_pairs_hook=refuse_twins)
-    except TwinKeyError as twin:
+        json.loads(body, object_pairs_hook=refuse_duplicate_keys)
+    except DuplicateKeyError as twin:
         return str(twin)
     except (ValueError, RecursionError):
         return None

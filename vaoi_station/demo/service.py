@@ -32,7 +32,7 @@ class Service:
 
     def __init__(self, config: Path, port: int = 0) -> None:
         """`config` is a station.toml; port 0: any that is free."""
-        self._command = [sys.executable, "-m", "vaoi_station.demo.child", str(config), str(port)]
+        self._command = [sys.executable, "-m", "vaoi_station.demo.service_process", str(config), str(port)]
         self._log: deque[str] = deque(maxlen=_LOG_LINES)
         self._found: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._process: subprocess.Popen[str] | None = None

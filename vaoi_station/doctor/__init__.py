@@ -4,8 +4,8 @@ It looks and changes nothing: no setting of a camera, no file, no parameter of t
 cameras and controller are the station's; it is asked over REST instead.
 """
 
-from vaoi_station.doctor.examination import examine
 from vaoi_station.doctor.finding import Finding, Level, Report
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.runner import run_checks
 
-__all__ = ["Finding", "Level", "Machine", "Report", "examine"]
+__all__ = ["Finding", "Level", "Machine", "Report", "run_checks"]

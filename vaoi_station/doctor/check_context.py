@@ -12,34 +12,34 @@ from vaoi_station.doctor.machine import Machine
 
 
 @dataclass(frozen=True)
-class Running:
+class RunningProcess:
     """The process that owns the station's memory now: the station, or `vaoi record` or `view` in its place."""
 
     pid: int | None
     """None: it is another user's, and may not be looked at."""
     snapshot: dict[str, Any] = field(default_factory=dict)
     """Its answer to GET station; empty where it gave none."""
-    silence: str = ""
+    no_reply_reason: str = ""
     """Why it gave none."""
 
     @property
-    def who(self) -> str:
+    def description(self) -> str:
         """In a sentence."""
         return "a process of another user" if self.pid is None else f"process {self.pid}"
 
     @property
-    def look(self) -> str:
+    def inspect_command(self) -> str:
         """How to find out what it is."""
         return "sudo vaoi doctor …" if self.pid is None else f"ps -fp {self.pid}"
 
 
 @dataclass(frozen=True)
-class Patient:
+class CheckContext:
     """A configuration, the machine it is to run on, and whether it does."""
 
     config: StationConfig
     machine: Machine
-    running: Running | None
+    running: RunningProcess | None
 
     @property
     def layout(self) -> RingLayout:

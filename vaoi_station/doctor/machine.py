@@ -120,7 +120,7 @@ def _seen(path: Path) -> bool:
         return False
 
 
-def shown_bytes(count: float) -> str:
+def format_bytes(count: float) -> str:
     """Bytes for people: 2.1 GB, 348 MB, 64 kB."""
     for unit, size in (("GB", 1e9), ("MB", 1e6)):
         if count >= size:

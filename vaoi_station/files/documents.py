@@ -19,14 +19,14 @@ from vaoi_station.errors import InputError, InternalError, NotFoundError
 M = TypeVar("M", bound=BaseModel)
 
 
-class TwinKeyError(ValueError):
+class DuplicateKeyError(ValueError):
     """A key appears twice in one JSON object: readers would disagree which of the two holds."""
 
 
 def read_json(path: Path) -> Any:
     """Parse a JSON file; NaN and infinities, which JSON does not have, are refused."""
     try:
-        data = json.loads(_text(path), object_pairs_hook=refuse_twins)
+        data = json.loads(_text(path), object_pairs_hook=refuse_duplicate_keys)
     except json.JSONDecodeError as error:
         raise InputError(
             f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}."
@@ -147,10 +147,10 @@ def _not_finite(data: Any, key: str = "") -> tuple[str, float] | None:
     return next((fault for fault in faults if fault is not None), None)
 
 
-def refuse_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Hook of the JSON reader: an object without a key that appears twice; `TwinKeyError` otherwise."""
+def refuse_duplicate_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Hook of the JSON reader: an object without a key that appears twice; `DuplicateKeyError` otherwise."""
     keys = dict(pairs)
     if len(keys) != len(pairs):
         twin = next(k for n, (k, _) in enumerate(pairs) if k in [p[0] for p in pairs[:n]])
-        raise TwinKeyError(f"key {twin!r} appears twice in one object")
+        raise DuplicateKeyError(f"key {twin!r} appears twice in one object")
     return keys

@@ -41,7 +41,7 @@ def stitch_text(stitch: Stitch) -> str:
     return text
 
 
-def gist(stitch: Stitch) -> Stitch:
+def without_components(stitch: Stitch) -> Stitch:
     """A result less what it says of every component: a large board's is a tenth of the whole."""
     quality = {key: value for key, value in stitch.quality.items() if key not in _OF_COMPONENTS}
     return stitch.model_copy(update={"components": None, "quality": quality})

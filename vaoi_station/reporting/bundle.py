@@ -9,50 +9,50 @@ from pathlib import Path
 import numpy as np
 
 from vaoi_station.files import write_stitch
+from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.files.drafts import drafted
-from vaoi_station.reporting.document import write_report
-from vaoi_station.reporting.restitched import Story
-from vaoi_station.reporting.sections.numbers import link_arrays, sighting_arrays
+from vaoi_station.reporting.html_report import write_report
+from vaoi_station.reporting.sections.embedded_data import detection_arrays, link_arrays
+from vaoi_station.reporting.stitched_run import StitchedRun
 
 REPORT, RESULT, LINKS, REFERENCE = "report.html", "result.json", "links.npz", "reference"
 
 
-def write_bundle(directory: Path, story: Story) -> None:
+def write_bundle(directory: Path, stitched: StitchedRun) -> None:
     """Write recording, calibration, board type, reference, result, links and report into a new directory.
 
     It is a recording by itself, so that `vaoi stitch` and `vaoi report` take it as it is. Keys of the report's
-    arrays are those of `numbers.link_arrays` and `numbers.sighting_arrays` (the latter with `sighting_` before).
+    arrays are those of `numbers.link_arrays` and `numbers.detection_arrays` (the latter with `sighting_` before).
 
     Raises:
         StateError: the directory exists.
     """
-    with drafted(directory) as draft:
-        _fill(draft, story)
+    with new_directory(directory) as draft:
+        _fill(draft, stitched)
 
 
-def replay_command(directory: Path, story: Story) -> str:
+def replay_command(directory: Path, stitched: StitchedRun) -> str:
     """How the bundle is stitched again."""
-    words = ["vaoi stitch", str(directory), "--method", story.stitch.method]
-    if story.opened.reference:
+    words = ["vaoi stitch", str(directory), "--method", stitched.result.method]
+    if stitched.opened.reference:
         words += ["--reference", str(directory / REFERENCE)]
     return " ".join([*words, "--out again.json"])
 
 
-def _fill(draft: Path, story: Story) -> None:
-    o = story.opened
+def _fill(draft: Path, stitched: StitchedRun) -> None:
+    o = stitched.opened
     _copy_recording(o.recording.directory, draft, [p for key in o.present if (p := o.recording.frame_path(*key))])
     shutil.copyfile(o.calibration_path, draft / "calibration.json")
     if o.board_path:
         shutil.copyfile(o.board_path, draft / "board.json")
     if o.reference:
         shutil.copytree(o.reference.recording.directory, draft / REFERENCE, ignore=shutil.ignore_patterns("truth.json"))
-    write_stitch(draft / RESULT, story.stitch)
-    arrays = link_arrays(story) | {f"sighting_{k}": v for k, v in sighting_arrays(story).items()}
+    write_stitch(draft / RESULT, stitched.result)
+    arrays = link_arrays(stitched) | {f"sighting_{k}": v for k, v in detection_arrays(stitched).items()}
     packed = io.BytesIO()
     np.savez_compressed(packed, allow_pickle=False, **arrays)
     write_bytes(draft / LINKS, packed.getvalue())
-    write_report(draft / REPORT, story)
+    write_report(draft / REPORT, stitched)
 
 
 def _copy_recording(source: Path, draft: Path, frames: list[Path]) -> None:

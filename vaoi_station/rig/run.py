@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.demo.client import Client
-from vaoi_station.demo.scratch import scratch_folder
 from vaoi_station.demo.service import Service
-from vaoi_station.demo.watching import until_idle
+from vaoi_station.demo.temporary_folder import temporary_folder
+from vaoi_station.demo.waiting import wait_until_idle
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.rig.fault_injection import FaultInjector, frame_faults_of
 from vaoi_station.rig.line.assembly import Devices, prepare_boards
@@ -78,7 +78,7 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
     """
     scenario = with_belt_faults(plan.scenario, plan.faults)
     began_s = time.monotonic()
-    with scratch_folder("rig") as folder:
+    with temporary_folder("rig") as folder:
         rendered = prepare_boards(
             scenario, plan.faults, plan.boards, plan.different, plan.cache or folder / "rendered", progress
         )
@@ -111,7 +111,7 @@ def _run_boards(
 ) -> tuple[_Record, list[Any], tuple[Recovery, ...]]:
     """Arm the station, let all boards pass and collect everything that the score needs."""
     client, record = Client(service.address), _Record()
-    until_idle(client)
+    wait_until_idle(client)
     with StatusWatch(Client(service.address)) as watch:
         injector.attach(devices)
         injector.set_process_source(lambda: _processes(service, watch.last))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vaoi_station.acquisition.ring.ring import RingLayout
 from vaoi_station.config import CameraConfig, ControllerConfig, LightConfig, RingConfig, StationConfig
-from vaoi_station.demo.site import as_toml, ring_directory
+from vaoi_station.demo.station_files import ring_directory, to_toml
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
@@ -52,7 +52,7 @@ def build_site(
     directory = ring_directory(RingLayout.of(config).file_bytes, folder)
     config = config.model_copy(update={"ring": RingConfig(directory=directory)})
     path = folder / "station.toml"
-    write_bytes(path, as_toml(config).encode())
+    write_bytes(path, to_toml(config).encode())
     return path
 
 

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from vaoi_station.cli import app
-from vaoi_station.demo.site import build_site
+from vaoi_station.demo.station_files import write_station_files
 from vaoi_station.errors import InputError
 from vaoi_station.simulation import Twin, calibration_board, read_scenario, scenario_path
 
@@ -18,7 +18,7 @@ from vaoi_station.simulation import Twin, calibration_board, read_scenario, scen
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     """A station on the twin."""
-    return build_site(scenario_path("small"), tmp_path)[0]
+    return write_station_files(scenario_path("small"), tmp_path)[0]
 
 
 def test_a_program_gets_one_document(config: Path) -> None:

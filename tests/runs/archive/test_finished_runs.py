@@ -44,7 +44,7 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
         == rig.coordinator._core.book.filming[0].order.setup.cameras[1].image_from_row.matrix.tolist()
     )
     lost = archive.get(half.run)
-    assert (lost.detail.state, lost.detail.verdict, lost.gist) == ("gone", None, None)
+    assert (lost.detail.state, lost.detail.verdict, lost.without_components) == ("gone", None, None)
     assert lost.detail.reasons[-1].code == "station-restarted"
     latest = archive.latest()
     assert latest is not None

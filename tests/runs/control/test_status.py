@@ -20,8 +20,8 @@ from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 )
 def test_a_camera_is_named_once(name: str, told: str) -> None:
     camera = CameraConfig(name=name, backend="aravis", address="127.0.0.2", width=64, height=48, exposure_us=100.0)
-    assert not_connected(camera.called, f"{camera.called}: there is no camera at 127.0.0.2.") == told
-    assert not_connected(camera.called, "") == told[: told.index(".") + 1]
+    assert not_connected(camera.label, f"{camera.label}: there is no camera at 127.0.0.2.") == told
+    assert not_connected(camera.label, "") == told[: told.index(".") + 1]
 
 
 def test_workers_that_are_not_there_yet_are_a_warning() -> None:

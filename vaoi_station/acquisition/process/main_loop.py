@@ -91,7 +91,7 @@ class _Loop:
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._clocks = [ClockModel("controller"), *(ClockModel(c.called) for c in config.cameras)]
+        self._clocks = [ClockModel("controller"), *(ClockModel(c.label) for c in config.cameras)]
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
         self._sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
         self._closing = threading.Event()

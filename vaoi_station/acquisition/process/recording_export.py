@@ -9,7 +9,7 @@ from pathlib import Path
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.files import Recording, open_recording, write_recording
-from vaoi_station.files.drafts import drafted
+from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.images import Image
 from vaoi_station.model import RecordingHead, Verdict
 
@@ -26,7 +26,7 @@ def keep_run(
         generation: of its bay; `GoneError` if the memory goes to another board meanwhile.
         copies: name in the recording → file to copy there ("calibration.json", "board.json").
     """
-    with drafted(directory) as draft:
+    with new_directory(directory) as draft:
         for name, source in (copies or {}).items():
             shutil.copyfile(source, draft / name)
         write_recording(draft, recording_head(finished), _frames(finished, ring, generation))

@@ -33,20 +33,22 @@ def report(
 ) -> None:
     """Stitch a recorded run and show how: one HTML file that needs nothing else."""
     from vaoi_station.errors import StateError
-    from vaoi_station.reporting import tell, write_bundle, write_report
+    from vaoi_station.reporting import restitch, write_bundle, write_report
     from vaoi_station.reporting.bundle import REPORT, replay_command
     from vaoi_station.stitching.recordings.opening import open_run
 
     if bundle is not None and bundle.exists():
         raise StateError(f"{bundle}: exists already.", action="Choose another directory, or remove this one.")
     opened = open_run(run, calibration=calibration, board=board, reference=reference, method=method.value)
-    story = tell(opened)
+    stitched = restitch(opened)
     if bundle is not None:
-        write_bundle(bundle, story)
-        typer.echo(f"{story.stitch.status}: {bundle / REPORT}; stitched again by: {replay_command(bundle, story)}")
+        write_bundle(bundle, stitched)
+        typer.echo(
+            f"{stitched.result.status}: {bundle / REPORT}; stitched again by: {replay_command(bundle, stitched)}"
+        )
     if out is not None or bundle is None:
         path = out or Path("report.html")
-        write_report(path, story)
-        typer.echo(f"{story.stitch.status}: {path}")
-    for reason in story.stitch.reasons:
+        write_report(path, stitched)
+        typer.echo(f"{stitched.result.status}: {path}")
+    for reason in stitched.result.reasons:
         typer.echo(f"- {reason}")

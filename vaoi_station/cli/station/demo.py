@@ -22,11 +22,11 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="With --once: print one JSON document.")] = False,
 ) -> None:
     """Run the whole station on simulated cameras: boards keep coming, the page shows them, until Ctrl-C."""
-    from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
-    from vaoi_station.demo.site import find_scenario
+    from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
+    from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.errors import InputError
 
-    path = find_scenario(scenario)
+    path = resolve_scenario(scenario)
     if not once and (as_json or out is not None):
         raise InputError("--out and --json belong to --once.", action="Add --once, or leave them out.")
     code = 0
@@ -35,7 +35,7 @@ def demo(
             if once:
                 code = _once(path, out or Path("vaoi-demo"), port, as_json)
             else:
-                from vaoi_station.demo.show import show
+                from vaoi_station.demo.continuous import show
 
                 show(path, port, lambda line: print(line, flush=True))
     except KeyboardInterrupt:
@@ -45,9 +45,9 @@ def demo(
 
 def _once(scenario: Path, out: Path, port: int | None, as_json: bool) -> int:
     """0 if the run is ok, else 1."""
-    from vaoi_station.demo.once import film_once
-    from vaoi_station.demo.report import as_text
+    from vaoi_station.demo.demo_report import as_text
+    from vaoi_station.demo.single_board import film_single_board
 
-    report = film_once(scenario, out, port or 0)
+    report = film_single_board(scenario, out, port or 0)
     print(report.model_dump_json(indent=1) if as_json else as_text(report))
     return 0 if report.ok else 1

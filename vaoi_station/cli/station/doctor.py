@@ -18,9 +18,9 @@ def doctor(
 
     Exit code 0: nothing to do, 1: warnings, 2: faults.
     """
-    from vaoi_station.doctor import examine
+    from vaoi_station.doctor import run_checks
     from vaoi_station.doctor.text_report import as_text
 
-    report = examine(config)
+    report = run_checks(config)
     typer.echo(json.dumps(report.document(), indent=1) if as_json else as_text(report), nl=as_json)
     raise typer.Exit(report.exit_code)

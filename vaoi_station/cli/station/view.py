@@ -40,7 +40,7 @@ def view(
 ) -> None:
     """Show live frames of every camera, for mounting and focusing, until Ctrl-C."""
     from vaoi_station.config import read_config
-    from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
+    from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
     from vaoi_station.errors import InputError
     from vaoi_station.viewing.frame_documents import row_text
     from vaoi_station.viewing.live_view import one_row, show

@@ -129,10 +129,10 @@ def _station(
     from vaoi_station.benchmarks.film import film
     from vaoi_station.benchmarks.paced import paced
     from vaoi_station.benchmarks.tables import shares_table, station_table
-    from vaoi_station.demo.scratch import scratch_folder
+    from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import read_scenario
 
-    with scratch_folder("bench") as temporary:
+    with temporary_folder("bench") as temporary:
         board = film(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
         figures = []
         for rate in rates:
@@ -145,10 +145,10 @@ def _station(
 def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[str, Any]:
     from vaoi_station.benchmarks.growth import growth
     from vaoi_station.benchmarks.tables import growth_table
-    from vaoi_station.demo.scratch import scratch_folder
+    from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import read_scenario
 
-    with scratch_folder("bench") as temporary:
+    with temporary_folder("bench") as temporary:
         figures = growth(read_scenario(_path(scenario)), films or temporary, rows, typer.echo)
     typer.echo("\n" + growth_table(figures))
     return {"scenario": scenario, "boards": [f.document() for f in figures]}

@@ -35,8 +35,8 @@ def run(
     json: Annotated[Path | None, typer.Option(help="Also write the report to this file.")] = None,
 ) -> None:
     """Start rig and service, let boards pass, score them against the truth, take all down; 1 if something is wrong."""
-    from vaoi_station.demo.interrupting import INTERRUPTED, interruptible
-    from vaoi_station.demo.site import find_scenario
+    from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
+    from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.files.documents import write_json
     from vaoi_station.rig.devices.firmware import check_sources
     from vaoi_station.rig.devices.network import enter_namespace
@@ -46,7 +46,7 @@ def run(
     from vaoi_station.rig.scoring.tables import as_text
     from vaoi_station.simulation import read_scenario
 
-    path, words = find_scenario(scenario), tuple(fault or ())
+    path, words = resolve_scenario(scenario), tuple(fault or ())
     plan = Plan(
         with_cameras(read_scenario(path), cameras),
         path.stem,
@@ -89,8 +89,8 @@ def up(
     ] = False,
 ) -> None:
     """Devices only, until Ctrl-C: start `vaoi serve` beside them, with the station.toml that is written."""
-    from vaoi_station.demo.interrupting import interruptible
-    from vaoi_station.demo.site import find_scenario
+    from vaoi_station.demo.signal_handling import interruptible
+    from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.errors import InputError
     from vaoi_station.rig.devices.firmware import check_sources
     from vaoi_station.rig.devices.network import enter_namespace, may_add_addresses
@@ -102,7 +102,7 @@ def up(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: must be a new or empty directory.", action="Give another --out.")
     faults = tuple(map(parse_fault, fault or ()))
-    chosen = with_cameras(read_scenario(find_scenario(scenario)), cameras)
+    chosen = with_cameras(read_scenario(resolve_scenario(scenario)), cameras)
     check_supported(chosen)
     check_faults(faults, chosen.array.cameras, different)
     check_sources()

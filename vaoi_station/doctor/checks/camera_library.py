@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 from vaoi_station.acquisition.cameras.aravis import library
 from vaoi_station.acquisition.cameras.aravis.connection import USB3_MIN_VERSION
-from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.errors import DeviceError
 
 
-def aravis(patient: Patient) -> Iterator[Finding]:
+def aravis(context: CheckContext) -> Iterator[Finding]:
     """PyGObject for this Python, and Aravis by it."""
-    if not patient.real_cameras:
+    if not context.real_cameras:
         yield not_applicable("no camera needs it")
         return
     try:
@@ -24,7 +24,7 @@ def aravis(patient: Patient) -> Iterator[Finding]:
         yield fault(error.message, error.action)
         return
     gi = str(sys.modules["gi"].__version__)
-    yield judge_version(found, gi, sum(camera.serial is not None for camera in patient.real_cameras))
+    yield judge_version(found, gi, sum(camera.serial is not None for camera in context.real_cameras))
 
 
 def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Finding:

@@ -24,7 +24,7 @@ from vaoi_station.acquisition.cameras.aravis.discovery import (
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
 from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
 from vaoi_station.config import CameraConfig
-from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.errors import VaoiError
 
@@ -53,25 +53,25 @@ class Offered:
     packets: network.PacketLimits | None = None
 
 
-def cameras(patient: Patient) -> Iterator[Finding]:
+def cameras(context: CheckContext) -> Iterator[Finding]:
     """One finding per camera, more where something is wrong, and one per network port."""
-    if patient.running is not None:
-        yield from of_running_station(patient)
-    elif not patient.real_cameras:
-        yield not_applicable(f"backend {patient.config.controller.backend!r}: there is nothing to reach")
+    if context.running is not None:
+        yield from of_running_station(context)
+    elif not context.real_cameras:
+        yield not_applicable(f"backend {context.config.controller.backend!r}: there is nothing to reach")
     else:
-        yield from of_real_cameras(patient)
+        yield from of_real_cameras(context)
 
 
-def of_real_cameras(patient: Patient) -> Iterator[Finding]:
+def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
     """Asked one after the other; ports are looked at with the cameras that answered."""
     ports: defaultdict[str, list[tuple[CameraConfig, Offered]]] = defaultdict(list)
     serials: defaultdict[str, list[str]] = defaultdict(list)
-    for camera in patient.real_cameras:
+    for camera in context.real_cameras:
         try:
             offered = ask(camera)
         except VaoiError as error:
-            told = error.message.removeprefix(f"{camera.called}: ")
+            told = error.message.removeprefix(f"{camera.label}: ")
             yield fault(told, f"{error.action} {_look_for(camera, error)}".strip(), subject=camera.name)
             continue
         except glib_error() as error:
@@ -87,7 +87,7 @@ def of_real_cameras(patient: Patient) -> Iterator[Finding]:
             told = f"{', '.join(names)} have the same serial number {serial!r}."
             yield fault(told, "Correct their addresses in station.toml.", subject=names[0])
     for port, members in ports.items():
-        yield judge_port(port, members, patient.config.line.trigger_period_s)
+        yield judge_port(port, members, context.config.line.trigger_period_s)
 
 
 def _look_for(camera: CameraConfig, error: VaoiError) -> str:
@@ -200,14 +200,14 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
     return ok(told, subject=port, figures=figures)
 
 
-def of_running_station(patient: Patient) -> Iterator[Finding]:
+def of_running_station(context: CheckContext) -> Iterator[Finding]:
     """What the station says of its cameras."""
-    assert patient.running is not None
-    told = patient.running.snapshot.get("cameras", ())
+    assert context.running is not None
+    told = context.running.snapshot.get("cameras", ())
     if not told:
         yield warning(
             "a process uses them that does not say how they are; they are left alone.",
-            f"{patient.running.look}; end it, and run vaoi doctor again",
+            f"{context.running.inspect_command}; end it, and run vaoi doctor again",
         )
     yield from (_of_camera(camera) for camera in told)
 

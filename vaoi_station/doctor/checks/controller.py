@@ -35,7 +35,7 @@ from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.acquisition.controller.serial.timebase import Timebase
 from vaoi_station.acquisition.process.session import CLOCK_LIMIT_S, CLOCK_SHARE
 from vaoi_station.config import ControllerConfig, StationConfig
-from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, Level, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import DeviceError, InputError
@@ -46,7 +46,7 @@ LATENCY = "sys/bus/usb-serial/devices/{name}/latency_timer"
 
 
 @dataclass(frozen=True)
-class Heard:
+class ControllerReply:
     """What the controller answered."""
 
     ident: Ident
@@ -54,50 +54,50 @@ class Heard:
     readings: tuple[ClockReading, ...]
 
 
-def controller(patient: Patient) -> Iterator[Finding]:
+def controller(context: CheckContext) -> Iterator[Finding]:
     """Port, firmware, limits, state, clock."""
-    if patient.running is not None:
-        yield of_running_station(patient)
+    if context.running is not None:
+        yield of_running_station(context)
         return
-    if patient.config.controller.backend != "serial":
-        yield not_applicable(f"backend {patient.config.controller.backend!r}: there is no port")
+    if context.config.controller.backend != "serial":
+        yield not_applicable(f"backend {context.config.controller.backend!r}: there is no port")
         return
-    settings = patient.config.controller
-    port = judge_port(Path(settings.port), patient.machine)
+    settings = context.config.controller
+    port = judge_port(Path(settings.port), context.machine)
     yield port
     if port.level is Level.FAULT:
         return
-    yield from judge_latency(Path(settings.port), patient.machine)
+    yield from judge_latency(Path(settings.port), context.machine)
     try:
-        heard = ask(settings)
+        reply = ask(settings)
     except DeviceError as error:
         yield fault(error.message, error.action, subject="firmware")
         return
-    yield judge_firmware(heard.ident)
-    yield judge_limits(heard.ident, patient.config)
-    yield judge_status(heard.status)
-    yield judge_clock(heard.readings, patient.config.line.trigger_period_s)
+    yield judge_firmware(reply.ident)
+    yield judge_limits(reply.ident, context.config)
+    yield judge_status(reply.status)
+    yield judge_clock(reply.readings, context.config.line.trigger_period_s)
 
 
-def of_running_station(patient: Patient) -> Finding:
+def of_running_station(context: CheckContext) -> Finding:
     """What the station says of its controller; what is wrong with it is among the station's own complaints."""
-    assert patient.running is not None
-    if not patient.running.snapshot:
+    assert context.running is not None
+    if not context.running.snapshot:
         return warning(
             "a process uses it that does not say how it is; it is left alone.",
-            f"{patient.running.look}; end it, and run vaoi doctor again",
+            f"{context.running.inspect_command}; end it, and run vaoi doctor again",
         )
-    return ok(str(patient.running.snapshot.get("controller") or "nothing is known of it yet"))
+    return ok(str(context.running.snapshot.get("controller") or "nothing is known of it yet"))
 
 
-def ask(settings: ControllerConfig) -> Heard:
+def ask(settings: ControllerConfig) -> ControllerReply:
     """Talk to it for a moment; DeviceError says what is in the way."""
     with closing(Waker()) as waker, closing(Port(settings.port, settings.baud, waker)) as port:
         exchange = Exchange(port, Link(), lambda _news, _heard_s: None, settings.port)
         ident = check_ident(exchange.identify())
         timebase = Timebase(settings.baud)
         readings = tuple(_reading(exchange, timebase, nonce) for nonce in range(READINGS))
-        return Heard(ident, Status.unpack(exchange.request(Request(Type.STATUS)).payload), readings)
+        return ControllerReply(ident, Status.unpack(exchange.request(Request(Type.STATUS)).payload), readings)
 
 
 def _reading(exchange: Exchange, timebase: Timebase, nonce: int) -> ClockReading:

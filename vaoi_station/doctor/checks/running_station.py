@@ -12,7 +12,7 @@ from typing import Any
 from vaoi_station.acquisition.ring.ring import ring_path
 from vaoi_station.acquisition.ring.ring_file import owner_of
 from vaoi_station.config import ApiConfig, StationConfig
-from vaoi_station.doctor.check_context import Patient, Running
+from vaoi_station.doctor.check_context import CheckContext, RunningProcess
 from vaoi_station.doctor.finding import Finding, fault, ok, warning
 from vaoi_station.doctor.machine import nearest
 
@@ -21,7 +21,7 @@ LARGEST_ANSWER = 4_000_000
 _EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}  # noqa: S104  (to be asked, not listened on)
 
 
-def find(config: StationConfig) -> Running | None:
+def find(config: StationConfig) -> RunningProcess | None:
     """The owner of the station's ring, if it lives, and what it says."""
     path = ring_path(config)
     owner = owner_of(path)
@@ -30,9 +30,9 @@ def find(config: StationConfig) -> Running | None:
         return None
     pid = owner[0] if owner else None
     try:
-        return Running(pid, snapshot=ask(config.api))
+        return RunningProcess(pid, snapshot=ask(config.api))
     except (OSError, http.client.HTTPException, ValueError) as error:
-        return Running(pid, silence=f"{type(error).__name__}: {error}")
+        return RunningProcess(pid, no_reply_reason=f"{type(error).__name__}: {error}")
 
 
 def ask(api: ApiConfig) -> dict[str, Any]:
@@ -49,22 +49,22 @@ def ask(api: ApiConfig) -> dict[str, Any]:
     return document
 
 
-def station(patient: Patient) -> Iterator[Finding]:
+def station(context: CheckContext) -> Iterator[Finding]:
     """Its state and what it complains of; or whether its port is free."""
-    api, running = patient.config.api, patient.running
+    api, running = context.config.api, context.running
     if running is None:
         yield _port(api)
         return
-    if running.silence:
+    if running.no_reply_reason:
         yield warning(
-            f"{running.who} uses the station's memory, but no station answers at port {api.port} "
-            f"({running.silence}); it may be starting, or be vaoi record or vaoi view.",
-            running.look,
+            f"{running.description} uses the station's memory, but no station answers at port {api.port} "
+            f"({running.no_reply_reason}); it may be starting, or be vaoi record or vaoi view.",
+            running.inspect_command,
         )
         return
     told = running.snapshot
     yield ok(
-        f"runs as {running.who}, state {told['state']!r}; it is asked and left alone",
+        f"runs as {running.description}, state {told['state']!r}; it is asked and left alone",
         figures={"state": str(told["state"])},
     )
     grave = fault if told["state"] == "faulted" else warning

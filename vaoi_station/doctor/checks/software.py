@@ -48,7 +48,7 @@ def libraries(_: Machine) -> Iterator[Finding]:
         yield ok(", ".join(f"{name} {version}" for name, version in versions.items()), figures=versions)
 
 
-def kept_code(_: Machine) -> Iterator[Finding]:
+def compiled_code_cache(_: Machine) -> Iterator[Finding]:
     """Where compiled inner loops are kept: in NUMBA_CACHE_DIR, else beside the package, else in the user's cache."""
     yield judge_cache(os.environ.get("NUMBA_CACHE_DIR"), PACKAGE, Path.home())
 

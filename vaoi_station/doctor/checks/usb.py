@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok
 
 PER_CAMERA_MB = 8
@@ -12,13 +12,13 @@ PER_CAMERA_MB = 8
 PARAMETER = "sys/module/usbcore/parameters/usbfs_memory_mb"
 
 
-def memory(patient: Patient) -> Iterator[Finding]:
+def memory(context: CheckContext) -> Iterator[Finding]:
     """usbfs_memory_mb, for all cameras that may be USB ones: those that are named by serial number."""
-    named = sum(camera.serial is not None for camera in patient.real_cameras)
+    named = sum(camera.serial is not None for camera in context.real_cameras)
     if not named:
         yield not_applicable("no camera is named by a serial number, as those on USB are")
         return
-    yield judge_memory(patient.machine.number(PARAMETER), named)
+    yield judge_memory(context.machine.number(PARAMETER), named)
 
 
 def judge_memory(granted_mb: int | None, cameras: int) -> Finding:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vaoi_station.reporting.drawing.page import Section, facts, table
+from vaoi_station.reporting.drawing.html_page import Section, facts, table
 from vaoi_station.reporting.drawing.scales import number
 from vaoi_station.reporting.drawing.svg import tag
-from vaoi_station.reporting.restitched import Story
+from vaoi_station.reporting.stitched_run import StitchedRun
 
 _TASKS = {
     "rows": "links from row to row",
@@ -26,10 +26,10 @@ _STAGES = {
 }
 
 
-def timings(story: Story) -> Section:
+def timings(stitched: StitchedRun) -> Section:
     """Wall time of everything, on one core."""
-    tasks = [[_TASKS.get(k, k), number(ms, 1)] for k, ms in story.task_ms.items()]
-    stages = [[_STAGES.get(k, k), number(ms, 1)] for k, ms in story.stitch.quality["timings_ms"].items()]
+    tasks = [[_TASKS.get(k, k), number(ms, 1)] for k, ms in stitched.task_ms.items()]
+    stages = [[_STAGES.get(k, k), number(ms, 1)] for k, ms in stitched.result.quality["timings_ms"].items()]
     lead = (
         "Wall time of this stitch, made for the report: the tasks, which a station does while the board still passes, "
         "with the reading of frames from the disk; then what is left to do when it has left."
@@ -37,16 +37,16 @@ def timings(story: Story) -> Section:
     return Section("timings", "Timings", lead, table(["stage", "ms"], [*tasks, *stages], 1))
 
 
-def identity(story: Story) -> Section:
+def identity(stitched: StitchedRun) -> Section:
     """Software and documents."""
-    o, q = story.opened, story.stitch.quality
+    o, q = stitched.opened, stitched.result.quality
     known = o.calibration
     residual = "–" if known.residual_px is None else ", ".join(number(r) for r in known.residual_px) + " px"
     height = "not known" if known.working_distance_mm is None else f"{number(known.working_distance_mm, 1)} mm"
     made = [
         ("software", str(q["software"])),
         ("OpenCV, NumPy, Python", f"{q['opencv']}, {np.__version__}, {platform.python_version()}"),
-        ("method", story.stitch.method),
+        ("method", stitched.result.method),
         ("reference", o.reference.recording.directory.name if o.reference else "none"),
     ]
     rests_on = [

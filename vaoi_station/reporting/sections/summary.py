@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from typing import Any
 
-from vaoi_station.reporting.drawing.page import Section, facts
+from vaoi_station.reporting.drawing.html_page import Section, facts
 from vaoi_station.reporting.drawing.scales import number
 from vaoi_station.reporting.drawing.svg import tag, text
-from vaoi_station.reporting.restitched import Story
+from vaoi_station.reporting.stitched_run import StitchedRun
 
 
-def head(story: Story, name: str) -> str:
+def head(stitched: StitchedRun, name: str) -> str:
     """Name of the run, verdict, and why."""
-    status = str(story.stitch.status)
+    status = str(stitched.result.status)
     heading = tag("h1", text(name), tag("span", text(status), class_="verdict"))
-    board_type = story.opened.setup.board_type
+    board_type = stitched.opened.setup.board_type
     what = f"board type {board_type.name}" if board_type else "no board type"
-    size = f"{_many(story.cameras, 'camera')} × {_many(story.head.rows, 'row')}"
-    line = tag("p", text(f"{what} · {size} · method {story.stitch.method}"))
-    reasons = tag("ul", *(tag("li", text(r)) for r in story.stitch.reasons)) if story.stitch.reasons else ""
+    size = f"{_many(stitched.cameras, 'camera')} × {_many(stitched.head.rows, 'row')}"
+    line = tag("p", text(f"{what} · {size} · method {stitched.result.method}"))
+    reasons = tag("ul", *(tag("li", text(r)) for r in stitched.result.reasons)) if stitched.result.reasons else ""
     return tag("header", heading, line, reasons, class_=status)
 
 
-def key_numbers(story: Story) -> Section:
+def key_numbers(stitched: StitchedRun) -> Section:
     """What the verdict rests on."""
-    q = story.stitch.quality
-    left, right = facts(_accuracy(q)), facts(_evidence(story, q))
+    q = stitched.result.quality
+    left, right = facts(_accuracy(q)), facts(_evidence(stitched, q))
     return Section("numbers", "Key numbers", "", tag("div", left, right, class_="columns"))
 
 
@@ -50,7 +50,7 @@ def _accuracy(q: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def _evidence(story: Story, q: dict[str, Any]) -> list[tuple[str, str]]:
+def _evidence(stitched: StitchedRun, q: dict[str, Any]) -> list[tuple[str, str]]:
     names = {
         "rows": "links from row to row",
         "neighbours": "links between cameras",
@@ -60,12 +60,12 @@ def _evidence(story: Story, q: dict[str, Any]) -> list[tuple[str, str]]:
     }
     found = {kind: c for kind, c in q["links"].items() if c["found"]}
     counts = [(names.get(kind, kind), f"{c['used']} used of {c['found']}") for kind, c in found.items()]
-    pairs = story.pairs
+    pairs = stitched.pairs
     linked = sum(1 for p in pairs if len(p.links.a_px))
-    present, frames = len(story.opened.present), story.cameras * story.head.rows
-    views = story.stitch.components or {}
+    present, frames = len(stitched.opened.present), stitched.cameras * stitched.head.rows
+    views = stitched.result.components or {}
     return [
-        ("frames", f"{present} of {frames} arrived, {_placed(story)} placed"),
+        ("frames", f"{present} of {frames} arrived, {_placed(stitched)} placed"),
         ("pairs of frames linked", f"{linked} of {len(pairs)}"),
         *counts,
         ("components in view", f"{sum(1 for v in views.values() if v)} of {len(views)}" if views else "–"),
@@ -73,8 +73,8 @@ def _evidence(story: Story, q: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def _placed(story: Story) -> int:
-    placed, present = story.findings.placed, story.opened.present
+def _placed(stitched: StitchedRun) -> int:
+    placed, present = stitched.findings.placed, stitched.opened.present
     return sum(1 for _, row in present if placed[row])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vaoi_station.demo.deviation import Deviation
+from vaoi_station.demo.truth_comparison import Deviation
 from vaoi_station.model import Strict
 
 LIMIT_PX = 0.10

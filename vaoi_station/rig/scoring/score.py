@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from vaoi_station.demo.deviation import deviation
+from vaoi_station.demo.truth_comparison import compare_with_truth
 from vaoi_station.rig.line.virtual_line import BoardPassage, FrameOutcome
 from vaoi_station.rig.scoring.rig_report import LATE_MS, AffectedFrame, BoardScore
 from vaoi_station.rig.scoring.ring_check import RingCheck
@@ -63,7 +63,9 @@ def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
     affected = [
         _affected_frame(cell, verdicts[cell], reasons.get(cell, "")) for cell in sorted(verdicts) if cell not in whole
     ]
-    found = deviation(passage.rendered.metadata.views, evidence.matrices.get("components") or {}, evidence.px_per_mm)
+    found = compare_with_truth(
+        passage.rendered.metadata.views, evidence.matrices.get("components") or {}, evidence.px_per_mm
+    )
     counts = {word: sum(v == word for v, _ in verdicts.values()) for word in ("ok", "incomplete", "missing")}
     wrong = dict(check.wrong) if check else {}
     timings = (run or {}).get("timings") or {}

@@ -15,7 +15,7 @@ from vaoi_station.runs.states.schemas import ComponentSummary
 
 def components_of(dossier: Dossier) -> tuple[ComponentSummary, ...]:
     """All components of the board type the run was filmed with; places where there is a CAD mapping."""
-    board_type, stitch = dossier.board_type, dossier.gist
+    board_type, stitch = dossier.board_type, dossier.without_components
     from_cad = stitch.tester_from_cad if stitch else None
     seen = _times_seen(dossier)
     parts = board_type.components
@@ -72,7 +72,7 @@ def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: boo
 
 def _times_seen(dossier: Dossier) -> Counter[str]:
     """How many pictures of each component the run offers by default: good frames that show at least half of it."""
-    stitch = dossier.gist
+    stitch = dossier.without_components
     if stitch is None or stitch.cad_matrix is None:
         return Counter()
     whole = {(f.camera, f.row) for f in dossier.detail.frames if f.verdict is Verdict.OK}

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import TypeVar
 
 from vaoi_station.errors import DeviceError, NotFoundError, StateError
-from vaoi_station.files.results import gist
+from vaoi_station.files.results import without_components
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.rendering import ViewCalculator
@@ -35,7 +35,7 @@ class Dossier:
     finish_number: int
     board_type: BoardType
     cameras: tuple[Camera, ...]
-    gist: Stitch | None
+    without_components: Stitch | None
     """The result less its tables of components."""
     document: str | None
     """The result as JSON text."""
@@ -46,7 +46,7 @@ class Dossier:
     @cached_property
     def view_calculator(self) -> ViewCalculator:
         """Which frames show which component; `StateError` without a CAD mapping, `NotFoundError` without a result."""
-        return ViewCalculator(self.board_type, self.gist or self.result, self.cameras)
+        return ViewCalculator(self.board_type, self.without_components or self.result, self.cameras)
 
     @cached_property
     def result(self) -> Stitch:
@@ -97,7 +97,7 @@ class Archive:
             self._finished,
             order.board_type,
             order.setup.cameras,
-            progress.gist,
+            progress.without_components,
             progress.result.document if progress.result else None,
             timeline_of(progress),
             progress.head,
@@ -238,7 +238,7 @@ class Archive:
             finish_number=row.finish_number or 0,
             board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
             cameras=calibration.cameras(head.cameras) if head else (),
-            gist=gist(Stitch.model_validate_json(result)) if result else None,
+            without_components=without_components(Stitch.model_validate_json(result)) if result else None,
             document=result,
             timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
             head=head,

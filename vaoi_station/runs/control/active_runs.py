@@ -132,7 +132,7 @@ class RunBook:
 
 
 def _last_step(progress: Progress) -> RunStep:
-    stitch = progress.gist
+    stitch = progress.without_components
     if stitch is None or stitch.status is Status.FAILED:
         return RunStep.NOT_STITCHED
     sound = stitch.status is Status.OK and not progress.faults

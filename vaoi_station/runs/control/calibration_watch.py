@@ -57,7 +57,7 @@ class CalibrationWatch:
 
     def look_at(self, progress: Progress, workers: Workers, post: Callable[..., None]) -> None:
         """A run has ended: have its evidence looked at."""
-        stitch, film = progress.gist, progress.film
+        stitch, film = progress.without_components, progress.film
         if stitch is None or film is None or len(self._names) < 2:
             return
         evidence = tuple(subsample_links(linked.evidence) for linked in progress.canonical.values())

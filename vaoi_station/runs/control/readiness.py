@@ -27,7 +27,7 @@ def reasons(health: Health | None, cameras: Sequence[CameraConfig]) -> tuple[Rea
     """Of every camera that is not ready, why."""
     if health is None:
         return ()
-    away = ((cameras[k].called, health.cameras[k]) for k in lost(health))
+    away = ((cameras[k].label, health.cameras[k]) for k in lost(health))
     return tuple(
         Reason(code=CODE, message=not_connected(called, camera.message), action=camera.action or _REMEDY)
         for called, camera in away
@@ -47,8 +47,8 @@ def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
 def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig]) -> tuple[str, ...]:
     """Sentences for cameras that have been lost, and for those that are back."""
     were, are = set(lost(before)), set(lost(now))
-    gone = (f"{sentence(cameras[k].called)} is lost: boards would be filmed without it." for k in sorted(are - were))
-    back = (f"{sentence(cameras[k].called)} is ready again." for k in sorted(were - are))
+    gone = (f"{sentence(cameras[k].label)} is lost: boards would be filmed without it." for k in sorted(are - were))
+    back = (f"{sentence(cameras[k].label)} is ready again." for k in sorted(were - are))
     return (*gone, *back)
 
 

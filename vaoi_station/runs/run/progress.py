@@ -83,9 +83,9 @@ class Progress:
         return tuple(sorted(key for key, frame in self.frames.items() if frame.verdict is Verdict.OK))
 
     @property
-    def gist(self) -> Stitch | None:
-        """The gist of the result; None while there is none."""
-        return self.result.gist if self.result else None
+    def without_components(self) -> Stitch | None:
+        """The without_components of the result; None while there is none."""
+        return self.result.without_components if self.result else None
 
     def step(self, event: RunStep) -> None:
         """Follow the table."""

@@ -88,7 +88,7 @@ def timeline_of(progress: Progress) -> Timeline:
 
 def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     """Why a run is not simply ready: the stitch's own reasons, faults, frames that did not arrive whole."""
-    stitch = progress.gist
+    stitch = progress.without_components
     words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in stitch.reasons] if stitch else []
     bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
     causes = {(f.verdict, f.cause) for f in bad}
@@ -125,7 +125,7 @@ def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float
 
 def _belt(progress: Progress) -> BeltSpeed | None:
     """Measured at the board's middle: rotations of the rows are about it, not about the tester's origin."""
-    stitch, film = progress.gist, progress.film
+    stitch, film = progress.without_components, progress.film
     if stitch is None or film is None or len(stitch.row_motion) < 2:
         return None
     setup, from_cad = progress.order.setup, stitch.tester_from_cad
@@ -137,8 +137,8 @@ def _belt(progress: Progress) -> BeltSpeed | None:
 
 
 def _verdict(progress: Progress) -> Status | None:
-    if progress.gist is not None:
-        return progress.gist.status
+    if progress.without_components is not None:
+        return progress.without_components.status
     return Status.FAILED if progress.state in FINISHED else None
 
 

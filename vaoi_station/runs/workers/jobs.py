@@ -208,7 +208,7 @@ class Linked:
 class Concluded:
     """A result: its document as it is kept and served, and what the station itself needs of it."""
 
-    gist: Stitch
+    without_components: Stitch
     document: str
 
 

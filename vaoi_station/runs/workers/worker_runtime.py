@@ -20,7 +20,7 @@ from vaoi_station.drift.check_run import check_run
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
-from vaoi_station.files.results import gist, stitch_text
+from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.rendering import render
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers.jobs import (
@@ -158,7 +158,7 @@ class WorkerRuntime:
             job.context.generation,
             lambda: opened.runner.conclude(job.head.row_times_s(), tuple(job.slots), evidence),
         )
-        return Concluded(gist(stitch), stitch_text(stitch))
+        return Concluded(without_components(stitch), stitch_text(stitch))
 
     def _render(self, job: RenderJob) -> bytes:
         frame = self._ring.frame(job.slot)

@@ -22,7 +22,7 @@ from vaoi_station.files import (
     write_recording,
     write_stitch,
 )
-from vaoi_station.files.drafts import drafted
+from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.images import Image
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
@@ -59,7 +59,7 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
     if stitch.status is not Status.OK:
         reasons = "; ".join(stitch.reasons)
         raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
-    with drafted(out) as draft:
+    with new_directory(out) as draft:
         shutil.copytree(case, draft, ignore=shutil.ignore_patterns("truth.json"), dirs_exist_ok=True)
         shutil.copyfile(calibration, draft / "calibration.json")
         shutil.copyfile(board, draft / "board.json")
@@ -85,7 +85,7 @@ def write_reference(
         board_type: the run shows.
         stitch: its result.
     """
-    with drafted(directory) as draft:
+    with new_directory(directory) as draft:
         write_calibration(draft / "calibration.json", calibration)
         write_board_type(draft / "board.json", board_type)
         write_stitch(draft / RESULT, stitch)

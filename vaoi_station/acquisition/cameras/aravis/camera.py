@@ -199,7 +199,7 @@ class AravisCamera:
         if control is gvcp.Control.FREE or not connection.is_controller():
             self._last_reply_s = self._last_controlled_s
             raise DeviceError(
-                f"{self.config.called}: is no longer ours: this computer was silent for too long, or another "
+                f"{self.config.label}: is no longer ours: this computer was silent for too long, or another "
                 "program has taken it.",
                 action="It is opened again by itself, once no other program has it.",
                 code="camera-lost",
@@ -219,7 +219,7 @@ class AravisCamera:
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
         self._backoff.record_failure(self._longest_pause_s())
-        why = error.message.removeprefix(f"{self.config.called}: ").rstrip(".")
+        why = error.message.removeprefix(f"{self.config.label}: ").rstrip(".")
         self._arrivals.put(CameraLost(self.number, self._last_reply_s, why, error))
         connection.close(gone=True)
 
@@ -245,7 +245,7 @@ class AravisCamera:
         try:
             if connection.identity.serial != self._identity.serial:
                 raise InputError.field(
-                    self.config.called,
+                    self.config.label,
                     "serial number of the camera that came back",
                     connection.identity.serial,
                     f"{self._identity.serial!r}",

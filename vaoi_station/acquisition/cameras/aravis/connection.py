@@ -74,7 +74,7 @@ class Connection:
         """What the kernel holds of its packets while nobody reads them."""
         with self._device_access("does not say who it is"):
             self.identity = self._identity(where)
-            self._clock = find_clock(self._camera, config.called)
+            self._clock = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
     def configure(self, share: PortShare) -> None:
@@ -92,7 +92,7 @@ class Connection:
             payload = self._camera.get_payload()
         if payload != self.config.frame_bytes:
             raise DeviceError(
-                f"{self.config.called}: sends frames of {payload} bytes, but {self.config.width}×"
+                f"{self.config.label}: sends frames of {payload} bytes, but {self.config.width}×"
                 f"{self.config.height} px {self.config.pixel_format} are {self.config.frame_bytes}.",
                 action="Turn chunk data and line padding off ([cameras.features]), or correct width, height, format.",
                 code="frame-size",
@@ -181,7 +181,7 @@ class Connection:
         gc.collect()  # Aravis' threads and sockets end with the last reference
 
     def _configure_packets(self, share: PortShare) -> None:
-        camera, name = self._camera, self.config.called
+        camera, name = self._camera, self.config.label
         camera.gv_set_stream_options(aravis().GvStreamOption.PACKET_SOCKET_DISABLED)
         low, high = camera.get_integer_bounds("GevSCPSPacketSize")
         step = max(1, camera.get_integer_increment("GevSCPSPacketSize"))
@@ -226,12 +226,12 @@ class Connection:
         """The camera is asked by one thread at a time; its refusals become errors that name it."""
         with self._lock:
             if self._camera is None:
-                raise DeviceError(f"{self.config.called}: is closed.", code="camera-lost")
+                raise DeviceError(f"{self.config.label}: is closed.", code="camera-lost")
             try:
                 yield
             except (glib_error(), OSError) as error:  # OSError: the interface has just gone
                 raise DeviceError(
-                    f"{self.config.called}: {trouble} ({settings.error_text(error)}).",
+                    f"{self.config.label}: {trouble} ({settings.error_text(error)}).",
                     action="Check its cable and power; it is opened again by itself.",
                     code="camera-lost",
                 ) from error
@@ -249,7 +249,7 @@ def check_silence(connections: list[Connection], settle_s: float = 0.15, watch_s
     for connection, count in zip(connections, before, strict=True):
         if connection.traffic() != count:
             raise DeviceError(
-                f"{connection.config.called}: sends frames although no trigger was fired.",
+                f"{connection.config.label}: sends frames although no trigger was fired.",
                 action="Check what its trigger input is wired to, and that nothing else triggers it.",
                 code="camera-free-running",
             )

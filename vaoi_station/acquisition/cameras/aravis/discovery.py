@@ -49,14 +49,14 @@ def find_by_serial(config: CameraConfig, found: Sequence[FoundDevice]) -> FoundD
     if not matching:
         there = ", ".join(f"{d.serial} at {d.address}" for d in found) or "none"
         raise DeviceError(
-            f"{config.called}: no camera with serial number {config.serial!r} answers; those that do: {there}.",
+            f"{config.label}: no camera with serial number {config.serial!r} answers; those that do: {there}.",
             action="Check its cable, its power and its serial number in station.toml.",
             code="camera-absent",
         )
     if len(matching) > 1:
         places = ", ".join(d.address for d in matching)
         raise InputError(
-            f"{config.called}: {len(matching)} cameras have the serial number {config.serial!r} ({places}).",
+            f"{config.label}: {len(matching)} cameras have the serial number {config.serial!r} ({places}).",
             action="Give their addresses in station.toml instead of the serial number.",
             code="camera-ambiguous",
         )
@@ -75,7 +75,7 @@ def open_device(config: CameraConfig, address: str) -> Any:
         raise absence_error(config, address, error_text(error)) from error
     if camera.is_gv_device() and not camera.get_device().is_controller():
         raise DeviceError(
-            f"{config.called}: another program controls the camera at {address}.",
+            f"{config.label}: another program controls the camera at {address}.",
             action="Close that program (a viewer of the maker, another station); the camera is then opened by itself.",
             code="camera-in-use",
         )
@@ -91,7 +91,7 @@ def require_reply(config: CameraConfig, address: str) -> None:
 def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
     """There is no camera, or no longer."""
     return DeviceError(
-        f"{config.called}: there is no camera at {address} ({why}).",
+        f"{config.label}: there is no camera at {address} ({why}).",
         action="Check its cable, its power and its address in station.toml.",
         code="camera-absent",
     )

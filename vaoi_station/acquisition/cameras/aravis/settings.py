@@ -53,12 +53,12 @@ def apply(camera: Any, config: CameraConfig) -> None:
         DeviceError: the camera refuses or ignores a setting.
     """
     for part in (_picture, _named_features, _trigger):
-        settings = list(_with_device_errors(config.called, part(camera, config)))
+        settings = list(_with_device_errors(config.label, part(camera, config)))
         for setting in settings:
-            write_and_compare(config.called, setting)
+            write_and_compare(config.label, setting)
         for setting in settings:  # a later one may have changed an earlier one
             if not setting.transient:
-                compare(config.called, setting)
+                compare(config.label, setting)
 
 
 def write_and_compare(name: str, setting: Setting) -> None:
@@ -158,7 +158,7 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     ours = next((name for name in FRAME_TRIGGERS if name in triggers), None)
     if ours is None:
         raise DeviceError(
-            f"{config.called}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
+            f"{config.label}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
             action="Use a camera with a trigger input.",
         )
     for other in triggers:

@@ -65,7 +65,7 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
 
     What the firmware holds to be out of range it refuses itself: a value too large to be sent is sent as the largest.
     """
-    lights = tuple(plan.lights) or config.lights_in_turn
+    lights = tuple(plan.lights) or config.light_sequence
     if len(lights) > ident.program_steps:
         limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
         raise InputError.field(_WHERE, "controller.order", lights, limit)

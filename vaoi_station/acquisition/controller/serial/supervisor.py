@@ -211,7 +211,7 @@ class Supervisor:
         """See `Controller.fire_one`."""
         if self.arming is not None:
             raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
-        name = next(iter(self._config.lights_in_turn), "")
+        name = next(iter(self._config.light_sequence), "")
         step = light_step(name, self._config, self.ident) if name else DARK
         self.translator.set_lights(lambda _row: "", name)
         self._number = (self._number + 1) % 0x10000

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
-from tests.doctor.conftest import is_bad, only
+from tests.doctor.conftest import assert_problem, only
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.check_context import Patient
+from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks.camera_library import aravis
 from vaoi_station.doctor.checks.cameras import cameras
 from vaoi_station.doctor.finding import Level
@@ -25,8 +25,8 @@ Make = Callable[..., StationConfig]
 MEMORY_BYTES, BLOCK_BYTES, CONTROL_PORT = 0x10000, 512, 3956
 
 
-def patient(config: StationConfig) -> Patient:
-    return Patient(config, Machine(), None)
+def patient(config: StationConfig) -> CheckContext:
+    return CheckContext(config, Machine(), None)
 
 
 def memory_of(device: Device) -> bytes:
@@ -74,7 +74,7 @@ def test_a_camera_that_is_not_there_hides_no_other(device: Plug, station: Make) 
     config = station(gone, here)
     gone.unplug()
     absent, there, _ = cameras(patient(config))
-    is_bad(absent, Level.FAULT, f"there is no camera at {gone.address}")
+    assert_problem(absent, Level.FAULT, f"there is no camera at {gone.address}")
     assert absent.action.endswith(f"Try: ping -c 1 {gone.address}")
     assert there.level is Level.OK
 
@@ -90,20 +90,20 @@ def test_a_camera_that_somebody_uses(device: Plug, station: Make, tmp_path: Path
         assert somebody.stdout.readline() == "held\n"
         finding = only(cameras(patient(station(camera))))
         somebody.communicate("")
-    is_bad(finding, Level.FAULT, "another program controls the camera")
+    assert_problem(finding, Level.FAULT, "another program controls the camera")
 
 
 def test_a_serial_number_that_nobody_has(device: Plug, station: Make) -> None:
     config = station(device(0))
     camera = config.cameras[0].model_copy(update={"address": None, "serial": "NONE"})
     finding = only(cameras(patient(config.model_copy(update={"cameras": (camera,)}))))
-    is_bad(finding, Level.FAULT, "no camera with serial number 'NONE'", "WIRE0")
+    assert_problem(finding, Level.FAULT, "no camera with serial number 'NONE'", "WIRE0")
     assert finding.action.endswith("Try: arv-tool-0.8")
 
 
 def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
     found = list(cameras(patient(station(device(0, serial="TWIN"), device(1, serial="TWIN")))))
-    is_bad(found[2], Level.FAULT, "c0, c1 have the same serial number 'TWIN'")
+    assert_problem(found[2], Level.FAULT, "c0, c1 have the same serial number 'TWIN'")
 
 
 @pytest.mark.parametrize(
@@ -119,22 +119,22 @@ def test_what_a_camera_cannot_do(device: Plug, station: Make, changes: dict[str,
     config = station(device(0))
     camera = config.cameras[0].model_copy(update=changes)
     findings = list(cameras(patient(config.model_copy(update={"cameras": (camera,)}))))
-    is_bad(findings[0], Level.FAULT, said)
+    assert_problem(findings[0], Level.FAULT, said)
 
 
 @pytest.mark.usefixtures("small_packets")
 def test_small_packets_are_told(device: Plug, station: Make) -> None:
     *_, port = cameras(patient(station(device(0))))
-    is_bad(port, Level.WARNING, "MTU 1500", "packets of 1500 bytes")
+    assert_problem(port, Level.WARNING, "MTU 1500", "packets of 1500 bytes")
     *_, port = cameras(patient(station(device(0), packet_bytes=8000)))
-    is_bad(port, Level.WARNING, "c0 is to have 8000")
+    assert_problem(port, Level.WARNING, "c0 is to have 8000")
     assert port.action == "ip link set dev lo mtu 8000"
 
 
 def test_a_port_that_cannot_carry_a_row(device: Plug, station: Make) -> None:
     config = station(device(0), device(1), link_mbit_s=1.0)
     *_, port = cameras(patient(config))
-    is_bad(port, Level.FAULT, "2 cameras on port lo need")
+    assert_problem(port, Level.FAULT, "2 cameras on port lo need")
 
 
 def test_the_library_tells_its_version(station: Make, device: Plug) -> None:

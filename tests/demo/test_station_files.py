@@ -1,0 +1,61 @@
+"""The files of a demo station: what is written is what is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.config import ReplayConfig, RingConfig, StationConfig, read_config
+from vaoi_station.demo import station_files
+from vaoi_station.errors import NotFoundError
+from vaoi_station.files import read_board_type, read_calibration
+from vaoi_station.simulation import Twin, scenario_path
+
+
+def test_a_site_is_complete(tmp_path: Path) -> None:
+    path, twin = station_files.write_station_files(scenario_path("small"), tmp_path, boards=1)
+    config = read_config(path)
+    assert config == station_files.station_config(twin, scenario_path("small"), tmp_path, 1)
+    assert config.simulation is not None
+    assert config.simulation.boards == 1
+    assert read_calibration(config.calibration, len(config.cameras)).working_distance_mm == 300
+    assert read_board_type(config.board_types / "small.json") == twin.board_type
+
+
+def test_every_table_survives_toml(twin: Twin, tmp_path: Path) -> None:
+    plain = station_files.station_config(twin, scenario_path("small"), tmp_path, 0)
+    full = plain.model_copy(
+        update={
+            "name": 'with "quotes", umlauts äöü and ∅',
+            "replay": ReplayConfig(recordings=(tmp_path / "a b", tmp_path / "c"), pace="fast", pause_s=0.0),
+            "ring": RingConfig(directory=tmp_path, runs=5, lease_s=1e-3),
+        }
+    )
+    for config in (plain, full):
+        (tmp_path / "station.toml").write_text(station_files.to_toml(config), encoding="utf-8")
+        assert read_config(tmp_path / "station.toml") == StationConfig.model_validate(config.model_dump())
+
+
+def test_defaults_are_not_written(twin: Twin, tmp_path: Path) -> None:
+    text = station_files.to_toml(station_files.station_config(twin, scenario_path("small"), tmp_path, 0))
+    assert "workers" not in text
+    assert "[line.expected_board]" in text
+    assert text.count("[[cameras]]") == 2
+
+
+def test_a_ring_goes_where_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(station_files, "SHARED_MEMORY", tmp_path)
+    assert station_files.ring_directory(1, tmp_path / "files") == tmp_path
+    assert station_files.ring_directory(2**62, tmp_path / "files") == tmp_path / "files"
+    monkeypatch.setattr(station_files, "SHARED_MEMORY", tmp_path / "absent")
+    assert station_files.ring_directory(1, tmp_path / "files") == tmp_path / "files"
+
+
+def test_scenarios_by_name_and_by_file(tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text("[board]\nname = 'own'\n")
+    assert station_files.resolve_scenario("small") == scenario_path("small")
+    assert station_files.resolve_scenario(str(own)) == own
+    with pytest.raises(NotFoundError, match="no scenario 'smal'"):
+        station_files.resolve_scenario("smal")

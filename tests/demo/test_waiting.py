@@ -1,0 +1,73 @@
+"""Waiting for a station that is slow, faulted, or quicker than we are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from vaoi_station.demo import waiting
+from vaoi_station.demo.client import Client
+from vaoi_station.errors import DeviceError, NotFoundError
+
+FAULT = {"state": "faulted", "reasons": [{"message": "Camera 0 is lost.", "action": "Check its cable."}]}
+
+
+class Station(Client):
+    """ServiceReplies every address from a list, the last answer again and again."""
+
+    def __init__(self, **answers: list[Any]) -> None:
+        super().__init__("http://station")
+        self.answers = {f"/{name.replace('_', '/')}": list(reversed(given)) for name, given in answers.items()}
+        self.asked: list[tuple[str, dict[str, Any]]] = []
+
+    def get(self, path: str, **query: Any) -> Any:
+        self.asked.append((path, query))
+        given = self.answers[path]
+        answer = given.pop() if len(given) > 1 else given[0]
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def messages(self, after: int = 0) -> Iterator[dict[str, Any]]:
+        while True:
+            yield {}
+
+
+def test_until_the_station_can_be_armed() -> None:
+    station = Station(station=[{"state": "starting"}, {"state": "starting"}, {"state": "idle"}])
+    waiting.wait_until_idle(station)
+    assert len(station.asked) == 3
+
+
+def test_a_faulted_station_says_why() -> None:
+    with pytest.raises(DeviceError, match=r"faulted. Camera 0 is lost. Check its cable."):
+        waiting.wait_until_idle(Station(station=[FAULT]))
+
+
+def test_a_station_that_never_gets_ready(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(waiting, "START_S", -1.0)
+    with pytest.raises(DeviceError, match="not ready"):
+        waiting.wait_until_idle(Station(station=[{"state": "starting"}]))
+
+
+def test_the_next_run_is_waited_for() -> None:
+    station = Station(runs_next=[None, {"id": "r2"}], station=[{"state": "armed"}])
+    assert waiting.wait_for_run(station, "r1") == {"id": "r2"}
+    assert station.asked[0] == ("/runs/next", {"after": "r1", "timeout": waiting.POLL_S})
+
+
+def test_a_first_run_that_was_quicker_than_the_poll() -> None:
+    station = Station(
+        runs_next=[None], station=[{"state": "armed"}], runs_latest=[NotFoundError("none yet"), {"id": "r1"}]
+    )
+    assert waiting.wait_for_run(station, None) == {"id": "r1"}
+
+
+def test_no_board_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DeviceError, match="Camera 0 is lost"):
+        waiting.wait_for_run(Station(runs_next=[None], station=[FAULT]), "r1")
+    monkeypatch.setattr(waiting, "BOARD_S", -1.0)
+    with pytest.raises(DeviceError, match="no board was filmed"):
+        waiting.wait_for_run(Station(), "r1")

@@ -1,0 +1,95 @@
+"""A station on the virtual rig, looked at before it starts, while it runs, and when it has stopped.
+
+    python -m tests.doctor.rig_session DIRECTORY
+
+In a network of its own. Prints one JSON object: the three reports, and the processes of the station before and after
+the look.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.doctor import run_checks
+from vaoi_station.doctor.checks.running_station import ask
+
+PATIENCE_S = 120.0
+
+
+@contextmanager
+def ended_by(number: signal.Signals, process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
+    """A process that is asked to end, and waited for."""
+    try:
+        yield process
+    finally:
+        process.send_signal(number)
+        process.communicate(timeout=PATIENCE_S)
+
+
+def rig(directory: Path) -> subprocess.Popen[str]:
+    """Devices, once they are there."""
+    command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--out", str(directory)]
+    command += ["--scenario", "small", "--different", "1"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert any("Boards pass" in line for line in process.stdout)
+    return process
+
+
+def service(path: Path, config: StationConfig) -> subprocess.Popen[str]:
+    """A station, once it is idle."""
+    address = path.with_name("notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as told:
+        told.bind(str(address))
+        told.settimeout(PATIENCE_S)
+        command = [sys.executable, "-m", "vaoi_station", "serve", "--config", str(path)]
+        environment = os.environ | {"NOTIFY_SOCKET": str(address)}
+        process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, text=True)
+        while b"READY=1" not in told.recv(4096):
+            pass
+    wait_until_idle(config)
+    return process
+
+
+def wait_until_idle(config: StationConfig) -> None:
+    """The stream of events says its state every two seconds."""
+    connection = http.client.HTTPConnection(config.api.host, config.api.port, timeout=PATIENCE_S)
+    connection.request("GET", "/api/v1/events")
+    stream = connection.getresponse()
+    while ask(config.api)["state"] != "idle":
+        stream.readline()
+    connection.close()
+
+
+def processes(config: StationConfig) -> list[Any]:
+    """Of the station: those that were started again have another pid."""
+    return [(process["name"], process["pid"], process["restarts"]) for process in ask(config.api)["processes"]]
+
+
+def main(directory: Path) -> None:
+    path = directory / "station.toml"
+    with ended_by(signal.SIGINT, rig(directory)):
+        config = read_config(path)
+        before = run_checks(path)
+        with ended_by(signal.SIGTERM, service(path, config)):
+            untouched = processes(config)
+            beside = run_checks(path)
+            touched = processes(config)
+        after = run_checks(path)
+    reports = {"before": before.document(), "beside": beside.document(), "after": after.document()}
+    print(json.dumps(reports | {"processes": [untouched, touched]}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,66 @@
+"""`vaoi doctor` and a station with real backends: cameras and controller are looked at, or left to who has them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.needs import need_emulator
+from vaoi_station.rig.devices.network import NAMESPACE_VARIABLE, isolation_command
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What `on_the_rig` saw."""
+    need_emulator()
+    directory = tmp_path_factory.mktemp("doctor") / "rig"
+    command = [*isolation_command(), sys.executable, "-m", "tests.doctor.rig_session", str(directory)]
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        env=os.environ | {NAMESPACE_VARIABLE: "1"},
+        check=False,
+        timeout=280,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    document: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return document
+
+
+def found(report: dict[str, Any], check: str) -> dict[str, dict[str, Any]]:
+    return {finding["subject"]: finding for finding in report["findings"] if finding["check"] == check}
+
+
+@pytest.mark.aravis
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_devices_that_nobody_uses_are_asked(told: dict[str, Any], when: str) -> None:
+    report = told[when]
+    assert report["running"] is None
+    assert report["counts"]["fault"] == 0, report
+    assert list(found(report, "cameras")) == ["camera 0", "camera 1", "lo"]
+    assert list(found(report, "controller")) == ["port", "firmware", "limits", "state", "clock"]
+    assert {f["level"] for check in ("cameras", "controller") for f in found(report, check).values()} == {"ok"}
+
+
+@pytest.mark.aravis
+def test_devices_of_a_running_station_are_left_to_it(told: dict[str, Any]) -> None:
+    report = told["beside"]
+    assert report["running"] is not None
+    assert report["counts"]["fault"] == 0, report
+    assert found(report, "station")[""]["figures"] == {"state": "idle"}
+    cameras = found(report, "cameras")
+    assert list(cameras) == ["camera 0", "camera 1"]
+    assert all(camera["message"].startswith("connected") for camera in cameras.values())
+    assert list(found(report, "controller")) == [""]
+    untouched, touched = told["processes"]
+    assert touched == untouched

@@ -1,0 +1,47 @@
+"""Residual vectors show a camera that was moved by as much as it was moved, in its direction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.files import read_calibration, write_calibration
+from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.reporting import StitchedRun, restitch
+from vaoi_station.reporting.sections.residual_vectors import Vectors, residual_vectors, vectors
+from vaoi_station.stitching.recordings.opening import open_run
+
+
+def test_the_vectors_are_the_links_of_the_adjustment(stitched: StitchedRun) -> None:
+    count = stitched.result.quality["links"]
+    rows = [vectors(stitched, i, "rows") for i in range(stitched.cameras)]
+    assert sum(v.links for v in rows) == count["rows"]["used"]
+    assert [len(v.at_px) for v in rows] == [2 * v.links for v in rows], "both ends lie in frames of the camera"
+    sides = [vectors(stitched, i, "neighbours") for i in range(2)]
+    assert [v.links for v in sides] == [count["neighbours"]["used"]] * 2
+    assert sides[0].off_px.mean(0) == pytest.approx(-sides[1].off_px.mean(0), abs=0.01)
+    assert "exaggerated" in residual_vectors(stitched).lead
+
+
+def test_a_camera_that_stands_elsewhere_shows_in_its_seam(run: Path, tmp_path: Path) -> None:
+    known = read_calibration(run / "calibration.json")
+    off_mm = 0.12
+    moved = known.camera_matrices[1] @ np.array([[1, 0, 0], [0, 1, off_mm], [0, 0, 1]])
+    write_calibration(
+        tmp_path / "calibration.json", known.model_copy(update={"camera_matrices": (known.camera_matrices[0], moved)})
+    )
+    stitched = restitch(open_run(run, calibration=tmp_path / "calibration.json"))
+    left, right = (np.median(vectors(stitched, i, "neighbours").off_px, axis=0) for i in range(2))
+    assert np.hypot(*left) > 0.5
+    assert left @ right < 0, "each camera has the points where the other has not"
+
+
+def test_means_are_of_cells() -> None:
+    camera = Camera(140, 140, Projective(np.eye(3), System.IMAGE, System.ROW), Lens((0.0, 0.0), 1.0))
+    v = Vectors(np.array([[1.0, 1], [3, 3], [101, 51]]), np.array([[1.0, 0], [0, 1], [5, 5]]))
+    m = v.means(camera)
+    assert m.at_px.tolist() == [[2, 2], [101, 51]]
+    assert m.off_px.tolist() == [[0.5, 0.5], [5, 5]]
+    assert Vectors(np.zeros((0, 2)), np.zeros((0, 2))).means(camera).rms_px is None

@@ -1,0 +1,113 @@
+"""From what the service answered, and the twin's truth, to the report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from vaoi_station.demo.demo_report import LIMIT_PX, Belt, DemoReport, DemoTimings, LinkCount, Residuals
+from vaoi_station.demo.truth_comparison import Deviation, compare_with_truth, true_speed_mm_s
+from vaoi_station.model import Status
+from vaoi_station.runs.states.schemas import Reason, VerdictCounts
+from vaoi_station.simulation import Passage
+
+
+@dataclass(frozen=True, eq=False)
+class ServiceReplies:
+    """What was asked of the service: JSON of `runs/{id}` and of its matrices ({} where there are none)."""
+
+    run: dict[str, Any]
+    matrices: dict[str, Any]
+
+    @property
+    def quality(self) -> dict[str, Any]:
+        """The numbers behind the verdict."""
+        return dict(self.matrices.get("quality", {}))
+
+
+@dataclass(frozen=True)
+class Output:
+    """What was written, and how long it took."""
+
+    directory: str
+    contact_sheet: str
+    components: int
+    pictures: int
+    pictures_s: float
+    total_s: float
+
+
+def evaluate(scenario: str, answers: ServiceReplies, passage: Passage, output: Output) -> DemoReport:
+    """The report on one board of the twin."""
+    run = answers.run
+    status = Status(run["verdict"])
+    found = compare_with_truth(
+        passage.truth()["views"],
+        answers.matrices.get("components") or {},
+        [camera.px_per_mm for camera in passage.twin.cameras],
+    )
+    return DemoReport(
+        ok=status is Status.OK and agrees(found),
+        scenario=scenario,
+        board_type=run["board_type"],
+        run=run["id"],
+        status=status,
+        reasons=tuple(Reason.model_validate(reason) for reason in run["reasons"]),
+        cameras=run["cameras"],
+        rows=run["rows"],
+        frames=VerdictCounts.model_validate(run["counts"]),
+        residuals=_residuals(answers.quality),
+        belt=_belt(run, passage),
+        sigma_px=answers.quality.get("cad_sigma_px"),
+        deviation=found,
+        timings=_timings(run, answers.quality, output),
+        components=output.components,
+        pictures=output.pictures,
+        out=output.directory,
+        contact_sheet=output.contact_sheet,
+    )
+
+
+def agrees(found: Deviation) -> bool:
+    """Whether a result is as near to the truth as one that says ok must be."""
+    return found.unplaced == 0 and found.max_px <= LIMIT_PX
+
+
+def _residuals(quality: dict[str, Any]) -> Residuals:
+    misfit = quality.get("residual_px", {})
+    fiducials = {f["name"]: f["residual_px"] for f in quality.get("fiducials", [])}
+    return Residuals(
+        links={kind: LinkCount(**count) for kind, count in quality.get("links", {}).items()},
+        link_median_px=misfit.get("median"),
+        link_scatter_px=misfit.get("scatter"),
+        fiducials_px={name: None if off is None else round(math.hypot(*off), 4) for name, off in fiducials.items()},
+    )
+
+
+def _belt(run: dict[str, Any], passage: Passage) -> Belt:
+    belt = run.get("belt")
+    return Belt(
+        nominal_mm_s=passage.twin.line.speed_mm_s,
+        measured_mm_s=round(math.hypot(*belt["measured_mm_s"]), 4) if belt else None,
+        true_mm_s=round(true_speed_mm_s(passage), 4),
+    )
+
+
+def _timings(run: dict[str, Any], quality: dict[str, Any], output: Output) -> DemoTimings:
+    timings = run.get("timings", {})
+    return DemoTimings(
+        filming_s=_rounded(timings.get("filming_s"), 4),
+        ready_after_last_frame_ms=_rounded(timings.get("ready_after_last_frame_ms"), 2),
+        links=timings.get("links", 0),
+        links_while_filming=timings.get("links_while_filming", 0),
+        links_ms=round(timings.get("links_ms", 0.0), 2),
+        conclude_ms=round(timings.get("conclude_ms", 0.0), 2),
+        stages_ms=quality.get("timings_ms", {}),
+        pictures_s=round(output.pictures_s, 3),
+        total_s=round(output.total_s, 3),
+    )
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)

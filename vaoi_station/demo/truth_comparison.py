@@ -1,0 +1,76 @@
+"""How far a result is from the twin's truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from vaoi_station.model import Strict
+from vaoi_station.simulation import Passage
+
+View = Sequence[float]
+"""camera, row, x, y: where the middle of a footprint is, in raw pixels."""
+
+
+class Deviation(Strict):
+    """Result against truth, over all views of all components: distances in the image, and on the board."""
+
+    views: int
+    """Views of the truth that have been compared."""
+    unplaced: int
+    """Views of the truth the result says nothing about."""
+    rms_px: float
+    max_px: float
+    rms_mm: float
+    max_mm: float
+    worst: str | None
+    """Component, camera and row of the largest one."""
+
+
+def compare_with_truth(
+    truth: Mapping[str, Iterable[View]], found: Mapping[str, Iterable[View]], px_per_mm: Sequence[float]
+) -> Deviation:
+    """Compare places of components in raw images.
+
+    Args:
+        truth: where every footprint's middle really is, by component.
+        found: where the result says it is; views the truth does not have are left aside.
+        px_per_mm: resolution of each camera.
+    """
+    errors: list[tuple[float, float, str]] = []
+    unplaced = 0
+    for address, views in truth.items():
+        places = {(int(camera), int(row)): (x, y) for camera, row, x, y in found.get(address, ())}
+        for camera, row, x, y in views:
+            place = places.get((int(camera), int(row)))
+            if place is None:
+                unplaced += 1
+                continue
+            off_px = math.hypot(place[0] - x, place[1] - y)
+            errors.append((off_px, off_px / px_per_mm[int(camera)], f"{address}, camera {camera:.0f}, row {row:.0f}"))
+    px, mm = (np.array([e[k] for e in errors] or [0.0]) for k in (0, 1))
+    return Deviation(
+        views=len(errors),
+        unplaced=unplaced,
+        rms_px=_rms(px),
+        max_px=round(float(px.max()), 5),
+        rms_mm=_rms(mm),
+        max_mm=round(float(mm.max()), 5),
+        worst=max(errors)[2] if errors else None,
+    )
+
+
+def true_speed_mm_s(passage: Passage) -> float:
+    """Speed of the board's middle: the straight line through its places at the pulses."""
+    board = passage.twin.scenario.board
+    middle = np.array([board.width_mm / 2, board.length_mm / 2, 1.0])
+    places_mm = np.array([(passage.pose(t) @ middle)[:2] for t in passage.pulse_times_s])
+    times_s = np.array(passage.pulse_times_s)
+    centred_s = times_s - times_s.mean()
+    return float(np.hypot(*(centred_s @ places_mm / (centred_s @ centred_s))))
+
+
+def _rms(values: np.ndarray) -> float:
+    return round(float(np.sqrt(np.mean(values**2))), 5)

@@ -1,0 +1,67 @@
+"""Files the configuration names: calibration, board types, and what stands in for devices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from vaoi_station.acquisition.process.backends import check_backends
+from vaoi_station.doctor.check_context import CheckContext
+from vaoi_station.doctor.finding import Finding, fault, not_applicable, ok, warning
+from vaoi_station.doctor.machine import is_directory, writable
+from vaoi_station.errors import VaoiError
+from vaoi_station.files import read_calibration
+from vaoi_station.store import BoardTypeDirectory
+
+
+def calibration(context: CheckContext) -> Iterator[Finding]:
+    """Can it be read, and is it one of this array?"""
+    path = context.config.calibration
+    try:
+        read = read_calibration(path, [c.head for c in context.config.cameras])
+    except VaoiError as error:
+        first = (
+            "vaoi record --config station.toml --out board-film --still; vaoi calibrate board-film: "
+            "docs/engineering/calibration.md"
+        )
+        yield fault(error.message, error.action or first)
+        return
+    made = f", made {read.created}" if read.created else ""
+    yield ok(f"{path}: {len(read.camera_matrices)} cameras{made}")
+
+
+def board_types(context: CheckContext) -> Iterator[Finding]:
+    """Can every file of the directory be read, and new ones be written?"""
+    directory = context.config.board_types
+    if not is_directory(directory):
+        yield fault(
+            f"there is no directory {directory}, or this user may not see it.", f"install -d -o $USER {directory}"
+        )
+        return
+    files = BoardTypeDirectory(directory).list()
+    for file in files:
+        if file.fault is not None:
+            action = file.fault.action or "Correct the file; docs/formats.md describes it."
+            yield fault(file.fault.message, action, subject=file.path.name)
+    sound = [file.board_type.name for file in files if file.board_type is not None]
+    if not files:
+        yield warning(
+            f"{directory} is empty: there is nothing to arm with.", "Put a board.json there: docs/formats.md."
+        )
+    elif not writable(directory):
+        yield warning(f"{directory} cannot be written to; types cannot be taught by REST.", f"chown vaoi {directory}")
+    elif sound:
+        yield ok(f"{directory}: {len(sound)} can be read", figures={"board_types": len(sound)})
+
+
+def stand_ins(context: CheckContext) -> Iterator[Finding]:
+    """Scenario or recordings of a station without devices."""
+    backend = context.config.controller.backend
+    if backend not in {"simulated", "replay"}:
+        yield not_applicable("cameras and controller are real")
+        return
+    try:
+        check_backends(context.config)
+    except VaoiError as error:
+        yield fault(error.message, error.action or "Correct the tables [simulation] or [replay] of station.toml.")
+        return
+    yield ok("the twin's scenario fits" if backend == "simulated" else "the recordings fit")

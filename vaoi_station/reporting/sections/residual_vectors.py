@@ -1,0 +1,143 @@
+"""Residual vectors over the frame of each camera: what links leave unexplained, and where.
+
+A calibration or a lens that is off shows as a pattern that all rows share; noise does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.reporting.drawing.html_page import Section, figures
+from vaoi_station.reporting.drawing.scales import number, round_down
+from vaoi_station.reporting.drawing.svg import drawing, label, tag, text, title
+from vaoi_station.reporting.stitched_run import StitchedRun
+
+_WIDTH = 374.0
+_CELLS = 14
+"""Cells across a frame; each shows the mean of its residuals."""
+_SINGLE = 250
+"""So many single links at the most are drawn behind the means."""
+_COLOURS = {"rows": "#22456b", "neighbours": "#c0561a"}
+_NAMES = {"rows": "to other rows", "neighbours": "to the other camera"}
+
+
+@dataclass(frozen=True, eq=False)
+class Vectors:
+    """Residuals in the frame of one camera: places (k, 2) and vectors (k, 2) in px along the image's axes."""
+
+    at_px: Floats
+    off_px: Floats
+    links: int = 0
+    """How many links there are; one between rows of a camera has both its ends here."""
+
+    @property
+    def rms_px(self) -> float | None:
+        """Root mean square of their lengths."""
+        return float(np.sqrt((self.off_px**2).sum(1).mean())) if len(self.off_px) else None
+
+    def means(self, camera: Camera) -> Vectors:
+        """Of the cells of a grid, at the mean place of what lies there."""
+        if not len(self.at_px):
+            return self
+        size = camera.width_px / _CELLS
+        x, y = (self.at_px // size).astype(np.int_).T
+        _, cell, count = np.unique(y * _CELLS * 4 + x, return_inverse=True, return_counts=True)
+        total = [np.bincount(cell, v) for v in (*self.at_px.T, *self.off_px.T)]
+        at_x, at_y, off_x, off_y = (t / count for t in total)
+        return Vectors(np.stack([at_x, at_y], -1), np.stack([off_x, off_y], -1))
+
+
+def vectors(stitched: StitchedRun, number_: int, kind: str) -> Vectors:
+    """Residuals of one camera's links with weight: from the point in one frame to where the other puts it."""
+    f, camera = stitched.findings, stitched.opened.setup.cameras[number_]
+    links, adjusted = f.problem.links, f.adjusted
+    turn = camera.image_from_row.matrix[:2, :2] / camera.px_per_mm
+    at, off, count = [np.zeros((0, 2))], [np.zeros((0, 2))], 0
+    for n, e in enumerate(links.groups):
+        if e.task.kind != kind or e.task.b is None:
+            continue
+        mine = links.group == n
+        keep = adjusted.weight[mine] > 0.1
+        px = adjusted.link_px[mine][keep] @ turn.T
+        count += len(px) if number_ in (e.task.a[0], e.task.b[0]) else 0
+        if e.task.a[0] == number_:
+            at.append(e.a_px[keep])
+            off.append(px)
+        if e.task.b[0] == number_:
+            at.append(e.b_px[keep])
+            off.append(-px)
+    return Vectors(np.concatenate(at), np.concatenate(off), count)
+
+
+def residual_vectors(stitched: StitchedRun) -> Section:
+    """One drawing per camera; all have the same exaggeration."""
+    kinds = list(_COLOURS)
+    found = [{kind: vectors(stitched, i, kind) for kind in kinds} for i in range(stitched.cameras)]
+    cameras = stitched.opened.setup.cameras
+    shown = [m for i, v in enumerate(found) for m in (v[kind].means(cameras[i]) for kind in kinds) if len(m.off_px)]
+    if not shown:
+        return Section("residuals", "Residuals", "", tag("p", "There are no links.", class_="none"))
+    lengths = np.concatenate([np.hypot(*m.off_px.T) for m in shown])
+    widest = max(c.width_px for c in cameras)
+    factor = round_down(0.8 * widest / _CELLS / max(float(np.percentile(lengths, 90)), 1e-4))
+    drawings = [(_camera(stitched, i, v, factor), _caption(i, v)) for i, v in enumerate(found)]
+    keys = "".join(
+        tag("span", class_="key", style=f"background:{_COLOURS[k]}") + text(f"links {_NAMES[k]}") for k in kinds
+    )
+    lead = (
+        f"What the links with weight leave over, exaggerated {factor:,.0f}-fold: from where one frame has a point "
+        f"to where the other frame puts it. Thick: means over cells of the frame; thin: single links ({_SINGLE} at "
+        "most). A pattern in the means is a lens, a camera that has moved, or a surface not as estimated."
+    )
+    return Section("residuals", "Residuals", lead, tag("p", keys) + figures(*drawings))
+
+
+def _caption(number_: int, found: dict[str, Vectors]) -> str:
+    told = [f"{v.links} {_NAMES[k]}: rms {number(v.rms_px)} px" for k, v in found.items() if v.links]
+    return text(f"camera {number_}: " + ("; ".join(told) or "no links"))
+
+
+def _camera(stitched: StitchedRun, number_: int, found: dict[str, Vectors], factor: float) -> str:
+    camera = stitched.opened.setup.cameras[number_]
+    scale = _WIDTH / camera.width_px
+    height = camera.height_px * scale
+    frame = tag("rect", width=_WIDTH, height=height, fill="#fafbfb", stroke="#c9ced3")
+    content = [frame]
+    for kind, v in found.items():
+        step = max(1, -(-len(v.at_px) // _SINGLE))
+        content.append(_arrows(v.at_px[::step], v.off_px[::step], scale, factor, _COLOURS[kind], 0.6, 0.35))
+    for kind, v in found.items():
+        m = v.means(camera)
+        content.append(_arrows(m.at_px, m.off_px, scale, factor, _COLOURS[kind], 1.8, 1.0))
+    unit = round_down(max(40 / scale / factor, 1e-9))
+    long = unit * scale * factor
+    bar = tag(
+        "line",
+        title(f"{unit:g} px"),
+        x1=8,
+        x2=8 + long,
+        y1=height + 13,
+        y2=height + 13,
+        stroke="#1c2126",
+        stroke_width=2,
+    )
+    words = label(8 + long + 6, height + 17, f"{unit:g} px, exaggerated ×{factor:,.0f}", class_="faint")
+    return drawing(_WIDTH, height + 22, *content, bar, words, label=f"residuals of camera {number_}")
+
+
+def _arrows(
+    at_px: Floats, off_px: Floats, scale: float, factor: float, colour: str, thickness: float, opacity: float
+) -> str:
+    """Lines from places in the direction of vectors, as one path; a dot marks where each starts."""
+    if not len(at_px):
+        return ""
+    start, end = at_px * scale, (at_px + off_px * factor) * scale
+    lines = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(start, end, strict=True))
+    dots = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in start)
+    path = partial(tag, "path", stroke=colour, opacity=opacity, fill="none", stroke_linecap="round")
+    return path(d=lines, stroke_width=thickness) + path(d=dots, stroke_width=2.4 * thickness)

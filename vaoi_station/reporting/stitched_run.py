@@ -1,0 +1,130 @@
+"""A run stitched once more, with everything kept that a report shows."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.model import RecordingHead, Stitch
+from vaoi_station.reporting.drawing.thumbnails import Thumbnail, thumbnail, thumbnail_width
+from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Links
+from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.recordings.opening import OpenedRun
+from vaoi_station.stitching.work import all_tasks
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """Two frames that were looked at for links, and what came of it."""
+
+    links: Links
+    used: int
+    """Links that have weight in the adjustment."""
+    residual_px: float | None
+    """Root mean square of those."""
+
+    @property
+    def a(self) -> FrameKey:
+        """The first frame."""
+        return self.links.task.a
+
+    @property
+    def b(self) -> FrameKey:
+        """The second frame."""
+        return self.links.task.b or self.links.task.a
+
+    @property
+    def score(self) -> float:
+        """Mean correlation of the links; 0 if there are none."""
+        return float(self.links.score.mean()) if len(self.links.score) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class StitchedRun:
+    """A run, its result, and how it came about."""
+
+    opened: OpenedRun
+    evidence: tuple[Evidence, ...]
+    result: Stitch
+    findings: Findings
+    task_ms: dict[str, float]
+    """Wall time by kind of task, with the reading of frames; what concluding took is in `stitch.quality`."""
+    thumbnails: dict[FrameKey, Thumbnail]
+
+    @property
+    def head(self) -> RecordingHead:
+        """What was filmed."""
+        return self.opened.recording.head
+
+    @property
+    def cameras(self) -> int:
+        """The paper's n."""
+        return len(self.head.cameras)
+
+    @cached_property
+    def pairs(self) -> tuple[FramePair, ...]:
+        """Every pair of frames that was looked at, by cameras and rows."""
+        f = self.findings
+        adjusted, links = f.adjusted, f.problem.links
+        number = {id(e): n for n, e in enumerate(links.groups)}
+        out = []
+        for e in f.links:
+            mine = links.group == number.get(id(e), -1)
+            used = mine & (adjusted.weight > 0.1) if len(adjusted.weight) else mine[:0]
+            px = np.hypot(*adjusted.link_px[used].T) if used.any() else np.zeros(0)
+            rms = float(np.sqrt(np.mean(px**2))) if len(px) else None
+            out.append(FramePair(e, int(used.sum()), rms))
+        return tuple(out)
+
+    @cached_property
+    def causes(self) -> dict[FrameKey, tuple[str, str]]:
+        """Verdict and cause of every frame that is not ok, by camera and row."""
+        told = (self.head.model_extra or {}).get("x_verdicts")
+        out = dict.fromkeys(self.head.missing, ("missing", "the frame never arrived"))
+        for entry in told if isinstance(told, list) else []:
+            key, verdict, cause = _entry(entry)
+            if key in out:
+                out[key] = (verdict, cause or out[key][1])
+        return out
+
+
+def restitch(opened: OpenedRun) -> StitchedRun:
+    """Stitch a run and keep evidence, findings, times, and a small picture of every frame."""
+    head, present = opened.recording.head, opened.present
+    width = thumbnail_width(len(present))
+    thumbnails: dict[FrameKey, Thumbnail] = {}
+    read = opened.recording.frame
+
+    def frame(camera: int, row: int) -> NDArray[Any] | None:
+        pixels = read(camera, row)
+        if pixels is not None and (camera, row) not in thumbnails:
+            thumbnails[camera, row] = thumbnail(pixels, width)
+        return pixels
+
+    times_s = head.row_times_s()
+    runner = opened.runner(frame)
+    evidence, task_ms = [], defaultdict[str, float](float)
+    for task in all_tasks(present, dict(enumerate(times_s)), opened.setup):
+        began_s = time.perf_counter()
+        evidence.append(runner.perform(task))
+        task_ms[task.kind] += (time.perf_counter() - began_s) * 1e3
+    stitch, findings = runner.conclude_with_findings(times_s, present, evidence)
+    for key in present:
+        if key not in thumbnails:
+            frame(*key)
+    return StitchedRun(opened, tuple(evidence), stitch, findings, dict(task_ms), thumbnails)
+
+
+def _entry(entry: Any) -> tuple[FrameKey, str, str]:
+    """What the recorder wrote of a frame; the key is the user's own, so that anything may stand there."""
+    if not isinstance(entry, dict):
+        return (-1, -1), "", ""
+    camera, row = entry.get("camera"), entry.get("row")
+    key = (camera, row) if isinstance(camera, int) and isinstance(row, int) else (-1, -1)
+    return key, str(entry.get("verdict", "missing")), str(entry.get("cause", ""))
