@@ -1,3 +1,122 @@
-"""Inline Video-AOI station: films a board on its way into the tester and hands out its component images."""
+"""Inline Video-AOI station: films a board on its way into the tester and provides images of its components.
 
-__version__ = "0.1.0"
+`import vaoi_station as vaoi` gives the public Python API: the names in `__all__`, and nothing else, are stable.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from vaoi_station.version import __version__
+
+if TYPE_CHECKING:
+    from vaoi_station.errors import (
+        BusyError,
+        DeviceError,
+        GoneError,
+        InputError,
+        InternalError,
+        NotFoundError,
+        StateError,
+        VaoiError,
+    )
+    from vaoi_station.library.component_images import ComponentImage, ComponentImages
+    from vaoi_station.library.documents import (
+        read_board_type,
+        read_calibration,
+        read_image,
+        read_result,
+        write_board_type,
+        write_calibration,
+        write_image,
+    )
+    from vaoi_station.library.live_station import Station, StationRun, connect
+    from vaoi_station.library.recorded_run import RecordedRun, open_recording, stitch
+    from vaoi_station.library.simulated_run import simulate
+    from vaoi_station.library.stitched_run import StitchedRun
+    from vaoi_station.model import BoardType, Calibration, Component, Status
+    from vaoi_station.model import Stitch as Result
+
+_LOCATIONS = {
+    "BoardType": "model",
+    "BusyError": "errors",
+    "Calibration": "model",
+    "Component": "model",
+    "ComponentImage": "library.component_images",
+    "ComponentImages": "library.component_images",
+    "DeviceError": "errors",
+    "GoneError": "errors",
+    "InputError": "errors",
+    "InternalError": "errors",
+    "NotFoundError": "errors",
+    "RecordedRun": "library.recorded_run",
+    "Result": "model:Stitch",
+    "StateError": "errors",
+    "Station": "library.live_station",
+    "StationRun": "library.live_station",
+    "Status": "model",
+    "StitchedRun": "library.stitched_run",
+    "VaoiError": "errors",
+    "connect": "library.live_station",
+    "open_recording": "library.recorded_run",
+    "read_board_type": "library.documents",
+    "read_calibration": "library.documents",
+    "read_image": "library.documents",
+    "read_result": "library.documents",
+    "simulate": "library.simulated_run",
+    "stitch": "library.recorded_run",
+    "write_board_type": "library.documents",
+    "write_calibration": "library.documents",
+    "write_image": "library.documents",
+}
+"""Module of every public name, and the name there if it differs."""
+
+__all__ = [
+    "BoardType",
+    "BusyError",
+    "Calibration",
+    "Component",
+    "ComponentImage",
+    "ComponentImages",
+    "DeviceError",
+    "GoneError",
+    "InputError",
+    "InternalError",
+    "NotFoundError",
+    "RecordedRun",
+    "Result",
+    "StateError",
+    "Station",
+    "StationRun",
+    "Status",
+    "StitchedRun",
+    "VaoiError",
+    "__version__",
+    "connect",
+    "open_recording",
+    "read_board_type",
+    "read_calibration",
+    "read_image",
+    "read_result",
+    "simulate",
+    "stitch",
+    "write_board_type",
+    "write_calibration",
+    "write_image",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that `vaoi --help` loads neither numpy nor numba (PEP 562)."""
+    location = _LOCATIONS.get(name)
+    if location is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, attribute = location.partition(":")
+    value = getattr(importlib.import_module(f"{__name__}.{module}"), attribute or name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

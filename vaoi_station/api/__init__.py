@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI, Response
 from fastapi.routing import APIRoute
 
-from vaoi_station import __version__
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
@@ -17,6 +16,7 @@ from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import board_types, calibration, components, events, frames, runs, station, stitching
 from vaoi_station.api.services import Services
 from vaoi_station.runs.control.facade import Coordinator, StationState
+from vaoi_station.version import __version__
 
 PREFIX = "/api/v1"
 UNWELL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})

@@ -18,10 +18,10 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from vaoi_station import __version__
 from vaoi_station.api.hosts import addressed, allowed_names
 from vaoi_station.api.problems import problem_response
 from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
+from vaoi_station.version import __version__
 
 MAX_BODY_BYTES = 8 * 1024 * 1024
 """A board type of twenty thousand components has about 3 MB."""

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from vaoi_station import __version__
 from vaoi_station.cli.recordings.calibrate import calibrate
 from vaoi_station.cli.recordings.cut import cut
 from vaoi_station.cli.recordings.recalibrate import recalibrate
@@ -26,6 +25,7 @@ from vaoi_station.cli.tools.calibration_board import calibration_board
 from vaoi_station.cli.tools.plan import plan
 from vaoi_station.cli.tools.rig import rig
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
+from vaoi_station.version import __version__
 
 # Our matrices are small: threads of the linear algebra library cost more than they bring, and would take
 # the cores that cameras and workers need. Child processes inherit this; it must be set before numpy loads.

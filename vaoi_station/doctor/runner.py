@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
-from vaoi_station import __version__
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks import (
@@ -28,6 +27,7 @@ from vaoi_station.doctor.checks import (
 from vaoi_station.doctor.finding import Finding, Report, fault, not_applicable, ok
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import VaoiError
+from vaoi_station.version import __version__
 
 T = TypeVar("T")
 MACHINE_CHECKS: tuple[tuple[str, Callable[[Machine], Iterable[Finding]]], ...] = (

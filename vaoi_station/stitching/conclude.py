@@ -14,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vaoi_station import __version__
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
@@ -34,6 +33,7 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.verdict import decide_verdict, quality_document
+from vaoi_station.version import __version__
 
 _MOTION_MM = 5e-4
 """So far the motion from links alone converges at first: where the board is found all is adjusted once more."""

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query
 from fastapi.responses import FileResponse, Response
 
-from vaoi_station import __version__
 from vaoi_station.api import problems
 from vaoi_station.api.pages import FRESH, Assets
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.config import StationConfig
+from vaoi_station.version import __version__
 from vaoi_station.viewing.frame_documents import frame_document
 from vaoi_station.viewing.latest_frames import LatestFrames
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from vaoi_station import __version__
 from vaoi_station.cli import app
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.rig.devices import firmware
 from vaoi_station.rig.line.faults import KINDS
+from vaoi_station.version import __version__
 
 
 def refusal(*arguments: str) -> Exception:

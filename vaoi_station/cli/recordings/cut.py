@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from vaoi_station.geometry import Camera
-    from vaoi_station.model import RecordingHead, Stitch
 
 
 def cut(
@@ -27,6 +23,7 @@ def cut(
     from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
     from vaoi_station.files.documents import write_json
     from vaoi_station.files.images import write_image
+    from vaoi_station.library.stitched_run import check_result
     from vaoi_station.rendering import compute_views, render
 
     recording = open_recording(case)
@@ -34,7 +31,7 @@ def cut(
     cameras = read_calibration(calibration or case / "calibration.json", head.cameras).cameras(head.cameras)
     board_type = read_board_type(board or case / "board.json")
     stitch = read_stitch(result)
-    _check_result(result, stitch, head, cameras)
+    check_result(stitch, head.rows, cameras, result)
     for address in component:
         part = board_type.component(address)
         if part is None:
@@ -66,21 +63,3 @@ def cut(
             )
         write_json(out / f"{address.replace('/', '_')}.json", listing)
         typer.echo(f"{address}: {len(listing)} image(s) → {out}")
-
-
-def _check_result(path: Path, stitch: Stitch, head: RecordingHead, cameras: tuple[Camera, ...]) -> None:
-    """Refuse a result of another recording: other frames, or another calibration."""
-    import numpy as np
-
-    from vaoi_station.errors import InputError
-
-    def refuse(what: str) -> InputError:
-        return InputError(f"{path}: belongs to another recording: {what}.", action="Stitch this recording again.")
-
-    n, m = len(stitch.image_matrices), len(stitch.row_motion)
-    if (n, m) != (len(head.cameras), head.rows):
-        raise refuse(f"it has {n} cameras and {m} rows, this recording {len(head.cameras)} and {head.rows}")
-    for i, (matrices, camera) in enumerate(zip(stitch.image_matrices, cameras, strict=True)):
-        first = matrices[0]
-        if first is not None and not np.allclose(first, camera.image_from_row.matrix, rtol=1e-6, atol=1e-9):
-            raise refuse(f"its camera {i} was calibrated otherwise")

@@ -10,13 +10,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import vaoi_station
+from vaoi_station import version
 from vaoi_station.doctor.finding import Finding, fault, ok, warning
 from vaoi_station.doctor.machine import Machine, writable
 
 OLDEST, FIRST_UNTRIED = (3, 11), (3, 14)
 LIBRARIES = {"numpy": "numpy", "numba": "numba", "cv2": "opencv-python-headless", "pydantic": "pydantic"}
-PACKAGE = Path(vaoi_station.__file__).parent
+PACKAGE = Path(version.__file__).parent
 
 
 def python(_: Machine) -> Iterator[Finding]:

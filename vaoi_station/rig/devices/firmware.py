@@ -9,8 +9,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from vaoi_station import __version__
 from vaoi_station.errors import DeviceError, NotFoundError
+from vaoi_station.version import __version__
 
 _HERE = Path(__file__).resolve()
 PACKAGED = _HERE.parents[1] / "hardware" / "firmware"

@@ -9,7 +9,6 @@ from functools import cache
 import cv2
 import numpy as np
 
-from vaoi_station import __version__
 from vaoi_station.acquisition.pairing.proof import QUESTIONS, TriggerProof
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
@@ -27,6 +26,7 @@ from vaoi_station.runs.states.schemas import (
     Versions,
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
+from vaoi_station.version import __version__
 
 
 @cache

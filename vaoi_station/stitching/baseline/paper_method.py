@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station import __version__
 from vaoi_station.geometry import Camera, Euclidean
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import RecordingHead, Status, Stitch
@@ -26,6 +25,7 @@ from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.recordings.offline import Frames
 from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.version import __version__
 
 NO_MEASURE = "the paper's method has no measure of its own error"
 _BLANK = np.zeros((64, 64), dtype=np.uint8)

@@ -1,0 +1,65 @@
+"""Every program of docs/examples runs as it stands."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import vaoi_station as vaoi
+from tests.api.conftest import Served
+from tests.api.held_station import HeldStation
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+
+
+def run_example(name: str, *arguments: str | Path) -> str:
+    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_figure_of_a_component(tmp_path: Path) -> None:
+    shown = run_example("figure_of_a_component.py", tmp_path)
+    assert "ok: " in shown
+    assert vaoi.read_image(tmp_path / "U1.png").ndim == 3
+    assert vaoi.read_result(tmp_path / "result.json").status == vaoi.Status.OK
+
+
+def test_probe_coordinates(recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, tmp_path: Path) -> None:
+    stitched.save(tmp_path / "result.json")
+    lines = run_example("probe_coordinates.py", recording.directory, tmp_path / "result.json").splitlines()
+    assert [line.split()[0] for line in lines] == list(stitched.refs)
+
+
+def test_reproject_a_point(tmp_path: Path) -> None:
+    shown = run_example("reproject_a_point.py", tmp_path)
+    worst = float(shown.split(": ")[1].split(" px")[0])
+    assert 0 < worst < 0.3
+
+
+def test_images_from_a_station(tmp_path: Path) -> None:
+    station = HeldStation()
+    station.film()
+    served = Served(station)
+    try:
+        run_example("images_from_a_station.py", served.url, "U1", tmp_path)
+    finally:
+        served.stop()
+    assert list(tmp_path.glob("U1_*.png"))
+
+
+def test_the_table_lists_every_example() -> None:
+    table = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    missing = [path.name for path in EXAMPLES.glob("*.py") if f"({path.name})" not in table]
+    assert not missing
+
+
+@pytest.mark.parametrize("name", [path.name for path in EXAMPLES.glob("*.py")])
+def test_an_example_uses_public_names_only(name: str) -> None:
+    text = (EXAMPLES / name).read_text(encoding="utf-8")
+    assert "from vaoi_station" not in text
+    assert "import vaoi_station as vaoi" in text

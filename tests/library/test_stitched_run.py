@@ -1,0 +1,81 @@
+"""Results and component images through the public API."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vaoi_station as vaoi
+from vaoi_station.geometry import apply
+
+
+def test_positions_agree_with_the_truth(recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun) -> None:
+    truth = json.loads((recording.directory / "truth.json").read_text())
+    assert stitched.status == vaoi.Status.OK, stitched.reasons
+    assert stitched.result.components is not None
+    for ref, views in truth["views"].items():
+        found = {(i, j): (x, y) for i, j, x, y in stitched.result.components[ref]}
+        for i, j, x, y in views:
+            if (i, j) in found:
+                np.testing.assert_allclose(found[i, j], (x, y), atol=0.3)
+
+
+def test_the_matrices_of_an_image_take_the_centre_of_the_component_to_its_pixel(stitched: vaoi.StitchedRun) -> None:
+    board_type = stitched.board_type
+    assert board_type is not None
+    component = board_type.component("U1")
+    assert component is not None
+    images = stitched.component("U1")
+    assert images.images, "U1 is in view"
+    expected = {(i, j): (x, y) for i, j, x, y in (stitched.result.components or {})["U1"]}
+    for image in images:
+        height, width = image.pixels.shape[:2]
+        crop = apply(image.crop_from_cad, np.array([component.center]))[0]
+        np.testing.assert_allclose(crop, ((width - 1) / 2, (height - 1) / 2), atol=1e-6)
+        np.testing.assert_allclose(image.cad_from_crop @ image.crop_from_cad, np.eye(3), atol=1e-9)
+        if not image.distorted and (image.camera, image.row) in expected:
+            pixel = apply(image.image_from_crop, crop[None])[0]
+            np.testing.assert_allclose(pixel, expected[image.camera, image.row], atol=0.05)
+
+
+def test_covariances_belong_to_their_frames(stitched: vaoi.StitchedRun) -> None:
+    given = [image.covariance_px2 for image in stitched.component("U1") if image.covariance_px2 is not None]
+    assert given
+    for covariance in given:
+        assert covariance.shape == (2, 2)
+        assert (np.linalg.eigvalsh(covariance) > 0).all()
+
+
+def test_the_resolution_of_images_can_be_chosen(stitched: vaoi.StitchedRun) -> None:
+    coarse, fine = (stitched.component("U1", px_per_mm=r)[0].pixels.shape for r in (5.0, 10.0))
+    assert fine[0] == pytest.approx(2 * coarse[0], abs=1)
+
+
+def test_an_unknown_component_is_refused_with_known_ones(stitched: vaoi.StitchedRun) -> None:
+    with pytest.raises(vaoi.NotFoundError, match=r"no component 'U999'\. It has "):
+        stitched.component("U999")
+
+
+def test_a_saved_result_comes_back_equal(
+    recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, tmp_path: Path
+) -> None:
+    stitched.save(tmp_path / "result.json")
+    again = recording.with_result(tmp_path / "result.json")
+    np.testing.assert_allclose(np.array(again.result.image_matrices), np.array(stitched.result.image_matrices))
+    assert again.component("U1").height_mm == stitched.component("U1").height_mm
+    assert vaoi.read_result(str(tmp_path / "result.json")).status == stitched.status
+
+
+def test_a_result_of_another_recording_is_refused(recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun) -> None:
+    result = stitched.result
+    shorter = {
+        "image_matrices": tuple(rows[:-1] for rows in result.image_matrices),
+        "row_motion": result.row_motion[:-1],
+    }
+    with pytest.raises(vaoi.InputError, match="belongs to another recording: it has 2 cameras and"):
+        recording.with_result(result.model_copy(update=shorter))
+    with pytest.raises(vaoi.InputError, match="camera 0 has another calibration"):
+        recording.with_result(result.model_copy(update={"image_matrices": result.image_matrices[::-1]}))

@@ -1,0 +1,48 @@
+"""Read and write single documents; paths may be text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station import files
+from vaoi_station.files import images
+from vaoi_station.model import BoardType, Calibration, Stitch
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read calibration.json: camera matrices N_i and lenses."""
+    return files.read_calibration(Path(path))
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write calibration.json, whole or not at all."""
+    files.write_calibration(Path(path), calibration)
+
+
+def read_board_type(path: str | Path) -> BoardType:
+    """Read board.json: outline, fiducials and components of a board type."""
+    return files.read_board_type(Path(path))
+
+
+def write_board_type(path: str | Path, board_type: BoardType) -> None:
+    """Write board.json, whole or not at all."""
+    files.write_board_type(Path(path), board_type)
+
+
+def read_result(path: str | Path) -> Stitch:
+    """Read the result of a stitch, as `vaoi stitch` or `GET runs/{id}/matrices` gives it."""
+    return files.read_stitch(Path(path))
+
+
+def read_image(path: str | Path) -> NDArray[Any]:
+    """Read a PNG or TIFF, (height, width) or (height, width, 3) blue-green-red, 8 or 16 bit."""
+    return images.read_image(Path(path))
+
+
+def write_image(path: str | Path, pixels: NDArray[Any]) -> None:
+    """Write a PNG, or an uncompressed TIFF if the path ends so, whole or not at all; missing folders are made."""
+    images.write_image(Path(path), np.ascontiguousarray(pixels))

@@ -1,0 +1,136 @@
+"""A recording on disk, with its calibration and board type."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from vaoi_station.errors import InputError
+from vaoi_station.files import read_stitch
+from vaoi_station.library.stitched_run import StitchedRun, check_result
+from vaoi_station.model import BoardType, Calibration, Stitch
+from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
+from vaoi_station.stitching.method import MethodName
+from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
+
+Method = Literal["auto", "features", "fiducials", "reference", "paper"]
+METHODS: tuple[Method, ...] = ("auto", "features", "fiducials", "reference", "paper")
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """One board as recorded: frames, calibration, board type. Frames are read from disk when asked for."""
+
+    directory: Path
+    calibration_path: Path | None
+    board_path: Path | None
+    reference_path: Path | None
+    _opened: OpenedRun
+
+    @property
+    def cameras(self) -> int:
+        """Number of cameras."""
+        return len(self._opened.recording.head.cameras)
+
+    @property
+    def rows(self) -> int:
+        """Number of trigger pulses."""
+        return self._opened.recording.head.rows
+
+    @property
+    def calibration(self) -> Calibration:
+        """Camera matrices N_i and lenses."""
+        return self._opened.calibration
+
+    @property
+    def board_type(self) -> BoardType | None:
+        """CAD data of the board; None if there is none."""
+        return self._opened.setup.board_type
+
+    def frame(self, camera: int, row: int) -> NDArray[Any] | None:
+        """Read one frame, (height, width) or (height, width, 3); None if it never arrived."""
+        if not (0 <= camera < self.cameras and 0 <= row < self.rows):
+            raise InputError(
+                f"{self.directory}: has no frame of camera {camera}, row {row}; "
+                f"cameras are 0 … {self.cameras - 1}, rows 0 … {self.rows - 1}."
+            )
+        return self._opened.recording.frame(camera, row)
+
+    def frames(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
+        """Yield camera, row and pixels of every frame that arrived, row by row."""
+        for row in range(self.rows):
+            for camera in range(self.cameras):
+                pixels = self.frame(camera, row)
+                if pixels is not None:
+                    yield camera, row, pixels
+
+    def stitch(self, method: Method = "auto") -> StitchedRun:
+        """Stitch the recording; see `docs/measured/methods.md` for the methods.
+
+        Raises:
+            InputError: the method is unknown, or needs a reference that was not given.
+        """
+        if method not in METHODS:
+            raise InputError(f"method is {method!r}, but must be one of {', '.join(METHODS)}.")
+        evidence: MethodName = "auto" if method == "paper" else method
+        opened = open_run(
+            self.directory,
+            calibration=self.calibration_path,
+            board=self.board_path,
+            reference=self.reference_path,
+            method=evidence,
+        )
+        recording = opened.recording
+        if method == "paper":
+            result = stitch_by_paper(opened.setup, recording.head, recording.frame)
+        else:
+            reference = opened.reference.recording.frame if opened.reference else None
+            result = stitch_frames(opened.setup, recording.head, recording.frame, reference)
+        return self.with_result(result)
+
+    def with_result(self, result: Stitch | str | Path) -> StitchedRun:
+        """Combine the recording with a result, or with a result file of an earlier stitch.
+
+        Raises:
+            InputError: the result belongs to another recording.
+        """
+        stitch = result if isinstance(result, Stitch) else read_stitch(Path(result))
+        cameras = self._opened.setup.cameras
+        check_result(stitch, self.rows, cameras, "the result" if isinstance(result, Stitch) else result)
+        return StitchedRun(self._opened.recording, cameras, self.board_type, stitch)
+
+
+def open_recording(
+    directory: str | Path,
+    *,
+    calibration: str | Path | None = None,
+    board_type: str | Path | None = None,
+    reference: str | Path | None = None,
+) -> RecordedRun:
+    """Open a recording (docs/formats.md).
+
+    Args:
+        directory: the recording.
+        calibration: calibration.json; by default the one in the directory.
+        board_type: board.json; by default the one in the directory, if there is one.
+        reference: directory made by `vaoi teach`; stitching then uses it as well.
+
+    Raises:
+        InputError: a file is missing, malformed, or does not fit the others.
+    """
+    calibration_path, board_path, reference_path = (
+        None if path is None else Path(path) for path in (calibration, board_type, reference)
+    )
+    opened = open_run(Path(directory), calibration=calibration_path, board=board_path, reference=reference_path)
+    return RecordedRun(Path(directory), calibration_path, board_path, reference_path, opened)
+
+
+def stitch(recording: str | Path | RecordedRun, method: Method = "auto") -> StitchedRun:
+    """Stitch a recording, given as a directory or opened."""
+    run = recording if isinstance(recording, RecordedRun) else open_recording(recording)
+    return run.stitch(method)

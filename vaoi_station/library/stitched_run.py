@@ -1,0 +1,150 @@
+"""A stitched run: matrices, verdict, and images of components from the recorded frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.errors import InputError, NotFoundError, StateError
+from vaoi_station.files import Recording, write_stitch
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.library.component_images import ComponentImage, ComponentImages
+from vaoi_station.model import BoardType, Component, Status, Stitch
+from vaoi_station.rendering import View, ViewCalculator, render
+
+
+def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
+    """Return the (2, 2) covariance, px², of a component's centre by (camera, row)."""
+    rows = result.quality.get("component_covariance_px2", {}).get(ref, [])
+    return {(int(c), int(j)): np.array([[xx, xy], [xy, yy]]) for c, j, xx, xy, yy in rows}
+
+
+def component_height(result: Stitch, ref: str) -> tuple[float | None, float | None]:
+    """Return the estimated height of a component above the board and its standard deviation, mm."""
+    return result.quality.get("heights_mm", {}).get(ref), result.quality.get("height_sigma_mm", {}).get(ref)
+
+
+@dataclass(frozen=True, eq=False)
+class StitchedRun:
+    """A recording with its result."""
+
+    recording: Recording
+    cameras: tuple[Camera, ...]
+    board_type: BoardType | None
+    result: Stitch
+
+    @property
+    def status(self) -> Status:
+        """Verdict: ok, degraded or failed."""
+        return self.result.status
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Reasons for a verdict other than ok, in sentences."""
+        return self.result.reasons
+
+    @property
+    def refs(self) -> tuple[str, ...]:
+        """Addresses of all components of the board type, e.g. `U1` or, on a panel, `2/U1`."""
+        return () if self.board_type is None else tuple(c.address for c in self.board_type.components)
+
+    @property
+    def cad_matrix(self) -> Floats | None:
+        """C, (3, 3): CAD → tester; None without a CAD mapping."""
+        return self.result.cad_matrix
+
+    def image_matrix(self, camera: int, row: int) -> Floats | None:
+        """Return M_ij, (3, 3): tester → undistorted pixels of a frame; None if the frame has no place."""
+        return self.result.image_matrices[camera][row]
+
+    def component(self, ref: str, *, px_per_mm: float | None = None, min_coverage: float = 0.5) -> ComponentImages:
+        """Return the images of a component from every frame that shows it.
+
+        Args:
+            ref: address of the component.
+            px_per_mm: resolution; by default that of the cameras.
+            min_coverage: frames that show a smaller share of the component are left out.
+
+        Raises:
+            NotFoundError: the board type has no such component.
+            StateError: the run has no board type or no CAD mapping.
+        """
+        views = self._views.compute(self._part(ref), px_per_mm=px_per_mm, min_coverage=min_coverage)
+        covariances = component_covariances(self.result, ref)
+        height, sigma = component_height(self.result, ref)
+        images = tuple(self._image(view, covariances.get((view.camera, view.row))) for view in views)
+        return ComponentImages(ref, images, height, sigma, self.status)
+
+    def center(self, ref: str) -> tuple[float, float]:
+        """Return the centre of a component, CAD coordinates in the unit of the board type."""
+        return self._part(ref).center
+
+    def save(self, path: str | Path) -> None:
+        """Write the result in the format of `docs/formats.md`, whole or not at all."""
+        write_stitch(Path(path), self.result)
+
+    @property
+    def _board_type(self) -> BoardType:
+        if self.board_type is None:
+            raise StateError("this run has no board type.", action="Open the recording with board_type=PATH.")
+        return self.board_type
+
+    def _part(self, ref: str) -> Component:
+        part = self._board_type.component(ref)
+        if part is None:
+            known = ", ".join(self.refs[:8])
+            raise NotFoundError(
+                f"board type {self._board_type.name!r} has no component {ref!r}.", action=f"It has {known} …"
+            )
+        return part
+
+    @cached_property
+    def _views(self) -> ViewCalculator:
+        return ViewCalculator(self._board_type, self.result, self.cameras)
+
+    def _image(self, view: View, covariance: Floats | None) -> ComponentImage:
+        def load() -> NDArray[Any]:
+            frame = self.recording.frame(view.camera, view.row)
+            assert frame is not None  # a frame that never arrived has no matrix, hence no view
+            return render(view, frame)
+
+        return ComponentImage(
+            camera=view.camera,
+            row=view.row,
+            coverage=view.coverage,
+            px_per_mm=view.px_per_mm,
+            crop_from_cad=view.crop_matrix,
+            image_from_crop=view.matrix,
+            distorted=view.distorted,
+            covariance_px2=covariance,
+            _load=load,
+        )
+
+
+def check_result(result: Stitch, rows: int, cameras: Sequence[Camera], name: str | Path) -> None:
+    """Refuse a result that belongs to another recording or another calibration.
+
+    Raises:
+        InputError: the number of cameras or rows differs, or M_i0 is not N_i.
+    """
+    n, m = len(result.image_matrices), len(result.row_motion)
+    if (n, m) != (len(cameras), rows):
+        raise _other_recording(
+            name, f"it has {n} cameras and {m} rows, the recording has {len(cameras)} cameras and {rows} rows"
+        )
+    for i, (matrices, camera) in enumerate(zip(result.image_matrices, cameras, strict=True)):
+        first = matrices[0]
+        # M_i0 equals N_i in every result (docs/conventions.md, gauge), so this detects another calibration.
+        if first is not None and not np.allclose(first, camera.image_from_row.matrix, rtol=1e-6, atol=1e-9):
+            raise _other_recording(name, f"camera {i} has another calibration")
+
+
+def _other_recording(name: str | Path, difference: str) -> InputError:
+    return InputError(f"{name}: belongs to another recording: {difference}.", action="Stitch this recording again.")
