@@ -1,4 +1,4 @@
-"""Pauses grow until something has really worked for a while."""
+"""Pauses between retries grow until the device has worked for a while."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def test_every_failure_doubles_the_pause_up_to_the_longest(backoff: Backoff) -> 
     assert [backoff.record_failure() for _ in range(6)] == [0.5, 1, 2, 4, 6, 6]
     for _ in range(10_000):
         last_s = backoff.record_failure()
-    assert last_s == 6, "after days as after a minute"
-    assert backoff.record_failure(60.0) == 60.0, "the cause knows better"
+    assert last_s == 6, "no overflow after days"
+    assert backoff.record_failure(60.0) == 60.0, "the given limit replaces the policy's"
 
 
-def test_what_dies_as_soon_as_it_works_is_tried_ever_more_slowly(backoff: Backoff, clock: Clock) -> None:
+def test_a_short_success_does_not_shorten_the_pauses(backoff: Backoff, clock: Clock) -> None:
     pauses = []
     for _ in range(5):
         backoff.start_attempt()
@@ -46,17 +46,17 @@ def test_what_dies_as_soon_as_it_works_is_tried_ever_more_slowly(backoff: Backof
     assert pauses == [0.5, 1, 2, 4, 6]
 
 
-def test_what_has_worked_for_a_while_begins_anew(backoff: Backoff, clock: Clock) -> None:
+def test_a_long_success_resets_the_pauses(backoff: Backoff, clock: Clock) -> None:
     for _ in range(5):
         backoff.record_failure()
     backoff.record_success()
     clock.now_s += 30.0
     assert backoff.record_failure() == 0.5
     clock.now_s += 1000.0
-    assert backoff.record_failure() == 1.0, "being away for long is not working"
+    assert backoff.record_failure() == 1.0, "time without a success does not count"
 
 
-def test_it_says_when_the_next_try_comes(backoff: Backoff, clock: Clock) -> None:
+def test_the_time_of_the_next_attempt_is_known(backoff: Backoff, clock: Clock) -> None:
     due: list[float | None] = [backoff.due_s]
     assert backoff.remaining_s() == 0
     backoff.record_failure()
@@ -70,7 +70,7 @@ def test_it_says_when_the_next_try_comes(backoff: Backoff, clock: Clock) -> None
     assert due == [None, 100.5, None]
 
 
-def test_what_has_changed_is_tried_at_once(backoff: Backoff) -> None:
+def test_a_reset_makes_the_next_attempt_due_now(backoff: Backoff) -> None:
     for _ in range(5):
         backoff.record_failure()
     backoff.reset()

@@ -1,3 +1,5 @@
+"""Errors keep code, status and action, also across processes."""
+
 from __future__ import annotations
 
 import pickle
@@ -25,7 +27,7 @@ def test_errors_cross_process_borders_unchanged(kind: type[VaoiError]) -> None:
     assert str(again) == str(error) == "ring is full: 3 of 3 runs are leased. Release one."
 
 
-def test_codes_and_statuses_tell_the_classes_apart() -> None:
+def test_every_class_has_a_separate_code() -> None:
     assert len({c.code for c in CLASSES}) == len(CLASSES)
     assert {c.__name__: c.status for c in CLASSES} == {
         "VaoiError": 500,
@@ -39,12 +41,12 @@ def test_codes_and_statuses_tell_the_classes_apart() -> None:
     }
 
 
-def test_a_code_of_its_own_leaves_the_class_alone() -> None:
+def test_a_code_of_one_error_does_not_change_its_class() -> None:
     assert InputError("a", code="special").code == "special"
     assert InputError("b").code == "invalid-input"
 
 
-def test_field_says_file_key_value_and_limit() -> None:
+def test_a_field_error_names_file_key_value_and_limit() -> None:
     error = InputError.field(Path("board.json"), "unit", "cm", "'mm', 'inch' or 'mil'", "Convert the file.")
     assert str(error) == "board.json: unit is 'cm', but must be 'mm', 'inch' or 'mil'. Convert the file."
 
@@ -55,5 +57,5 @@ def test_long_values_are_cut() -> None:
     assert "…" in text
 
 
-def test_a_message_without_action_ends_with_itself() -> None:
+def test_a_message_without_action_has_no_trailing_space() -> None:
     assert str(VaoiError("broken.")) == "broken."

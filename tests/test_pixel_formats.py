@@ -1,4 +1,4 @@
-"""Every format, against the words of the convention written down bit by bit."""
+"""Every pixel format against an independent bit-by-bit reference of the convention."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIZES = st.tuples(st.integers(1, 9), st.integers(1, 7))
 
 
 def packed(values: list[int], pixel_format: PixelFormat) -> bytes:
-    """What a camera sends, built as one long number: a reference that shares nothing with the code."""
+    """The bytes a camera sends, built as one long number, independent of the tested code."""
     bits = pixel_format.bits
     if pixel_format.packing == "packed":  # two samples in three bytes: high A, low B | low A, high B
         text = bytearray()
@@ -29,7 +29,7 @@ def packed(values: list[int], pixel_format: PixelFormat) -> bytes:
 
 
 @given(FORMATS, SIZES, st.data())
-def test_samples_come_out_as_they_went_in(
+def test_samples_are_unpacked_without_loss(
     pixel_format: PixelFormat, size: tuple[int, int], data: st.DataObject
 ) -> None:
     width, height = size
@@ -48,7 +48,7 @@ def test_samples_come_out_as_they_went_in(
 
 
 @pytest.mark.parametrize("name", ["Mono8", "Mono16"])
-def test_plain_formats_are_seen_in_place(name: str) -> None:
+def test_plain_formats_are_views_of_the_frame(name: str) -> None:
     frame = np.zeros(PIXEL_FORMATS[name].nbytes(5, 4), np.uint8)
     picture(frame, 5, 4, PIXEL_FORMATS[name])[2, 3] = 7
     assert frame.sum() == 7
@@ -57,7 +57,7 @@ def test_plain_formats_are_seen_in_place(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, known in PIXEL_FORMATS.items() if not known.in_place])
-def test_other_formats_leave_the_frame_alone(name: str) -> None:
+def test_other_formats_do_not_change_the_frame(name: str) -> None:
     frame = np.random.default_rng(1).integers(0, 256, PIXEL_FORMATS[name].nbytes(6, 4), dtype=np.uint8)
     before = frame.copy()
     frame.flags.writeable = False
@@ -68,7 +68,7 @@ def test_other_formats_leave_the_frame_alone(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name, known in PIXEL_FORMATS.items() if known.mosaic])
 def test_a_red_scene_under_a_bayer_filter_is_red(name: str) -> None:
-    """Only the pixels behind red filters see it; their places are in the name: RG is red, green, then green, blue."""
+    """Only pixels behind red filters are bright; the name gives their positions: RG is red, green in the first row."""
     pixel_format = PIXEL_FORMATS[name]
     first = {"RG": (0, 0), "GR": (0, 1), "GB": (1, 0), "BG": (1, 1)}[pixel_format.mosaic]
     white = 2**pixel_format.bits - 1
@@ -81,7 +81,7 @@ def test_a_red_scene_under_a_bayer_filter_is_red(name: str) -> None:
     assert (seen[2:-2, 2:-2] == (0, 0, full)).all()
 
 
-def test_the_numbers_say_how_many_bits_a_pixel_takes() -> None:
+def test_format_numbers_hold_the_bits_per_pixel() -> None:
     assert len({known.code for known in PIXEL_FORMATS.values()}) == len(PIXEL_FORMATS)
     for known in PIXEL_FORMATS.values():
         bits = {"bytes": 8, "words": 16, "packed": 12, "p": known.bits}[known.packing]

@@ -1,4 +1,4 @@
-"""What nobody should be able to do by mistake: lose a file, or slip in a board no line ever saw."""
+"""Mistakes that are refused: overwriting a device or a link, and board types of impossible size."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def board(**more: Any) -> dict[str, Any]:
     return {"name": "b", "fiducials": marks, "components": parts} | more
 
 
-def test_a_board_is_a_board() -> None:
+def test_a_plausible_board_type_is_accepted() -> None:
     assert BoardType.model_validate(board()).component("U1") is not None
 
 
@@ -37,12 +37,12 @@ def test_a_board_is_a_board() -> None:
         ),
     ],
 )
-def test_what_no_board_has_is_refused(more: dict[str, Any], sentence: str) -> None:
+def test_impossible_dimensions_are_refused(more: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValidationError, match=sentence):
         BoardType.model_validate(board(**more))
 
 
-def test_a_device_or_directory_is_left_as_it_is(tmp_path: Path) -> None:
+def test_a_device_or_directory_is_not_overwritten(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for place in (pipe, tmp_path):
@@ -51,7 +51,7 @@ def test_a_device_or_directory_is_left_as_it_is(tmp_path: Path) -> None:
     assert pipe.is_fifo()
 
 
-def test_a_link_stays_a_link(tmp_path: Path) -> None:
+def test_a_symbolic_link_is_kept(tmp_path: Path) -> None:
     target, link = tmp_path / "target.json", tmp_path / "link.json"
     target.write_text("{}")
     link.symlink_to(target)

@@ -1,6 +1,6 @@
-"""Trying again, ever more slowly, until something has really worked for a while.
+"""Retry a device or process with growing pauses until it has worked for a while.
 
-That it could be opened proves little: what dies as soon as it is there would be begun anew without a pause for ever.
+A successful start proves little: a process that dies right after its start would otherwise be started in a tight loop.
 """
 
 from __future__ import annotations
@@ -9,60 +9,64 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-_DOUBLINGS = 20
+# 2.0 ** n overflows a float near n = 1024; a station that is off for days reaches such counts.
+_MAX_DOUBLINGS = 20
 
 
 @dataclass(frozen=True)
 class BackoffPolicy:
-    """How soon a thing is tried again."""
+    """Pauses between the attempts for one device or process."""
 
     first_s: float
-    """The first pause; every failure doubles it."""
+    """The first pause; each further failure doubles it."""
     longest_s: float
+    """Upper limit of the pause."""
     proven_s: float
-    """What has worked for so long has really worked: the next failure is a first one."""
+    """Working time after which the next failure counts as a first one."""
 
 
 class Backoff:
-    """The failures of one thing; used by one thread, `due_s` may be read by any."""
+    """The failure history of one device or process; used by one thread, `due_s` may be read by any."""
 
-    def __init__(self, pace: BackoffPolicy, clock: Callable[[], float] = time.monotonic) -> None:
-        self._pace, self._clock = pace, clock
+    def __init__(self, policy: BackoffPolicy, clock: Callable[[], float] = time.monotonic) -> None:
+        self._policy, self._clock = policy, clock
         self._failures = 0
         self._works_since_s: float | None = None
         self.due_s: float | None = None
-        """When it is to be tried again, time.monotonic(); None while it works, or is being tried."""
+        """Time of the next attempt, time.monotonic(); None while it works or an attempt is under way."""
 
     def start_attempt(self) -> None:
-        """It is being tried."""
+        """Note that an attempt is under way."""
         self.due_s = self._works_since_s = None
 
     def record_success(self) -> None:
-        """It works, as far as one can tell; harmless when told again."""
+        """Note that it works; calls while it already works change nothing."""
         self.due_s = None
+        # Only the first call counts: the working time runs from the start, not from the latest sign of life.
         if self._works_since_s is None:
             self._works_since_s = self._clock()
 
     def record_failure(self, longest_s: float | None = None) -> float:
-        """It works no longer, or could not be begun; how long to wait.
+        """Note that it stopped working or could not be started, and return the pause until the next attempt.
 
         Args:
-            longest_s: in place of that of the pace, where the cause tells how soon it may be over.
+            longest_s: replaces the policy's upper limit, where the cause is known to end sooner.
         """
         now_s = self._clock()
-        if self._works_since_s is not None and now_s - self._works_since_s >= self._pace.proven_s:
+        # The failure count survives a short success, so that a device that dies at once is retried ever more slowly.
+        if self._works_since_s is not None and now_s - self._works_since_s >= self._policy.proven_s:
             self._failures = 0
         self._works_since_s = None
-        pause_s = self._pace.first_s * 2.0 ** min(self._failures, _DOUBLINGS)
+        pause_s = self._policy.first_s * 2.0 ** min(self._failures, _MAX_DOUBLINGS)
         self._failures += 1
-        pause_s = min(pause_s, self._pace.longest_s if longest_s is None else longest_s)
+        pause_s = min(pause_s, self._policy.longest_s if longest_s is None else longest_s)
         self.due_s = now_s + pause_s
         return pause_s
 
     def reset(self) -> None:
-        """Something has changed, so that the failures so far say nothing: it is to be tried now."""
+        """Forget all failures and make the next attempt due now, because the cause has changed."""
         self._failures, self._works_since_s, self.due_s = 0, None, self._clock()
 
     def remaining_s(self) -> float:
-        """How long to wait until it is to be tried."""
+        """Return the time until the next attempt, 0 if it is due."""
         return 0.0 if self.due_s is None else max(self.due_s - self._clock(), 0.0)

@@ -1,10 +1,9 @@
-"""Errors say whose fault it is, and what to do.
+"""Errors with a responsible party, a stable code and an action.
 
-Every error that leaves a room of this house is a `VaoiError`. Its class says who can mend it (the
-person who gave the input, a device, the present state of the station, or we), its `code` is stable
-for programs, its message names the file or field, the value and the limit, and `action` is a
-sentence the operator can follow. An estimate that fails is not an error but a value:
-`geometry.robust.Failure`.
+Every error that leaves a package of the station is a `VaoiError`. Its class names who can remove the cause: the caller
+(input), a device, the present state of the station, or the developers. `code` is stable for programs. The message
+names the file or field, the value and the limit. `action` is a sentence that the operator can follow. An estimate that
+fails is not an error but a value: `geometry.robust.Failure`.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ from pathlib import Path
 
 
 class VaoiError(Exception):
-    """Something the station refuses or cannot do, with a stable code and a remedy."""
+    """A request that the station refuses or cannot carry out."""
 
     code = "error"
     status = 500
-    """HTTP status a REST caller sees."""
+    """HTTP status of the REST reply."""
 
     def __init__(self, message: str, *, action: str = "", code: str | None = None) -> None:
         super().__init__(message)
@@ -30,68 +29,71 @@ class VaoiError(Exception):
         return f"{self.message} {self.action}".strip()
 
     def __reduce__(self) -> tuple[object, ...]:
+        # Workers and the acquisition process send errors through pipes. Exception.__reduce__ keeps positional
+        # arguments only, so `action` and `code` would be lost without this method.
         return (_rebuild, (type(self), self.message, self.action, self.code))
 
 
 def _rebuild(cls: type[VaoiError], message: str, action: str, code: str) -> VaoiError:
-    """Errors cross process borders; exceptions with keyword arguments do not pickle by themselves."""
+    """Rebuild an error from its pickled parts."""
     return cls(message, action=action, code=code)
 
 
 class InputError(VaoiError):
-    """A file, field or parameter that somebody gave is wrong; nothing was changed."""
+    """A file, field or parameter is wrong; nothing was changed."""
 
     code = "invalid-input"
     status = 422
 
     @classmethod
     def field(cls, where: str | Path, key: str, value: object, limit: str, action: str = "") -> InputError:
-        """The usual sentence: file or request, key, value, limit."""
+        """Build the standard message from file or request, key, value and limit."""
         return cls(f"{where}: {key} is {_shown(value)}, but must be {limit}.", action=action)
 
 
 class NotFoundError(VaoiError):
-    """What was asked for does not exist."""
+    """The requested object does not exist."""
 
     code = "not-found"
     status = 404
 
 
 class GoneError(VaoiError):
-    """What was asked for existed, and its memory has been given to a later board."""
+    """The requested frames existed; their memory now belongs to a later board."""
 
     code = "gone"
     status = 410
 
 
 class StateError(VaoiError):
-    """The request is sound, but the present state of the station forbids it."""
+    """The request is valid, but the present state of the station forbids it."""
 
     code = "wrong-state"
     status = 409
 
 
 class BusyError(VaoiError):
-    """A resource is exhausted for the moment: the ring is full, no worker is left."""
+    """A resource is used up at the moment: the ring is full, or too many callers wait."""
 
     code = "busy"
     status = 503
 
 
 class DeviceError(VaoiError):
-    """A camera, the controller or the machine does not do what it should."""
+    """A camera, the controller or the computer does not work as required."""
 
     code = "device"
     status = 503
 
 
 class InternalError(VaoiError):
-    """Our own mistake."""
+    """A software fault of the station."""
 
     code = "internal"
     status = 500
 
 
 def _shown(value: object) -> str:
+    # A request may carry megabytes in one field; the message ends up in logs and on the operator's page.
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "…"

@@ -1,8 +1,8 @@
-"""Pixel formats of machine vision cameras: what their bytes mean, and how they become pictures.
+"""Pixel formats of machine vision cameras: memory layout of the bytes, and conversion to pictures.
 
-Names, numbers and layouts are those of the Pixel Format Naming Convention (PFNC 2) of EMVA and A3; the *Packed* ones
-are GigE Vision's own and older. Frames stay in memory as the camera sends them; whoever looks unpacks. All pictures
-of more than 8 bits get the full scale of 16, from 0 to 65535: white is white whatever the camera's depth.
+Names, numbers and layouts follow the Pixel Format Naming Convention (PFNC 2) of EMVA and A3; the *Packed* formats are
+older and specific to GigE Vision. Frames stay in the ring as the camera sends them and are unpacked when they are read.
+Pictures of more than 8 bits are scaled to 16 bits, 0 to 65535, so that white has the same value at every bit depth.
 """
 
 from __future__ import annotations
@@ -15,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Packing = Literal["bytes", "words", "packed", "p"]
-"""A sample is a byte, a little-endian word whose lower bits it fills, 12 bits of GigE Vision's packing, or a run of
-bits from the least significant one on."""
+"""How samples lie in memory.
+
+`bytes`: one byte each. `words`: the lower bits of a little-endian 16-bit word. `packed`: GigE Vision packing, two
+samples in three bytes. `p`: consecutive bits, least significant first.
+"""
 PixelFormatName = Literal[
     "Mono8", "Mono10", "Mono10Packed", "Mono10p", "Mono12", "Mono12Packed", "Mono12p", "Mono14", "Mono16",
     "BayerGR8", "BayerRG8", "BayerGB8", "BayerBG8",
@@ -42,6 +45,8 @@ _CODES = {
     "BayerGR12p": 0x010C0057, "BayerRG12p": 0x010C0059, "BayerGB12p": 0x010C0055, "BayerBG12p": 0x010C0053,
     "BayerGR16": 0x0110002E, "BayerRG16": 0x0110002F, "BayerGB16": 0x01100030, "BayerBG16": 0x01100031,
 }  # fmt: skip
+# OpenCV's two-letter constants name the pattern from pixel (1, 1) on, PFNC from pixel (0, 0) on. The four-letter
+# constants (BayerRGGB and so on) start at pixel (0, 0) as well.
 _MOSAICS = {
     "RG": cv2.COLOR_BayerRGGB2BGR,
     "GR": cv2.COLOR_BayerGRBG2BGR,
@@ -52,39 +57,40 @@ _MOSAICS = {
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """One format of the convention."""
+    """One pixel format of the convention."""
 
     name: str
     code: int
-    """Its number; bits 16 to 23 are the bits a pixel takes in memory."""
+    """PFNC number; its bits 16 to 23 hold the bits per pixel in memory."""
     bits: int
-    """Of one sample."""
+    """Bits of one sample."""
     packing: Packing
     mosaic: str
-    """Colours of the first two pixels under a Bayer filter; empty without one."""
+    """Colours of the first two pixels under a Bayer filter; empty for grey cameras."""
 
     @property
     def bits_per_pixel(self) -> int:
-        """In memory, packing included."""
+        """Bits per pixel in memory, packing included."""
         return self.code >> 16 & 0xFF
 
     @property
     def bytes_per_pixel(self) -> int:
-        """0 where pixels are not whole bytes."""
+        """Bytes per pixel in memory; 0 where a pixel is not a whole number of bytes."""
         return 0 if self.bits_per_pixel % 8 else self.bits_per_pixel // 8
 
     @property
     def in_place(self) -> bool:
-        """Whether the bytes are the picture already."""
+        """Whether the frame's bytes are the picture without conversion."""
         return not self.mosaic and self.bits in (8, 16)
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of the picture's samples."""
+        """Data type of the picture's samples."""
         return np.dtype("u1") if self.bits == 8 else np.dtype("<u2")
 
     def nbytes(self, width: int, height: int) -> int:
-        """Size of a frame; lines are not padded."""
+        """Return the size of a frame in bytes; lines are not padded."""
+        # Ceiling division: a packed frame may end in a partly used byte.
         return -(-width * height * self.bits_per_pixel // 8)
 
 
@@ -99,17 +105,17 @@ def _format(name: str) -> PixelFormat:
 
 
 PIXEL_FORMATS = {name: _format(name) for name in get_args(PixelFormatName)}
-"""By name."""
+"""All supported formats by name."""
 
 
 def picture(frame: NDArray[np.uint8], width: int, height: int, pixel_format: PixelFormat) -> NDArray[Any]:
-    """What a frame shows.
+    """Convert a frame's bytes to a picture.
 
     Args:
-        frame: its bytes, (n,) uint8, n as `nbytes` says.
+        frame: (n,) uint8, n as `nbytes` returns.
         width: in pixels.
         height: in pixels.
-        pixel_format: of the bytes.
+        pixel_format: format of the bytes.
 
     Returns:
         (height, width) grey, or (height, width, 3) blue, green, red under a Bayer filter (interpolated bilinearly);
@@ -120,25 +126,29 @@ def picture(frame: NDArray[np.uint8], width: int, height: int, pixel_format: Pix
     values = samples(frame, width * height, pixel_format).reshape(height, width)
     if pixel_format.bits not in (8, 16):
         room = 16 - pixel_format.bits
-        values = values << room | values >> pixel_format.bits - room  # the upper bits once more: white becomes 65535
+        # Repeat the upper bits below the lower ones, so that full scale maps to 65535 exactly and 0 to 0.
+        values = values << room | values >> pixel_format.bits - room
     if pixel_format.mosaic:
         return np.asarray(cv2.cvtColor(np.ascontiguousarray(values), _MOSAICS[pixel_format.mosaic]))
     return values
 
 
 def samples(frame: NDArray[np.uint8], count: int, pixel_format: PixelFormat) -> NDArray[Any]:
-    """The camera's own numbers, (count,): uint8 in place, or a fresh array of uint16, 0 … 2^bits − 1."""
+    """Unpack the camera's sample values, (count,): uint8 in place, or a new uint16 array, 0 … 2^bits − 1."""
     bits = pixel_format.bits
     if pixel_format.packing == "bytes":
         return frame
     if pixel_format.packing == "words":
+        # Copied, because the caller scales the values and the ring is read-only.
         return frame.view("<u2").copy()
+    # 10p packs 4 samples into 5 bytes; every other packed format has 2 samples in 3 bytes.
     pixels, size = (4, 5) if (bits, pixel_format.packing) == (10, "p") else (2, 3)
     groups = -(-count // pixels)
     whole = frame if len(frame) == groups * size else np.pad(frame, (0, groups * size - len(frame)))
     b = whole.reshape(groups, size).T.astype(np.uint16)
     out = np.empty((groups, pixels), np.uint16)
-    if pixel_format.packing == "packed":  # upper bits of two samples, the lower ones of both in the byte between
+    if pixel_format.packing == "packed":
+        # Bytes 0 and 2 hold the upper 8 bits of two samples, byte 1 the lower bits of both.
         low = bits - 8
         mask = (1 << low) - 1
         out[:, 0] = b[0] << low | b[1] & mask

@@ -1,13 +1,16 @@
-"""A database in a directory of its own."""
+"""A database in a temporary directory, and runs in it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from vaoi_station.store import Database, Store
+from vaoi_station.store import Database, RunRow, Store
+
+NOW = "2026-01-01T00:00:00Z"
+MakeRun = Callable[..., RunRow]
 
 
 @pytest.fixture
@@ -25,3 +28,17 @@ def database(path: Path) -> Iterator[Database]:
 @pytest.fixture
 def store(database: Database) -> Store:
     return Store(database)
+
+
+@pytest.fixture
+def make_run(store: Store) -> MakeRun:
+    """Build a run whose board type and calibration are stored already."""
+
+    def make(
+        run: str, state: str = "filming", finish_number: int | None = None, calibration: str | None = None
+    ) -> RunRow:
+        board_type = store.keep_document("board-type", '{"name": "b"}', NOW)
+        digest = store.keep_document("calibration", '{"n": 1}', NOW) if calibration is None else calibration
+        return RunRow(run, state, finish_number, board_type, digest, '{"s": 1}', '{"d": 1}')
+
+    return make

@@ -1,4 +1,4 @@
-"""Board types as files."""
+"""Board types are files of one directory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def board(name: str) -> BoardType:
     return BoardType(name=name, fiducials=(Fiducial(name="F", x=0, y=0, diameter=1),))
 
 
-def test_taught_read_replaced_forgotten(directory: BoardTypeDirectory) -> None:
+def test_a_board_type_is_written_read_replaced_and_deleted(directory: BoardTypeDirectory) -> None:
     assert directory.list() == []
     assert directory.put(board("A 1")) is True
     changed = board("A 1").model_copy(update={"side": "bottom"})
@@ -30,7 +30,7 @@ def test_taught_read_replaced_forgotten(directory: BoardTypeDirectory) -> None:
     assert directory.get("A 1") == changed
     assert (directory.directory / "A 1.json").is_file()
     directory.delete("A 1")
-    with pytest.raises(NotFoundError, match="taught are: none yet"):
+    with pytest.raises(NotFoundError, match="known board types: none yet"):
         directory.get("A 1")
     with pytest.raises(NotFoundError):
         directory.delete("A 1")
@@ -38,7 +38,7 @@ def test_taught_read_replaced_forgotten(directory: BoardTypeDirectory) -> None:
 
 @settings(max_examples=60)
 @given(st.text(min_size=1, max_size=40).filter(lambda s: s.isprintable()))
-def test_any_name_has_a_file_of_its_own_inside_the_directory(name: str) -> None:
+def test_every_name_has_a_separate_file_inside_the_directory(name: str) -> None:
     directory = BoardTypeDirectory(Path("/somewhere"))
     path = directory.path_of(name)
     assert path.parent == Path("/somewhere")
@@ -48,18 +48,18 @@ def test_any_name_has_a_file_of_its_own_inside_the_directory(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["../escape", "a/b", "..", ".hidden", "ü/%2F", "C:\\x"])
-def test_names_that_file_systems_mind(directory: BoardTypeDirectory, name: str) -> None:
+def test_names_that_file_systems_reject_are_escaped(directory: BoardTypeDirectory, name: str) -> None:
     directory.put(board(name))
     assert directory.get(name).name == name
     assert [entry.path.parent for entry in directory.list()] == [directory.directory]
 
 
-def test_a_name_too_long_for_a_file(directory: BoardTypeDirectory) -> None:
+def test_a_name_that_is_too_long_for_a_file_is_refused(directory: BoardTypeDirectory) -> None:
     with pytest.raises(InputError, match="name is"):
         directory.put(board("ü" * 200))
 
 
-def test_files_that_cannot_be_used_are_listed_with_their_fault(directory: BoardTypeDirectory) -> None:
+def test_unusable_files_are_listed_with_their_fault(directory: BoardTypeDirectory) -> None:
     directory.put(board("good"))
     (directory.directory / "good.json").rename(directory.directory / "renamed.json")
     directory.put(board("good"))
@@ -70,3 +70,28 @@ def test_files_that_cannot_be_used_are_listed_with_their_fault(directory: BoardT
     assert "unknown key(s) 'nmae'" in str(faults["broken"])
     with pytest.raises(InputError, match="nmae"):
         directory.get("broken")
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones(directory: BoardTypeDirectory) -> None:
+    for name in ("b", "a"):
+        directory.put(board(name))
+    with pytest.raises(NotFoundError, match="no board type 'c'; known board types: 'a', 'b'") as refusal:
+        directory.get("c")
+    assert refusal.value.code == "unknown-board-type"
+
+
+def test_an_empty_name_is_refused(directory: BoardTypeDirectory) -> None:
+    with pytest.raises(InputError, match="name is ''"):
+        directory.path_of("")
+
+
+def test_temporary_files_of_a_write_are_not_listed(directory: BoardTypeDirectory) -> None:
+    directory.put(board("a"))
+    (directory.directory / ".a.json").write_text("{")
+    assert [entry.path.name for entry in directory.list()] == ["a.json"]
+
+
+def test_two_names_never_share_a_file() -> None:
+    directory = BoardTypeDirectory(Path("/somewhere"))
+    names = ["a/b", "a%2Fb", "a%252Fb", ".a", "%2Ea", "a", "A"]
+    assert len({directory.path_of(name) for name in names}) == len(names)

@@ -1,4 +1,4 @@
-"""One writer, many readers, and files that are no sound database."""
+"""One writer, many readers, and files that are not a database."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def add_event(connection: sqlite3.Connection, number: int, document: str = "{}")
     return number
 
 
-def test_writes_are_done_in_order_and_answered(database: Database) -> None:
+def test_writes_are_carried_out_in_order(database: Database) -> None:
     futures = [database.write(partial(add_event, number=n)) for n in range(1, 50)]
     assert [f.result(10) for f in futures] == list(range(1, 50))
     assert database.read("SELECT count(*) AS n FROM events")[0]["n"] == 49
 
 
-def test_a_write_that_fails_is_undone_told_and_the_next_succeeds(database: Database) -> None:
+def test_a_failed_write_is_rolled_back_and_the_next_succeeds(database: Database) -> None:
     def half(connection: sqlite3.Connection) -> None:
         add_event(connection, 1)
         add_event(connection, 1)
@@ -60,7 +60,7 @@ def test_readers_do_not_wait_for_the_writer(database: Database) -> None:
     assert database.read("SELECT count(*) AS n FROM events")[0]["n"] == 1
 
 
-def test_closed_means_closed(database: Database) -> None:
+def test_a_closed_database_refuses_reads_and_writes(database: Database) -> None:
     database.close()
     database.close()
     with pytest.raises(StateError, match="is closed"):
@@ -69,7 +69,7 @@ def test_closed_means_closed(database: Database) -> None:
         database.read("SELECT 1")
 
 
-def test_the_write_ahead_log_is_on_and_the_version_is_noted(database: Database) -> None:
+def test_the_write_ahead_log_is_on_and_the_version_is_stored(database: Database) -> None:
     assert database.read("PRAGMA journal_mode")[0][0] == "wal"
     assert database.read("PRAGMA user_version")[0][0] == VERSION
 
@@ -77,7 +77,7 @@ def test_the_write_ahead_log_is_on_and_the_version_is_noted(database: Database) 
 @pytest.mark.parametrize(
     "content", [b"this is no database, whatever its name may say" * 100, b"SQLite format 3\0" * 300]
 )
-def test_a_file_that_is_no_database(path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_database_is_refused_and_left_unchanged(path: Path, content: bytes) -> None:
     path.parent.mkdir()
     path.write_bytes(content)
     with pytest.raises(DeviceError, match=r"station.db: is not a sound database") as refusal:
@@ -86,7 +86,7 @@ def test_a_file_that_is_no_database(path: Path, content: bytes) -> None:
     assert path.read_bytes() == content
 
 
-def test_a_database_whose_pages_are_damaged(path: Path) -> None:
+def test_a_database_with_damaged_pages_is_refused(path: Path) -> None:
     database = Database(path)
     for number in range(1, 400):
         database.write(partial(add_event, number=number, document="x" * 200))
@@ -98,16 +98,42 @@ def test_a_database_whose_pages_are_damaged(path: Path) -> None:
         Database(path)
 
 
-def test_a_database_of_a_newer_version_is_refused_by_name(path: Path) -> None:
+def test_a_database_of_a_newer_version_is_refused(path: Path) -> None:
     Database(path).close()
     connection = sqlite3.connect(path)
     connection.execute(f"PRAGMA user_version = {VERSION + 3}")
     connection.close()
-    with pytest.raises(InputError, match=f"has version {VERSION + 3} of the tables, this software knows {VERSION}"):
+    with pytest.raises(InputError, match=rf"has version {VERSION + 3} .* versions up to {VERSION}\."):
         Database(path)
 
 
-def test_a_directory_that_cannot_be_written(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_opened_is_refused(tmp_path: Path) -> None:
     (tmp_path / "station.db").mkdir()
     with pytest.raises(DeviceError, match="cannot be used"):
         Database(tmp_path / "station.db")
+
+
+def test_closing_finishes_the_writes_that_were_submitted(path: Path) -> None:
+    database = Database(path)
+    futures = [database.write(partial(add_event, number=n)) for n in range(1, 200)]
+    database.close()
+    assert all(future.done() for future in futures)
+    again = Database(path)
+    assert again.read("SELECT count(*) AS n FROM events")[0]["n"] == 199
+    again.close()
+
+
+def test_an_error_of_the_callers_code_is_rolled_back_and_passed_on(database: Database) -> None:
+    def wrong(connection: sqlite3.Connection) -> None:
+        add_event(connection, 1)
+        raise ValueError("not an SQLite error")
+
+    with pytest.raises(ValueError, match="not an SQLite error"):
+        database.write(wrong).result(10)
+    assert database.read("SELECT number FROM events") == []
+
+
+def test_a_query_with_an_error_names_the_file(database: Database) -> None:
+    with pytest.raises(DeviceError, match=r"station\.db: cannot be used"):
+        database.read("SELECT nothing FROM nowhere")
+    assert database.read("SELECT 1 AS one")[0]["one"] == 1

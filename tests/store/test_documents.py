@@ -1,4 +1,4 @@
-"""Runs, results, events, documents."""
+"""Runs, results, events and documents of the store."""
 
 from __future__ import annotations
 
@@ -7,19 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from tests.store.conftest import MakeRun
 from vaoi_station.errors import InternalError, NotFoundError
-from vaoi_station.store import Database, EventRow, RunRow, Store
+from vaoi_station.store import Database, EventRow, Store
 from vaoi_station.store import documents as module
+from vaoi_station.store.documents import digest_of
 
 
-def row_of(store: Store, run: str, state: str = "filming", finish_number: int | None = None) -> RunRow:
-    board_type = store.keep_document("board-type", '{"name": "b"}', "2026-01-01T00:00:00Z")
-    calibration = store.keep_document("calibration", '{"n": 1}', "2026-01-01T00:00:00Z")
-    return RunRow(run, state, finish_number, board_type, calibration, '{"s": 1}', '{"d": 1}')
-
-
-def test_a_run_from_its_beginning_to_its_result(store: Store) -> None:
-    row = row_of(store, "r1")
+def test_a_run_is_saved_from_its_start_to_its_result(store: Store, make_run: MakeRun) -> None:
+    row = make_run("r1")
     store.save_run(row).result(10)
     assert store.run("r1") == row
     assert store.unfinished() == [row]
@@ -33,8 +29,8 @@ def test_a_run_from_its_beginning_to_its_result(store: Store) -> None:
     assert store.timeline("r2") is None
 
 
-def test_a_result_never_changes(store: Store, database: Database) -> None:
-    row = row_of(store, "r1", "ready", 1)
+def test_a_result_never_changes(store: Store, database: Database, make_run: MakeRun) -> None:
+    row = make_run("r1", "ready", 1)
     store.save_run(row, None, '{"m": 1}').result(10)
     with pytest.raises(InternalError):
         store.save_run(row, None, '{"m": 2}').result(10)
@@ -43,9 +39,9 @@ def test_a_result_never_changes(store: Store, database: Database) -> None:
     assert store.result("r1") == '{"m": 1}'
 
 
-def test_runs_are_listed_by_age_and_followed_by_their_ends(store: Store) -> None:
+def test_runs_are_listed_by_id_and_followed_by_finish_number(store: Store, make_run: MakeRun) -> None:
     for number, run in ((2, "r1"), (1, "r2"), (None, "r3")):
-        store.save_run(row_of(store, run, "ready", number)).result(10)
+        store.save_run(make_run(run, "ready", number)).result(10)
     assert [row.id for row in store.runs(2, None)] == ["r3", "r2"]
     assert [row.id for row in store.runs(9, "r3")] == ["r2", "r1"]
     first = store.finished_after(0)
@@ -61,7 +57,7 @@ def test_runs_are_listed_by_age_and_followed_by_their_ends(store: Store) -> None
     assert store.newest_run() == "r3"
 
 
-def test_an_empty_store_says_so(store: Store) -> None:
+def test_an_empty_store_has_no_runs_and_no_events(store: Store) -> None:
     assert store.last_finished() is None
     assert store.newest_run() is None
     assert store.last_event() == 0
@@ -69,8 +65,8 @@ def test_an_empty_store_says_so(store: Store) -> None:
         store.document("0000")
 
 
-def test_what_is_written_is_there_after_a_restart(store: Store, database: Database, path: Path) -> None:
-    store.save_run(row_of(store, "r1", "ready", 1), '{"t": 1}', '{"m": 1}')
+def test_written_data_survive_a_restart(store: Store, database: Database, path: Path, make_run: MakeRun) -> None:
+    store.save_run(make_run("r1", "ready", 1), '{"t": 1}', '{"m": 1}')
     store.add_event(EventRow(1, '{"e": 1}'))
     database.close()
     later = Store(Database(path))
@@ -83,17 +79,49 @@ def test_what_is_written_is_there_after_a_restart(store: Store, database: Databa
     later.close()
 
 
-def test_documents_are_kept_once(store: Store, database: Database) -> None:
+def test_equal_documents_are_stored_once(store: Store, database: Database) -> None:
     first = store.keep_document("calibration", "{}", "then")
     assert store.keep_document("calibration", "{}", "later") == first
     assert store.document(first) == "{}"
     assert [tuple(r) for r in database.read("SELECT kind, first_seen FROM documents")] == [("calibration", "then")]
 
 
-def test_of_very_many_events_the_oldest_go(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_events_are_deleted(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "EVENTS_KEPT", 100)
     for number in (1, 899, 900, 901, 1000):
         store.add_event(EventRow(number, "{}"))
-    store.set_state("nobody", "gone").result(10)
+    store.set_state("unknown", "gone").result(10)
     assert [row.number for row in store.events(0, 100)] == [901, 1000]
     assert store.last_event() == 1000
+
+
+def test_the_digest_depends_on_the_content_only() -> None:
+    assert digest_of("{}") == digest_of("{}") == "44136fa355b3678a"
+    assert digest_of("{} ") != digest_of("{}")
+
+
+def test_only_finished_runs_are_marked_as_gone(store: Store, make_run: MakeRun) -> None:
+    store.save_run(make_run("r1", "ready", 1)).result(10)
+    store.save_run(make_run("r2", "filming")).result(10)
+    store.mark_frames_gone("gone").result(10)
+    assert [row.state for row in store.runs(9, None)] == ["filming", "gone"]
+
+
+def test_the_state_of_one_run_changes_alone(store: Store, make_run: MakeRun) -> None:
+    for run in ("r1", "r2"):
+        store.save_run(make_run(run, "ready", int(run[1]))).result(10)
+    store.set_state("r1", "released").result(10)
+    assert {row.id: row.state for row in store.runs(9, None)} == {"r1": "released", "r2": "ready"}
+
+
+def test_events_are_read_in_order_from_a_number_on(store: Store) -> None:
+    for number in (1, 2, 3):
+        store.add_event(EventRow(number, f'"{number}"')).result(10)
+    assert [row.document for row in store.events(1, 10)] == ['"2"', '"3"']
+    assert [row.number for row in store.events(0, 2)] == [1, 2]
+    assert store.events(3, 10) == []
+
+
+def test_a_run_of_an_unknown_board_type_is_refused(store: Store, make_run: MakeRun) -> None:
+    with pytest.raises(InternalError, match="FOREIGN KEY"):
+        store.save_run(replace(make_run("r1"), board_type_digest="0000")).result(10)

@@ -1,34 +1,106 @@
-"""Migrations: step by step, whole or not at all."""
+"""Migrations are applied step by step, each in one transaction."""
 
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from vaoi_station.errors import InputError
 from vaoi_station.store import schema
 
+MORE = "CREATE TABLE more (a INTEGER) STRICT"
 
-def test_an_old_database_is_brought_up_step_by_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    connection = sqlite3.connect(tmp_path / "x.db", isolation_level=None)
-    schema.migrate(connection, tmp_path / "x.db")
-    monkeypatch.setattr(schema, "STEPS", (*schema.STEPS, ("CREATE TABLE more (a INTEGER) STRICT",)))
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "x.db"
+
+
+@pytest.fixture
+def connection(path: Path) -> Iterator[sqlite3.Connection]:
+    opened = sqlite3.connect(path, isolation_level=None)
+    yield opened
+    opened.close()
+
+
+def version_of(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def objects_in(connection: sqlite3.Connection) -> list[tuple[str, str]]:
+    query = "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
+    return [tuple(row) for row in connection.execute(query)]
+
+
+def add_step(monkeypatch: pytest.MonkeyPatch, *statements: str) -> None:
+    monkeypatch.setattr(schema, "STEPS", (*schema.STEPS, statements))
     monkeypatch.setattr(schema, "VERSION", schema.VERSION + 1)
-    schema.migrate(connection, tmp_path / "x.db")
-    schema.migrate(connection, tmp_path / "x.db")
-    assert connection.execute("PRAGMA user_version").fetchone() == (schema.VERSION,)
+
+
+def test_a_new_database_has_all_tables(connection: sqlite3.Connection, path: Path) -> None:
+    schema.migrate(connection, path)
+    names = {name for name, _ in objects_in(connection)}
+    assert names >= {"documents", "runs", "results", "events", "calibration_checks", "board_references"}
+    assert version_of(connection) == schema.VERSION == len(schema.STEPS)
+
+
+@pytest.mark.parametrize("steps", range(schema.VERSION + 1))
+def test_every_old_version_ends_with_the_same_tables(
+    connection: sqlite3.Connection, path: Path, tmp_path: Path, steps: int
+) -> None:
+    for statement in (s for step in schema.STEPS[:steps] for s in step):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {steps}")
+    schema.migrate(connection, path)
+    fresh = sqlite3.connect(tmp_path / "fresh.db", isolation_level=None)
+    schema.migrate(fresh, tmp_path / "fresh.db")
+    assert objects_in(connection) == objects_in(fresh)
+    fresh.close()
+
+
+def test_a_further_step_is_applied_once(
+    connection: sqlite3.Connection, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    schema.migrate(connection, path)
+    add_step(monkeypatch, MORE)
+    schema.migrate(connection, path)
+    schema.migrate(connection, path)
+    assert version_of(connection) == schema.VERSION
     assert connection.execute("SELECT count(*) FROM more").fetchone() == (0,)
-    connection.close()
 
 
-def test_a_step_that_fails_leaves_the_version_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    connection = sqlite3.connect(tmp_path / "x.db", isolation_level=None)
+def test_a_failed_step_keeps_the_previous_version(
+    connection: sqlite3.Connection, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     good = schema.VERSION
-    monkeypatch.setattr(schema, "STEPS", (*schema.STEPS, ("CREATE TABLE more (a INTEGER) STRICT", "NO SUCH WORD")))
-    monkeypatch.setattr(schema, "VERSION", good + 1)
+    add_step(monkeypatch, MORE, "NO SUCH WORD")
     with pytest.raises(sqlite3.OperationalError):
-        schema.migrate(connection, tmp_path / "x.db")
-    assert connection.execute("PRAGMA user_version").fetchone() == (good,)
-    assert connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'more'").fetchone() == (0,)
-    connection.close()
+        schema.migrate(connection, path)
+    assert version_of(connection) == good
+    assert "more" not in {name for name, _ in objects_in(connection)}
+
+
+def test_a_newer_database_is_refused_and_left_unchanged(connection: sqlite3.Connection, path: Path) -> None:
+    connection.execute(f"PRAGMA user_version = {schema.VERSION + 1}")
+    with pytest.raises(InputError, match=f"has version {schema.VERSION + 1}") as refusal:
+        schema.migrate(connection, path)
+    assert "newer vaoi_station" in refusal.value.action
+    assert objects_in(connection) == []
+
+
+def test_results_cannot_be_changed(connection: sqlite3.Connection, path: Path) -> None:
+    schema.migrate(connection, path)
+    connection.execute("INSERT INTO results VALUES ('r1', 'document')")
+    with pytest.raises(sqlite3.IntegrityError, match="a result never changes"):
+        connection.execute("UPDATE results SET document = 'other'")
+
+
+def test_a_value_of_the_wrong_type_is_refused(connection: sqlite3.Connection, path: Path) -> None:
+    schema.migrate(connection, path)
+    with pytest.raises(sqlite3.IntegrityError, match="cannot store TEXT"):
+        connection.execute("INSERT INTO runs VALUES ('r1', 'ready', 'first', 'b', 'c', '{}', '{}', NULL, NULL)")
+    with pytest.raises(sqlite3.IntegrityError, match="CHECK"):
+        connection.execute("INSERT INTO documents VALUES ('0000', 'recipe', 'now', '{}')")

@@ -1,4 +1,4 @@
-"""What outlives a restart: runs, results, calibrations seen and events in SQLite; board types as files."""
+"""Persistent data: runs, results, calibrations and events in one SQLite file; board types as JSON files."""
 
 from vaoi_station.store.board_types import BoardTypeDirectory, BoardTypeFile
 from vaoi_station.store.database import Database

@@ -1,4 +1,4 @@
-"""How board types are stitched: the reference each was taught, and its way to stitch, if it has one of its own."""
+"""Stitching settings per board type: its reference, and its stitching method where it differs from the station's."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ _TABLES = ("board_references", "board_methods")
 
 
 class BoardStitching:
-    """What is chosen per board type beside its file; methods that write return a future that is done on disk."""
+    """References and methods of board types; methods that write return a future that completes with the transaction."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def reference(self, board_type: str) -> str | None:
-        """The document of a board type's reference; None if it has none."""
+        """Return the reference document of a board type; None if it has no reference."""
         rows = self._database.read("SELECT document FROM board_references WHERE board_type = ?", (board_type,))
         return str(rows[0]["document"]) if rows else None
 
     def references(self) -> list[str]:
-        """The documents of all references."""
+        """Return the documents of all references."""
         return [str(row["document"]) for row in self._database.read("SELECT document FROM board_references")]
 
     def keep_reference(self, board_type: str, document: str) -> Future[None]:
-        """Give a board type a reference in place of the one it has."""
+        """Set the reference of a board type, replacing an earlier one."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("INSERT OR REPLACE INTO board_references VALUES (?, ?)", (board_type, document))
@@ -34,16 +34,16 @@ class BoardStitching:
         return self._database.write(write)
 
     def drop_reference(self, board_type: str) -> Future[None]:
-        """A board type has no reference any more; harmless if it had none."""
+        """Delete the reference of a board type; no effect if it has none."""
         return self._drop("board_references", board_type)
 
     def method(self, board_type: str) -> str | None:
-        """The board type's own way to stitch; None if the station's holds."""
+        """Return the stitching method of a board type; None if the station's default applies."""
         rows = self._database.read("SELECT method FROM board_methods WHERE board_type = ?", (board_type,))
         return str(rows[0]["method"]) if rows else None
 
     def keep_method(self, board_type: str, method: str) -> Future[None]:
-        """Give a board type a way of its own."""
+        """Set the stitching method of a board type."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("INSERT OR REPLACE INTO board_methods VALUES (?, ?)", (board_type, method))
@@ -51,10 +51,11 @@ class BoardStitching:
         return self._database.write(write)
 
     def drop_method(self, board_type: str) -> Future[None]:
-        """The station's way holds again."""
+        """Delete the stitching method of a board type, so that the station's default applies."""
         return self._drop("board_methods", board_type)
 
     def _drop(self, table: str, board_type: str) -> Future[None]:
+        # SQLite cannot bind a table name as a parameter; the fixed set keeps the statement free of injected text.
         assert table in _TABLES
 
         def write(connection: sqlite3.Connection) -> None:

@@ -1,4 +1,4 @@
-"""Board types as files, NAME.json each: readable, editable, copied from line to line."""
+"""Board types as files, one NAME.json each, so that they can be edited and copied between lines."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from vaoi_station.files import read_board_type, write_board_type
 from vaoi_station.model import BoardType
 
 LONGEST_FILE_NAME = 250
+"""Characters of a file name without \".json\"; common file systems allow 255 bytes in all."""
 
 
 @dataclass(frozen=True)
 class BoardTypeFile:
-    """One file of the directory: a board type, or why it cannot be used."""
+    """One file of the directory: a board type, or the fault that makes it unusable."""
 
     path: Path
     board_type: BoardType | None
@@ -23,44 +24,51 @@ class BoardTypeFile:
 
 
 class BoardTypeDirectory:
-    """The board types somebody taught this station."""
+    """The directory of board types that this station knows."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
 
     def get(self, name: str) -> BoardType:
-        """One board type; `NotFoundError` with the names there are."""
+        """Read one board type; raise `NotFoundError` with the known names if it does not exist."""
         path = self.path_of(name)
         if not path.is_file():
             known = ", ".join(repr(f.board_type.name) for f in self.list() if f.board_type) or "none yet"
             raise NotFoundError(
-                f"There is no board type {name!r}; taught are: {known}.",
+                f"There is no board type {name!r}; known board types: {known}.",
                 action="Teach it (PUT its placement data under board-types), or arm with one of these.",
                 code="unknown-board-type",
             )
         return self._read(path)
 
     def list(self) -> list[BoardTypeFile]:
-        """All files of the directory, by name; unusable ones with their fault."""
+        """Return all files of the directory, sorted by name; unusable ones with their fault."""
+        # Names with a leading dot are temporary files of an unfinished write.
         return [self._entry(path) for path in sorted(self.directory.glob("*.json")) if not path.name.startswith(".")]
 
     def put(self, board_type: BoardType) -> bool:
-        """Write a board type whole or not at all; True if the name is new."""
+        """Write a board type atomically; return True if the name is new."""
         path = self.path_of(board_type.name)
         new = not path.exists()
         write_board_type(path, board_type)
         return new
 
     def delete(self, name: str) -> None:
-        """Forget a board type; `NotFoundError` if there is none of that name."""
+        """Delete a board type; raise `NotFoundError` if it does not exist."""
         try:
             self.path_of(name).unlink()
         except FileNotFoundError:
             raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type") from None
 
     def path_of(self, name: str) -> Path:
-        """The file of a name; characters that file systems mind are written as %XX."""
+        """Return the file path of a board type; characters that file systems reject are written as %XX.
+
+        Raises:
+            InputError: the name is empty or too long for a file name.
+        """
+        # The escape is reversible, so that two names never share a file; "/" and ":" cannot leave the directory.
         stem = quote(name, safe=" ()+,;=@&!#'")
+        # Also covers "." and "..", which would be directories.
         if stem.startswith("."):
             stem = "%2E" + stem[1:]
         if not name or len(stem) > LONGEST_FILE_NAME:
@@ -75,6 +83,7 @@ class BoardTypeDirectory:
 
     def _read(self, path: Path) -> BoardType:
         board_type = read_board_type(path)
+        # A copied file that still contains the old name would answer to a name that `path_of` never finds.
         if (expected := self.path_of(board_type.name)) != path:
             raise InputError(
                 f"{path}: holds the board type {board_type.name!r}.",

@@ -1,4 +1,4 @@
-"""What runs told of their cameras, one small document per run, by the calibration they were stitched with."""
+"""Calibration checks: one small document per run, grouped by the calibration the run was stitched with."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from concurrent.futures import Future
 from vaoi_station.store.database import Database
 
 FIRST_KEPT, LATEST_KEPT = 100, 2000
-"""Of each calibration: what runs showed when it was new, and what they show lately."""
+"""Checks kept per calibration: those from when it was new, and the latest ones."""
 
 
 class CalibrationChecks:
-    """The checks of one station."""
+    """The calibration checks of one station."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def save(self, run: str, calibration_digest: str, document: str) -> Future[None]:
-        """Write the check of a run; those between the first and the latest of its calibration make room."""
+        """Save the check of a run; delete those of its calibration that are neither among the first nor the latest."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute(
                 "INSERT OR REPLACE INTO calibration_checks VALUES (?, ?, ?)", (run, calibration_digest, document)
             )
+            # Run ids sort by time, so ORDER BY run is the order in which boards passed.
             connection.execute(
                 """DELETE FROM calibration_checks WHERE calibration_digest = ?1
                    AND run IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1
@@ -36,7 +37,7 @@ class CalibrationChecks:
         return self._database.write(write)
 
     def documents(self, calibration_digest: str, first: int, latest: int) -> list[str]:
-        """So many of the first and of the latest checks of a calibration, oldest first, each once."""
+        """Return the `first` oldest and `latest` newest checks of a calibration, oldest first, without duplicates."""
         rows = self._database.read(
             """SELECT run, document FROM calibration_checks WHERE calibration_digest = ?1 AND (
                    run IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1 ORDER BY run LIMIT ?2)
@@ -47,7 +48,7 @@ class CalibrationChecks:
         return [str(row["document"]) for row in rows]
 
     def count(self, calibration_digest: str) -> int:
-        """How many are kept of a calibration."""
+        """Return the number of checks kept for a calibration."""
         rows = self._database.read(
             "SELECT count(*) AS n FROM calibration_checks WHERE calibration_digest = ?", (calibration_digest,)
         )

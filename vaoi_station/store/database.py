@@ -1,4 +1,4 @@
-"""One SQLite file: one writer thread, readers that never wait for it (write-ahead log)."""
+"""One SQLite file with one writer thread; readers never wait for the writer (write-ahead log)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from vaoi_station.store.schema import migrate
 
 T = TypeVar("T")
 READERS = 4
+"""Reading connections; more simultaneous readers wait for a free one."""
 
 Write = Callable[[sqlite3.Connection], Any]
 
 
 class Database:
-    """An open database; `write` is carried out in order by one thread, `read` by whoever calls."""
+    """An open database; one thread carries out writes in order, reads run in the calling thread."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -36,8 +37,13 @@ class Database:
         self._thread.start()
 
     def write(self, work: Callable[[sqlite3.Connection], T]) -> Future[T]:
-        """Carry out `work` in one transaction, after all writes asked for before; done when it is on disk."""
+        """Run `work` in one transaction, after all writes that were submitted before.
+
+        Raises:
+            StateError: the database is closed. Errors of `work` are set on the future.
+        """
         future: Future[T] = Future()
+        # The gate orders writes against `close`: a job put after the end marker would never complete.
         with self._gate:
             if self._closed:
                 raise StateError(f"{self.path}: is closed; the station is stopping.")
@@ -45,18 +51,19 @@ class Database:
         return future
 
     def read(self, query: str, values: tuple[Any, ...] = ()) -> list[sqlite3.Row]:
-        """Rows of a query, as of the last finished write."""
-        with self._reader() as connection, _told(self.path):
+        """Return the rows of a query, as of the last completed write."""
+        with self._reader() as connection, _translated_errors(self.path):
             return connection.execute(query, values).fetchall()
 
     def close(self) -> None:
-        """Finish all writes and close the file; harmless when closed."""
+        """Finish all writes and close the file; no effect if it is closed."""
         with self._gate:
             if self._closed:
                 return
             self._closed = True
             self._jobs.put(None)
         self._thread.join()
+        # Taking each connection from the queue waits for reads that are still under way.
         for _ in range(READERS):
             self._readers.get().close()
         self._writer.close()
@@ -75,40 +82,46 @@ class Database:
         while (job := self._jobs.get()) is not None:
             work, future = job
             try:
-                with _told(self.path):
+                with _translated_errors(self.path):
+                    # IMMEDIATE takes the write lock at once; a deferred transaction could fail with SQLITE_BUSY in
+                    # the middle, where the busy time-out does not apply.
                     self._writer.execute("BEGIN IMMEDIATE")
                     try:
                         result = work(self._writer)
                         self._writer.execute("COMMIT")
-                    except BaseException:  # whatever ended it, tidy up; it is raised again
+                    except BaseException:  # roll back or close in every case; the error is raised again
                         self._writer.execute("ROLLBACK")
                         raise
-            except Exception as error:  # noqa: BLE001  whoever asked for the write is told; the next one may succeed
+            except Exception as error:  # noqa: BLE001  the caller gets the error through the future; the thread goes on
                 future.set_exception(error)
             else:
                 future.set_result(result)
 
 
 def _open(path: Path) -> sqlite3.Connection:
-    """A writing connection to a sound, up-to-date database; made if there is none."""
+    """Open the writing connection; create the file or migrate it, and refuse a damaged one."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _told(path):
+    with _translated_errors(path):
         connection = _connect(path)
     try:
-        with _told(path):
+        with _translated_errors(path):
             connection.execute("PRAGMA journal_mode = WAL")
+            # With a write-ahead log NORMAL survives a crash of the process; a power failure may lose the last
+            # transactions but does not damage the file (SQLite documentation, "PRAGMA synchronous").
             connection.execute("PRAGMA synchronous = NORMAL")
+            # Damage found now stops the start with an action; found later it would end a run.
             fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
             if fault != "ok":
                 raise sqlite3.DatabaseError(fault)
             migrate(connection, path)
-    except BaseException:  # whatever ended it, tidy up; it is raised again
+    except BaseException:  # roll back or close in every case; the error is raised again
         connection.close()
         raise
     return connection
 
 
 def _connect(path: Path) -> sqlite3.Connection:
+    # isolation_level=None leaves BEGIN and COMMIT to `_run`; the readers are passed between threads, one at a time.
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10)
     connection.row_factory = sqlite3.Row
     connection.execute("PRAGMA foreign_keys = ON")
@@ -116,8 +129,9 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 @contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """SQLite's errors as ours: what the file suffers from, and what to do."""
+def _translated_errors(path: Path) -> Iterator[None]:
+    """Convert SQLite errors to errors with path and action."""
+    # OperationalError and IntegrityError are subclasses of DatabaseError, so the order of the clauses matters.
     try:
         yield
     except sqlite3.OperationalError as error:

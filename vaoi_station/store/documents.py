@@ -1,8 +1,8 @@
-"""What is kept, in the words of the house: runs, results, calibrations and board types seen, events.
+"""Typed access to the database: runs, results, calibrations, board types as used, events.
 
-Documents are JSON texts; what they mean is the callers' affair. Results never change. A run's frames
-live in shared memory and die with the station, so opening the store marks every run of an earlier
-life: finished ones are "gone", unfinished ones the caller gets back, to end them with a reason.
+Documents are JSON texts that the store does not interpret. Results never change. The frames of a run are in shared
+memory and are lost when the station ends. After a restart the caller therefore marks finished runs with
+`mark_frames_gone` and ends the runs from `unfinished` with a reason.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from vaoi_station.store.database import Database
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
+"""Events kept; older ones are deleted."""
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """A run as it is kept; `finish_number` orders runs by their end, None: not finished."""
+    """A run as stored; `finish_number` orders runs by their end, None: not finished."""
 
     id: str
     state: str
@@ -34,24 +35,24 @@ class RunRow:
     summary: str
     detail: str
     head: str | None = None
-    """What was filmed (a recording's head); None while it is filmed."""
+    """The recording's head as JSON; None while the board is filmed."""
 
 
 @dataclass(frozen=True)
 class EventRow:
-    """An event as it is kept."""
+    """An event as stored."""
 
     number: int
     document: str
 
 
 def digest_of(document: str) -> str:
-    """Name of a document by its content: the first 16 hex digits of its SHA-256."""
+    """Return the name of a document by its content: the first 16 hex digits of its SHA-256."""
     return hashlib.sha256(document.encode()).hexdigest()[:16]
 
 
 class Store:
-    """The documents of one station; methods that write return a future that is done when it is on disk."""
+    """The documents of one station; methods that write return a future that completes with the transaction."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -59,24 +60,26 @@ class Store:
         self.stitching = BoardStitching(database)
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
-        """Remember a board type or a calibration as it was used; its digest names it from then on."""
+        """Store a board type or a calibration as it was used, and return its digest."""
         digest = digest_of(document)
+        # Waits for the transaction: runs refer to the digest by a foreign key.
         self._database.write(
             lambda c: c.execute("INSERT OR IGNORE INTO documents VALUES (?, ?, ?, ?)", (digest, kind, now, document))
         ).result()
         return digest
 
     def document(self, digest: str) -> str:
-        """A board type or calibration that was used once."""
+        """Return a stored board type or calibration; raise NotFoundError if the digest is unknown."""
         rows = self._database.read("SELECT document FROM documents WHERE digest = ?", (digest,))
         if not rows:
             raise NotFoundError(f"{self._database.path}: there is no document {digest}.")
         return str(rows[0]["document"])
 
     def save_run(self, row: RunRow, timeline: str | None = None, result: str | None = None) -> Future[None]:
-        """Write a run, with its timeline and its result once it has them, all in one transaction."""
+        """Write a run, with its timeline and result if it has them, in one transaction."""
 
         def write(connection: sqlite3.Connection) -> None:
+            # An update, not INSERT OR REPLACE, which would delete the row that results and checks refer to.
             connection.execute(
                 """INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
                    ON CONFLICT (id) DO UPDATE SET state = excluded.state, finish_number = excluded.finish_number,
@@ -93,7 +96,7 @@ class Store:
         return self._database.write(write)
 
     def set_state(self, run: str, state: str) -> Future[None]:
-        """Note that a finished run's frames were released or are gone."""
+        """Set the state of a finished run whose frames were released or evicted."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("UPDATE runs SET state = ? WHERE id = ?", (state, run))
@@ -101,12 +104,12 @@ class Store:
         return self._database.write(write)
 
     def run(self, run: str) -> RunRow | None:
-        """One run."""
+        """Return one run; None if it does not exist."""
         rows = self._database.read(f"SELECT {_COLUMNS} FROM runs WHERE id = ?", (run,))
         return _row(rows[0]) if rows else None
 
     def runs(self, limit: int, before: str | None) -> list[RunRow]:
-        """Runs with ids below `before` (None: all), newest first."""
+        """Return at most `limit` runs with ids below `before` (None: all), newest first."""
         return [
             _row(r)
             for r in self._database.read(
@@ -116,13 +119,13 @@ class Store:
         ]
 
     def unfinished(self) -> list[RunRow]:
-        """Runs an earlier life of the station did not bring to an end, oldest first."""
+        """Return the runs that were never finished, oldest first."""
         return [
             _row(r) for r in self._database.read(f"SELECT {_COLUMNS} FROM runs WHERE finish_number IS NULL ORDER BY id")
         ]
 
     def mark_frames_gone(self, gone: str) -> Future[None]:
-        """All finished runs of earlier lives: their memory no longer exists."""
+        """Set the state of all finished runs to `gone`, because their memory no longer exists."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("UPDATE runs SET state = ? WHERE finish_number IS NOT NULL AND state <> ?", (gone, gone))
@@ -130,7 +133,7 @@ class Store:
         return self._database.write(write)
 
     def finished_after(self, finish_number: int) -> RunRow | None:
-        """The run that finished next after one of that number (0: the first of all)."""
+        """Return the run that finished next after `finish_number` (0: the first of all); None if there is none."""
         rows = self._database.read(
             f"SELECT {_COLUMNS} FROM runs WHERE finish_number > ? ORDER BY finish_number LIMIT 1",
             (finish_number,),
@@ -138,44 +141,45 @@ class Store:
         return _row(rows[0]) if rows else None
 
     def last_finished(self) -> RunRow | None:
-        """The run that finished last."""
+        """Return the run that finished last; None before the first."""
         rows = self._database.read(
             f"SELECT {_COLUMNS} FROM runs WHERE finish_number IS NOT NULL ORDER BY finish_number DESC LIMIT 1"
         )
         return _row(rows[0]) if rows else None
 
     def newest_run(self) -> str | None:
-        """The highest id ever given to a run that was filmed."""
+        """Return the highest run id in use; None before the first run."""
         value = self._database.read("SELECT max(id) AS id FROM runs")[0]["id"]
         return None if value is None else str(value)
 
     def result(self, run: str) -> str | None:
-        """The result of a run; None if it has none."""
+        """Return the result of a run; None if it has none."""
         rows = self._database.read("SELECT document FROM results WHERE run = ?", (run,))
         return str(rows[0]["document"]) if rows else None
 
     def timeline(self, run: str) -> str | None:
-        """The timeline of a finished run."""
+        """Return the timeline of a run; None if it has none yet."""
         rows = self._database.read("SELECT timeline FROM runs WHERE id = ?", (run,))
         return None if not rows or rows[0]["timeline"] is None else str(rows[0]["timeline"])
 
     def add_event(self, row: EventRow) -> Future[None]:
-        """Append an event; of very many the oldest go."""
+        """Append an event, and delete the oldest beyond `EVENTS_KEPT`."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("INSERT INTO events VALUES (?, ?)", (row.number, row.document))
+            # Deleting once per 1000 events keeps the usual write to one row.
             if row.number % 1000 == 0:
                 connection.execute("DELETE FROM events WHERE number <= ?", (row.number - EVENTS_KEPT,))
 
         return self._database.write(write)
 
     def events(self, after: int, limit: int) -> list[EventRow]:
-        """Events numbered above `after`, oldest first."""
+        """Return at most `limit` events numbered above `after`, oldest first."""
         rows = self._database.read("SELECT * FROM events WHERE number > ? ORDER BY number LIMIT ?", (after, limit))
         return [EventRow(int(r["number"]), str(r["document"])) for r in rows]
 
     def last_event(self) -> int:
-        """Number of the newest event; 0 before the first."""
+        """Return the number of the newest event; 0 before the first."""
         return int(self._database.read("SELECT coalesce(max(number), 0) AS number FROM events")[0]["number"])
 
     def close(self) -> None:

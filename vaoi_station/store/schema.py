@@ -1,6 +1,6 @@
-"""The tables, and the steps that led to them: `PRAGMA user_version` counts the steps taken.
+"""The tables as a list of migration steps; `PRAGMA user_version` holds the number of steps applied.
 
-A step, once released, never changes; a change of the tables is a further step.
+A released step never changes; a change of the tables is a further step.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from pathlib import Path
 
 from vaoi_station.errors import InputError
 
+# STRICT tables reject a value of the wrong type; without it SQLite stores text in an INTEGER column.
 STEPS: tuple[tuple[str, ...], ...] = (
     (
         """CREATE TABLE documents (
@@ -63,20 +64,25 @@ VERSION = len(STEPS)
 
 
 def migrate(connection: sqlite3.Connection, path: Path) -> None:
-    """Bring a database to this version, step by step, each whole or not at all; refuse a newer one."""
+    """Apply the missing migration steps, each in one transaction.
+
+    Raises:
+        InputError: the database was written by a newer version.
+    """
     (found,) = connection.execute("PRAGMA user_version").fetchone()
     if found > VERSION:
         raise InputError(
-            f"{path}: has version {found} of the tables, this software knows {VERSION}.",
+            f"{path}: has version {found} of the tables; this software knows versions up to {VERSION}.",
             action="Start the newer vaoi_station that wrote it, or give this one another data directory.",
         )
     for number in range(found, VERSION):
+        # Tables and version number change together, so that an interrupted migration continues at the next start.
         connection.execute("BEGIN IMMEDIATE")
         try:
             for statement in STEPS[number]:
                 connection.execute(statement)
             connection.execute(f"PRAGMA user_version = {number + 1}")
             connection.execute("COMMIT")
-        except BaseException:  # whatever ended it, tidy up; it is raised again
+        except BaseException:  # roll back in every case; the error is raised again
             connection.execute("ROLLBACK")
             raise

@@ -26,7 +26,7 @@ def asked_to_arm(rig: Any) -> Iterator[Future[object]]:
 
 
 def test_a_board_type_nobody_taught(rig: Any) -> None:
-    with pytest.raises(NotFoundError, match="no board type 'unknown'; taught are: 'small'"):
+    with pytest.raises(NotFoundError, match="no board type 'unknown'; known board types: 'small'"):
         rig.coordinator.arm("unknown")
     assert rig.coordinator.snapshot().state == "idle"
 
