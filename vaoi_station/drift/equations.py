@@ -21,7 +21,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.normal_blocks import Block, belt_blocks, square_roots, sum_blocks, whiten
 from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.solver import apply_similarity, similarity_jacobian
+from vaoi_station.stitching.adjustment.similarity import apply_similarity, similarity_jacobian
 
 _ITERATIONS = 15
 _HELD_ITERATIONS = 2

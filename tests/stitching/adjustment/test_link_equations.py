@@ -1,4 +1,4 @@
-"""The compiled passes over the links against numpy, one link at a time, derivatives by differences."""
+"""The compiled passes over the links agree with numpy, one link at a time, and with derivatives by differences."""
 
 from __future__ import annotations
 
@@ -8,47 +8,64 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.adjustment.envelope import Envelope, add
+from vaoi_station.stitching.adjustment.envelope import Envelope, add_equations
 from vaoi_station.stitching.adjustment.link_equations import (
     Coupling,
-    accumulate,
-    eliminate,
-    heights_moved,
-    misfits,
-    weigh,
+    HeightModel,
+    LinkState,
+    MotionArrays,
+    NoiseModel,
+    add_links,
+    compute_residuals,
+    compute_weights,
+    eliminate_heights,
+    height_changes,
 )
+from vaoi_station.stitching.adjustment.observations import LinkArrays
 
 Array = NDArray[np.float64]
 ROWS, LINKS, BASIS, PARTS = 4, 60, 3, 5
+SIZE, TOTAL = 3 * ROWS + BASIS, 3 * ROWS + BASIS + PARTS
 
 
 @dataclass
 class Scene:
-    p: NDArray[np.int_]
-    q: NDArray[np.int_]
-    a: Array
-    b: Array
-    a_lean: Array
-    b_lean: Array
-    basis: Array
-    component: NDArray[np.int_]
+    links: LinkArrays
+    model: HeightModel
     pivot: Array
 
-    def misfit(self, unknowns: Array) -> Array:
-        """(k, 2) from rows (φ, sx, sy), surface and heights in one vector."""
+    def motion(self, unknowns: Array) -> MotionArrays:
         rows = unknowns[: 3 * ROWS].reshape(ROWS, 3)
-        beta, heights = unknowns[3 * ROWS : 3 * ROWS + BASIS], unknowns[3 * ROWS + BASIS :]
+        return MotionArrays(np.ascontiguousarray(rows[:, 0]), np.ascontiguousarray(rows[:, 1:]), self.pivot)
+
+    def residual(self, unknowns: Array) -> Array:
+        """(k, 2) from rows (φ, sx, sy), surface and heights in one vector, by the definition."""
+        o, rows = self.links, unknowns[: 3 * ROWS].reshape(ROWS, 3)
+        beta, heights = unknowns[3 * ROWS : SIZE], np.append(unknowns[SIZE:], 0.0)
         out = []
-        for n in range(len(self.p)):
-            h = self.basis[n] @ beta + (heights[self.component[n]] if self.component[n] >= 0 else 0.0)
+        for n in range(LINKS):
+            h = self.model.basis[n] @ beta + heights[self.model.component[n]]
             board, lean = [], []
-            for row, at, of in ((self.q[n], self.b[n], self.b_lean[n]), (self.p[n], self.a[n], self.a_lean[n])):
+            for row, at, of in ((o.q[n], o.b_mm[n], o.b_lean[n]), (o.p[n], o.a_mm[n], o.a_lean[n])):
                 c, s = np.cos(rows[row, 0]), np.sin(rows[row, 0])
                 turn = np.array([[c, -s], [s, c]])
                 board.append(turn @ (at - self.pivot) + self.pivot + rows[row, 1:])
                 lean.append(turn @ of)
             out.append(board[0] - board[1] + (lean[0] - lean[1]) * h)
         return np.array(out)
+
+    def evaluate(self, unknowns: Array) -> LinkState:
+        """The compiled residuals at these unknowns."""
+        heights = np.append(unknowns[SIZE:], 0.0)
+        height = self.model.basis @ unknowns[3 * ROWS : SIZE] + heights[self.model.component]
+        state = LinkState.zeros(LINKS)
+        compute_residuals(self.links, self.motion(unknowns), height, state)
+        return state
+
+    def jacobian(self, unknowns: Array, step: float = 1e-6) -> Array:
+        """(k, 2, u) by central differences."""
+        eye = np.eye(TOTAL) * step
+        return np.stack([(self.residual(unknowns + d) - self.residual(unknowns - d)) / (2 * step) for d in eye], -1)
 
 
 @pytest.fixture
@@ -57,104 +74,105 @@ def scene() -> Scene:
     p = np.sort(g.integers(0, ROWS - 1, LINKS))
     q = np.where(np.arange(LINKS) % 2, p, p + 1)
     order = np.lexsort((q, p))
-    return Scene(
-        p[order],
-        q[order],
-        g.normal(0, 10, (LINKS, 2)),
-        g.normal(0, 10, (LINKS, 2)),
-        g.normal(0, 0.02, (LINKS, 2)),
-        g.normal(0, 0.02, (LINKS, 2)),
-        g.normal(0, 1, (LINKS, BASIS)),
-        g.integers(-1, PARTS, LINKS),
-        np.array([3.0, -2.0]),
-    )
+    p, q = p[order], q[order]
+    group = np.concatenate([[0], np.cumsum(np.diff(p * ROWS + q) != 0)])
+    places, leans = g.normal(0, 10, (2, LINKS, 2)), g.normal(0, 0.02, (2, LINKS, 2))
+    noise = np.tile(np.diag([1e-4, 4e-4]), (LINKS, 1, 1))
+    links = LinkArrays(p, q, places[0], places[1], leans[0], leans[1], noise, np.full(LINKS, 20.0), group)
+    model = HeightModel(g.normal(0, 1, (LINKS, BASIS)), g.integers(-1, PARTS, LINKS))
+    return Scene(links, model, np.array([3.0, -2.0]))
 
 
-def groups(scene: Scene) -> NDArray[np.int_]:
-    pair = scene.p * ROWS + scene.q
-    return np.concatenate([[0], np.cumsum(np.diff(pair) != 0)])
+def coupling(scene: Scene, component: NDArray[np.int_]) -> Coupling:
+    return Coupling.of(component, scene.links.p, scene.links.q, PARTS, BASIS)
 
 
-def found(scene: Scene, unknowns: Array) -> tuple[Array, Array]:
-    rows = unknowns[: 3 * ROWS].reshape(ROWS, 3)
-    heights = np.append(unknowns[3 * ROWS + BASIS :], 0.0)
-    height = scene.basis @ unknowns[3 * ROWS : 3 * ROWS + BASIS] + heights[scene.component]
-    residual, lean = np.empty((LINKS, 2)), np.empty((LINKS, 2))
-    s = scene
-    angle, shift = np.ascontiguousarray(rows[:, 0]), np.ascontiguousarray(rows[:, 1:])
-    misfits(s.p, s.q, s.a, s.b, s.a_lean, s.b_lean, height, angle, shift, s.pivot, residual, lean)
-    return residual, lean
+def test_the_residual_of_a_link_is_that_of_its_definition(scene: Scene) -> None:
+    unknowns = np.random.default_rng(4).normal(0, 0.1, TOTAL)
+    assert scene.evaluate(unknowns).residual == pytest.approx(scene.residual(unknowns), abs=1e-12)
 
 
-def test_the_misfit_of_a_link(scene: Scene) -> None:
-    unknowns = np.random.default_rng(4).normal(0, 0.1, 3 * ROWS + BASIS + PARTS)
-    assert found(scene, unknowns)[0] == pytest.approx(scene.misfit(unknowns), abs=1e-12)
+def test_the_lean_of_a_link_is_the_change_of_its_residual_with_height(scene: Scene) -> None:
+    unknowns = np.random.default_rng(8).normal(0, 0.1, TOTAL)
+    raised = unknowns.copy()
+    raised[SIZE:] += 1.0
+    change = scene.evaluate(raised).residual - scene.evaluate(unknowns).residual
+    on = scene.model.component >= 0
+    assert scene.evaluate(unknowns).lean[on] == pytest.approx(change[on], abs=1e-12)
+    assert not change[~on].any()
 
 
-def test_normal_equations_are_those_of_the_linearised_misfits(scene: Scene) -> None:
-    size, total = 3 * ROWS + BASIS, 3 * ROWS + BASIS + PARTS
-    unknowns = np.zeros(total)
-    unknowns[:size] = np.random.default_rng(5).normal(0, 0.05, size)
-    unknowns[3 * ROWS : size] = 0  # at no height turning a row does not turn a lean, which the equations leave out
-    g = np.random.default_rng(6)
-    root = g.normal(0, 1, (LINKS, 2, 2))
+def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) -> None:
+    unknowns = np.zeros(TOTAL)
+    # at height 0 the lean does not turn with the row: the equations leave that small derivative out
+    unknowns[: 3 * ROWS] = np.random.default_rng(5).normal(0, 0.05, 3 * ROWS)
+    root = np.random.default_rng(6).normal(0, 1, (LINKS, 2, 2))
     matrices = root @ root.swapaxes(1, 2)
-    weight = np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], -1)
-    residual, lean = found(scene, unknowns)
-    s = scene
-    tied = Coupling.of(s.component, s.p, s.q, PARTS, BASIS)
+    state = scene.evaluate(unknowns)
+    state.weight[:] = np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], -1)
+    tied = coupling(scene, scene.model.component)
     envelope = Envelope.of(np.full(ROWS, ROWS - 1), BASIS)
-    values, right = np.zeros(envelope.entries), np.zeros(size)
-    coupling, height_normal, height_right = np.zeros(tied.at[-1]), np.ones(PARTS), np.zeros(PARTS)
-    angle = np.ascontiguousarray(unknowns[: 3 * ROWS : 3])
-    accumulate(
-        *(s.p, s.q, s.a, s.b, groups(s), angle, s.pivot, residual, lean, weight, s.basis, s.component),
-        *(envelope.at, values, right, tied.row, tied.at, coupling, height_normal, height_right),
-    )
-    step = 1e-6
-    eye = np.eye(total) * step
-    j = np.stack([(s.misfit(unknowns + d) - s.misfit(unknowns - d)) / (2 * step) for d in eye], -1)
+    normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0)
+    add_links(scene.links, scene.motion(unknowns), scene.model, state, heights, normal)
+
+    j = scene.jacobian(unknowns)
     whole = np.einsum("kic,kij,kjd->cd", j, matrices, j)
-    pull = -np.einsum("kic,kij,kj->c", j, matrices, residual)
+    pull = -np.einsum("kic,kij,kj->c", j, matrices, state.residual)
     scale = np.abs(whole).max()
-    assert envelope.dense(values) == pytest.approx(whole[:size, :size], abs=1e-7 * scale)
+    assert envelope.dense(normal.values) == pytest.approx(whole[:SIZE, :SIZE], abs=1e-7 * scale)
     for c in range(PARTS):
-        own = coupling[tied.at[c] : tied.at[c + 1]]
-        expected = np.append(whole[size + c, 3 * tied.row[c] : 3 * tied.last[c] + 3], whole[size + c, 3 * ROWS : size])
-        assert own == pytest.approx(expected, abs=1e-7 * scale)
-        assert np.count_nonzero(abs(whole[size + c, :size]) > 1e-6 * scale) <= len(own), "nothing is left out"
-    assert height_normal - 1 == pytest.approx(np.diag(whole)[size:], abs=1e-7 * scale)
-    assert np.concatenate([right, height_right]) == pytest.approx(pull, abs=1e-7 * np.abs(pull).max())
+        own = heights.coupling[tied.at[c] : tied.at[c + 1]]
+        rows = whole[SIZE + c, 3 * tied.row[c] : 3 * tied.last[c] + 3]
+        assert own == pytest.approx(np.append(rows, whole[SIZE + c, 3 * ROWS : SIZE]), abs=1e-7 * scale)
+        assert np.count_nonzero(abs(whole[SIZE + c, :SIZE]) > 1e-6 * scale) <= len(own), "no coupling is left out"
+    assert heights.normal - 1 == pytest.approx(np.diag(whole)[SIZE:], abs=1e-7 * scale)
+    assert np.concatenate([normal.right, heights.right]) == pytest.approx(pull, abs=1e-7 * np.abs(pull).max())
 
-    full = np.linalg.solve(whole + np.eye(total), pull)
-    heights = (tied.row, tied.at, BASIS, coupling, height_normal, height_right)
-    add(np.arange(size)[None], np.eye(size)[None], np.zeros((1, size)), envelope.at, values, np.zeros(size))
-    eliminate(*heights, envelope.at, values, right)
-    delta = np.asarray(np.linalg.solve(envelope.dense(values), right), dtype=np.float64)
-    assert delta == pytest.approx(full[:size], rel=1e-5)
-    assert heights_moved(*heights, delta) == pytest.approx(full[size:], rel=1e-5)
+    full = np.linalg.solve(whole + np.eye(TOTAL), pull)
+    right = normal.right.copy()
+    add_equations(np.arange(SIZE)[None], np.eye(SIZE)[None], np.zeros((1, SIZE)), normal)
+    assert (normal.right == right).all()
+    eliminate_heights(heights, normal)
+    delta = np.asarray(np.linalg.solve(envelope.dense(normal.values), normal.right), dtype=np.float64)
+    assert delta == pytest.approx(full[:SIZE], rel=1e-5)
+    assert height_changes(heights, delta) == pytest.approx(full[SIZE:], rel=1e-5)
 
 
-def test_a_part_without_links_is_tied_to_nothing(scene: Scene) -> None:
-    tied = Coupling.of(np.where(scene.component == 2, -1, scene.component), scene.p, scene.q, PARTS, BASIS)
+def test_a_part_without_links_is_coupled_to_nothing(scene: Scene) -> None:
+    tied = coupling(scene, np.where(scene.model.component == 2, -1, scene.model.component))
     assert tied.at[2] == tied.at[3]
+    assert tied.last[2] == -1
     assert (np.diff(tied.at)[[0, 1, 3, 4]] >= 3 + BASIS).all()
 
 
-def test_weights_are_those_of_noise_floor_and_size(scene: Scene) -> None:
-    g = np.random.default_rng(7)
-    noise = np.tile(np.diag([1e-4, 4e-4]), (LINKS, 1, 1))
-    residual, kind = g.normal(0, 0.1, (LINKS, 2)), (scene.p == scene.q).astype(np.int_)
-    floor, shared, px = np.array([0.3, 0.6]), np.array([0.1, 0.2]), np.full(LINKS, 20.0)
-    sigma, robust, weight = np.empty(LINKS), np.empty(LINKS), np.empty((LINKS, 3))
-    group = groups(scene)
-    weigh(residual, noise, px, group, int(group.max()) + 1, kind, floor, shared, 2.0, 6.0, sigma, robust, weight)
+def test_the_prior_pulls_heights_to_zero(scene: Scene) -> None:
+    heights = coupling(scene, scene.model.component).equations(np.array([0.0, 1.0, -2.0, 0.0, 0.0]), 0.5)
+    assert heights.right / heights.normal == pytest.approx([0.0, -1.0, 2.0, 0.0, 0.0])
+    assert not heights.coupling.any()
+    assert height_changes(heights, np.ones(SIZE)) == pytest.approx([0.0, -1.0, 2.0, 0.0, 0.0])
+
+
+def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
+    state, px, group = LinkState.zeros(LINKS), scene.links.px_per_mm, scene.links.group
+    state.residual[:] = np.random.default_rng(7).normal(0, 0.1, (LINKS, 2))
+    kind = (scene.links.p == scene.links.q).astype(np.int_)
+    floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
+    compute_weights(scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0), int(group.max()) + 1, state)
     information = 1 / (np.array([1e-4, 4e-4]) + ((floor[kind] / px) ** 2)[:, None])
-    chi = np.sqrt((residual**2 * information).sum(1) / 2)
-    assert sigma == pytest.approx(chi)
+    chi = np.sqrt((state.residual**2 * information).sum(1) / 2)
+    assert state.sigma == pytest.approx(chi)
     assert (chi > 6).any()
     assert ((chi > 2) & (chi < 6)).any()
-    assert robust == pytest.approx(np.where(chi > 6, 0, np.where(chi > 2, 2 / chi, 1)))
-    told = np.bincount(group, robust * information.mean(1))
-    share = 1 / (1 + told[group] * (shared[kind] / px) ** 2)
-    assert weight == pytest.approx((robust * share)[:, None] * information[:, [0, 0, 1]] * (1, 0, 1))
+    assert state.robust == pytest.approx(np.where(chi > 6, 0, np.where(chi > 2, 2 / chi, 1)))
+    of_group = np.bincount(group, state.robust * information.mean(1))
+    share = 1 / (1 + of_group[group] * (shared[kind] / px) ** 2)
+    assert state.weight == pytest.approx((state.robust * share)[:, None] * information[:, [0, 0, 1]] * (1, 0, 1))
+
+
+def test_links_of_one_pair_never_weigh_more_than_their_common_error_allows(scene: Scene) -> None:
+    state, group = LinkState.zeros(LINKS), scene.links.group
+    shared_px = 0.4
+    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0)
+    compute_weights(scene.links, noise, int(group.max()) + 1, state)
+    limit = 2 / (shared_px / 20.0) ** 2
+    assert (np.bincount(group, state.weight[:, 0] + state.weight[:, 2]) <= limit * (1 + 1e-12)).all()

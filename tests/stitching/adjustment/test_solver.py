@@ -18,7 +18,8 @@ from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 from vaoi_station.stitching.adjustment.observations import to_observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
-from vaoi_station.stitching.adjustment.solver import adjust, apply_similarity, evaluate_at, solve_subsampled
+from vaoi_station.stitching.adjustment.similarity import apply_similarity
+from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis
 from vaoi_station.stitching.matching.evidence import Links, Task
 
@@ -174,7 +175,7 @@ def test_a_sample_of_many_links_is_of_the_kind_that_code_is_compiled_for(
     adjust(problem, started(problem))
     code: Any = noise_floor
     before = set(code.signatures)
-    monkeypatch.setattr(adjustment, "_TELLING", 40)
+    monkeypatch.setattr(adjustment, "_FLOOR_SAMPLE", 40)
     adjust(problem, started(problem))
     assert set(code.signatures) == before
 

@@ -9,7 +9,7 @@ import pytest
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult
-from vaoi_station.stitching.adjustment.solver import apply_similarity
+from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import board_plane
 from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
 from vaoi_station.stitching.matching.scene import Scene

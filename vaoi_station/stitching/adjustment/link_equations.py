@@ -1,51 +1,133 @@
-"""The links of a run as normal equations: one compiled pass over all of them per step of the adjustment.
+"""Build the normal equations of all links: one compiled pass over them per step of the adjustment.
 
-A link says that ground point a of row p and ground point b of row q are the same point of the board. Its misfit is
+A link states that ground point a of row p and ground point b of row q are the same point of the board. Its residual is
 
     r = board(q, b) − board(p, a) + l·h,    l = R(φ_q)·l_b − R(φ_p)·l_a,
 
-l being how far it moves per mm of height and h the height of what it lies on: surface plus component. Unknowns are
+where l is its displacement per mm of height and h the height of the point: surface plus component. Unknowns are
 (φ, sx, sy) of every row, in the columns 3·row …, and the coefficients of the surface in the last ones; the normal
-matrix is kept in its envelope (`envelope.py`). Heights of components have normal equations of their own, each tied
-only to the rows that see it and to the surface (`Coupling`), and are eliminated (`eliminate`).
+matrix is stored in its envelope (`envelope.py`). Heights of components have normal equations of their own, each coupled
+only to the rows that see it and to the surface (`Coupling`), and are eliminated (`eliminate_heights`).
+
+Compiled functions take their arrays in named tuples, which Numba unpacks without a copy.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.envelope import NormalEquations
+from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
 
-Ints = NDArray[np.int_]
+
+class MotionArrays(NamedTuple):
+    """The motion of m rows."""
+
+    angle: Floats
+    """(m,) rad."""
+    shift: Floats
+    """(m, 2) mm."""
+    pivot: Floats
+    """(2,) mm."""
+
+
+class LinkState(NamedTuple):
+    """Values that one step computes for each of k links; written in place."""
+
+    residual: Floats
+    """(k, 2) mm."""
+    lean: Floats
+    """(k, 2) change of the residual per mm of height."""
+    sigma: Floats
+    """(k,) length of the residual in standard deviations."""
+    robust: Floats
+    """(k,) robust weight, 0 … 1."""
+    weight: Floats
+    """(k, 3) weight matrix, xx, xy, yy, mm⁻²."""
+
+    @staticmethod
+    def zeros(k: int) -> LinkState:
+        """Return the state before the first step."""
+        return LinkState(np.zeros((k, 2)), np.zeros((k, 2)), np.zeros(k), np.zeros(k), np.zeros((k, 3)))
+
+
+class NoiseModel(NamedTuple):
+    """How links scatter, by kind of link, and where the robust loss bends."""
+
+    kind: Ints
+    """(k,) index into `floor_px` and `shared_px`."""
+    floor_px: Floats
+    """Scatter of single links beyond image noise, by kind."""
+    shared_px: Floats
+    """Error that all links of one pair of frames have in common, by kind."""
+    knee: float
+    """Residuals beyond this number of standard deviations lose weight (Huber)."""
+    cut: float
+    """Residuals beyond this number of standard deviations have no weight."""
+
+
+class HeightModel(NamedTuple):
+    """What determines the height of each of k links."""
+
+    basis: Floats
+    """(k, f) values of the surface's basis functions; f may be 0."""
+    component: Ints
+    """(k,) index of the component height, or −1."""
+
+
+class HeightEquations(NamedTuple):
+    """Normal equations of the heights of c components."""
+
+    row: Ints
+    """(c,) the first row that sees each component."""
+    at: Ints
+    """(c + 1,) index of the first entry of each component in `coupling`."""
+    surface: int
+    """The number f of coefficients of the surface."""
+    coupling: Floats
+    """Entries between heights and the other unknowns: (φ, sx, sy) of the component's rows, then the surface."""
+    normal: Floats
+    """(c,) diagonal."""
+    right: Floats
+    """(c,) right-hand side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """Which unknowns the heights of c components are tied to: rows that follow one another, then the surface."""
+    """The unknowns to which the heights of c components are coupled: adjacent rows, then the surface."""
 
     row: Ints
     """(c,) the first row."""
     last: Ints
     """(c,) the last row; −1 without links."""
     at: Ints
-    """(c + 1,) where the entries of each begin: (φ, sx, sy) of its rows, then the surface's coefficients."""
+    """(c + 1,) index of the first entry of each: (φ, sx, sy) of its rows, then the surface's coefficients."""
+    surface: int
+    """The number of coefficients of the surface."""
 
     @staticmethod
     def of(component: Ints, p: Ints, q: Ints, count: int, surface: int) -> Coupling:
-        """By the component (k,) of every link, or −1, and by its rows p ≤ q."""
+        """Build from the component (k,) of every link, or −1, and its rows p and q."""
         first, last = _rows_that_see(component, p, q, count)
         widths = np.where(last >= 0, 3 * (last - first + 1) + surface, 0)
-        return Coupling(first, last, np.append(0, np.cumsum(widths)))
+        return Coupling(first, last, np.append(0, np.cumsum(widths)), surface)
+
+    def equations(self, heights_mm: Floats, sigma_mm: float) -> HeightEquations:
+        """Return the equations of the prior alone: heights (c,) are 0 with this standard deviation."""
+        normal = np.full(len(heights_mm), 1 / sigma_mm**2)
+        coupling = np.zeros(int(self.at[-1]))
+        return HeightEquations(self.row, self.at, self.surface, coupling, normal, -heights_mm / sigma_mm**2)
 
 
 @compiled
 def _rows_that_see(component: Ints, p: Ints, q: Ints, count: int) -> tuple[Ints, Ints]:
-    """First and last row (c,) of each component's links; 0 and −1 without any."""
+    """Return the first and last row (c,) of each component's links; 0 and −1 without any."""
     first, last = np.zeros(count, np.int64), np.full(count, -1)
     for n in range(len(component)):
         c = component[n]
@@ -57,37 +139,11 @@ def _rows_that_see(component: Ints, p: Ints, q: Ints, count: int) -> tuple[Ints,
 
 
 @compiled
-def misfits(
-    p: Ints,
-    q: Ints,
-    a_mm: Floats,
-    b_mm: Floats,
-    a_lean: Floats,
-    b_lean: Floats,
-    height_mm: Floats,
-    angle: Floats,
-    shift: Floats,
-    pivot: Floats,
-    residual: Floats,
-    lean: Floats,
-) -> None:
-    """Misfit of every link, and how it changes with height.
-
-    Args:
-        p: (k,) row of the first point.
-        q: (k,) row of the second.
-        a_mm: (k, 2) first point on the ground.
-        b_mm: (k, 2) second point.
-        a_lean: (k, 2) mm per mm of height by which the first point lies elsewhere.
-        b_lean: (k, 2) the same of the second.
-        height_mm: (k,) above the calibrated plane.
-        angle: (m,) of the rows, rad.
-        shift: (m, 2) mm.
-        pivot: (2,) mm.
-        residual: out, (k, 2) mm.
-        lean: out, (k, 2).
-    """
-    cos, sin = np.cos(angle), np.sin(angle)
+def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats, state: LinkState) -> None:
+    """Compute residual and lean of every link at heights (k,) above the calibrated plane."""
+    p, q, a_mm, b_mm, a_lean, b_lean = links.p, links.q, links.a_mm, links.b_mm, links.a_lean, links.b_lean
+    shift, pivot, residual, lean = motion.shift, motion.pivot, state.residual, state.lean
+    cos, sin = np.cos(motion.angle), np.sin(motion.angle)
     for n in range(len(p)):
         i, j = p[n], q[n]
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
@@ -100,39 +156,21 @@ def misfits(
 
 
 @compiled
-def weigh(
-    residual: Floats,
-    noise_mm2: Floats,
-    px_per_mm: Floats,
-    group: Ints,
-    groups: int,
-    kind: Ints,
-    floor_px: Floats,
-    shared_px: Floats,
-    knee: float,
-    cut: float,
-    sigma: Floats,
-    robust: Floats,
-    weight: Floats,
-) -> None:
-    """Robust weights of links, those of one pair of frames together no surer than what they share.
+def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
+    """Compute sigma, robust weight and weight matrix of every link from its residual.
+
+    Links of one pair of frames share an error. Together they never weigh more than that error allows.
 
     Args:
-        residual: (k, 2) mm.
-        noise_mm2: (k, 2, 2) covariance by image noise.
-        px_per_mm: (k,).
-        group: (k,) number of the pair of frames.
-        groups: how many there are.
-        kind: (k,) which of `floor_px` and `shared_px` counts.
-        floor_px: what single links scatter beyond noise, by kind.
-        shared_px: what the links of a pair share, by kind.
-        knee: residuals beyond so many standard deviations lose weight (Huber).
-        cut: those beyond so many have none.
-        sigma: out, (k,) size of the residual in standard deviations.
-        robust: out, (k,) 0 … 1.
-        weight: out, (k, 3) weight matrix, xx, xy, yy, mm⁻².
+        links: covariance, resolution and group are used.
+        noise: how links scatter.
+        groups: number of pairs of frames.
+        state: changed in place.
     """
-    told = np.zeros(groups)
+    px_per_mm, group, noise_mm2, kind = links.px_per_mm, links.group, links.noise_mm2, noise.kind
+    floor_px, shared_px, knee, cut = noise.floor_px, noise.shared_px, noise.knee, noise.cut
+    residual, sigma, robust, weight = state.residual, state.sigma, state.robust, state.weight
+    of_group = np.zeros(groups)
     for n in range(len(residual)):
         floor = (floor_px[kind[n]] / px_per_mm[n]) ** 2
         a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
@@ -142,55 +180,40 @@ def weigh(
         sigma[n] = math.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / 2)
         robust[n] = 1.0 if sigma[n] <= knee else knee / sigma[n] if sigma[n] <= cut else 0.0
         weight[n, 0], weight[n, 1], weight[n, 2] = robust[n] * xx, robust[n] * xy, robust[n] * yy
-        told[group[n]] += (weight[n, 0] + weight[n, 2]) / 2
+        of_group[group[n]] += (weight[n, 0] + weight[n, 2]) / 2
+    # n equal weights w with a common variance s² sum to n·w / (1 + n·w·s²), which stays below 1 / s²
     for n in range(len(residual)):
-        share = 1 / (1 + told[group[n]] * (shared_px[kind[n]] / px_per_mm[n]) ** 2)
+        share = 1 / (1 + of_group[group[n]] * (shared_px[kind[n]] / px_per_mm[n]) ** 2)
         for i in range(3):
             weight[n, i] *= share
 
 
 @compiled
-def accumulate(
-    p: Ints,
-    q: Ints,
-    a_mm: Floats,
-    b_mm: Floats,
-    group: Ints,
-    angle: Floats,
-    pivot: Floats,
-    residual: Floats,
-    lean: Floats,
-    weight: Floats,
-    basis: Floats,
-    component: Ints,
-    at: Ints,
-    values: Floats,
-    right: Floats,
-    tied_row: Ints,
-    tied_at: Ints,
-    coupling: Floats,
-    height_normal: Floats,
-    height_right: Floats,
+def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
+    links: LinkArrays,
+    motion: MotionArrays,
+    model: HeightModel,
+    state: LinkState,
+    heights: HeightEquations,
+    normal: NormalEquations,
 ) -> None:
-    """Add the links to the normal equations.
+    """Add all links to the normal equations.
 
     Args:
-        p: as in `misfits`, as are q, a_mm, b_mm, angle, pivot, residual and lean.
-        group: (k,) links of one group stand together and have the same p and q.
-        weight: (k, 3) as of `weigh`.
-        basis: (k, f) values of the surface's basis functions; f may be 0.
-        component: (k,) number of the height a link tells of, or −1.
-        at: of the envelope.
-        values: in and out, of the envelope.
-        right: in and out, (n,).
-        tied_row: `row` of the `Coupling`.
-        tied_at: `at` of the same.
-        coupling: in and out, its entries.
-        height_normal: in and out, (c,).
-        height_right: in and out, (c,).
+        links: links of one group are adjacent and have the same rows p and q.
+        motion: at which residuals were computed.
+        model: the heights on which links depend.
+        state: residual, lean and weight are used.
+        heights: changed in place.
+        normal: changed in place.
     """
-    cos, sin = np.cos(angle), np.sin(angle)
-    f, size = basis.shape[1], len(right)
+    p, q, a_mm, b_mm, group = links.p, links.q, links.a_mm, links.b_mm, links.group
+    pivot, basis, component = motion.pivot, model.basis, model.component
+    residual, lean, weight = state.residual, state.lean, state.weight
+    tied_row, tied_at, coupling = heights.row, heights.at, heights.coupling
+    height_normal, height_right = heights.normal, heights.right
+    cos, sin = np.cos(motion.angle), np.sin(motion.angle)
+    f, size = basis.shape[1], len(normal.right)
     width = 6 + f
     columns = np.zeros(width, np.int64)
     square, product = np.zeros((width, width)), np.zeros(width)
@@ -200,7 +223,7 @@ def accumulate(
     for n in range(len(p)):
         i, j = p[n], q[n]
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
-        # the misfit's change with φ_p and φ_q; with the shifts it is −1 and 1
+        # derivative of the residual by φ_p and φ_q; those by the shifts are −1 and 1
         px, py = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
         qx, qy = -sin[j] * bx - cos[j] * by, cos[j] * bx - sin[j] * by
         lx, ly = lean[n, 0], lean[n, 1]
@@ -209,6 +232,7 @@ def accumulate(
         wpx, wpy, wqx, wqy = xx * px + xy * py, xy * px + yy * py, xx * qx + xy * qy, xy * qx + yy * qy
         wlx, wly = xx * lx + xy * ly, xy * lx + yy * ly
         pl, ql, ll, lr = px * wlx + py * wly, qx * wlx + qy * wly, lx * wlx + ly * wly, lx * rx + ly * ry
+        # sums of one pair of frames stay in a small matrix: its rows and columns are those of all links of the pair
         product[0] += px * rx + py * ry
         product[3] += qx * rx + qy * ry
         product[4] += rx
@@ -239,14 +263,14 @@ def accumulate(
         if n + 1 == len(p) or group[n + 1] != group[n]:
             for k in range(3):
                 columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
-            _lift(at_lift, bases, count, square, product)
+            _add_surface(at_lift, bases, count, square, product)
             count = 0
-            _pour(columns, square, product, at, values, right)
+            _flush(columns, square, product, normal)
 
 
 @inlined
 def _longest(group: Ints) -> int:
-    """How many links the largest group has."""
+    """Return the number of links of the largest group."""
     most, begin = 0, 0
     for n in range(len(group)):
         if group[n] != group[begin]:
@@ -256,8 +280,11 @@ def _longest(group: Ints) -> int:
 
 
 @inlined
-def _lift(at_lift: Floats, bases: Floats, count: int, square: Floats, product: Floats) -> None:
-    """What a group's links say of the surface: sums over its links, which run in vector registers."""
+def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, product: Floats) -> None:
+    """Add the links of a group to the columns of the surface.
+
+    Loops run over links, which are adjacent in memory: the compiler keeps these sums in vector registers.
+    """
     for k in range(len(bases)):
         p, q, x, y, r = 0.0, 0.0, 0.0, 0.0, 0.0
         for n in range(count):
@@ -281,12 +308,10 @@ def _couple(coupling: Floats, at: int, angle: float, x: float, y: float) -> None
 
 
 @inlined
-def _pour(columns: Ints, square: Floats, product: Floats, at: Ints, values: Floats, right: Floats) -> None:
-    """Add what a group of links gave, and begin anew.
-
-    What holds of row q's shift, in columns 4 and 5, holds of row p's, in columns 1 and 2, with the other sign.
-    """
-    width = len(columns)
+def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquations) -> None:
+    """Add the sums of a group of links to the normal equations and set them to zero."""
+    width, at, values, right = len(columns), normal.at, normal.values, normal.right
+    # derivatives by row p's shift (columns 1 and 2) are those by row q's shift (4 and 5) with the other sign
     for x in range(1, 3):
         product[x] = -product[3 + x]
         square[x, 0], square[3, x] = -square[3 + x, 0], -square[3 + x, 3]
@@ -299,23 +324,17 @@ def _pour(columns: Ints, square: Floats, product: Floats, at: Ints, values: Floa
         product[k] = 0.0
         for m in range(k + 1):
             high, low = max(columns[k], columns[m]), min(columns[k], columns[m])
+            # of a link within one row both ends share a column: an entry off the diagonal counts on either side
             values[at[high] + low] += square[k, m] * (2 if high == low and k != m else 1)
             square[k, m] = 0.0
 
 
 @compiled
-def eliminate(
-    tied_row: Ints,
-    tied_at: Ints,
-    surface: int,
-    coupling: Floats,
-    height_normal: Floats,
-    height_right: Floats,
-    at: Ints,
-    values: Floats,
-    right: Floats,
-) -> None:
-    """Take the heights out of the normal equations; `surface` is how many coefficients that has."""
+def eliminate_heights(heights: HeightEquations, normal: NormalEquations) -> None:
+    """Eliminate the heights from the normal equations (Schur complement)."""
+    tied_row, tied_at, surface, coupling = heights.row, heights.at, heights.surface, heights.coupling
+    height_normal, height_right = heights.normal, heights.right
+    at, values, right = normal.at, normal.values, normal.right
     for c in range(len(height_normal)):
         begin, end = tied_at[c], tied_at[c + 1]
         rows, others = end - begin - surface, len(right) - surface
@@ -330,21 +349,14 @@ def eliminate(
 
 
 @compiled
-def heights_moved(
-    tied_row: Ints,
-    tied_at: Ints,
-    surface: int,
-    coupling: Floats,
-    height_normal: Floats,
-    height_right: Floats,
-    delta: Floats,
-) -> Floats:
-    """By how much the heights (c,) change once all else has changed by delta (n,)."""
-    out = height_right.copy()
+def height_changes(heights: HeightEquations, delta: Floats) -> Floats:
+    """Return the changes of the heights (c,) for changes (n,) of all other unknowns (back-substitution)."""
+    tied_row, tied_at, surface, coupling = heights.row, heights.at, heights.surface, heights.coupling
+    out = heights.right.copy()
     for c in range(len(out)):
         begin, end = tied_at[c], tied_at[c + 1]
         rows, others = end - begin - surface, len(delta) - surface
         for a in range(end - begin):
             out[c] -= coupling[begin + a] * delta[3 * tied_row[c] + a if a < rows else others + a - rows]
-        out[c] /= height_normal[c]
+        out[c] /= heights.normal[c]
     return out

@@ -1,4 +1,4 @@
-"""How far measurements scatter beyond their stated noise."""
+"""Estimate how far measurements scatter beyond their stated noise."""
 
 from __future__ import annotations
 
@@ -11,27 +11,30 @@ from vaoi_station.stitching.adjustment.observations import Ints
 _MEDIAN = 2 * math.log(2)
 """Median of χ² of two degrees of freedom."""
 _HALVINGS = 12
+"""Bisections: from 0.003 to 5 px they leave 0.2 per cent."""
 
 
 @compiled
 def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, low: float, high: float) -> float:
-    """Standard deviation that, added to the noise per axis, explains the median of residuals.
+    """Return the standard deviation per axis that, added to the stated noise, explains the median of residuals.
 
-    Half of the measurements may be wild.
+    As it rests on the median, half of the measurements may be outliers.
 
     Args:
         residual: (k, 2).
         noise: (k, 2, 2) covariances.
-        per_unit: (k,) how much 1 of the answer's unit is in that of residual and noise, inverse: px per mm.
-        use: numbers of those that count.
-        low: the answer is at least that, in its own unit,
-        high: and at most that.
+        per_unit: (k,) units of the result per unit of residual: px per mm for residuals in mm.
+        use: indices of the measurements that count.
+        low: lower limit of the result.
+        high: upper limit of the result.
     """
     left = use.copy()
     surely, undecided = 0, len(use)
     for _ in range(_HALVINGS):
+        # bisection in the logarithm: the limits are three orders of magnitude apart
         middle, above = math.sqrt(low * high), 0
-        # those above the median's χ² are moved to the front; then one of the two parts is decided for good
+        # measurements above the median of χ² move to the front; each bisection decides one of the two parts for good,
+        # so that all bisections together cost about two passes
         for at in range(undecided):
             n = left[at]
             x, y, more = residual[n, 0], residual[n, 1], (middle / per_unit[n]) ** 2

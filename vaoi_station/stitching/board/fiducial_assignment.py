@@ -21,7 +21,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import FIXTURE, FiducialPoints
-from vaoi_station.stitching.adjustment.solver import apply_similarity
+from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_detection import fixture_kind, kind_of, mark_kinds
