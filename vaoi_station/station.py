@@ -82,11 +82,9 @@ class Station:
             parts.callback(coordinator.close)
             coordinator.start()
             parts.callback(workers.stop)
-            workers.start(
-                coordinator.worker_lost, lambda: events.add("workers", "The workers are ready: results come at once.")
-            )
+            workers.start(coordinator.process_events)
             parts.callback(link.stop)
-            link.start(coordinator.hear, coordinator.acquisition_lost, workers.all_ready)
+            link.start(coordinator.process_events, workers.all_ready)
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False

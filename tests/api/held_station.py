@@ -17,10 +17,35 @@ from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
 from vaoi_station.rendering import View, compute_views, render
-from vaoi_station.runs.control import facade as f
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
+from vaoi_station.runs.states.schemas import (
+    ArmedWith,
+    BeltSpeed,
+    BoardTypeSummary,
+    CameraStatus,
+    ComponentSummary,
+    EventRecord,
+    LeaseStatus,
+    ProcessStatus,
+    Reason,
+    ReferenceStatus,
+    Retention,
+    RingStatus,
+    RunDetail,
+    RunSummary,
+    StationSnapshot,
+    StitchingMethod,
+    Timeline,
+    Timings,
+    VerdictCounts,
+    Versions,
+)
+from vaoi_station.runs.states.schemas import ImageFormat as Rendered
+from vaoi_station.runs.states.tables import RunState, StationState
 
 CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
-VERSIONS = f.Versions(station="0.1.0", opencv=cv2.__version__, python="3")
+VERSIONS = Versions(station="0.1.0", opencv=cv2.__version__, python="3")
 BOARD = {
     "name": "demo-board",
     "outline": [[0, 0], [60, 40]],
@@ -34,23 +59,23 @@ BOARD = {
 NOW = "2026-01-01T12:00:00.000Z"
 
 
-class HeldStation:
-    """Implements `runs.facade.Coordinator` over what it is given; `film` makes a run."""
+class HeldStation(StationCoordinator):
+    """A coordinator without processes: it overrides every method that the service calls; `film` makes a run."""
 
     def __init__(self) -> None:
         self._news = threading.Condition()
-        self.state = f.StationState.IDLE
-        self.armed: f.ArmedWith | None = None
-        self.reasons: tuple[f.Reason, ...] = ()
-        self.warnings: tuple[f.Reason, ...] = ()
+        self.state = StationState.IDLE
+        self.armed: ArmedWith | None = None
+        self.reasons: tuple[Reason, ...] = ()
+        self.warnings: tuple[Reason, ...] = ()
         self.lost: tuple[int, ...] = ()
         self.next_try: str | None = None
         self.types = {"demo-board": BoardType.model_validate(BOARD)}
-        self.log: list[f.EventRecord] = []
-        self.filmed: dict[str, f.RunDetail] = {}
+        self.log: list[EventRecord] = []
+        self.filmed: dict[str, RunDetail] = {}
         self.pixels: dict[tuple[str, int, int], NDArray[np.uint8]] = {}
-        self.holders: dict[tuple[str, str], f.LeaseStatus] = {}
-        self.references: dict[str, f.ReferenceStatus] = {}
+        self.holders: dict[tuple[str, str], LeaseStatus] = {}
+        self.references: dict[str, ReferenceStatus] = {}
         self.methods: dict[str, MethodName] = {}
         self.broken = False
         self.closed = False
@@ -62,7 +87,7 @@ class HeldStation:
 
     def tell(self, kind: str, message: str = "", **fields: Any) -> None:
         with self._news:
-            self.log.append(f.EventRecord(number=len(self.log) + 1, time=NOW, kind=kind, message=message, **fields))
+            self.log.append(EventRecord(number=len(self.log) + 1, time=NOW, kind=kind, message=message, **fields))
             self._news.notify_all()
 
     def film(self, *, verdict: Status = Status.OK, board_id: str | None = None, finish: bool = True) -> str:
@@ -75,10 +100,10 @@ class HeldStation:
                 lost = {(0, 1): Verdict.INCOMPLETE, (1, 2): Verdict.MISSING}.get((camera, row), Verdict.OK)
                 frames.append(FrameRecord(camera=camera, row=row, verdict=lost, cause="" if lost == "ok" else "cable"))
                 self.pixels[run, camera, row] = _scene(random, camera, row)
-        detail = f.RunDetail(
+        detail = RunDetail(
             id=run, board_type="demo-board", board_id=board_id, job_id=None,
-            state=f.RunState.STITCHING, verdict=None, started=NOW, finished=None, rows=ROWS, cameras=CAMERAS,
-            counts=f.VerdictCounts(ok=CAMERAS * ROWS - 2, incomplete=1, missing=1), reasons=(), belt=None,
+            state=RunState.STITCHING, verdict=None, started=NOW, finished=None, rows=ROWS, cameras=CAMERAS,
+            counts=VerdictCounts(ok=CAMERAS * ROWS - 2, incomplete=1, missing=1), reasons=(), belt=None,
             timings=None, frames_available=True, frames=tuple(frames), ended="clear", strays=0,
             software=VERSIONS, calibration="c0ffee",
         )  # fmt: skip
@@ -89,9 +114,9 @@ class HeldStation:
         return run
 
     def finish(self, run: str, verdict: Status = Status.OK) -> None:
-        state = {Status.OK: f.RunState.READY, Status.DEGRADED: f.RunState.DEGRADED}.get(verdict, f.RunState.FAILED)
-        belt = f.BeltSpeed(nominal_mm_s=(100, 0), measured_mm_s=(100.5, 0), ratio=1.005)
-        timings = f.Timings(
+        state = {Status.OK: RunState.READY, Status.DEGRADED: RunState.DEGRADED}.get(verdict, RunState.FAILED)
+        belt = BeltSpeed(nominal_mm_s=(100, 0), measured_mm_s=(100.5, 0), ratio=1.005)
+        timings = Timings(
             filming_s=1.2, ready_after_last_frame_ms=80, links_ms=300, conclude_ms=40, links=30, links_while_filming=27
         )
         update = {"state": state, "verdict": verdict, "finished": NOW, "belt": belt, "timings": timings}
@@ -99,7 +124,7 @@ class HeldStation:
         self.tell("run", f"Run {run} is {state}.", run=run, state=str(state))
 
     def fault(self, code: str, message: str, action: str) -> None:
-        self.state, self.reasons = f.StationState.FAULTED, (f.Reason(code=code, message=message, action=action),)
+        self.state, self.reasons = StationState.FAULTED, (Reason(code=code, message=message, action=action),)
         self.tell("station", message, state="faulted", code=code, action=action)
 
     def close(self) -> None:
@@ -109,22 +134,22 @@ class HeldStation:
 
     # what callers ask of it
 
-    def snapshot(self) -> f.StationSnapshot:
+    def snapshot(self) -> StationSnapshot:
         if self.broken:
             raise RuntimeError("a secret path /etc/passwd")
         done = self._finished()
-        camera = [f.CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost) for i in range(CAMERAS)]
-        ring = f.RingStatus(path="ring", size_bytes=1, bays=(), leases=())
-        worker = f.ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
-        acquisition = f.ProcessStatus(
+        camera = [CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost) for i in range(CAMERAS)]
+        ring = RingStatus(path="ring", size_bytes=1, bays=(), leases=())
+        worker = ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
+        acquisition = ProcessStatus(
             name="acquisition", pid=None, alive=False, restarts=1, heartbeat_age_s=None, next_try=self.next_try
         )
-        return f.StationSnapshot(
+        return StationSnapshot(
             name="test", state=self.state, since=NOW, reasons=self.reasons, warnings=self.warnings,
             armed_with=self.armed,
             cameras=tuple(camera), all_cameras_ready=not self.lost, controller="ok",
             processes=(acquisition, worker), ring=ring, versions=VERSIONS,
-            retention=f.Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
+            retention=Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
             boards_missed=0,
         )  # fmt: skip
@@ -133,7 +158,7 @@ class HeldStation:
         """Cameras that are not ready from now on."""
         self.lost = cameras
         self.reasons = tuple(
-            f.Reason(code="camera-lost", message=f"Camera cam{k} is not connected.", action="Check its cable.")
+            Reason(code="camera-lost", message=f"Camera cam{k} is not connected.", action="Check its cable.")
             for k in cameras
         )
         self.tell("camera", "Cameras were lost, or are back.")
@@ -145,24 +170,24 @@ class HeldStation:
         job_id: str | None = None,
         runs: int | None = None,
         allow_lost_cameras: bool = False,
-    ) -> f.StationSnapshot:
+    ) -> StationSnapshot:
         self.board_type(board_type)
         if self.lost and not allow_lost_cameras:
             raise DeviceError("The array is not complete.", action="Check its cable.", code="camera-lost")
-        if self.state == f.StationState.FILMING:
+        if self.state == StationState.FILMING:
             raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
-        self.armed = f.ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
-        self.state = f.StationState.ARMED
+        self.armed = ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
+        self.state = StationState.ARMED
         self.tell("station", "Armed.", state="armed")
         return self.snapshot()
 
-    def disarm(self) -> f.StationSnapshot:
-        self.state, self.armed = f.StationState.IDLE, None
+    def disarm(self) -> StationSnapshot:
+        self.state, self.armed = StationState.IDLE, None
         self.tell("station", "Idle.", state="idle")
         return self.snapshot()
 
-    def board_types(self) -> tuple[f.BoardTypeSummary, ...]:
-        return tuple(f.BoardTypeSummary(name=n, components=len(t.components)) for n, t in sorted(self.types.items()))
+    def board_types(self) -> tuple[BoardTypeSummary, ...]:
+        return tuple(BoardTypeSummary(name=n, components=len(t.components)) for n, t in sorted(self.types.items()))
 
     def board_type(self, name: str) -> BoardType:
         if name not in self.types:
@@ -180,22 +205,22 @@ class HeldStation:
             raise StateError("The station is armed with it.")
         del self.types[name]
 
-    def calibration(self) -> f.CalibrationStatus:
-        moment = f.CameraMoment(
+    def calibration(self) -> CalibrationStatus:
+        moment = CameraMoment(
             run="r000001", time=NOW, x_px=0.01, y_px=9.4, turn_px=0.0, sigma_px=0.02, rms_px=9.1, links=80, fiducials=2
         )
-        drift = f.CameraDrift(size_px=9.4, x_px=0.0, y_px=9.4, turn_px=0.0, since_run="r000001", since=NOW, runs=2)
-        drifted = f.CameraCalibration(camera=1, name="cam1", state="drifted", drift=drift, history=(moment,))
-        still = [f.CameraCalibration(camera=i, name=f"cam{i}", state="steady") for i in (0, 2)]
-        return f.CalibrationStatus(digest="c0ffee", created=NOW, runs=2, cameras=(still[0], drifted, still[1]))
+        drift = CameraDrift(size_px=9.4, x_px=0.0, y_px=9.4, turn_px=0.0, since_run="r000001", since=NOW, runs=2)
+        drifted = CameraCalibration(camera=1, name="cam1", state="drifted", drift=drift, history=(moment,))
+        still = [CameraCalibration(camera=i, name=f"cam{i}", state="steady") for i in (0, 2)]
+        return CalibrationStatus(digest="c0ffee", created=NOW, runs=2, cameras=(still[0], drifted, still[1]))
 
     def drift(self) -> None:
         """A camera was knocked: the station films on, and says so."""
         message = "Camera cam1 looks 9.40 px beside where it was calibrated."
-        self.warnings = (f.Reason(code="calibration-drift", message=message, action="Call the engineer."),)
+        self.warnings = (Reason(code="calibration-drift", message=message, action="Call the engineer."),)
         self.tell("trouble", message, code="calibration-drift")
 
-    def reference(self, board_type: str) -> f.ReferenceStatus:
+    def reference(self, board_type: str) -> ReferenceStatus:
         self.board_type(board_type)
         if board_type not in self.references:
             raise NotFoundError(f"Board type {board_type!r} has no reference.", code="no-reference")
@@ -209,7 +234,7 @@ class HeldStation:
         if not detail.frames_available:
             raise GoneError(f"The frames of run {run} were released.", code="frames-gone")
         new = board_type not in self.references
-        self.references[board_type] = f.ReferenceStatus(
+        self.references[board_type] = ReferenceStatus(
             run=run, taught=NOW, calibration="c0ffee", cameras=CAMERAS, rows=ROWS, frames=CAMERAS * ROWS,
             size_bytes=1000, cad_sigma_px=0.01, board_type=board_type, usable=True,
         )  # fmt: skip
@@ -219,48 +244,48 @@ class HeldStation:
         self.reference(board_type)
         del self.references[board_type]
 
-    def method(self, board_type: str) -> f.StitchingMethod:
+    def method(self, board_type: str) -> StitchingMethod:
         self.board_type(board_type)
         own = self.methods.get(board_type)
-        return f.StitchingMethod(method=own or "auto", chosen="board-type" if own else "station")
+        return StitchingMethod(method=own or "auto", chosen="board-type" if own else "station")
 
-    def set_method(self, board_type: str, method: MethodName | None) -> f.StitchingMethod:
+    def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
         self.board_type(board_type)
         self.methods.pop(board_type, None)
         if method is not None:
             self.methods[board_type] = method
         return self.method(board_type)
 
-    def runs(self, limit: int = 50, before: str | None = None) -> tuple[f.RunSummary, ...]:
+    def runs(self, limit: int = 50, before: str | None = None) -> tuple[RunSummary, ...]:
         older = [
             r for r in sorted(self.filmed.values(), key=lambda r: r.id, reverse=True) if not before or r.id < before
         ]
-        keep = set(f.RunSummary.model_fields)
-        return tuple(f.RunSummary(**{k: v for k, v in r if k in keep}) for r in older[:limit])
+        keep = set(RunSummary.model_fields)
+        return tuple(RunSummary(**{k: v for k, v in r if k in keep}) for r in older[:limit])
 
-    def run(self, run: str) -> f.RunDetail:
+    def run(self, run: str) -> RunDetail:
         if run not in self.filmed:
             raise NotFoundError(f"There is no run {run!r}.")
         return self.filmed[run]
 
-    def latest(self) -> f.RunDetail | None:
+    def latest(self) -> RunDetail | None:
         return next(reversed(self._finished()), None)
 
-    def next_run(self, after: str | None, timeout_s: float) -> f.RunDetail | None:
+    def next_run(self, after: str | None, timeout_s: float) -> RunDetail | None:
         if timeout_s > 0 or after is None:
             raise InternalError("the REST service waits by itself, without a thread")
         self.run(after)
         return next((r for r in self._finished() if r.id > after), None)
 
-    def release(self, run: str) -> f.RunDetail:
-        detail = self.run(run).model_copy(update={"state": f.RunState.RELEASED, "frames_available": False})
+    def release(self, run: str) -> RunDetail:
+        detail = self.run(run).model_copy(update={"state": RunState.RELEASED, "frames_available": False})
         self.filmed[run] = detail
         self.tell("run", f"Run {run} is released.", run=run, state="released")
         return detail
 
-    def hold(self, run: str, holder: str, purpose: str) -> f.LeaseStatus:
+    def hold(self, run: str, holder: str, purpose: str) -> LeaseStatus:
         self.run(run)
-        lease = f.LeaseStatus(run=run, holder=holder, purpose=purpose, expires_in_s=600)
+        lease = LeaseStatus(run=run, holder=holder, purpose=purpose, expires_in_s=600)
         self.holders[run, holder] = lease
         return lease
 
@@ -280,7 +305,7 @@ class HeldStation:
     def stitch_text(self, run: str) -> str:
         return stitch_text(self.stitch(run))
 
-    def timeline(self, run: str) -> f.Timeline:
+    def timeline(self, run: str) -> Timeline:
         raise NotFoundError(f"Run {run!r} has no timeline.")
 
     def frame(
@@ -296,10 +321,10 @@ class HeldStation:
             raise StateError(f"Frame ({camera}, {row}) has holes.", action="Ask with incomplete=show.")
         return self.pixels[run, camera, row].copy(), record
 
-    def components(self, run: str) -> tuple[f.ComponentSummary, ...]:
+    def components(self, run: str) -> tuple[ComponentSummary, ...]:
         self.run(run)
         return tuple(
-            f.ComponentSummary(
+            ComponentSummary(
                 address=c.address,
                 ref=c.ref,
                 panel=c.panel,
@@ -331,7 +356,7 @@ class HeldStation:
         k: int,
         *,
         px_per_mm: float | None = None,
-        format: f.ImageFormat = "png",
+        format: Rendered = "png",
         min_coverage: float = 0.5,
     ) -> bytes:
         views = self.views(run, ref, px_per_mm, min_coverage)
@@ -341,14 +366,14 @@ class HeldStation:
         crop = render(views[k], pixels)
         return encode_image(crop, ImageFormat(format))[0]
 
-    def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[f.EventRecord, ...]:
+    def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[EventRecord, ...]:
         until = time.monotonic() + timeout_s
         with self._news:
             while len(self.log) <= after and not self.closed and (left := until - time.monotonic()) > 0:
                 self._news.wait(left)
             return tuple(self.log[after : after + limit])
 
-    def _finished(self) -> list[f.RunDetail]:
+    def _finished(self) -> list[RunDetail]:
         return [r for _, r in sorted(self.filmed.items()) if r.verdict is not None]
 
 

@@ -18,7 +18,7 @@ from vaoi_station.errors import (
     StateError,
     VaoiError,
 )
-from vaoi_station.runs.control.facade import StationState
+from vaoi_station.runs.states.tables import StationState
 
 API = "/api/v1"
 

@@ -45,6 +45,7 @@ from vaoi_station.runs.run.reference_store import ReferenceShelf
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun, Reply
+from vaoi_station.runs.workers.worker_events import WorkerEvents
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
@@ -121,7 +122,8 @@ class ScriptedWorkers:
     """Does links at once unless told to keep them, and concludes with `result`."""
 
     keep: bool = False
-    kept: list[tuple[Job, Callable[[Reply], None]]] = field(default_factory=list)
+    events: WorkerEvents | None = None
+    kept: list[Job] = field(default_factory=list)
     done: list[Job] = field(default_factory=list)
     opened: list[OpenRun] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
@@ -129,24 +131,31 @@ class ScriptedWorkers:
     displacement_px: float = 0.0
     """By which camera 1 shows itself displaced along y."""
 
-    def submit(self, job: Job, done: Callable[[Reply], None]) -> None:
-        if self.keep:
-            self.kept.append((job, done))
-        else:
-            self.perform(job, done)
+    def start(self, events: WorkerEvents) -> None:
+        self.events = events
 
-    def perform(self, job: Job, done: Callable[[Reply], None]) -> None:
+    def submit(self, job: Job) -> None:
+        if self.keep:
+            self.kept.append(job)
+        else:
+            self.perform(job)
+
+    def answer(self, job: Job, answer: Reply) -> None:
+        assert self.events is not None
+        self.events.worker_reply(job, answer)
+
+    def perform(self, job: Job) -> None:
         self.done.append(job)
         if isinstance(job, LinkJob):
-            done(Reply(tuple(Linked.of(Links.empty(task, "scripted"), 0.001) for task in job.tasks), None, 0.001))
+            linked = tuple(Linked.of(Links.empty(task, "scripted"), 0.001) for task in job.tasks)
+            self.answer(job, Reply(linked, None, 0.001))
         elif isinstance(job, ConcludeJob):
-            done(
-                Reply(Concluded(without_components(stitch := self.result(job.head)), stitch_text(stitch)), None, 0.002)
-            )
+            stitch = self.result(job.head)
+            self.answer(job, Reply(Concluded(without_components(stitch), stitch_text(stitch)), None, 0.002))
         elif isinstance(job, CheckJob):
-            done(Reply(self.check(job.run), None, 0.003))
+            self.answer(job, Reply(self.check(job.run), None, 0.003))
         else:
-            done(Reply(b"picture", None, 0.001))
+            self.answer(job, Reply(b"picture", None, 0.001))
 
     def check(self, run: str) -> RunCheck:
         """Camera 0 as it was calibrated, camera 1 displaced."""
@@ -162,10 +171,10 @@ class ScriptedWorkers:
             vector=(0.0, 0.0, 0.0, 0.0, 2500.0 * self.displacement_px, 0.0),
         )  # fmt: skip
 
-    def let_go(self) -> None:
+    def perform_kept(self) -> None:
         self.keep = False
-        for job, done in self.kept:
-            self.perform(job, done)
+        for job in self.kept:
+            self.perform(job)
         self.kept.clear()
 
     def open_run(self, opening: OpenRun) -> None:
@@ -338,7 +347,8 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         ends.append(coordinator.close)
         coordinator.start()
         ends.append(lambda: end_link(link, peer))
-        link.start(coordinator.hear, coordinator.acquisition_lost)
+        workers.start(coordinator.process_events)
+        link.start(coordinator.process_events)
         return Rig(config, coordinator, ring, peer, workers, link, store, archive)
 
     yield make

@@ -1,4 +1,4 @@
-"""The REST service under `/api/v1` and the operator's page: thin over `runs.facade.Coordinator`."""
+"""The REST service under `/api/v1` and the operator's page, over the methods of `StationCoordinator`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import board_types, calibration, components, events, frames, runs, station, stitching
 from vaoi_station.api.services import Services
-from vaoi_station.runs.control.facade import Coordinator, StationState
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.tables import StationState
 from vaoi_station.version import __version__
 
 PREFIX = "/api/v1"
 UNWELL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
 
 
-def create_app(coordinator: Coordinator, names: Iterable[str] = ()) -> FastAPI:
+def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> FastAPI:
     """The service over a coordinator; the caller starts and stops the coordinator.
 
     Callers may address it by `names`, besides loopback, the machine's own names and any bare address.

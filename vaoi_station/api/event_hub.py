@@ -18,7 +18,9 @@ import anyio
 import anyio.to_thread
 
 from vaoi_station.errors import BusyError, VaoiError
-from vaoi_station.runs.control.facade import Coordinator, EventRecord, StationState
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import EventRecord
+from vaoi_station.runs.states.tables import StationState
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
@@ -50,7 +52,7 @@ class ThreadLimit:
 class EventHub:
     """Wakes everybody who waits for events; one thread, however many wait."""
 
-    def __init__(self, coordinator: Coordinator) -> None:
+    def __init__(self, coordinator: StationCoordinator) -> None:
         self._coordinator = coordinator
         self._readers = ThreadLimit(4)
         self._listener = ThreadLimit(1)

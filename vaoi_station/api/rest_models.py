@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 
 from vaoi_station.config import MethodName
 from vaoi_station.model import Strict
-from vaoi_station.runs.control.facade import BoardTypeSummary, RunSummary
+from vaoi_station.runs.states.schemas import BoardTypeSummary, RunSummary
 
 Matrix3 = list[list[float]]
 

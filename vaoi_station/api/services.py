@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from vaoi_station.api.event_hub import COMMAND_THREADS, PICTURE_THREADS, EventHub, ThreadLimit
-from vaoi_station.runs.control.facade import Coordinator
+from vaoi_station.runs.control.coordinator import StationCoordinator
 
 
 @dataclass(frozen=True)
 class Services:
     """The coordinator, and the ways to call it without blocking the event loop."""
 
-    coordinator: Coordinator
+    coordinator: StationCoordinator
     hub: EventHub
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))

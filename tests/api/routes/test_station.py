@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.runs.control.facade import StationState
+from vaoi_station.runs.states.tables import StationState
 
 STATION = "/api/v1/station"
 

@@ -21,17 +21,28 @@ PATIENCE_S = 20.0
 ROUNDED = timedelta(milliseconds=100)
 
 
-class Ears:
-    """What the link reports."""
+class Recorded:
+    """Records the events of the link."""
 
     def __init__(self) -> None:
-        self.heard: queue.Queue[Any] = queue.Queue()
-        self.lost: queue.Queue[str] = queue.Queue()
+        self.messages: queue.Queue[Any] = queue.Queue()
+        self.ends: queue.Queue[str] = queue.Queue()
+
+    def acquisition_message(self, message: Any) -> None:
+        self.messages.put(message)
+
+    def acquisition_ended(self, description: str) -> None:
+        self.ends.put(description)
+
+    def worker_reply(self, *_: object) -> None:
+        raise AssertionError("the link has no workers")
+
+    worker_ended = workers_ready = worker_reply
 
 
 @pytest.fixture
-def ears() -> Ears:
-    return Ears()
+def events() -> Recorded:
+    return Recorded()
 
 
 @pytest.fixture
@@ -45,62 +56,62 @@ def unstarted(peer: Any) -> Iterator[AcquisitionLink]:
 
 
 @pytest.fixture
-def link(unstarted: AcquisitionLink, peer: Any, ears: Ears) -> AcquisitionLink:
-    unstarted.start(ears.heard.put, ears.lost.put)
+def link(unstarted: AcquisitionLink, peer: Any, events: Recorded) -> AcquisitionLink:
+    unstarted.start(events)
     peer.life(1)
     return unstarted
 
 
-def test_commands_go_down_and_reports_come_up(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
+def test_commands_go_down_and_reports_come_up(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     link.send(Disarm())
     peer.expect(Disarm)
     peer.say(Ready(3))
-    assert ears.heard.get(timeout=PATIENCE_S) == Ready(3)
+    assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
     status = link.status()
     assert status.alive
     assert status.heartbeat_age_s is not None
 
 
 def test_before_it_is_begun_it_waits_for_the_workers_and_says_so(
-    unstarted: AcquisitionLink, peer: Any, ears: Ears
+    unstarted: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
     warm = threading.Event()
-    unstarted.start(ears.heard.put, ears.lost.put, warm.is_set)
+    unstarted.start(events, warm.is_set)
     status = unstarted.status()
     assert (status.doing, status.pid, status.alive) == (WAITING, None, False)
     warm.set()
     peer.life(1)
     peer.say(Ready(3))
-    assert ears.heard.get(timeout=PATIENCE_S) == Ready(3)
+    assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
     status = unstarted.status()
     assert (status.doing, status.alive) == ("", True)
     peer.die()
-    ears.lost.get(timeout=PATIENCE_S)
+    events.ends.get(timeout=PATIENCE_S)
     assert unstarted.status().doing in ("", STARTING), "it waits no longer for them"
 
 
-def test_a_death_is_told_and_followed_by_a_new_life(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
+def test_a_death_is_told_and_followed_by_a_new_life(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     peer.say(Ready(3))
-    assert ears.heard.get(timeout=PATIENCE_S)
+    assert events.messages.get(timeout=PATIENCE_S)
     peer.die(-11)
-    assert "the acquisition process ended (code -11)" in ears.lost.get(timeout=PATIENCE_S)
+    assert "the acquisition process ended (code -11)" in events.ends.get(timeout=PATIENCE_S)
     link.send(Disarm())
     peer.life(2)
     peer.say(Ready(3))
-    assert ears.heard.get(timeout=PATIENCE_S) == Ready(3)
+    assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
     assert link.status().restarts == 1
 
 
-def test_last_words_are_heard(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
+def test_last_words_are_heard(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     for n in range(50):
         peer.say(Ready(n))
     peer.die()
-    ears.lost.get(timeout=PATIENCE_S)
-    assert ears.heard.qsize() == 50
+    events.ends.get(timeout=PATIENCE_S)
+    assert events.messages.qsize() == 50
 
 
 def test_who_cannot_begin_or_dies_as_soon_as_it_is_ready_is_started_again_ever_more_slowly(
-    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
+    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
     pauses: list[float] = []
     record_failure = link._backoff.record_failure
@@ -115,7 +126,7 @@ def test_who_cannot_begin_or_dies_as_soon_as_it_is_ready_is_started_again_ever_m
         peer.life(life)
         peer.say(Ready(3)) if life in (3, 4) else peer.say(Trouble("port-absent", "There is no serial port.", ""))
         peer.die(0)
-        told = ears.lost.get(timeout=PATIENCE_S)
+        told = events.ends.get(timeout=PATIENCE_S)
         assert told == (
             "the acquisition process ended (code 0)" if life in (3, 4) else "the acquisition process could not begin"
         )
@@ -124,23 +135,23 @@ def test_who_cannot_begin_or_dies_as_soon_as_it_is_ready_is_started_again_ever_m
 
 
 def test_a_life_that_has_proven_itself_is_followed_by_another_at_once(
-    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
+    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
     now_s = time.monotonic()
     monkeypatch.setattr(link._backoff, "_clock", lambda: now_s)
     for life in (1, 2):
         peer.life(life)
         peer.say(Ready(3))
-        ears.heard.get(timeout=PATIENCE_S)
+        events.messages.get(timeout=PATIENCE_S)
         now_s += module.PACE.proven_s
         peer.die(-11)
-        ears.lost.get(timeout=PATIENCE_S)
+        events.ends.get(timeout=PATIENCE_S)
         assert link._backoff.due_s in (None, now_s + module.PACE.first_s)
         now_s += module.PACE.first_s
 
 
 def test_when_it_is_started_again_is_told(
-    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears
+    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
     assert link.status().next_try is None
     peer.die(0)
@@ -151,7 +162,7 @@ def test_when_it_is_started_again_is_told(
     peer.say(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
     peer.die(0)
     for _ in range(2):
-        ears.lost.get(timeout=PATIENCE_S)
+        events.ends.get(timeout=PATIENCE_S)
     status = link.status()
     assert not status.alive
     assert status.next_try is not None
@@ -164,22 +175,22 @@ def test_what_is_plugged_in_is_taken_within_seconds_and_what_was_refused_is_not_
     assert longest_s("invalid-input") == longest_s("setting-refused") == longest_s("") == 60
 
 
-def test_silence_is_death(monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, ears: Ears) -> None:
+def test_silence_is_death(monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     monkeypatch.setattr(module, "SILENCE_S", 0.2)
     peer.say(Ready(3))
-    ears.heard.get(timeout=PATIENCE_S)
-    assert "gave no sign of life" in ears.lost.get(timeout=PATIENCE_S)
+    events.messages.get(timeout=PATIENCE_S)
+    assert "gave no sign of life" in events.ends.get(timeout=PATIENCE_S)
     assert peer.lives[0][0].exitcode == -9
 
 
-def test_the_end_is_asked_for_and_waited_for(link: AcquisitionLink, peer: Any, ears: Ears) -> None:
+def test_the_end_is_asked_for_and_waited_for(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
     ending.start()
     peer.expect(Shutdown)
     peer.die(0)
     ending.join(PATIENCE_S)
     assert not ending.is_alive()
-    assert ears.lost.empty()
+    assert events.ends.empty()
     assert len(peer.lives) == 1
 
 

@@ -72,11 +72,11 @@ def test_the_result_does_not_wait_for_the_check(rig: Any) -> None:
 
 
 def test_a_check_that_cannot_be_done_is_an_event(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(job: Any, done: Any) -> None:
+    def refuse(job: Any) -> None:
         if isinstance(job, CheckJob):
-            done(Reply(None, InternalError("the check failed."), 0.0))
+            rig.workers.answer(job, Reply(None, InternalError("the check failed."), 0.0))
         else:
-            type(rig.workers).submit(rig.workers, job, done)
+            type(rig.workers).submit(rig.workers, job)
 
     monkeypatch.setattr(rig.workers, "submit", refuse)
     rig.board(rig.arm())

@@ -41,7 +41,7 @@ def test_links_are_asked_for_as_soon_as_both_frames_are_there(rig: Any) -> None:
     rig.row(grant, 0)
     rig.row(grant, 1)
     rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
-    asked = {(t.kind, t.a, t.b) for j, _ in rig.workers.kept for t in j.tasks}
+    asked = {(t.kind, t.a, t.b) for j in rig.workers.kept for t in j.tasks}
     assert {("rows", (0, 0), (0, 1)), ("rows", (1, 0), (1, 1)), ("neighbours", (0, 0), (1, 0))} <= asked
     assert rig.coordinator.run(grant.run).state == "filming"
     with pytest.raises(StateError, match="no result yet"):
@@ -54,13 +54,13 @@ def test_a_run_is_concluded_when_the_last_link_is_there_and_not_before(rig: Any)
     rig.board(grant, rows=2)
     rig.wait_run(grant.run, lambda run: run.state == "stitching", "the run to be stitched")
     *links, last = rig.workers.kept
-    assert all(isinstance(job, LinkJob) for job, _ in rig.workers.kept)
+    assert all(isinstance(job, LinkJob) for job in rig.workers.kept)
     rig.workers.keep = False
-    for job, done in links:
-        rig.workers.perform(job, done)
+    for job in links:
+        rig.workers.perform(job)
     assert rig.coordinator.run(grant.run).state == "stitching"
     assert not any(isinstance(job, ConcludeJob) for job in rig.workers.done)
-    rig.workers.perform(*last)
+    rig.workers.perform(last)
     assert rig.result_of(grant.run).state == "ready"
 
 
@@ -142,13 +142,13 @@ def test_runs_end_in_the_order_their_boards_came(rig: Any) -> None:
     rig.wait_run(second.run, lambda run: run.state == "stitching", "the second board")
     waiting, rig.workers.kept = rig.workers.kept, []
     rig.workers.keep = False
-    for job, done in waiting:
+    for job in waiting:
         if job.run == second.run:
-            rig.workers.perform(job, done)
+            rig.workers.perform(job)
     assert rig.coordinator.run(second.run).state == "stitching"
-    for job, done in waiting:
+    for job in waiting:
         if job.run == first.run:
-            rig.workers.perform(job, done)
+            rig.workers.perform(job)
     rig.result_of(second.run)
     assert rig.coordinator.next_run(first.run, 0.0).id == second.run
 
@@ -274,7 +274,7 @@ def test_the_end_waits_for_the_run_under_way(rig: Any) -> None:
     rig.until("stopping")
     assert rig.peer.expect(messages.Grant)
     assert rig.peer.expect(messages.Disarm)
-    rig.workers.let_go()
+    rig.workers.perform_kept()
     ending.join(20)
     assert rig.result_of(grant.run).state == "ready"
     with pytest.raises(StateError, match="stopping"):

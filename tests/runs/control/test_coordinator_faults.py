@@ -211,9 +211,9 @@ def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -
     grant = rig.arm()
     rig.board(grant, rows=2)
     rig.wait_run(grant.run, lambda run: run.state == "stitching", "stitching")
-    job, done = rig.workers.kept.pop()
-    done(Reply(None, InternalError("the link broke"), 0.0))
-    rig.workers.let_go()
+    job = rig.workers.kept.pop()
+    rig.workers.answer(job, Reply(None, InternalError("the link broke"), 0.0))
+    rig.workers.perform_kept()
     run = rig.result_of(grant.run)
     assert run.state == "degraded"
     assert [r.message for r in run.reasons] == ["the link broke"]
@@ -221,8 +221,8 @@ def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -
     rig.workers.keep = True
     rig.board(second, rows=2)
     rig.wait_run(second.run, lambda run: run.state == "stitching", "stitching")
-    job, done = rig.workers.kept.pop()
-    done(Reply(None, InternalError(f"{job} took 2 workers with it", code="worker-lost"), 0.0))
+    job = rig.workers.kept.pop()
+    rig.workers.answer(job, Reply(None, InternalError(f"{job} took 2 workers with it", code="worker-lost"), 0.0))
     run = rig.result_of(second.run)
     assert run.state == "failed"
     assert "took 2 workers with it" in run.reasons[0].message

@@ -128,5 +128,5 @@ def test_pictures_are_rendered_under_a_lease(rig: Any) -> None:
     rig.wait_for(lambda: len(rig.workers.kept) == 1, "the job")
     [lease] = rig.coordinator.snapshot().ring.leases
     assert (lease.run, lease.purpose) == (grant.run, "image U1/0")
-    rig.workers.let_go()
+    rig.workers.perform_kept()
     drawing.join(20)

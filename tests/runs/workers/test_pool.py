@@ -46,16 +46,23 @@ class Plant:
         self.complete = 0
         """So often the pool has said that all workers are there."""
         self.news = threading.Condition()
+        self._pending: dict[int, Pending] = {}
+        """Answers to come, by the identity of their job: two jobs may be equal."""
         self.pool = WorkerPool(2, self.ring.path)
         self.pool.open_run(OpenRun(self.context, self.setup))
-        self.pool.start(self._note, self._count)
+        self.pool.start(self)
 
-    def _note(self, sentence: str) -> None:
+    def worker_reply(self, job: Job, answer: Reply) -> None:
         with self.news:
-            self.lost.append(sentence)
+            pending = self._pending.pop(id(job))
+        pending.take(answer)
+
+    def worker_ended(self, description: str) -> None:
+        with self.news:
+            self.lost.append(description)
             self.news.notify_all()
 
-    def _count(self) -> None:
+    def workers_ready(self) -> None:
         self.complete += 1
 
     def until(self, true: Callable[[], bool]) -> None:
@@ -89,7 +96,9 @@ class Plant:
 
     def submit(self, job: Job) -> Pending:
         pending = Pending()
-        self.pool.submit(job, pending.take)
+        with self.news:
+            self._pending[id(job)] = pending
+        self.pool.submit(job)
         return pending
 
     def close(self) -> None:

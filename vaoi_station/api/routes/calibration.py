@@ -6,7 +6,7 @@ from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.services import Services
-from vaoi_station.runs.control.facade import CalibrationStatus
+from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
 
 
 def router(services: Services) -> APIRouter:

@@ -14,8 +14,8 @@ from vaoi_station.api.rest_models import ComponentEntry, ComponentList, Componen
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.services import Services
 from vaoi_station.api.view_entries import covariances, picture_query, view_entry
-from vaoi_station.runs.control.facade import ComponentSummary
-from vaoi_station.runs.control.facade import ImageFormat as Rendered
+from vaoi_station.runs.states.schemas import ComponentSummary
+from vaoi_station.runs.states.schemas import ImageFormat as Rendered
 from vaoi_station.runs.states.tables import FINISHED
 
 Index = Annotated[int, Path(description="Which of the component's views, from 0.", ge=0, le=99_999)]

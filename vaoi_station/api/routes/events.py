@@ -12,7 +12,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.api.services import Services
 from vaoi_station.errors import InputError
-from vaoi_station.runs.control.facade import EventRecord
+from vaoi_station.runs.states.schemas import EventRecord
 
 HEARTBEAT_S = 2.0
 RECONNECT_MS = 1000

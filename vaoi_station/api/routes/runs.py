@@ -12,7 +12,7 @@ from vaoi_station.api.parameters import RunId, TimeoutS
 from vaoi_station.api.rest_models import Matrices, RunPage
 from vaoi_station.api.services import Services
 from vaoi_station.errors import NotFoundError
-from vaoi_station.runs.control.facade import LeaseStatus, RunDetail
+from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
 from vaoi_station.runs.states.tables import IN_MEMORY
 
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]

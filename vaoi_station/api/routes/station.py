@@ -10,7 +10,7 @@ from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.services import Services
 from vaoi_station.errors import InputError
-from vaoi_station.runs.control.facade import StationSnapshot
+from vaoi_station.runs.states.schemas import StationSnapshot
 
 Text = Annotated[str | None, Query(max_length=200)]
 

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 from vaoi_station.acquisition.process.messages import Command, Ready, Report, Shutdown, Trouble
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
+from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.host.process_setup import set_up_process
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
@@ -126,12 +127,11 @@ def longest_s(cause: str) -> float:
 
 
 class AcquisitionLink:
-    """Reports come up through `hear`, deaths through `lost`, both in the link's own thread."""
+    """Reports messages and ends of the process as events, in the link's own thread."""
 
     def __init__(self, launch: Launch) -> None:
         self._launch = launch
-        self._hear: Callable[[Report], None] = lambda _: None
-        self._lost: Callable[[str], None] = lambda _: None
+        self._events: StationEvents | None = None
         self._warm: Callable[[], bool] = lambda: True
         self._lock = threading.Lock()
         self._life: _Life | None = None
@@ -141,11 +141,9 @@ class AcquisitionLink:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
 
-    def start(
-        self, hear: Callable[[Report], None], lost: Callable[[str], None], warm: Callable[[], bool] = lambda: True
-    ) -> None:
-        """Start the process once those are `warm` who will work for it, or take too long, and listen to it."""
-        self._hear, self._lost, self._warm = hear, lost, warm
+    def start(self, events: StationEvents, warm: Callable[[], bool] = lambda: True) -> None:
+        """Start the process once the workers are `warm`, or take too long, and report its messages to `events`."""
+        self._events, self._warm = events, warm
         atexit.register(self.stop, 0.0)  # the process leaves SIGTERM to the station: nobody else would end it
         self._thread.start()
 
@@ -191,12 +189,13 @@ class AcquisitionLink:
         self._thread.join()
 
     def _run(self) -> None:
+        assert self._events is not None, "start() sets it before it starts the thread"
         until_s = time.monotonic() + WARM_S
         while not self._warm() and time.monotonic() < until_s and not self._stopping.wait(LOOK_S):
             continue
         while not self._stopping.is_set():
             life = self._begin()
-            sentence = self._listen(life)
+            sentence = self._listen(life, self._events)
             with self._lock:
                 self._life = None
             life.process.join(LAST_S)
@@ -210,7 +209,7 @@ class AcquisitionLink:
                 return
             self._restarts += 1
             self._backoff.record_failure(longest_s(life.cause))
-            self._lost(life.ending(sentence, code))
+            self._events.acquisition_ended(life.ending(sentence, code))
             self._stopping.wait(self._backoff.remaining_s())
 
     def _begin(self) -> _Life:
@@ -222,7 +221,7 @@ class AcquisitionLink:
                 _send(connection, Shutdown())
             return self._life
 
-    def _listen(self, life: _Life) -> str:
+    def _listen(self, life: _Life, events: StationEvents) -> str:
         """Pass reports on until the process ends; how it ended."""
         while True:
             ready = wait([life.connection, life.process.sentinel], timeout=0.5)
@@ -234,7 +233,7 @@ class AcquisitionLink:
                 life.note(report)
                 if life.ready:
                     self._backoff.record_success()
-                self._hear(report)
+                events.acquisition_message(report)
             elif life.process.sentinel in ready:
                 return "the acquisition process ended"
             elif time.monotonic() - life.heard_s > (SILENCE_S if life.spoke else START_S):

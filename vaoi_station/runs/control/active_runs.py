@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable
-from functools import partial
+import itertools
+from collections.abc import Iterable
 from typing import Protocol
 
 from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunFinished
@@ -14,14 +13,14 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep
-from vaoi_station.runs.workers.jobs import Job, LinkJob, OpenRun, Reply
+from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, Reply
 
 
 class Workers(Protocol):
     """What a run needs of the pool of workers."""
 
-    def submit(self, job: Job, done: Callable[[Reply], None]) -> None:
-        """Have a job done; `done` is called once, in any thread."""
+    def submit(self, job: Job) -> None:
+        """Have a job done; its answer comes as an event."""
 
     def open_run(self, opening: OpenRun) -> None:
         """Jobs of a run are about to come."""
@@ -31,18 +30,10 @@ class Workers(Protocol):
 
 
 class RunBook:
-    """Lives in the coordinator's thread; answers of the workers come back to it through `post`."""
+    """Confined to the coordinator's thread. Methods that may end runs return those that have ended, in their order."""
 
-    def __init__(
-        self,
-        workers: Workers,
-        archive: Archive,
-        events: EventLog,
-        post: Callable[..., None],
-        ended: Callable[[Progress], None],
-    ) -> None:
+    def __init__(self, workers: Workers, archive: Archive, events: EventLog) -> None:
         self._workers, self._archive, self._events = workers, archive, events
-        self._post, self._ended = post, ended
         self.active: dict[str, Progress] = {}
 
     @property
@@ -68,64 +59,63 @@ class RunBook:
         if progress is not None and progress.state is RunState.FILMING:
             self._submit(progress.settle(report))
 
-    def filmed(self, report: RunFinished) -> None:
+    def filmed(self, report: RunFinished) -> list[Progress]:
         """Every frame has its verdict: do what is left, and conclude."""
         progress = self.active.get(report.run)
-        if progress is not None and progress.state is RunState.FILMING:
-            jobs = progress.filmed(report)
-            self._tell(progress, f"{report.head.rows} rows were filmed.")
-            self._submit(jobs)
-            self._go_on(progress)
+        if progress is None or progress.state is not RunState.FILMING:
+            return []
+        jobs = progress.filmed(report)
+        self._tell(progress, f"{report.head.rows} rows were filmed.")
+        self._submit(jobs)
+        return self._go_on(progress)
 
-    def give_up(self, progress: Progress, reason: Reason) -> None:
+    def give_up(self, progress: Progress, reason: Reason) -> list[Progress]:
         """There can be no result."""
         progress.blame(reason)
         progress.hopeless = True
-        self._go_on(progress)
+        return self._go_on(progress)
+
+    def linked(self, job: LinkJob, answer: Reply, now_s: float) -> list[Progress]:
+        """Take the evidence that a worker has found."""
+        if (progress := self.active.get(job.run)) is None:
+            return []
+        progress.answered(job, answer, now_s)
+        return self._go_on(progress)
+
+    def concluded(self, job: ConcludeJob, answer: Reply, now_s: float) -> list[Progress]:
+        """Take the result of a run."""
+        if (progress := self.active.get(job.run)) is None:
+            return []
+        progress.concluded(answer, now_s)
+        return self._end_in_order(progress)
 
     def _submit(self, jobs: Iterable[LinkJob]) -> None:
         for job in jobs:
-            self._workers.submit(job, partial(self._hear_links, job))
+            self._workers.submit(job)
 
-    def _hear_links(self, job: LinkJob, answer: Reply) -> None:
-        self._post(self._linked, job, answer, time.monotonic())
-
-    def _hear_result(self, run: str, answer: Reply) -> None:
-        self._post(self._concluded, run, answer, time.monotonic())
-
-    def _linked(self, job: LinkJob, answer: Reply, now_s: float) -> None:
-        if (progress := self.active.get(job.run)) is not None:
-            progress.answered(job, answer, now_s)
-            self._go_on(progress)
-
-    def _concluded(self, run: str, answer: Reply, now_s: float) -> None:
-        if (progress := self.active.get(run)) is not None:
-            progress.concluded(answer, now_s)
-            self._end_in_order(progress)
-
-    def _go_on(self, progress: Progress) -> None:
+    def _go_on(self, progress: Progress) -> list[Progress]:
         """Conclude if all evidence is there; end without a result if there can be none."""
         if progress.state is not RunState.STITCHING:
-            return
+            return []
         if progress.hopeless:
-            self._end_in_order(progress)
-        elif (job := progress.conclusion()) is not None:
-            self._workers.submit(job, partial(self._hear_result, progress.run))
+            return self._end_in_order(progress)
+        if (job := progress.conclusion()) is not None:
+            self._workers.submit(job)
+        return []
 
-    def _end_in_order(self, progress: Progress) -> None:
+    def _end_in_order(self, progress: Progress) -> list[Progress]:
         """Runs end in the order their boards came: one that is done early waits for those before it."""
         progress.done = True
-        for earlier in list(self.active.values()):
-            if not earlier.done:
-                return
+        ended = list(itertools.takewhile(lambda earlier: earlier.done, self.active.values()))
+        for earlier in ended:
             self._end(earlier)
+        return ended
 
     def _end(self, progress: Progress) -> None:
         progress.step(_last_step(progress))
         del self.active[progress.run]
         self._workers.close_run(progress.run)
         self._archive.finish(progress)
-        self._ended(progress)
 
     def _tell(self, progress: Progress, message: str) -> None:
         self._events.add("run", message, state=progress.state, run=progress.run)

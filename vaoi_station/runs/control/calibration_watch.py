@@ -7,8 +7,7 @@ Confined to the coordinator's thread.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Protocol
 
 from vaoi_station.drift.checks import CameraCheck, RunCheck
@@ -37,8 +36,8 @@ CODE = "calibration-drift"
 class Workers(Protocol):
     """What the watch needs of the pool of workers."""
 
-    def submit(self, job: CheckJob, done: Callable[[Reply], None]) -> None:
-        """Have a job done; `done` is called once, in any thread."""
+    def submit(self, job: CheckJob) -> None:
+        """Have a job done; its answer comes as an event."""
 
 
 class CalibrationWatch:
@@ -50,13 +49,15 @@ class CalibrationWatch:
         self._kept, self._events, self._names = checks, events, tuple(names)
         self.digest = digest_of(calibration.model_dump_json())
         self._created = calibration.created
+        self._requested: dict[str, str] = {}
+        """Digests of the calibrations that runs under check were stitched with, by run."""
         known = [RunCheck.model_validate_json(text) for text in checks.documents(self.digest, FIRST, LATEST)]
         self._first, self._latest = known[:FIRST], deque(known[FIRST:], LATEST)
         self._runs = checks.count(self.digest)
         self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
 
-    def look_at(self, progress: Progress, workers: Workers, post: Callable[..., None]) -> None:
-        """A run has ended: have its evidence looked at."""
+    def check(self, progress: Progress, workers: Workers) -> None:
+        """Have a finished run's evidence checked by a worker."""
         stitch, film = progress.without_components, progress.film
         if stitch is None or film is None or len(self._names) < 2:
             return
@@ -70,8 +71,8 @@ class CalibrationWatch:
             evidence=evidence,
             stitch=stitch,
         )
-        digest = progress.order.calibration_digest
-        workers.submit(job, lambda answer: post(partial(self._hear, progress.run, digest), answer))
+        self._requested[progress.run] = progress.order.calibration_digest
+        workers.submit(job)
 
     def warnings(self) -> tuple[Reason, ...]:
         """What the operator should know of the calibration."""
@@ -87,8 +88,9 @@ class CalibrationWatch:
             cameras=tuple(self._camera(i) for i in range(len(self._names))),
         )
 
-    def _hear(self, run: str, digest: str, answer: Reply) -> None:
-        """A check is done, or could not be done."""
+    def checked(self, job: CheckJob, answer: Reply) -> None:
+        """Keep the outcome of a check, and publish what it changes."""
+        run, digest = job.run, self._requested.pop(job.run)
         if answer.error is not None:
             if not isinstance(answer.error, StateError):  # a station that stops does no more checks
                 self._events.add("trouble", answer.error.message, run=run, code="calibration-not-checked")

@@ -1,4 +1,4 @@
-"""The coordinator: what any thread may ask of the station (`facade.Coordinator`), answered by one thread.
+"""The coordinator: what any thread may ask of the station answered by one thread.
 
 Questions about what is going on go through the inbox to `Core`; finished runs are read from the
 archive by whoever asks. Pixels are copied or rendered under a lease.
@@ -16,7 +16,6 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
@@ -25,6 +24,9 @@ from vaoi_station.rendering import View
 from vaoi_station.runs.archive import component_views as gallery
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.inbox import Inbox
+from vaoi_station.runs.control.inbox_events import InboxEvents
+from vaoi_station.runs.control.picture_requests import PictureRequests
+from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.control.status import snapshot_of
 from vaoi_station.runs.control.teaching import Teaching, listed
 from vaoi_station.runs.host.gc_policy import GcPolicy
@@ -49,19 +51,18 @@ from vaoi_station.runs.states.schemas import (
     Timeline,
 )
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.runs.workers.jobs import RenderJob, Reply
+from vaoi_station.runs.workers.jobs import RenderJob
 from vaoi_station.store import BoardTypeDirectory
 
 ARM_LIMIT_S = 30.0
 """Cameras that have not taken their memory by then do not answer."""
-IMAGE_LIMIT_S = 60.0
 MOST_RUNS_LISTED = 1000
 
 MakeOrder = Callable[[BoardType, "str | None", "str | None"], Order]
 
 
 class StationCoordinator:
-    """Implements `facade.Coordinator`; started and stopped by `station.Station`."""
+    """Started and stopped by `station.Station`."""
 
     def __init__(
         self,
@@ -77,7 +78,10 @@ class StationCoordinator:
         self._make_order, self._processes, self._alive = make_order, processes, alive
         self._inbox = Inbox(self._tick)
         self._gc_policy = GcPolicy()
-        self._core = Core(parts, self._inbox.post)
+        self._core = Core(parts)
+        self._pictures = PictureRequests(parts.workers)
+        self.process_events: StationEvents = InboxEvents(self._inbox, self._core, self._pictures)
+        """Receives what the acquisition process and the workers report."""
         self._uses = itertools.count(1)
         self._teaching = threading.Lock()
         self._references = Teaching(shelf, parts.config.method)
@@ -88,18 +92,6 @@ class StationCoordinator:
         """Begin to work."""
         self._gc_policy.start()
         self._inbox.start()
-
-    def hear(self, report: Report) -> None:
-        """A report of the acquisition process; from any thread."""
-        self._inbox.post(self._core.hear, report)
-
-    def acquisition_lost(self, sentence: str) -> None:
-        """The acquisition process has died; from any thread."""
-        self._inbox.post(self._core.acquisition_lost, sentence)
-
-    def worker_lost(self, sentence: str) -> None:
-        """A worker has died; from any thread."""
-        self._inbox.post(self._core.process_lost, sentence)
 
     def wind_down(self, timeout_s: float) -> None:
         """Take no more boards and let the runs under way come to their end, if they do so in time."""
@@ -321,21 +313,9 @@ class StationCoordinator:
         view = gallery.view_of_component(dossier, ref, k, px_per_mm, min_coverage)
         record = self._record(run, view.camera, view.row)
         assert record.slot is not None, "views are of whole frames"
-        answer: Future[Reply] = Future()
         with self._lease(run, f"image {ref}/{k}") as bay:
             job = RenderJob(run, bay.number, bay.generation, record.slot, view, format)
-            self._parts.workers.submit(job, answer.set_result)
-            try:
-                done = answer.result(IMAGE_LIMIT_S)
-            except TimeoutError:
-                raise DeviceError(
-                    f"No worker rendered image {ref}/{k} within {IMAGE_LIMIT_S:.0f} s.",
-                    action="See the workers' state.",
-                ) from None
-        if done.error is not None:
-            raise done.error
-        content: bytes = done.value
-        return content
+            return self._pictures.render(job, f"{ref}/{k}")
 
     # --- how
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol, assert_never
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import BusyError, DeviceError, StateError
+from vaoi_station.errors import BusyError, DeviceError, InternalError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
@@ -26,6 +25,7 @@ from vaoi_station.runs.run.salvage import cut_short, film_from_pieces
 from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import ADVICE, STATION, RunState, RunStep, StationState, StationStep
+from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Job, LinkJob, Reply
 
 Waiter = Future[None]
 
@@ -52,14 +52,14 @@ class Parts:
 
 
 class Core:
-    """Confined to one thread; `post` brings other threads' news into it."""
+    """Confined to the coordinator's thread; `InboxEvents` brings the events of other threads into it."""
 
-    def __init__(self, parts: Parts, post: Callable[..., None]) -> None:
-        self._parts, self._post, self.watch = parts, post, parts.watch
+    def __init__(self, parts: Parts) -> None:
+        self._parts, self.watch = parts, parts.watch
         self._config, self._events, self._archive = parts.config, parts.events, parts.archive
         self.leases = Leases(parts.config.ring.lease_s)
         self.memory = Memory(parts.ring, parts.config.ring.runs, self.leases)
-        self.book = RunBook(parts.workers, parts.archive, parts.events, post, self._run_ended)
+        self.book = RunBook(parts.workers, parts.archive, parts.events)
         self.orders = Orders()
         self.state = STATION.start
         self.since = utc()
@@ -73,18 +73,6 @@ class Core:
         self._after_disarm: list[tuple[Order, int | None, Waiter]] = []
         self._disarm_sent = False
         self._stopped: list[Waiter] = []
-        self._handlers: dict[type[Any], Callable[[Any], None]] = {
-            messages.Ready: self._on_ready,
-            messages.Armed: self._on_armed,
-            messages.Disarmed: self._on_disarmed,
-            messages.RunStarted: self._on_run_started,
-            messages.PulseReported: self.book.pulse,
-            messages.FrameSettled: self.book.settle,
-            messages.RunFinished: self._on_run_finished,
-            messages.BoardMissed: self._on_board_missed,
-            messages.Health: self._on_health,
-            messages.Trouble: self._on_trouble,
-        }
 
     # --- what callers want
 
@@ -149,11 +137,45 @@ class Core:
 
     # --- what the acquisition process says
 
-    def hear(self, report: messages.Report) -> None:
-        """A report of the acquisition process."""
-        self._handlers[type(report)](report)
+    def acquisition_message(self, message: messages.Report) -> None:
+        """Process a message of the acquisition process."""
+        match message:
+            case messages.PulseReported():
+                self.book.pulse(message)
+            case messages.FrameSettled():
+                self.book.settle(message)
+            case messages.RunStarted():
+                self._on_run_started(message)
+            case messages.RunFinished():
+                self._on_run_finished(message)
+            case messages.Health():
+                self._on_health(message)
+            case messages.Trouble():
+                self._on_trouble(message)
+            case messages.BoardMissed():
+                self._on_board_missed(message)
+            case messages.Armed():
+                self._on_armed()
+            case messages.Disarmed():
+                self._on_disarmed(message)
+            case messages.Ready():
+                self._on_ready()
+            case _:
+                assert_never(message)
 
-    def acquisition_lost(self, sentence: str) -> None:
+    def worker_reply(self, job: Job, answer: Reply, at_s: float) -> None:
+        """Process the outcome of a job that arrived at `at_s`, by time.monotonic()."""
+        match job:
+            case LinkJob():
+                self._after_runs(self.book.linked(job, answer, at_s))
+            case ConcludeJob():
+                self._after_runs(self.book.concluded(job, answer, at_s))
+            case CheckJob():
+                self.watch.checked(job, answer)
+            case _:
+                raise InternalError(f"Nothing waits for the answer of {job}.")
+
+    def acquisition_ended(self, sentence: str) -> None:
         """The process has died: conclude what it filmed, take its memory back; it is being restarted."""
         self._blame("acquisition-lost", f"{sentence[0].upper()}{sentence[1:]}.", "It is being started again.")
         self.reasons.begin_anew()
@@ -171,9 +193,13 @@ class Core:
         self._arming, self._disarming = [], []
         self._arm_those_who_waited()
 
-    def process_lost(self, sentence: str) -> None:
-        """A worker has died; the pool has taken care of it already."""
-        self._tell("process", sentence)
+    def worker_ended(self, description: str) -> None:
+        """Log the end of a worker; the pool restarts it."""
+        self._tell("process", description)
+
+    def workers_ready(self) -> None:
+        """Log that all workers are ready."""
+        self._tell("workers", "The workers are ready: results come at once.")
 
     def tick(self) -> None:
         """Twice a second: leases nobody renewed end."""
@@ -183,13 +209,13 @@ class Core:
             self.reasons.expire()
         self._provide()
 
-    def _on_ready(self, _: messages.Ready) -> None:
+    def _on_ready(self) -> None:
         self.reasons.clear()
         self._try(StationStep.READY)
         if self.orders.wants_more:
             self._rearm()
 
-    def _on_armed(self, _: messages.Armed) -> None:
+    def _on_armed(self) -> None:
         if self.state is StationState.ARMING and not self._disarm_sent:
             self.reasons.clear()
             self._step(StationStep.ARMED)
@@ -229,7 +255,7 @@ class Core:
         self.memory.use(report.run, "stitching")
         if (reason := cut_short(report)) is not None:
             self.book.active[report.run].blame(reason)
-        self.book.filmed(report)
+        self._after_runs(self.book.filmed(report))
         if not self.book.filming:
             self._try(StationStep.BOARD_FILMED)
             if self.orders.order is not None and not self.orders.wants_more:
@@ -338,16 +364,17 @@ class Core:
         self.memory.use(progress.run, "stitching")
         film = film_from_pieces(progress, self._config)
         if film is not None:
-            self.book.filmed(film)
+            self._after_runs(self.book.filmed(film))
         else:
             progress.step(RunStep.FILMED)
-            self.book.give_up(progress, reason)
+            self._after_runs(self.book.give_up(progress, reason))
 
-    def _run_ended(self, progress: Progress) -> None:
-        self.memory.use(progress.run, "finished")
-        self.watch.look_at(progress, self._parts.workers, self._post)
-        self._provide()
-        self._tell_if_drained()
+    def _after_runs(self, ended: list[Progress]) -> None:
+        for progress in ended:
+            self.memory.use(progress.run, "finished")
+            self.watch.check(progress, self._parts.workers)
+            self._provide()
+            self._tell_if_drained()
 
     def _tell_if_drained(self) -> None:
         if not self.book.active:

@@ -124,6 +124,8 @@ class RenderJob:
     slot: int
     view: View
     format: ImageFormat
+    request: int = 0
+    """Number of the caller's request; it identifies the answer."""
 
     priority = Priority.RENDER
     affinity: int | None = None

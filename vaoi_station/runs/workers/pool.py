@@ -13,7 +13,6 @@ import logging
 import multiprocessing
 import threading
 import time
-from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -35,7 +34,8 @@ from vaoi_station.runs.workers.jobs import (
     Reply,
     WorkerReady,
 )
-from vaoi_station.runs.workers.queues import Done, JobQueues, Queued, Worker
+from vaoi_station.runs.workers.queues import JobQueues, Queued, Worker
+from vaoi_station.runs.workers.worker_events import WorkerEvents
 from vaoi_station.runs.workers.worker_process import run_worker
 
 _log = logging.getLogger(__name__)
@@ -55,8 +55,7 @@ class WorkerPool:
 
     def __init__(self, count: int, ring_path: Path) -> None:
         self._ring_path = ring_path
-        self._lost: Callable[[str], None] = lambda _: None
-        self._all_there: Callable[[], object] = lambda: None
+        self._events: WorkerEvents | None = None
         self._spawn = multiprocessing.get_context("spawn")
         self._workers = [Worker(k) for k in range(count)]
         self._queues = JobQueues(self._workers)
@@ -65,12 +64,9 @@ class WorkerPool:
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
 
-    def start(self, lost: Callable[[str], None], all_there: Callable[[], object] = lambda: None) -> None:
-        """Start the processes; jobs may be submitted before they are ready.
-
-        `lost` hears of every death, `all_there` whenever the last of them has become ready.
-        """
-        self._lost, self._all_there = lost, all_there
+    def start(self, events: WorkerEvents) -> None:
+        """Start the processes and report to `events`; jobs may be submitted before the workers are ready."""
+        self._events = events
         atexit.register(self.stop, 0.0)  # workers leave SIGTERM to the station: nobody else would end them
         self._thread.start()
 
@@ -79,14 +75,14 @@ class WorkerPool:
         with self._lock:
             return all(w.ready for w in self._workers)
 
-    def submit(self, job: Job, done: Done) -> None:
-        """Have a job done; `done` is called once, with a value or a reason."""
+    def submit(self, job: Job) -> None:
+        """Have a job done; its answer is reported once, with a value or a reason."""
         with self._lock:
             if not self._stopping:
-                self._queues.add(Queued(job, done))
+                self._queues.add(Queued(job))
                 self._dispatch()
                 return
-        done(_refused(StateError("The station is stopping; its workers take no more jobs.")))
+        self._report(job, _refused(StateError("The station is stopping; its workers take no more jobs.")))
 
     def open_run(self, opening: OpenRun) -> None:
         """Jobs of a run are about to come."""
@@ -139,7 +135,7 @@ class WorkerPool:
                 worker.process.join(max(0.0, deadline - time.monotonic()))
                 _end(worker.process, worker.connection)
         for queued in self._abandoned():
-            queued.done(_refused(StateError("The station was stopped before this was done.")))
+            self._report(queued.job, _refused(StateError("The station was stopped before this was done.")))
         self._wake_here.close()
         self._wake_there.close()
 
@@ -193,10 +189,15 @@ class WorkerPool:
                 worker.backoff.record_success()
                 complete = self.all_ready()
             self._dispatch()
-        if complete:
-            self._all_there()
+        if complete and self._events is not None:
+            self._events.workers_ready()
         if isinstance(message, Reply) and queued is not None:
-            queued.done(message)
+            self._report(queued.job, message)
+
+    def _report(self, job: Job, answer: Reply) -> None:
+        """Report the outcome of a submitted job; gathering is the pool's own work and is not reported."""
+        if self._events is not None and not isinstance(job, GatherJob):
+            self._events.worker_reply(job, answer)
 
     def _look_after(self, worker: Worker) -> None:
         """Notice that a worker has died, and kill one that hangs."""
@@ -247,10 +248,11 @@ class WorkerPool:
             f" while doing {queued.job}; another one does it." if queued and not spent else "; it is started again."
         )
         _log.warning(sentence)
-        self._lost(sentence)
+        if self._events is not None:
+            self._events.worker_ended(sentence)
         if queued is not None and spent:
             fault = f"{queued.job} took {LIVES} workers with it; the last ended with code {code}."
-            queued.done(_refused(InternalError(fault, code="worker-lost")))
+            self._report(queued.job, _refused(InternalError(fault, code="worker-lost")))
 
     def _again(self, queued: Queued) -> bool:
         """Put a dead worker's job in front of the queue; True if it has had all its lives."""

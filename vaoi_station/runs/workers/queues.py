@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -13,17 +13,15 @@ from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.runs.workers.jobs import ConcludeJob, GatherJob, Job, LinkJob, OpenRun, Priority, Reply
 from vaoi_station.stitching.matching.evidence import Task
 
-Done = Callable[[Reply], None]
 PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
 """How soon a worker that died is started again."""
 
 
 @dataclass(eq=False)
 class Queued:
-    """A job, who waits for its answer, and how many workers it took with it."""
+    """A job, and how many workers it took with it."""
 
     job: Job
-    done: Done
     deaths: int = 0
 
 
@@ -111,7 +109,7 @@ class JobQueues:
         worker.evidence.setdefault(job.run, set()).update(job.tasks)
         if worker.index != self.concluder:
             linked = dict(zip(job.tasks, answer.value, strict=True))
-            self._queues[Priority.GATHER].append(Queued(GatherJob(job.context, linked), lambda _: None))
+            self._queues[Priority.GATHER].append(Queued(GatherJob(job.context, linked)))
 
     def drop(self, priority: Priority, run: str) -> None:
         """Leave jobs of one kind undone."""
