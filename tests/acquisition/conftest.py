@@ -1,4 +1,4 @@
-"""A tiny twin, a station of it, and the acquisition process as a thread at the end of a pipe."""
+"""Fixtures: a tiny twin, its station, and the acquisition process as a thread at the end of a pipe."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ PATIENCE_S = 30.0
 class Bench:
     """The station's end of the pipe, and the ring it owns."""
 
-    def __init__(self, config: StationConfig, open_them: Callable[[StationConfig], Devices] = open_devices) -> None:
+    def __init__(self, config: StationConfig, open_backend: Callable[[StationConfig], Devices] = open_devices) -> None:
         self.config = config
         self.ring = Ring.create(ring_path(config), RingLayout.of(config))
         self.connection, theirs = multiprocessing.Pipe()
         self.reports: list[Report] = []
         self.generations: dict[int, int] = {}
-        args = (config, self.ring.path, theirs, open_them)
+        args = (config, self.ring.path, theirs, open_backend)
         self.thread = threading.Thread(target=run_acquisition, args=args, name="acquisition")
         self.thread.start()
 
@@ -77,7 +77,7 @@ class Bench:
         self.send(Grant(run, bay))
 
     def arm(self, runs: int = 0) -> None:
-        """With memory for so many runs: bay n for `run n`."""
+        """Arm with memory for a number of runs: bay n for `run n`."""
         for n in range(runs):
             self.grant(f"run {n}", n)
         self.send(Arm(TriggerPlan.of(self.config.line)))
@@ -88,7 +88,7 @@ class Bench:
         return self.until(Disarmed)
 
     def until(self, kind: type[R]) -> R:
-        """Collect reports until one of a kind comes; that one."""
+        """Collect reports until one of a kind comes; return that one."""
         deadline_s = time.monotonic() + PATIENCE_S
         while self.connection.poll(max(deadline_s - time.monotonic(), 0)):
             report = self.connection.recv()
@@ -104,7 +104,7 @@ class Bench:
         try:
             self.send(Shutdown())
         except OSError:
-            pass  # it has gone already
+            pass  # the process has ended already
         finally:
             self.connection.close()
         self.thread.join(PATIENCE_S)
@@ -114,19 +114,19 @@ class Bench:
 
 @pytest.fixture
 def tiny() -> str:
-    """A scenario to which a test may append its faults."""
+    """Return a scenario to which a test may append faults."""
     return TINY
 
 
 @pytest.fixture
 def slow() -> str:
-    """A board that leaves time to do something while it passes."""
+    """Return a scenario whose board leaves time to act while it passes."""
     return TINY.replace("period_s = 0.05", "period_s = 0.6").replace("tail_s = 0.2", "tail_s = 1.7")
 
 
 @pytest.fixture
 def make_config(tmp_path: Path) -> Callable[..., StationConfig]:
-    """A station for a scenario; keyword arguments change the configuration."""
+    """Return a function that makes a station for a scenario; keyword arguments change the configuration."""
 
     def make(scenario_text: str = TINY, interval_s: float = 0.01, **changes: object) -> StationConfig:
         scenario = tmp_path / "scenario.toml"
@@ -154,7 +154,7 @@ def make_config(tmp_path: Path) -> Callable[..., StationConfig]:
 
 @pytest.fixture
 def start() -> Iterator[Callable[[StationConfig], Bench]]:
-    """Start the acquisition of a station; everything is taken down, and checked to be gone, at the end."""
+    """Return a function that starts the acquisition of a station; at the end all is closed, and checked to be gone."""
     before = set(threading.enumerate())
     benches: list[Bench] = []
 

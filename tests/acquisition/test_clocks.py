@@ -1,4 +1,4 @@
-"""Clock models: their bound holds for whatever readings keep their own."""
+"""Tests of clock models: their bound holds if the bounds of the readings do."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def test_the_bound_holds(
 ) -> None:
     true = DeviceClock(offset_s, drift_ppm, origin_s=5000.0)
     model = ClockModel("camera")
-    for at_s, bound_s, lie in taken:
+    for at_s, bound_s, error in taken:
         host_s = 5000.0 + at_s
-        model.add(ClockReading(true.device_s(host_s), host_s + lie * bound_s, bound_s))
+        model.add(ClockReading(true.device_s(host_s), host_s + error * bound_s, bound_s))
     assert model.restarts == 0
     device_s = true.device_s(5000.0 + asked_s)
     assert abs(model.host_s(device_s) - (5000.0 + asked_s)) <= model.bound_s(device_s) + 1e-9
     assert model.device_s(model.host_s(device_s)) == pytest.approx(device_s, abs=1e-6)
 
 
-def test_short_round_trips_decide() -> None:
+def test_short_round_trips_dominate() -> None:
     model = ClockModel("camera")
     for k in range(20):
         good = k % 4 == 0
@@ -49,7 +49,7 @@ def test_drift_is_measured() -> None:
     assert model.drift_ppm == pytest.approx(-42.0, abs=1.0)
 
 
-def test_nothing_is_known_before_the_first_reading() -> None:
+def test_a_clock_without_a_reading_is_refused() -> None:
     model = ClockModel("controller")
     assert model.bound_s() == math.inf
     with pytest.raises(DeviceError, match="controller: its clock has never been read"):
@@ -65,7 +65,7 @@ def test_a_loose_clock_is_refused() -> None:
     model.require(0.0005)
 
 
-def test_a_clock_that_jumps_starts_anew() -> None:
+def test_a_jump_of_the_clock_starts_a_new_line() -> None:
     model = ClockModel("controller")
     for k in range(10):
         model.add(ClockReading(float(k), 100.0 + k, 1e-4))

@@ -1,57 +1,61 @@
-"""What the numbers tell that a camera gives its frames: why a frame is missing, and whether two are exchanged.
+"""Derive from the frame ids of a camera why a frame is missing and whether frames are exchanged.
 
-Time stamps say which pulse a frame belongs to; frame ids say what was lost: a camera counts the frames
-it sends, so a gap in its ids is a loss on the way, and a missing frame without a gap was never exposed.
+A time stamp shows to which pulse a frame belongs. A frame id shows what was lost: a camera counts the frames that it
+sends. A gap in the ids is therefore a loss in transfer, and a missing frame without a gap was never exposed.
 """
 
 from __future__ import annotations
 
-import math
-from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import pairwise
 
-WRAP = 65535
-"""GigE Vision counts 1 … 65535 and then 1 again; 0 never occurs. Extended ids do not wrap in our lifetime."""
+MAX_FRAME_ID = 65535
+"""Largest 16 bit frame id. GigE Vision counts 1 … 65535 and then 1 again; 0 never occurs. Extended ids have 64 bit."""
 
 
 def id_step(first: int, second: int) -> int:
-    """Frames from one id to another; a small id after a large one has wrapped."""
+    """Return the number of frames from one id to another, across the wrap of 16 bit ids."""
     step = second - first
-    if abs(step) <= WRAP // 2 or max(first, second) > WRAP:
+    # Half the range separates a wrap from a step back. An id above 65535 proves extended ids, which do not wrap.
+    if abs(step) <= MAX_FRAME_ID // 2 or max(first, second) > MAX_FRAME_ID:
         return step
-    return step + WRAP if step < 0 else step - WRAP
+    return step + MAX_FRAME_ID if step < 0 else step - MAX_FRAME_ID
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Between the frames of two rows of a camera: what its count says of the pulses in between."""
+    """The interval between two frames of a camera, and how many exposures its frame ids count in it."""
 
     before: int
+    """Row of the first frame."""
     after: int
+    """Row of the second frame."""
     ids: tuple[int, int]
     pulses: int
-    """Fired from `before` to `after`, that of `after` included."""
+    """Pulses fired after row `before`, up to and including that of row `after`."""
     exposed: int
-    """Frames the camera counted for them."""
+    """Frames that the camera counted for these pulses."""
     missing: tuple[int, ...]
-    """Rows of which nothing came."""
+    """Rows in between of which nothing arrived."""
 
     @property
-    def ignored(self) -> int:
-        """Pulses without an exposure; below 0: exposures without a pulse; more than are missing: a contradiction."""
+    def unanswered(self) -> int:
+        """Pulses without an exposure.
+
+        Below 0: exposures without a pulse. More than the missing rows: the count contradicts the time stamps.
+        """
         return self.pulses - self.exposed
 
     @property
     def span(self) -> str:
-        """What was counted, in words."""
+        """The counted ids and pulses as text."""
         return f"(frame ids {self.ids[0]} → {self.ids[1]} over {self.pulses} pulses)"
 
 
-def straightened(ids: Mapping[int, int]) -> dict[int, int]:
-    """The ids of rows in the order in which a camera counts: the same as given, unless some are exchanged."""
+def in_counting_order(ids: Mapping[int, int]) -> dict[int, int]:
+    """Give the frame ids to the rows in ascending order; the result differs from `ids` where frames are exchanged."""
     rows = sorted(ids)
     if not rows:
         return {}
@@ -59,77 +63,50 @@ def straightened(ids: Mapping[int, int]) -> dict[int, int]:
     return dict(zip(rows, sorted((ids[row] for row in rows), key=lambda i: id_step(first, i)), strict=True))
 
 
-def gaps(fired: Sequence[int], ids: Mapping[int, int], torn: AbstractSet[int], strays: Sequence[int]) -> list[Gap]:
-    """What lies between the numbered frames of a camera.
+def find_gaps(
+    fired: Sequence[int], ids: Mapping[int, int], incomplete: AbstractSet[int], unassigned_ids: Sequence[int]
+) -> list[Gap]:
+    """Return the intervals between consecutive numbered frames of one camera.
 
     Args:
         fired: rows whose pulse was fired, in order.
-        ids: row → frame id, of the rows that have.
-        torn: rows of which something came without an id.
-        strays: ids of frames that belong to no row.
+        ids: row → frame id, for the rows whose frame has one.
+        incomplete: rows of which a frame without a usable id arrived.
+        unassigned_ids: ids of frames that belong to no row.
     """
-    ids = straightened(ids)
+    # With exchanged ids in place a gap would be negative on one side and too large on the other.
+    ids = in_counting_order(ids)
     place = {row: n for n, row in enumerate(fired)}
     found = []
     for before, after in pairwise(sorted(row for row in ids if row in place)):
         step = id_step(ids[before], ids[after])
-        extra = sum(1 for s in strays if 0 < id_step(ids[before], s) < step)
+        # Frames of no pulse were counted too: without them the step would hide as many unanswered pulses.
+        extra = sum(1 for i in unassigned_ids if 0 < id_step(ids[before], i) < step)
         between = fired[place[before] + 1 : place[after]]
-        missing = tuple(row for row in between if row not in torn)
+        missing = tuple(row for row in between if row not in incomplete)
         pulses = place[after] - place[before]
         found.append(Gap(before, after, (ids[before], ids[after]), pulses, step - extra, missing))
     return found
 
 
-def explain_missing(row: int, have: AbstractSet[int], between: Sequence[Gap]) -> str:
-    """Why one row has no frame; `have`: the numbered rows of its camera, `between`: the gaps that they leave."""
-    if not have:
-        return "the camera sent no frame in this run"
-    gap = next((g for g in between if row in g.missing), None)
+def explain_missing(row: int, numbered: AbstractSet[int], gaps: Sequence[Gap]) -> str:
+    """Return why a row has no frame.
+
+    Args:
+        row: the missing row.
+        numbered: rows of its camera whose frame has an id.
+        gaps: the intervals between those rows (`find_gaps`).
+    """
+    if not numbered:
+        return "the camera sent no frame in this run; check its cable, its power and its trigger line"
+    gap = next((g for g in gaps if row in g.missing), None)
     if gap is None:
-        return "no frame came for the first pulses" if row < min(have) else "no frame came after the last one seen"
-    if gap.ignored == 0:
-        return f"lost on the way: the camera counted it {gap.span}"
-    if gap.ignored == len(gap.missing):
-        return f"the camera did not expose: its count goes on without a gap {gap.span}"
-    if 0 < gap.ignored < len(gap.missing):
-        share = f"{gap.ignored} of {len(gap.missing)} such pulses"
-        return f"lost, or ignored by the camera, as {share} were; its count does not tell which {gap.span}"
-    return f"lost, and the camera's count does not tell how {gap.span}"
-
-
-@dataclass
-class _Outage:
-    since_s: float
-    until_s: float
-    why: str
-
-
-class Outages:
-    """When each camera was away (host time), for the rows it missed meanwhile."""
-
-    def __init__(self, keep: int = 20) -> None:
-        self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
-
-    def lost(self, camera: int, since_s: float, why: str) -> None:
-        """It has not been seen since."""
-        self._outages[camera].append(_Outage(since_s, math.inf, why))
-
-    def back(self, camera: int, at_s: float) -> None:
-        """It films again."""
-        for outage in self._outages[camera]:
-            outage.until_s = min(outage.until_s, at_s)
-
-    def away(self, camera: int) -> bool:
-        """Whether it has been lost and is not back."""
-        return any(math.isinf(outage.until_s) for outage in self._outages[camera])
-
-    def before(self, camera: int, host_s: float) -> int:
-        """How many have ended by then."""
-        return sum(outage.until_s <= host_s for outage in self._outages[camera])
-
-    def at(self, camera: int, host_s: float) -> str:
-        """Why a camera was away at a time; empty if it was not."""
-        return next(
-            (f"the camera was lost: {o.why}" for o in self._outages[camera] if o.since_s <= host_s <= o.until_s), ""
-        )
+        return "no frame arrived for the first pulses" if row < min(numbered) else "no frame arrived after the last one"
+    if gap.unanswered == 0:
+        return f"lost in transfer: the camera counted it {gap.span}"
+    if gap.unanswered == len(gap.missing):
+        return f"the camera did not expose: its frame ids have no gap {gap.span}"
+    if 0 < gap.unanswered < len(gap.missing):
+        share = f"{gap.unanswered} of {len(gap.missing)} such pulses"
+        return f"lost in transfer, or not exposed, as {share} were; the frame ids do not show which {gap.span}"
+    return f"lost, and the frame ids do not show how {gap.span}"

@@ -1,9 +1,9 @@
-"""A device's clock → the host's `time.monotonic()`, with a bound that is honest about both.
+"""Map the clock of a device to the host's `time.monotonic()`, with a bound of the error.
 
-Every `ClockReading` says: when the device's clock showed d, the host's showed h ± b (b is half the round
-trip). A straight line h = h₀ + (1 + s)·(d − d₀) is fitted with weights 1/b², where s, the drift, is known
-beforehand to be a few hundred ppm at most; short round trips therefore decide. At each reading the line is
-wrong by no more than b plus its residual there; away from it the uncertainty of s is added.
+A `ClockReading` states: when the device's clock showed d, the host's showed h ± b, where b is half the round trip. A
+line h = h₀ + (1 + s)·(d − d₀) is fitted with weights 1/b². The drift s is known beforehand to a few hundred ppm (a
+prior). Short round trips therefore dominate. At a reading the line is wrong by at most b plus its residual there; away
+from it the uncertainty of s is added.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from vaoi_station.errors import DeviceError
 
 PRIOR_DRIFT = 2e-4
-"""Standard deviation of the relative rate of crystals, before anything is measured."""
+"""Standard deviation of the relative rate of crystals before anything is measured."""
 RESOLUTION_S = 1e-7
-"""No reading is trusted further than this."""
+"""Smallest bound that a reading is given, s."""
 
 
 class ClockError(DeviceError):
-    """A clock is not known well enough yet; more readings may mend that."""
+    """A clock is not known well enough yet; more readings may improve that."""
 
     code = "clock-unknown"
 
@@ -33,13 +33,14 @@ class ClockReading:
     device_s: float
     host_s: float
     bound_s: float
-    """Half the round trip of the question: the reading is no further off than this."""
+    """Half the round trip of the request: the largest error of the reading."""
 
 
 class ClockModel:
-    """The clock of one device, kept up to date by readings."""
+    """The mapping from one device's clock to the host's, updated with every reading."""
 
     def __init__(self, name: str, keep: int = 60) -> None:
+        """Start without readings; fit the latest `keep` of them."""
         self.name = name
         self._readings: deque[ClockReading] = deque(maxlen=keep)
         self._device0_s = self._host0_s = 0.0
@@ -47,12 +48,13 @@ class ClockModel:
         self._slope_sigma = PRIOR_DRIFT
         self._bound_s = math.inf
         self.restarts = 0
-        """How often the device's clock jumped (it was switched off and on)."""
+        """Count of jumps of the device's clock (the device was switched off and on)."""
 
     def add(self, reading: ClockReading) -> None:
-        """Take in one reading; one that contradicts the line beyond all bounds starts a new one."""
+        """Add a reading; start a new line if it contradicts the present one beyond all bounds."""
         if self._readings:
             off_s = abs(self.host_s(reading.device_s) - reading.host_s)
+            # Both bounds hold for a clock that runs on, so only a restarted one exceeds twice their sum.
             if off_s > 2 * (self.bound_s(reading.device_s) + reading.bound_s + RESOLUTION_S):
                 self._readings.clear()
                 self.restarts += 1
@@ -61,17 +63,21 @@ class ClockModel:
         self._bound_s = self.bound_s(reading.device_s)
 
     def host_s(self, device_s: float) -> float:
-        """Host time at which the device's clock shows `device_s`."""
-        self._must_know()
+        """Return the host time at which the device's clock shows `device_s`."""
+        self._require_reading()
         return self._host0_s + (1 + self._slope) * (device_s - self._device0_s)
 
     def device_s(self, host_s: float) -> float:
-        """What the device's clock shows at a host time: the inverse of `host_s`."""
-        self._must_know()
+        """Return what the device's clock shows at a host time: the inverse of `host_s`."""
+        self._require_reading()
         return self._device0_s + (host_s - self._host0_s) / (1 + self._slope)
 
     def bound_s(self, device_s: float | None = None) -> float:
-        """How far `host_s` may be off (at the newest reading, if no time is given); infinite before the first."""
+        """Return the largest error of `host_s` at a device time (default: the newest reading).
+
+        Infinite before the first reading.
+        """
+        # Without a time the value of the last fit is returned: it is asked for with every frame.
         if device_s is None or not self._readings:
             return self._bound_s
         return min(
@@ -83,11 +89,11 @@ class ClockModel:
 
     @property
     def drift_ppm(self) -> float:
-        """By how much the device's seconds are longer than the host's."""
+        """Excess of the device's second over the host's, ppm."""
         return self._slope * 1e6
 
     def require(self, limit_s: float) -> None:
-        """ClockError while the bound is above the limit."""
+        """Raise ClockError while the bound is above the limit."""
         if (bound_s := self.bound_s()) > limit_s:
             raise ClockError(
                 f"{self.name}: its clock is known to ± {bound_s * 1e3:.3f} ms, but must be to {limit_s * 1e3:.3f} ms.",
@@ -95,10 +101,11 @@ class ClockModel:
             )
 
     def _fit(self) -> None:
-        """Weighted least squares about the weighted mean; the prior on the slope acts like one more reading."""
+        """Fit by weighted least squares about the weighted mean; the prior on the slope acts like one more reading."""
         weights = [1 / max(r.bound_s, RESOLUTION_S) ** 2 for r in self._readings]
         total = sum(weights)
         newest = self._readings[-1]
+        # Times are relative to the newest reading, so that squares and products keep their precision after weeks.
         d = [r.device_s - newest.device_s for r in self._readings]
         e = [(r.host_s - newest.host_s) - x for r, x in zip(self._readings, d, strict=True)]
         d0 = sum(w * x for w, x in zip(weights, d, strict=True)) / total
@@ -110,6 +117,8 @@ class ClockModel:
         self._device0_s = newest.device_s + d0
         self._host0_s = newest.host_s + d0 + e0
 
-    def _must_know(self) -> None:
+    def _require_reading(self) -> None:
         if not self._readings:
-            raise ClockError(f"{self.name}: its clock has never been read.")
+            raise ClockError(
+                f"{self.name}: its clock has never been read.", action="Check the link to the device, then arm again."
+            )

@@ -1,4 +1,4 @@
-"""The devices of a station, and what a fast replay must hear of the one who takes the frames."""
+"""The opened devices of a station, and the feedback that a fast replay needs from the session."""
 
 from __future__ import annotations
 
@@ -11,55 +11,56 @@ from vaoi_station.acquisition.controller.interface import Controller
 
 
 class Feedback:
-    """What a replay that goes as fast as it can must know of the one who takes the frames."""
+    """Progress of the session, for a replay that runs as fast as its frames are taken; used from several threads."""
 
     def __init__(self) -> None:
         self._change = threading.Condition()
         self._done = 0
-        self._memory = False
+        self._has_memory = False
 
     def frame_done(self) -> None:
-        """One more frame has found its place (or has been refused one)."""
+        """Count one more frame that was assigned or refused."""
         with self._change:
             self._done += 1
             self._change.notify_all()
 
-    def memory(self, there: bool) -> None:
-        """Whether the cameras hold memory for a coming run."""
+    def set_memory(self, available: bool) -> None:
+        """Set whether the cameras hold slots for a coming run."""
         with self._change:
-            self._memory = there
+            self._has_memory = available
             self._change.notify_all()
 
     def frames_done(self) -> int:
-        """How many frames were done so far."""
+        """Return the count of frames that were assigned or refused."""
         return self._done
 
-    def wait_done(self, count: int, stop: Callable[[], bool], timeout_s: float) -> None:
-        """Until so many frames are done, or `stop()`."""
+    def wait_for_frames(self, count: int, stop: Callable[[], bool], timeout_s: float) -> None:
+        """Wait until `count` frames are done, `stop()` is true, or the time is over."""
         with self._change:
             self._change.wait_for(lambda: self._done >= count or stop(), timeout_s)
 
-    def wait_memory(self, stop: Callable[[], bool]) -> None:
-        """Until there is memory for a run, or `stop()`."""
+    def wait_for_memory(self, stop: Callable[[], bool]) -> None:
+        """Wait until there is memory for a run, or `stop()` is true."""
         with self._change:
-            self._change.wait_for(lambda: self._memory or stop())
+            self._change.wait_for(lambda: self._has_memory or stop())
 
     def wake(self) -> None:
-        """Let waiters look at their `stop` again."""
+        """Let waiting threads evaluate their `stop` again."""
         with self._change:
             self._change.notify_all()
 
 
 @dataclass(frozen=True)
 class Devices:
-    """Opened, not started yet."""
+    """Cameras and controller of a station, opened and not started."""
 
     cameras: tuple[CameraDevice, ...]
     controller: Controller
     feedback: Feedback = field(default_factory=Feedback)
 
     def close(self) -> None:
-        """The controller first: no pulse without cameras."""
+        """Close all devices."""
+        # The controller first: it must not fire a pulse without cameras.
         self.controller.close()
         for camera in self.cameras:
             camera.close()

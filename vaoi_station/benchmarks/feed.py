@@ -14,7 +14,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, CameraNews, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.replay import RecordedRow, ReplayController
 from vaoi_station.acquisition.device_clock import DeviceClock
@@ -38,9 +38,9 @@ class Feed:
         self._underway: dict[int, tuple[int, float]] = {}
         """Frame id and time stamp by slot."""
         self._sending = threading.Lock()
-        self._arrivals: SimpleQueue[CameraNews] | None = None
+        self._arrivals: SimpleQueue[CameraEvent] | None = None
 
-    def listen(self, arrivals: SimpleQueue[CameraNews]) -> None:
+    def listen(self, arrivals: SimpleQueue[CameraEvent]) -> None:
         """Begin to announce what arrives; asked by every camera, the first one counts."""
         if self._arrivals is None:
             self._arrivals = arrivals
@@ -73,7 +73,7 @@ class FedCamera:
         self._ids = count(1)
         self._delivered = self._starved = 0
 
-    def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
+    def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
         """Begin to deliver."""
         self._feed.listen(arrivals)
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from vaoi_station.acquisition.process.filming import Finish, Notice, Settle, film, film_pulses
+from vaoi_station.acquisition.process.filming import FilmingHandlers, film, film_pulses
 from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.api.web_server import WebServer, open_listener
@@ -32,7 +32,11 @@ NOTICES = 20
 
 
 def show(
-    config: StationConfig, specs: Sequence[MarkSpec | None], port: int, say: Notice, rate_hz: float | None = None
+    config: StationConfig,
+    specs: Sequence[MarkSpec | None],
+    port: int,
+    say: Callable[[str], None],
+    rate_hz: float | None = None,
 ) -> None:
     """Film and serve the page on loopback, until interrupted (KeyboardInterrupt) or a device fails.
 
@@ -61,7 +65,7 @@ def show(
             if rate_hz is not None:
                 notice(f"{rate_hz:g} pulses a second, whether a board passes or not.")
             runs = (_supply(config) if rate_hz is None else 0) or FOR_EVER
-            _film(config, runs, rate_hz, lambda *_: None, notice, settled)
+            _film(config, runs, rate_hz, FilmingHandlers(lambda *_: None, notice, settled))
             notice("No more boards will come; these are the last frames.")
             ended.wait()
             web.check()
@@ -73,7 +77,7 @@ def one_row(
     config: StationConfig,
     specs: Sequence[MarkSpec | None],
     row: int | None,
-    notice: Notice,
+    notice: Callable[[str], None],
     rate_hz: float | None = None,
 ) -> dict[str, Any]:
     """Film one board, or with a rate one pulse; the figures of one row of it, by default the middle one.
@@ -100,22 +104,15 @@ def one_row(
                 cameras.append({"camera": f.camera, "name": config.cameras[f.camera].name, "missing": f.cause})
         documents.append({"run": finished.run, "row": chosen, "rows": rows, "cameras": cameras})
 
-    _film(config, 1, rate_hz, look, notice)
+    _film(config, 1, rate_hz, FilmingHandlers(look, notice))
     return documents[0]
 
 
-def _film(
-    config: StationConfig,
-    runs: int,
-    rate_hz: float | None,
-    finished: Finish,
-    notice: Notice,
-    settled: Settle | None = None,
-) -> None:
+def _film(config: StationConfig, runs: int, rate_hz: float | None, handlers: FilmingHandlers) -> None:
     if rate_hz is None:
-        film(config, runs, finished, notice, settled)
+        film(config, runs, handlers)
     else:
-        film_pulses(config, runs, rate_hz, finished, notice, settled)
+        film_pulses(config, runs, rate_hz, handlers)
 
 
 def _supply(config: StationConfig) -> int:

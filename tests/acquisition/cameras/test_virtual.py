@@ -1,4 +1,4 @@
-"""A delivering camera: slots in order, nothing without a slot, nothing after closing."""
+"""Tests of the virtual camera: slots in order, nothing without a slot, nothing after closing."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import Arrival, Slot
-from vaoi_station.acquisition.cameras.virtual import DeliveringCamera, Exposure
+from vaoi_station.acquisition.cameras.virtual import Exposure, VirtualCamera
 from vaoi_station.acquisition.device_clock import DeviceClock
 
 PIXELS = np.arange(1, 101, dtype=np.uint8)
@@ -23,8 +23,8 @@ def arrivals() -> SimpleQueue[Any]:
 
 
 @pytest.fixture
-def camera(arrivals: SimpleQueue[Any]) -> Iterator[DeliveringCamera]:
-    camera = DeliveringCamera(3, DeviceClock().read)
+def camera(arrivals: SimpleQueue[Any]) -> Iterator[VirtualCamera]:
+    camera = VirtualCamera(3, DeviceClock().read)
     camera.start(arrivals)
     yield camera
     camera.close()
@@ -39,7 +39,7 @@ def exposure(frame_id: int, after_s: float = 0.0, lasting_s: float = 0.0, share:
     return Exposure(frame_id, float(frame_id), begin_s, begin_s + lasting_s, PIXELS, share)
 
 
-def test_frames_fill_slots_in_the_order_they_were_queued(camera: DeliveringCamera, arrivals: SimpleQueue[Any]) -> None:
+def test_frames_fill_slots_in_the_order_they_were_queued(camera: VirtualCamera, arrivals: SimpleQueue[Any]) -> None:
     slots = [slot(7), slot(8)]
     for s in slots:
         camera.queue(s)
@@ -53,7 +53,7 @@ def test_frames_fill_slots_in_the_order_they_were_queued(camera: DeliveringCamer
     assert camera.health().delivered == 2
 
 
-def test_an_incomplete_frame_says_nothing_of_itself(camera: DeliveringCamera, arrivals: SimpleQueue[Any]) -> None:
+def test_an_incomplete_frame_has_neither_id_nor_time_stamp(camera: VirtualCamera, arrivals: SimpleQueue[Any]) -> None:
     half = slot(1)
     camera.queue(half)
     camera.expose(exposure(5, share=0.5))
@@ -65,18 +65,18 @@ def test_an_incomplete_frame_says_nothing_of_itself(camera: DeliveringCamera, ar
     assert camera.health().incomplete == 1
 
 
-def test_a_frame_without_a_slot_is_lost_and_counted(camera: DeliveringCamera, arrivals: SimpleQueue[Any]) -> None:
+def test_a_frame_without_a_slot_is_dropped_and_counted(camera: VirtualCamera, arrivals: SimpleQueue[Any]) -> None:
     camera.queue(slot(1))
     assert camera.take_back() == [1]
     camera.expose(exposure(1))
     camera.expose(exposure(2, after_s=0.02))
     with pytest.raises(Empty):
         arrivals.get(timeout=0.1)
-    assert "2 frames found no memory" in camera.health().message
+    assert "2 frames dropped: no free slot in the ring" in camera.health().message
 
 
 def test_closing_ends_a_transfer_under_way(arrivals: SimpleQueue[Any]) -> None:
-    camera = DeliveringCamera(0, DeviceClock().read)
+    camera = VirtualCamera(0, DeviceClock().read)
     camera.start(arrivals)
     camera.queue(slot(1))
     camera.expose(exposure(1, lasting_s=100.0))

@@ -1,4 +1,4 @@
-"""`vaoi record`: a process of its own films, and runs become recordings, whole or not at all."""
+"""Tests of filming in a process of its own, and of the export of runs as recordings."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.process.filming import _fire_steadily, _Studio, film, film_pulses
+from vaoi_station.acquisition.process.filming import FilmingHandlers, _FilmingProcess, _fire_steadily, film, film_pulses
 from vaoi_station.acquisition.process.messages import Command, FireOne, Grant, Ready, RunFinished, Trouble
-from vaoi_station.acquisition.process.recording_export import keep_run
+from vaoi_station.acquisition.process.recording_export import export_run
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError, StateError
@@ -21,6 +21,7 @@ from vaoi_station.files import open_recording, read_calibration
 from vaoi_station.model import RecordingHead
 from vaoi_station.simulation import Twin, read_scenario
 
+IGNORE = FilmingHandlers(lambda *_: None, lambda _: None)
 FAULT = "[[faults.lost_frames]]\ncamera = 1\nrow = 2\n"
 
 Make = Callable[..., StationConfig]
@@ -32,11 +33,11 @@ def test_filmed_boards_become_recordings_of_what_the_twin_showed(make_config: Ma
 
     def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
         target = tmp_path / "kept" / finished.run
-        keep_run(target, finished, ring, generation, {"calibration.json": config.calibration})
+        export_run(target, finished, ring, generation, {"calibration.json": config.calibration})
         kept.append(target)
 
     notices: list[str] = []
-    film(config, 4, keep, notices.append)
+    film(config, 4, FilmingHandlers(keep, notices.append))
     assert [k.name for k in kept] == ["001", "002", "003", "004"], "more runs than bays"
     assert any("Armed" in n for n in notices)
     assert config.simulation is not None
@@ -53,61 +54,62 @@ def test_filmed_boards_become_recordings_of_what_the_twin_showed(make_config: Ma
     assert [p.name for p in (tmp_path / "kept").iterdir() if p.name.startswith(".")] == []
 
 
-def test_a_recording_is_never_overwritten_nor_left_half(make_config: Make, tmp_path: Path) -> None:
+def test_a_recording_is_never_overwritten_nor_left_incomplete(make_config: Make, tmp_path: Path) -> None:
     config = make_config()
     target = tmp_path / "kept" / "one"
-    failures: list[str] = []
+    exported: list[Path] = []
 
     def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
         with pytest.raises(GoneError):
-            keep_run(target, finished, ring, generation - 1)
+            export_run(target, finished, ring, generation - 1)
         with pytest.raises(FileNotFoundError):
-            keep_run(target, finished, ring, generation, {"board.json": tmp_path / "absent.json"})
+            export_run(target, finished, ring, generation, {"board.json": tmp_path / "absent.json"})
         assert list(target.parent.iterdir()) == []
-        keep_run(target, finished, ring, generation)
+        export_run(target, finished, ring, generation)
         with pytest.raises(StateError, match="exists already"):
-            keep_run(target, finished, ring, generation)
-        failures.append("all told")
+            export_run(target, finished, ring, generation)
+        exported.append(target)
 
-    film(config, 1, keep, lambda _: None)
-    assert failures == ["all told"]
+    film(config, 1, FilmingHandlers(keep, lambda _: None))
+    assert exported == [target]
 
 
-def test_boards_that_will_never_come_are_not_waited_for(make_config: Make) -> None:
+def test_more_boards_than_the_simulation_has_are_refused(make_config: Make) -> None:
     config = make_config()
     assert config.simulation is not None
     few = config.model_copy(update={"simulation": config.simulation.model_copy(update={"boards": 2})})
     with pytest.raises(InputError, match=r"simulation\.boards is 2, but must be 0 or at least 3"):
-        film(few, 3, lambda *_: None, lambda _: None)
+        film(few, 3, IGNORE)
 
 
-def test_a_device_that_does_not_open_is_told_with_its_remedy(make_config: Make, tmp_path: Path, tiny: str) -> None:
+def test_a_device_that_does_not_open_is_an_error_with_the_limit(make_config: Make, tmp_path: Path, tiny: str) -> None:
     config = make_config()
     (tmp_path / "scenario.toml").write_text(tiny.replace("cameras = 2", "cameras = 3"))
     with pytest.raises(DeviceError, match=r"array\.cameras is 3, but must be 2"):
-        film(config, 1, lambda *_: None, lambda _: None)
+        film(config, 1, IGNORE)
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_steady_pulses_come_no_faster_than_asked(make_config: Make, tmp_path: Path) -> None:
+def test_steady_pulses_are_no_faster_than_requested(make_config: Make, tmp_path: Path) -> None:
     runs: list[str] = []
-    whole: list[str] = []
+    complete: list[str] = []
 
     def finished(run: RunFinished, ring: Ring, generation: int) -> None:
         runs.append(run.run)
         assert all(ring.snapshot(f.slot, generation).any() for f in run.frames if f.slot is not None)
 
     started_s = time.monotonic()
-    film_pulses(make_config(), 5, 10.0, finished, lambda _: None, lambda report, *_: whole.append(report.run))
+    handlers = FilmingHandlers(finished, lambda _: None, lambda report, *_: complete.append(report.run))
+    film_pulses(make_config(), 5, 10.0, handlers)
     assert runs == ["001", "002", "003", "004", "005"]
-    assert whole == [run for run in runs for _ in range(2)]
+    assert complete == [run for run in runs for _ in range(2)]
     assert time.monotonic() - started_s >= 4 / 10.0
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_a_pulse_that_is_refused_for_a_while_is_asked_for_again_with_the_same_memory(make_config: Make) -> None:
-    """The other end of the pipe is played by the test: a controller whose LEDs must cool down after the first pulse."""
-    config, told, asked = make_config(), list[str](), list[Command]()
+def test_a_refused_pulse_is_requested_again_with_the_same_grant(make_config: Make) -> None:
+    """The test plays the other end of the pipe: a controller whose LEDs must cool down after the first pulse."""
+    config, results, received = make_config(), list[str](), list[Command]()
     head = RecordingHead.model_validate(
         {
             "format": "vaoi-recording", "version": 1, "cameras": [c.head for c in config.cameras], "rows": 1,
@@ -123,25 +125,25 @@ def test_a_pulse_that_is_refused_for_a_while_is_asked_for_again_with_the_same_me
         theirs.send(Ready(2))
         for answer in (done("001"), Trouble("led-budget", "the LEDs must cool down.", "Wait."), done("002")):
             while not isinstance(command := theirs.recv(), FireOne):
-                asked.append(command)
-            asked.append(command)
+                received.append(command)
+            received.append(command)
             theirs.send(answer)
 
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
         player = threading.Thread(target=play)
         player.start()
-        studio = _Studio(ring, ours, lambda run, *_: told.append(run.run), told.append, None)
-        _fire_steadily(studio, 2, 0.01)
+        handlers = FilmingHandlers(lambda run, *_: results.append(run.run), results.append)
+        _fire_steadily(_FilmingProcess(ring, ours, handlers), 2, 0.01)
         player.join()
-    assert told == ["001", "the LEDs must cool down. Wait.", "002"]
-    assert asked == [Grant("001", 0), FireOne(), Grant("002", 0), FireOne(), FireOne()]
+    assert results == ["001", "the LEDs must cool down. Wait.", "002"]
+    assert received == [Grant("001", 0), FireOne(), Grant("002", 0), FireOne(), FireOne()]
 
 
-def test_a_first_pulse_that_is_refused_ends_it(make_config: Make) -> None:
+def test_a_refused_first_pulse_raises(make_config: Make) -> None:
     config = make_config()
     ours, theirs = multiprocessing.Pipe()
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
         theirs.send(Ready(2))
         theirs.send(Trouble("led-limit", "the on-time is too long.", "Shorten it."))
         with pytest.raises(DeviceError, match=r"the on-time is too long\. Shorten it\."):
-            _fire_steadily(_Studio(ring, ours, lambda *_: None, lambda _: None, None), 1, 0.01)
+            _fire_steadily(_FilmingProcess(ring, ours, IGNORE), 1, 0.01)

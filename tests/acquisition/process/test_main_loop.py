@@ -1,4 +1,4 @@
-"""The acquisition process where a clock cannot be read well at first, or not at all."""
+"""Tests of the main loop: commands wait until the clocks are known, and faults are reported once."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def counter() -> threading.Semaphore:
 
 
 @dataclass
-class Busy:
-    """A computer on which so many readings of the controller's clock have long round trips, and then none."""
+class BusyComputer:
+    """A computer on which the first `poor` readings of the controller's clock have long round trips."""
 
     poor: float
     good: threading.Semaphore = field(default_factory=counter)
-    """Counts the others."""
+    """Counts the other readings."""
     controller: Any = None
 
     def open(self, config: StationConfig) -> Devices:
@@ -58,64 +58,64 @@ class Busy:
 
 
 def busy(poor: int) -> Callable[[StationConfig], Devices]:
-    return Busy(poor).open
+    return BusyComputer(poor).open
 
 
 @dataclass
-class Loose:
-    """Camera 1, whose cable is loose."""
+class LooseCamera:
+    """Camera 1 with a loose cable."""
 
     camera: Any
     is_silent: bool = False
     asked: threading.Semaphore = field(default_factory=counter)
     """Counts readings of its clock while it is silent."""
-    news: Any = None
+    events: Any = None
 
-    def start(self, arrivals: Any) -> None:
-        self.news = arrivals
-        self.camera.start(arrivals)
+    def start(self, events: Any) -> None:
+        self.events = events
+        self.camera.start(events)
 
     def read_clock(self) -> ClockReading:
         if self.is_silent:
             self.asked.release()
-            raise DeviceError("camera c1: does not tell its time.", action="Check its cable.")
+            raise DeviceError("camera c1: its clock cannot be read.", action="Check its cable.")
         reading: ClockReading = self.camera.read_clock()
         return reading
 
-    def is_lost(self) -> None:
-        """Its backend notices."""
+    def report_lost(self) -> None:
+        """Report the loss as the backend does."""
         error = DeviceError("camera c1: is lost.", action="Check its cable.")
-        self.news.put(CameraLost(1, time.monotonic(), "it does not answer", error))
+        self.events.put(CameraLost(1, time.monotonic(), "it does not answer", error))
 
-    def is_back(self) -> None:
-        self.news.put(CameraBack(1, time.monotonic(), self.camera.read_clock()))
+    def report_back(self) -> None:
+        self.events.put(CameraBack(1, time.monotonic(), self.camera.read_clock()))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.camera, name)
 
 
-def test_an_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
-    """Those first readings that the process takes before it is ready do not suffice, and three more do not."""
-    bench = start(make_config(), open_them=busy(process.FIRST_READINGS + 3))
+def test_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
+    """Neither the readings before the process is ready nor three more suffice."""
+    bench = start(make_config(), open_backend=busy(process.FIRST_READINGS + 3))
     bench.grant("one", 0)
     bench.arm()
     assert bench.of(Trouble) == []
     assert bench.until(RunFinished).head.missing == ()
 
 
-def test_so_does_a_single_pulse(start: Start, make_config: Make) -> None:
-    bench = start(make_config(), open_them=busy(process.FIRST_READINGS + 3))
+def test_a_single_pulse_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
+    bench = start(make_config(), open_backend=busy(process.FIRST_READINGS + 3))
     bench.grant("one", 0)
     bench.send(FireOne())
     assert bench.until(RunFinished).head.missing == ()
     assert bench.of(Trouble) == []
 
 
-def test_clocks_that_are_never_known_are_told_in_the_end(
+def test_clocks_that_stay_unknown_are_reported_after_the_timeout(
     start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(process, "CLOCK_PATIENCE_S", 0.3)
-    bench = start(make_config(), open_them=busy(10**6))
+    monkeypatch.setattr(process, "CLOCK_TIMEOUT_S", 0.3)
+    bench = start(make_config(), open_backend=busy(10**6))
     bench.grant("one", 0)
     bench.send(Arm(TriggerPlan.of(bench.config.line)))
     trouble = bench.until(Trouble)
@@ -124,15 +124,15 @@ def test_clocks_that_are_never_known_are_told_in_the_end(
     assert bench.of(Armed) == []
 
 
-def test_disarming_ends_the_waiting(start: Start, make_config: Make) -> None:
-    """And it is over: the forgotten arming does not come back when the clocks are known."""
-    computer = Busy(math.inf)
-    bench = start(make_config(), open_them=computer.open)
+def test_disarming_cancels_the_waiting_command(start: Start, make_config: Make) -> None:
+    """The cancelled command is not carried out when the clocks are known later."""
+    computer = BusyComputer(math.inf)
+    bench = start(make_config(), open_backend=computer.open)
     bench.grant("one", 0)
     bench.send(Arm(TriggerPlan.of(bench.config.line)))
     assert [grant.run for grant in bench.disarm().unused] == ["one"]
     computer.poor = 0
-    for _ in range(2):  # when the second is taken, the loop has been told of the first
+    for _ in range(2):  # when the second reading is taken, the first is in the inbox
         assert computer.good.acquire(timeout=PATIENCE_S)
     bench.grant("two", 0)
     bench.arm()
@@ -141,24 +141,24 @@ def test_disarming_ends_the_waiting(start: Start, make_config: Make) -> None:
     assert len(bench.of(Armed)) == 1
 
 
-def test_a_clock_of_a_camera_that_is_lost_is_not_complained_of(start: Start, make_config: Make) -> None:
-    """That it is lost has been told, and whatever is complained of while the line is being armed ends the arming."""
-    computer, cameras = Busy(math.inf), list[Loose]()
+def test_the_clock_of_a_lost_camera_is_not_reported_again(start: Start, make_config: Make) -> None:
+    """The loss was reported before, and any fault reported while the line is being armed ends the arming."""
+    computer, cameras = BusyComputer(math.inf), list[LooseCamera]()
 
-    def open_them(config: StationConfig) -> Devices:
+    def open_devices_with_faults(config: StationConfig) -> Devices:
         devices = computer.open(config)
-        cameras.append(Loose(devices.cameras[1]))
+        cameras.append(LooseCamera(devices.cameras[1]))
         return replace(devices, cameras=(devices.cameras[0], cameras[0]))
 
-    bench = start(make_config(), open_them=open_them)
+    bench = start(make_config(), open_backend=open_devices_with_faults)
     [camera] = cameras
     camera.is_silent = True
-    assert bench.until(Trouble).message == "camera c1: does not tell its time."
-    camera.is_lost()
+    assert bench.until(Trouble).message == "camera c1: its clock cannot be read."
+    camera.report_lost()
     while bench.until(Trouble).message != "camera c1: is lost.":
         continue
-    told = len(bench.of(Trouble))
-    for _ in range(told):
+    reported = len(bench.of(Trouble))
+    for _ in range(reported):
         assert camera.asked.acquire(timeout=PATIENCE_S)
     bench.grant("one", 0)
     bench.send(Arm(TriggerPlan.of(bench.config.line)))
@@ -166,6 +166,6 @@ def test_a_clock_of_a_camera_that_is_lost_is_not_complained_of(start: Start, mak
         assert camera.asked.acquire(timeout=PATIENCE_S)
     computer.poor = 0
     bench.until(Armed)
-    assert len(bench.of(Trouble)) == told
-    camera.is_back()
-    assert bench.until(Trouble).message == "camera c1: does not tell its time."
+    assert len(bench.of(Trouble)) == reported
+    camera.report_back()
+    assert bench.until(Trouble).message == "camera c1: its clock cannot be read."

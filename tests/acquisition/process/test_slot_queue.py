@@ -1,4 +1,4 @@
-"""The magazine: no slot is ever in two hands, and every frame comes to its own run's memory."""
+"""Tests of the slot queue: a slot has one holder at a time, and every frame gets into its own run's memory."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import Slot
-from vaoi_station.acquisition.process.slot_queue import Magazine
+from vaoi_station.acquisition.process.slot_queue import SlotQueue
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import FrameShape, RingLayout
 
 
-class Holder:
+class SlotHolder:
     """A camera that only holds slots."""
 
     def __init__(self) -> None:
@@ -42,92 +42,92 @@ def ring(tmp_path: Path) -> Iterator[Ring]:
 
 
 @pytest.fixture
-def cameras() -> list[Holder]:
-    return [Holder(), Holder()]
+def cameras() -> list[SlotHolder]:
+    return [SlotHolder(), SlotHolder()]
 
 
 @pytest.fixture
-def magazine(ring: Ring, cameras: list[Holder]) -> Magazine:
-    return Magazine(ring, cameras)  # type: ignore[arg-type]  # it asks no more of a camera
+def slot_queue(ring: Ring, cameras: list[SlotHolder]) -> SlotQueue:
+    return SlotQueue(ring, cameras)  # type: ignore[arg-type]  # the slot queue uses no more of a camera
 
 
-def numbers(camera: Holder) -> list[int]:
+def numbers(camera: SlotHolder) -> list[int]:
     return [s.number for s in camera.slots]
 
 
-def test_loading_queues_every_slot_of_a_bay_in_the_camera_it_is_for(
-    magazine: Magazine, cameras: list[Holder], ring: Ring
+def test_loading_queues_every_slot_of_a_bay_in_its_camera(
+    slot_queue: SlotQueue, cameras: list[SlotHolder], ring: Ring
 ) -> None:
-    magazine.load(1)
+    slot_queue.load(1)
     for n, camera in enumerate(cameras):
         assert numbers(camera) == [ring.slot(1, n, k) for k in range(3)]
-    magazine.unload()
+    slot_queue.unload()
     assert [numbers(c) for c in cameras] == [[], []]
-    assert magazine.loaded is None
+    assert slot_queue.loaded is None
 
 
-def test_a_slot_still_being_written_is_not_queued_again_before_it_is_back(
-    magazine: Magazine, cameras: list[Holder], ring: Ring
+def test_a_slot_still_being_written_is_not_queued_before_it_is_returned(
+    slot_queue: SlotQueue, cameras: list[SlotHolder], ring: Ring
 ) -> None:
-    magazine.load(0)
+    slot_queue.load(0)
     flying = cameras[0].fill(5)
-    magazine.unload()
-    magazine.close_run(0)
-    magazine.load(0)
+    slot_queue.unload()
+    slot_queue.close_bay(0)
+    slot_queue.load(0)
     assert flying not in numbers(cameras[0])
-    magazine.came_back(flying)
-    magazine.recycle(flying)
+    slot_queue.mark_returned(flying)
+    slot_queue.recycle(flying)
     assert flying in numbers(cameras[0])
     assert not ring.memory(flying).any()
 
 
-def test_a_late_frame_is_brought_home_and_the_foreign_slot_given_back(
-    magazine: Magazine, cameras: list[Holder], ring: Ring
+def test_a_late_frame_is_copied_into_its_own_bay_and_the_other_slot_queued_again(
+    slot_queue: SlotQueue, cameras: list[SlotHolder], ring: Ring
 ) -> None:
-    magazine.load(0)
+    slot_queue.load(0)
     first = cameras[0].fill(1)
-    magazine.came_back(first)
-    magazine.unload()
-    magazine.load(1)
+    slot_queue.mark_returned(first)
+    slot_queue.unload()
+    slot_queue.load(1)
     late = cameras[0].fill(9)
-    magazine.came_back(late)
-    home = magazine.home(late, 0, 0)
-    assert home is not None
-    assert ring.layout.place(home)[:2] == (0, 0)
-    assert home != first
-    assert (ring.memory(home) == 9).all()
+    slot_queue.mark_returned(late)
+    moved = slot_queue.move_to_bay(late, 0, 0)
+    assert moved is not None
+    assert ring.layout.place(moved)[:2] == (0, 0)
+    assert moved != first
+    assert (ring.memory(moved) == 9).all()
     assert not ring.memory(late).any()
     assert sorted(numbers(cameras[0])) == [ring.slot(1, 0, k) for k in range(3)]
 
 
-def test_a_frame_that_came_in_an_earlier_runs_slot_gets_one_of_its_own_run(
-    magazine: Magazine, cameras: list[Holder], ring: Ring
+def test_a_frame_in_a_slot_of_an_earlier_run_is_copied_into_its_own_bay(
+    slot_queue: SlotQueue, cameras: list[SlotHolder], ring: Ring
 ) -> None:
-    magazine.load(0)
+    slot_queue.load(0)
     early = cameras[1].fill(4)
-    magazine.came_back(early)
-    magazine.unload()
-    magazine.load(1)
-    home = magazine.home(early, 1, 1)
-    assert home is not None
-    assert ring.layout.place(home)[:2] == (1, 1)
-    assert home not in numbers(cameras[1])
+    slot_queue.mark_returned(early)
+    slot_queue.unload()
+    slot_queue.load(1)
+    moved = slot_queue.move_to_bay(early, 1, 1)
+    assert moved is not None
+    assert ring.layout.place(moved)[:2] == (1, 1)
+    assert moved not in numbers(cameras[1])
     assert len(numbers(cameras[1])) == 2
 
 
-def test_without_room_a_frame_stays_homeless(magazine: Magazine, cameras: list[Holder]) -> None:
-    magazine.load(0)
+def test_without_a_free_slot_a_frame_is_refused(slot_queue: SlotQueue, cameras: list[SlotHolder]) -> None:
+    slot_queue.load(0)
     slot = cameras[0].fill(1)
-    magazine.came_back(slot)
-    assert magazine.home(slot, 0, 0) == slot
-    assert magazine.home(slot, 2, 0) is None
+    slot_queue.mark_returned(slot)
+    assert slot_queue.move_to_bay(slot, 0, 0) == slot
+    assert slot_queue.move_to_bay(slot, 2, 0) is None
 
 
-def test_slots_of_a_closed_run_are_left_alone(magazine: Magazine, cameras: list[Holder], ring: Ring) -> None:
-    magazine.load(0)
+def test_slots_of_a_closed_run_are_left_alone(slot_queue: SlotQueue, cameras: list[SlotHolder], ring: Ring) -> None:
+    slot_queue.load(0)
     slot = cameras[0].fill(7)
-    magazine.unload()
-    magazine.close_run(0)
-    magazine.came_back(slot)
-    magazine.recycle(slot)
-    assert (ring.memory(slot) == 7).all(), "the bay may be somebody else's by now"
+    slot_queue.unload()
+    slot_queue.close_bay(0)
+    slot_queue.mark_returned(slot)
+    slot_queue.recycle(slot)
+    assert (ring.memory(slot) == 7).all(), "the bay may belong to another run by now"

@@ -1,4 +1,4 @@
-"""Replay end to end: what comes out is what was recorded, to the nanosecond."""
+"""Tests of the replay end to end: runs equal their recordings, to the nanosecond."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_runs_come_back_exactly_as_recorded(
     bench.arm(runs=2)
     for n in range(6):
         finished = bench.until(RunFinished)
-        recording = recordings[1 if finished.head.lights else 0]  # a run that waits for frames is overtaken
+        recording = recordings[1 if finished.head.lights else 0]  # one that waits for frames may be overtaken
         assert finished.head.trigger_times_s == relative()
         assert set(finished.head.missing) == set(recording.head.missing)
         assert finished.head.lights == recording.head.lights
@@ -131,7 +131,7 @@ def test_disarming_in_the_middle_cuts_the_recording_short(
     assert finished.head.trigger_times_s == (0.0, 0.04, 0.08)[: finished.head.rows]
 
 
-def test_a_plan_with_too_few_rows_is_told(start: Start, make_replay: Callable[..., StationConfig]) -> None:
+def test_a_plan_with_too_few_rows_is_reported(start: Start, make_replay: Callable[..., StationConfig]) -> None:
     config = make_replay(longest_board_mm=10.0)
     assert config.line.rows_of_longest_board < 5 <= config.rows_per_run
     bench = start(config)
@@ -143,7 +143,7 @@ def test_a_plan_with_too_few_rows_is_told(start: Start, make_replay: Callable[..
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "message"),
     [
         ({"trigger_period_s": 0.05}, "trigger_period_s is 0.04"),
         ({"conveyor_mm_s": (0.0, 90.0)}, "conveyor_mm_s"),
@@ -153,15 +153,13 @@ def test_a_plan_with_too_few_rows_is_told(start: Start, make_replay: Callable[..
     ],
 )
 def test_a_recording_of_another_station_is_refused(
-    make_replay: Callable[..., StationConfig], changes: dict[str, Any], says: str
+    make_replay: Callable[..., StationConfig], changes: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         open_replay(make_replay(**changes))
 
 
-def test_a_replay_says_that_it_cannot_fire_by_itself_and_goes_on(
-    start: Start, make_replay: Callable[..., StationConfig]
-) -> None:
+def test_a_replay_refuses_single_pulses_and_continues(start: Start, make_replay: Callable[..., StationConfig]) -> None:
     bench = start(make_replay())
     bench.grant("one", 0)
     bench.send(FireOne())

@@ -1,4 +1,4 @@
-"""The simulated station end to end: the real main of the process, over a real pipe, in real time."""
+"""Tests of the simulated station end to end: the real main loop, over a real pipe, in real time."""
 
 from __future__ import annotations
 
@@ -102,16 +102,16 @@ def test_every_fault_ends_as_a_verdict_with_its_cause(start: Start, make_config:
     first, second = sorted(runs, key=lambda r: r.run)  # the first one waits for its late frames
     verdicts = {(f.camera, f.row): f for f in first.frames if f.verdict is not Verdict.OK}
     assert set(verdicts) == {(0, 1), (0, 3), (1, 3), (1, 2)}
-    assert "lost on the way: the camera counted it" in verdicts[0, 1].cause
-    torn = verdicts[1, 2]
+    assert "lost in transfer: the camera counted it" in verdicts[0, 1].cause
+    incomplete = verdicts[1, 2]
     truth = passage(bench.config)
-    if torn.verdict is Verdict.INCOMPLETE:
-        pixels, whole = bench.ring.frame(torn.slot), truth.frame(1, 2)
-        got_through = round(0.4 * pixels.size)
-        assert np.array_equal(pixels.flat[:got_through], whole.flat[:got_through])
-        assert not pixels.flat[got_through:].any(), "holes are black"
+    if incomplete.verdict is Verdict.INCOMPLETE:
+        pixels, whole = bench.ring.frame(incomplete.slot), truth.frame(1, 2)
+        arrived = round(0.4 * pixels.size)
+        assert np.array_equal(pixels.flat[:arrived], whole.flat[:arrived])
+        assert not pixels.flat[arrived:].any(), "holes are black"
     else:
-        assert torn.verdict is Verdict.MISSING, "rows 2 and 3 are both possible"
+        assert incomplete.verdict is Verdict.MISSING, "rows 2 and 3 are both possible"
     late = next(f for f in first.frames if (f.camera, f.row) == (1, 4))
     assert late.verdict is Verdict.OK
     for finished, board in ((first, truth), (second, passage(bench.config, 1))):
@@ -143,8 +143,8 @@ interval_s = 0.033
 """
 
 
-def test_what_is_wrong_with_a_trigger_is_named(start: Start, make_config: Make, tiny: str) -> None:
-    """Board 4 has no fault. The other camera is proven in every run."""
+def test_trigger_faults_are_found(start: Start, make_config: Make, tiny: str) -> None:
+    """Check that board 4 has no finding and the camera without faults is proven in every run."""
     bench = start(make_config(tiny + TRIGGER))
     bench.arm(runs=3)
     runs = []
@@ -153,9 +153,9 @@ def test_what_is_wrong_with_a_trigger_is_named(start: Start, make_config: Make, 
         if n < 2:
             bench.grant(f"run {n + 3}", runs[-1].bay)
     runs.sort(key=lambda finished: str(finished.run))  # those that wait for a frame finish later
-    for finished, afflicted in zip(runs, (0, 1, 1, 0, None), strict=True):
+    for finished, faulty in zip(runs, (0, 1, 1, 0, None), strict=True):
         for frame in finished.frames:
-            assert (frame.verdict is Verdict.OK and not frame.cause) or frame.camera == afflicted
+            assert (frame.verdict is Verdict.OK and not frame.cause) or frame.camera == faulty
     proofs = [finished.proof for finished in runs]
     named = [{(f.camera, f.row, f.kind) for f in proof.findings} for proof in proofs]
     assert named[0] == {(0, 2, "ignored-trigger")}
@@ -173,7 +173,7 @@ def test_a_board_without_memory_is_missed_and_the_next_is_filmed(start: Start, m
     bench = start(make_config())
     bench.arm()
     missed = bench.until(BoardMissed)
-    assert "no memory" in missed.reason
+    assert "no memory was free" in missed.reason
     bench.grant("after", 1)
     finished = bench.until(RunFinished)
     assert finished.run == "after"
@@ -183,7 +183,7 @@ def test_a_board_without_memory_is_missed_and_the_next_is_filmed(start: Start, m
         assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
 
 
-def test_pulses_without_the_barrier_show_the_calibration_board_that_lies_still(start: Start, make_config: Make) -> None:
+def test_pulses_without_the_barrier_show_the_calibration_board_at_rest(start: Start, make_config: Make) -> None:
     bench = start(make_config())
     assert bench.config.simulation is not None
     twin = Twin(read_scenario(bench.config.simulation.scenario))
@@ -199,7 +199,7 @@ def test_pulses_without_the_barrier_show_the_calibration_board_that_lies_still(s
     bench.grant("board", 2)
     bench.arm()
     bench.send(FireOne())
-    assert "boards are being filmed" in bench.until(Trouble).message
+    assert "the station is armed" in bench.until(Trouble).message
     finished = bench.until(RunFinished)
     assert (finished.run, finished.reason) == ("board", "clear")
     for frame in finished.frames:
@@ -236,7 +236,7 @@ def test_a_bouncing_barrier_is_one_board_and_frames_show_the_pulses_really_fired
     assert np.array_equal(bench.ring.frame(finished.frames[0].slot), first)
 
 
-def test_a_board_that_sticks_ends_at_the_most_rows(start: Start, make_config: Make, tiny: str) -> None:
+def test_a_stuck_board_ends_at_the_largest_number_of_rows(start: Start, make_config: Make, tiny: str) -> None:
     bench = start(make_config(tiny + "[[faults.stuck]]\nboard = 0\nrow = 1\n"))
     bench.arm(runs=2)
     stuck, following = bench.until(RunFinished), bench.until(RunFinished)
@@ -247,7 +247,7 @@ def test_a_board_that_sticks_ends_at_the_most_rows(start: Start, make_config: Ma
     assert following.head.missing == ()
 
 
-def test_disarming_gives_unused_memory_back_and_arming_again_films(start: Start, make_config: Make) -> None:
+def test_disarming_returns_unused_grants(start: Start, make_config: Make) -> None:
     config = make_config(interval_s=30.0)
     bench = start(config)
     bench.grant("one", 0)
@@ -275,7 +275,7 @@ def test_disarming_while_a_board_passes_finishes_the_run_with_what_it_has(
     assert bench.until(RunFinished).head.missing == ()
 
 
-def test_a_plan_the_scenario_was_not_made_for_is_refused_and_the_process_lives(start: Start, make_config: Make) -> None:
+def test_a_plan_that_differs_from_the_scenario_is_refused(start: Start, make_config: Make) -> None:
     bench = start(make_config())
     plan = TriggerPlan.of(bench.config.line)
     for change, key in (
@@ -311,7 +311,7 @@ def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Make) -> N
     assert not bench.thread.is_alive()
 
 
-def test_a_scenario_of_another_array_is_told_before_anything_starts(
+def test_a_scenario_of_another_array_is_refused_before_anything_starts(
     start: Callable[..., Any], make_config: Make, tmp_path: Path, tiny: str
 ) -> None:
     config = make_config()

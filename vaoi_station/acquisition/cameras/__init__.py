@@ -1,1 +1,1 @@
-"""Cameras: one interface, one module per backend; backends do not know one another."""
+"""Drive cameras: one interface and one module per backend; backends do not import one another."""

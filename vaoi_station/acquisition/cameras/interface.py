@@ -1,8 +1,8 @@
-"""What the recorder asks of a camera, whatever drives it.
+"""The interface of a camera, independent of its backend.
 
-A camera fills slots of the ring by itself, in a thread of its own: before the first pulse every slot
-of the coming run is queued; each pulse fills the next one. The recorder pulls `Arrival`s from one
-queue for all cameras. Nothing here looks at pixels.
+A camera fills slots of the ring from a thread of its own: every slot of a coming run is queued before the first pulse,
+and each pulse fills the next one. The acquisition process reads `Arrival`s from one queue for all cameras. No pixel is
+read here.
 """
 
 from __future__ import annotations
@@ -28,10 +28,9 @@ class Slot:
 
 @dataclass(frozen=True)
 class Arrival:
-    """What a camera says of one slot it has finished with.
+    """A slot that a camera has finished with.
 
-    Without `complete`, trust nothing: `frame_id` and `time_s` are None where the camera's word would
-    be stale (`notes`: an incomplete GigE frame repeats an older id).
+    `frame_id` and `time_s` are None unless `complete`: an incomplete GigE frame repeats those of an older frame.
     """
 
     camera: int
@@ -39,16 +38,16 @@ class Arrival:
     complete: bool
     frame_id: int | None
     time_s: float | None
-    """Start of exposure by the camera's own clock."""
+    """Start of exposure by the camera's clock."""
     host_time_s: float
-    """time.monotonic() when the slot was handed over."""
+    """time.monotonic() when the slot was delivered."""
     fault: str = ""
-    """The backend's word for what went wrong, for the verdict's cause."""
+    """What the backend found wrong, for the cause of the verdict; empty if nothing."""
 
 
 @dataclass(frozen=True)
 class CameraHealth:
-    """What a status page shows of one camera."""
+    """The state of one camera, for status pages."""
 
     connected: bool
     message: str = ""
@@ -56,18 +55,18 @@ class CameraHealth:
     delivered: int = 0
     incomplete: int = 0
     last_frame_s: float | None = None
-    """time.monotonic() when the last whole frame was handed over."""
+    """time.monotonic() when the last complete frame was delivered."""
     counters: tuple[tuple[str, int], ...] = ()
-    """The driver's own, by name, for diagnosis."""
+    """Counters of the driver by name, for diagnosis."""
     next_try_s: float | None = None
-    """time.monotonic() when one that is not connected is opened again; None while it is being opened."""
+    """time.monotonic() of the next attempt to open a camera that is not connected; None during an attempt."""
     action: str = ""
-    """What to do about one that is not connected, where that is known."""
+    """What to do about a camera that is not connected, where that is known."""
 
 
 @dataclass(frozen=True)
 class DeviceFault:
-    """A device's own thread ran into trouble; it goes the way of its news."""
+    """A fault in a device's own thread; it goes through the queue of the device's events."""
 
     device: str
     error: VaoiError
@@ -75,45 +74,46 @@ class DeviceFault:
 
 @dataclass(frozen=True)
 class CameraLost:
-    """A camera does not answer any more; its backend goes on looking for it."""
+    """A camera stopped answering; its backend continues to look for it."""
 
     camera: int
     since_s: float
-    """time.monotonic() since when it may have been away."""
+    """Earliest time.monotonic() at which it may have been away."""
     why: str
-    """In a few words, for the causes of what it misses."""
+    """The reason in a few words, for the causes of the frames that it misses."""
     error: VaoiError
 
 
 @dataclass(frozen=True)
 class CameraBack:
-    """A camera that was lost films again; its clock may have started anew."""
+    """A lost camera delivers again; its clock may have restarted."""
 
     camera: int
     at_s: float
     reading: ClockReading
+    """A reading of its clock, taken before its first frame."""
 
 
-CameraNews = Arrival | CameraLost | CameraBack | DeviceFault
+CameraEvent = Arrival | CameraLost | CameraBack | DeviceFault
 
 
 class CameraDevice(Protocol):
     """One camera of the array, opened and in trigger mode."""
 
-    def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
-        """Begin to deliver; every finished slot is announced in `arrivals`."""
+    def start(self, events: SimpleQueue[CameraEvent]) -> None:
+        """Begin to deliver; put every finished slot and every change of state into `events`."""
 
     def queue(self, slot: Slot) -> None:
-        """Offer memory for a coming frame; slots are filled in the order they were queued."""
+        """Queue memory for a coming frame; slots are filled in the order in which they were queued."""
 
     def take_back(self) -> list[int]:
-        """Withdraw the slots that were queued and not used; their numbers."""
+        """Withdraw the slots that were queued and not used; return their numbers."""
 
     def read_clock(self) -> ClockReading:
-        """Compare the camera's clock with the host's; called from a thread of its own, as it may take seconds."""
+        """Compare the camera's clock with the host's; may block for seconds."""
 
     def health(self) -> CameraHealth:
-        """The camera's state; never blocks."""
+        """Return the camera's state; never blocks."""
 
     def close(self) -> None:
-        """Stop delivering and release the camera; no slot is written to afterwards."""
+        """Stop delivery and release the camera; no slot is written to afterwards."""

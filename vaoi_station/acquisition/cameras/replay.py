@@ -1,4 +1,4 @@
-"""A camera that shows what it once recorded."""
+"""A camera that delivers the frames of a recording."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.virtual import DeliveringCamera, Exposure
+from vaoi_station.acquisition.cameras.virtual import Exposure, VirtualCamera
 from vaoi_station.acquisition.device_clock import DeviceClock
 
 
-class ReplayCamera(DeliveringCamera):
-    """Its clock is the recording's: time stamps are the recorded trigger times themselves."""
+class ReplayCamera(VirtualCamera):
+    """A camera with the recording's clock: its time stamps are the recorded trigger times."""
 
     def __init__(self, number: int, clock: DeviceClock) -> None:
         super().__init__(number, clock.read_exactly)
         self._ids = count(1)
 
     def play(self, time_s: float, pixels: NDArray[np.uint8] | None) -> None:
-        """Deliver a frame now that was exposed at `time_s`; None: it is missing in the recording."""
+        """Deliver a frame now that was exposed at `time_s`; None if the recording lacks it."""
+        # A missing frame uses an id too, so that its cause is a loss in transfer.
         frame_id = next(self._ids)
         if pixels is not None:
             now_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""A camera that sees the twin's line: it has a clock, a latency and a jitter of its own."""
+"""A camera of the simulated line, with its own clock, latency and jitter."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.virtual import DeliveringCamera, Exposure
-from vaoi_station.acquisition.causes import WRAP
+from vaoi_station.acquisition.cameras.virtual import Exposure, VirtualCamera
+from vaoi_station.acquisition.causes import MAX_FRAME_ID
 from vaoi_station.acquisition.device_clock import DeviceClock
 
 READOUT_S = 0.008
 TRANSFER_S = 0.012
 JITTER_S = 0.002
-"""Largest extra delay of a transfer."""
+"""Largest random delay of a transfer, s."""
 TRIGGER_LATENCY_S = 5e-6
 TRIGGER_JITTER_S = 2e-6
 FIRST_ID = 65500
-"""Numbers wrap after 35 frames, so that every longer test meets the wrap."""
+"""First frame id. Ids wrap after 35 frames, so that every longer test includes the wrap."""
 
 
-class SimulatedCamera(DeliveringCamera):
-    """Triggered by the line at host times; delivers what it is shown after read-out and transfer."""
+class SimulatedCamera(VirtualCamera):
+    """A camera that the line triggers at host times; it delivers the given pixels after read-out and transfer."""
 
     def __init__(self, number: int, clock: DeviceClock, exposure_us: float) -> None:
         super().__init__(number, clock.read)
@@ -39,15 +39,25 @@ class SimulatedCamera(DeliveringCamera):
         lost: bool = False,
         late_s: float = 0.0,
         share: float = 1.0,
-        said: tuple[float, int] = (0.0, 0),
+        stamp_error_s: float = 0.0,
+        id_error: int = 0,
     ) -> None:
-        """Expose at a host time. A lost frame is counted by the camera and never arrives.
+        """Expose at a host time.
 
-        The frame says by `said` (s, ids) more than the truth when it was taken and which it is.
+        Args:
+            host_s: time of the pulse.
+            pixels: flat bytes of the frame.
+            lost: the camera counts the frame, but it never arrives.
+            late_s: additional delay of the transfer.
+            share: share of the frame that arrives.
+            stamp_error_s: is added to the time stamp.
+            id_error: is added to the frame id.
         """
-        frame_id, self._id = (self._id - 1 + said[1]) % WRAP + 1, self._id % WRAP + 1
+        # Ids count from 1 to 65535 and then from 1 again, as those of GigE Vision.
+        frame_id, self._id = (self._id - 1 + id_error) % MAX_FRAME_ID + 1, self._id % MAX_FRAME_ID + 1
         if lost:
             return
-        stamp_s = self._clock.device_s(host_s + said[0] + TRIGGER_LATENCY_S + self._random.uniform(0, TRIGGER_JITTER_S))
+        latency_s = TRIGGER_LATENCY_S + self._random.uniform(0, TRIGGER_JITTER_S)
+        stamp_s = self._clock.device_s(host_s + stamp_error_s + latency_s)
         begin_s = host_s + self._exposure_s + READOUT_S + self._random.uniform(0, JITTER_S) + late_s
         self.expose(Exposure(frame_id, stamp_s, begin_s, begin_s + TRANSFER_S, pixels, share))

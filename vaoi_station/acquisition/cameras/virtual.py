@@ -1,8 +1,7 @@
-"""A camera without glass: it is handed exposures and delivers them into slots from a thread of its own.
+"""A camera without hardware: it receives exposures and delivers them into slots from a thread of its own.
 
-Simulated and replayed cameras share it. Like a stream of a real camera it takes a queued slot when the
-transfer of a frame begins, fills it, and announces it when the transfer ends; without a slot the frame
-is lost.
+It is the base of simulated and replayed cameras. Like the stream of a real camera it takes a queued slot when the
+transfer of a frame begins, fills it, and reports it when the transfer ends. Without a slot the frame is dropped.
 """
 
 from __future__ import annotations
@@ -19,26 +18,29 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, CameraNews, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockReading
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One frame on its way: taken at `time_s` of the camera's clock, transferred from begin to end (host time)."""
+    """One frame to be transferred."""
 
     frame_id: int
     time_s: float
+    """Time stamp by the camera's clock."""
     begin_s: float
+    """Host time at which the transfer begins."""
     end_s: float
+    """Host time at which it ends."""
     pixels: NDArray[np.uint8]
     """All bytes of the frame, flat."""
     share: float = 1.0
-    """How much of it gets through."""
+    """Share of the bytes that arrive."""
 
 
-class DeliveringCamera:
-    """A `CameraDevice` fed by `expose`."""
+class VirtualCamera:
+    """A `CameraDevice` that delivers what `expose` receives."""
 
     def __init__(self, number: int, read_clock: Callable[[], ClockReading]) -> None:
         self.number = number
@@ -49,68 +51,70 @@ class DeliveringCamera:
         self._change = threading.Condition()
         self._closing = False
         self._thread: threading.Thread | None = None
-        self._delivered = self._incomplete = self._starved = 0
+        self._delivered = self._incomplete = self._dropped = 0
 
-    def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
+    def start(self, events: SimpleQueue[CameraEvent]) -> None:
         """Begin to deliver."""
-        self._thread = threading.Thread(target=self._deliver, args=(arrivals,), name=f"camera-{self.number}")
+        self._thread = threading.Thread(target=self._deliver, args=(events,), name=f"camera-{self.number}")
         self._thread.start()
 
     def expose(self, exposure: Exposure) -> None:
-        """Hand over a frame; it is delivered at its times."""
+        """Deliver a frame at its times."""
         with self._change:
+            # The running number keeps the order of exposures whose transfers begin at the same time.
             heapq.heappush(self._coming, (exposure.begin_s, next(self._order), exposure))
             self._change.notify()
 
     def queue(self, slot: Slot) -> None:
-        """Offer memory for a coming frame."""
+        """Queue memory for a coming frame."""
         with self._change:
             self._slots.append(slot)
 
     def take_back(self) -> list[int]:
-        """Withdraw the slots that were not used."""
+        """Withdraw the unused slots; return their numbers."""
         with self._change:
             numbers = [s.number for s in self._slots]
             self._slots.clear()
             return numbers
 
     def health(self) -> CameraHealth:
-        """Counts of what was delivered."""
-        message = f"{self._starved} frames found no memory" if self._starved else ""
+        """Return the counts of delivered frames."""
+        message = f"{self._dropped} frames dropped: no free slot in the ring" if self._dropped else ""
         return CameraHealth(not self._closing, message, None, self._delivered, self._incomplete)
 
     def close(self) -> None:
-        """End the thread; frames on their way are dropped."""
+        """End the thread; frames in transfer are dropped."""
         with self._change:
             self._closing = True
             self._change.notify()
         if self._thread is not None:
             self._thread.join()
 
-    def _deliver(self, arrivals: SimpleQueue[CameraNews]) -> None:
+    def _deliver(self, events: SimpleQueue[CameraEvent]) -> None:
         while (exposure := self._next()) is not None:
             with self._change:
                 slot = self._slots.popleft() if self._slots else None
             if slot is None:
-                self._starved += 1
+                self._dropped += 1
                 continue
-            got_through = round(exposure.pixels.size * exposure.share)
-            slot.memory[:got_through] = exposure.pixels[:got_through]
+            arrived = round(exposure.pixels.size * exposure.share)
+            # Bytes that do not arrive stay black: the slot was cleared before it was queued.
+            slot.memory[:arrived] = exposure.pixels[:arrived]
             if not self._wait_until(exposure.end_s):
                 return
-            arrivals.put(self._announce(exposure, slot))
+            events.put(self._arrival(exposure, slot))
 
-    def _announce(self, exposure: Exposure, slot: Slot) -> Arrival:
+    def _arrival(self, exposure: Exposure, slot: Slot) -> Arrival:
         now_s = time.monotonic()
         if exposure.share < 1:
             self._incomplete += 1
-            fault = f"only {exposure.share:.0%} of the frame came through"
+            fault = f"only {exposure.share:.0%} of the frame arrived"
             return Arrival(self.number, slot.number, False, None, None, now_s, fault)
         self._delivered += 1
         return Arrival(self.number, slot.number, True, exposure.frame_id, exposure.time_s, now_s)
 
     def _next(self) -> Exposure | None:
-        """The next transfer, when it is time for it; None when the camera is closed."""
+        """Wait until the next transfer begins and return it; None when the camera is closed."""
         with self._change:
             while not self._closing:
                 wait_s = self._coming[0][0] - time.monotonic() if self._coming else None
@@ -120,7 +124,7 @@ class DeliveringCamera:
             return None
 
     def _wait_until(self, host_s: float) -> bool:
-        """False if the camera was closed meanwhile."""
+        """Wait until a host time; return False if the camera was closed meanwhile."""
         with self._change:
             while not self._closing and (left_s := host_s - time.monotonic()) > 0:
                 self._change.wait(left_s)

@@ -1,1 +1,1 @@
-"""Pair every pulse with one frame per camera, by time, and prove the result."""
+"""Assign every frame to its pulse by time, settle every (camera, row) of a run, and prove the result. Pure logic."""

@@ -1,8 +1,8 @@
-"""The proof of a run: every frame belongs to its pulse, or what speaks against it is named.
+"""The proof of a run: every frame belongs to its pulse, or findings state what contradicts it.
 
-A frame is given to a pulse by time alone, on the host's clock. Three independent witnesses are heard afterwards: the
-camera's own clock against the controller's, to microseconds; the camera's count of its frames; and causality, for no
-frame can arrive before its pulse. Pure logic.
+A frame is assigned to a pulse by time alone, on the host's clock. Three independent checks follow: the camera's own
+clock against the controller's, to microseconds; the frame ids of the camera; and causality, for no frame arrives
+before its pulse. Pure logic.
 """
 
 from __future__ import annotations
@@ -11,219 +11,232 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Literal
 
-from vaoi_station.acquisition.causes import Gap, straightened
-from vaoi_station.acquisition.pairing.clock_fit import middle, residuals_s, steady_interval_s
-from vaoi_station.acquisition.pairing.records import KnownPulse, Seen
+from vaoi_station.acquisition.causes import Gap, in_counting_order
+from vaoi_station.acquisition.pairing.clock_fit import free_running_interval_s, median, residuals_s
+from vaoi_station.acquisition.pairing.observations import ObservedFrame, ObservedPulse
 from vaoi_station.model import Noun
 
-LIMIT_S = 200e-6
-"""Frames of a triggered camera keep time with the pulses to this; jitter is some 10 µs."""
+RESIDUAL_LIMIT_S = 200e-6
+"""Largest residual of a triggered camera's frame against the pulses, s; real jitter is some 10 µs."""
 Kind = Literal["runs-freely", "extra-frame", "ignored-trigger", "exchanged", "off-beat", "early", "miscounted"]
-QUESTIONS: frozenset[Kind] = frozenset({"runs-freely", "exchanged", "off-beat", "early", "miscounted"})
-"""Findings by which a frame may be of another moment than its row's pulse."""
+QUESTIONING_KINDS: frozenset[Kind] = frozenset({"runs-freely", "exchanged", "off-beat", "early", "miscounted"})
+"""Kinds of findings by which a frame may belong to another moment than its row's pulse."""
 
 
 class TriggerFinding(Noun):
-    """Something about one camera, or one of its rows, that is not as it should be."""
+    """A deviation of one camera, or of one of its rows, from one frame per pulse."""
 
     camera: int
     row: int | None
-    """None: it is about all of them."""
+    """None: it concerns all rows."""
     kind: Kind
     text: str
 
 
 class CameraProof(Noun):
-    """One camera's witnesses."""
+    """The figures of one camera."""
 
     camera: int
     pulses: int
     frames: int
-    """Whole frames that have a row."""
+    """Complete frames that have a row."""
     extra: int
-    """Frames that have none."""
+    """Complete frames that have none."""
     max_residual_us: float | None
-    """Camera's clock against the controller's, after a straight line; None for fewer than two frames."""
+    """Largest residual of the camera's clock against the controller's; None for fewer than two frames."""
     latency_us: float | None
-    """Median of time stamp minus pulse, by way of the host's clock."""
+    """Median of time stamp minus pulse on the host's clock."""
     proven: bool
 
 
 class TriggerProof(Noun):
-    """Every frame of a run belongs to its pulse, or `findings` name what speaks against it."""
+    """The check that every frame of a run belongs to its pulse; `findings` state what contradicts it."""
 
     proven: bool
-    limit_us: float = LIMIT_S * 1e6
+    limit_us: float = RESIDUAL_LIMIT_S * 1e6
     cameras: tuple[CameraProof, ...]
     findings: tuple[TriggerFinding, ...]
 
 
 def prove(
-    pulses: Mapping[int, KnownPulse],
+    pulses: Mapping[int, ObservedPulse],
     pulse_bound_s: float,
-    seen: Sequence[Sequence[Seen]],
+    frames: Sequence[Sequence[ObservedFrame]],
     gaps: Sequence[Sequence[Gap]],
 ) -> TriggerProof:
-    """Hear all witnesses.
+    """Check the frames of every camera against the pulses.
 
     Args:
-        pulses: row → pulse, of all rows that were fired and told.
-        pulse_bound_s: how far a pulse's host time may be off.
-        seen: whole frames of every camera, those of no row included.
-        gaps: what every camera's count says (`causes.gaps`).
+        pulses: row → pulse, of all rows that were fired and reported.
+        pulse_bound_s: largest error of a pulse's host time.
+        frames: complete frames of every camera, unassigned ones included.
+        gaps: the gaps in the frame ids of every camera (`causes.find_gaps`).
     """
     cameras, findings = [], []
-    for camera, (frames, between) in enumerate(zip(seen, gaps, strict=True)):
-        placed = sorted((f for f in frames if f.row is not None), key=lambda f: f.row or 0)
-        off = _residuals(pulses, placed)
-        extra = sorted((f for f in frames if f.row is None), key=lambda f: f.host_s)
-        found = _Camera(camera, pulses, pulse_bound_s, placed, extra, off, between).findings()
+    for camera, (observed, between) in enumerate(zip(frames, gaps, strict=True)):
+        assigned = sorted((f for f in observed if f.row is not None), key=lambda f: f.row or 0)
+        residuals = _residuals(pulses, assigned)
+        extra = sorted((f for f in observed if f.row is None), key=lambda f: f.host_s)
+        found = _CameraCheck(camera, pulses, pulse_bound_s, assigned, extra, residuals, between).findings()
         findings += found
         cameras.append(
             CameraProof(
                 camera=camera,
                 pulses=len(pulses),
-                frames=len(placed),
+                frames=len(assigned),
                 extra=len(extra),
-                max_residual_us=max(map(abs, off.values())) * 1e6 if len(off) > 1 else None,
-                latency_us=_latency_s(pulses, placed) * 1e6 if placed else None,
-                proven=not any(f.kind in QUESTIONS for f in found),
+                max_residual_us=max(map(abs, residuals.values())) * 1e6 if len(residuals) > 1 else None,
+                latency_us=_latency_s(pulses, assigned) * 1e6 if assigned else None,
+                proven=not any(f.kind in QUESTIONING_KINDS for f in found),
             )
         )
     proven = all(c.proven for c in cameras)
     return TriggerProof(proven=proven, cameras=tuple(cameras), findings=tuple(findings))
 
 
-class _Camera:
-    """The witnesses of one camera."""
+def questioned_rows(proof: TriggerProof, camera: int, rows: AbstractSet[int]) -> dict[int, str]:
+    """Return those of the rows of a camera whose frames a finding puts in question → the texts of the findings."""
+    notes: dict[int, str] = {}
+    for finding in proof.findings:
+        if finding.camera == camera and finding.kind in QUESTIONING_KINDS:
+            for row in rows if finding.row is None else rows & {finding.row}:
+                notes[row] = f"{notes[row]}; {finding.text}" if row in notes else finding.text
+    return notes
+
+
+class _CameraCheck:
+    """The checks of one camera."""
 
     def __init__(
         self,
         camera: int,
-        pulses: Mapping[int, KnownPulse],
+        pulses: Mapping[int, ObservedPulse],
         pulse_bound_s: float,
-        placed: Sequence[Seen],
-        extra: Sequence[Seen],
-        off_s: Mapping[int, float],
+        assigned: Sequence[ObservedFrame],
+        extra: Sequence[ObservedFrame],
+        residuals_s: Mapping[int, float],
         gaps: Sequence[Gap],
     ) -> None:
         self._camera, self._pulses, self._bound_s, self._gaps = camera, pulses, pulse_bound_s, gaps
-        self._placed, self._extra, self._off_s = placed, extra, off_s
+        self._assigned, self._extra, self._residuals_s = assigned, extra, residuals_s
 
     def findings(self) -> list[TriggerFinding]:
-        """Everything there is to say; of a camera that runs freely nothing else."""
-        freely = self._runs_freely()
-        if freely is not None:
-            return [freely]
-        found = [*self._off_beat(), *self._exchanged(), *self._early(), *self._counted(), *self._extras()]
+        """Return all findings, at most one per row and kind; of a free-running camera only that."""
+        free_running = self._free_running()
+        if free_running is not None:
+            return [free_running]
+        found = [
+            *self._off_beat(), *self._exchanged(), *self._early(), *self._miscounted(), *self._unassigned(),
+        ]  # fmt: skip
+        # Several checks may find the same fault: the first text of a row and kind is kept.
         once: dict[tuple[int | None, Kind], TriggerFinding] = {}
         for finding in found:
             once.setdefault((finding.row, finding.kind), finding)
         return list(once.values())
 
-    def _say(self, row: int | None, kind: Kind, text: str) -> TriggerFinding:
+    def _finding(self, row: int | None, kind: Kind, text: str) -> TriggerFinding:
         return TriggerFinding(camera=self._camera, row=row, kind=kind, text=text)
 
-    def _runs_freely(self) -> TriggerFinding | None:
-        """Its frames come by a clock, but not by the controller's."""
-        off = [row for row, s in self._off_s.items() if abs(s) > LIMIT_S]
+    def _free_running(self) -> TriggerFinding | None:
+        """Check whether the frames come by a clock that is not the controller's."""
+        off = [row for row, s in self._residuals_s.items() if abs(s) > RESIDUAL_LIMIT_S]
+        # A triggered camera is steady too. Only residuals or unassigned frames show that its clock is another one.
         if not (off or self._extra):
             return None
-        frames = sorted((f for f in [*self._placed, *self._extra] if f.frame_id is not None), key=lambda f: f.time_s)
+        frames = sorted((f for f in [*self._assigned, *self._extra] if f.frame_id is not None), key=lambda f: f.time_s)
         if len({f.epoch for f in frames}) != 1:
             return None
-        interval_s = steady_interval_s([f.time_s for f in frames], [f.frame_id or 0 for f in frames])
+        interval_s = free_running_interval_s([f.time_s for f in frames], [f.frame_id or 0 for f in frames])
         if interval_s is None or (not off and self._answers_every_pulse()):
             return None
-        text = (
-            f"it sends a frame every {interval_s * 1e3:.1f} ms whatever is fired: it runs freely, or by another trigger"
-        )
-        return self._say(None, "runs-freely", text)
+        text = f"it sends a frame every {interval_s * 1e3:.1f} ms, independent of the pulses: "
+        return self._finding(None, "runs-freely", text + "it runs freely, or on another trigger")
 
     def _answers_every_pulse(self) -> bool:
-        """Then what it sends besides lies between the pulses, and is extra."""
+        """Whether every pulse has a frame and all unassigned frames lie between pulses: those are extra exposures."""
         first_s, last_s = (edge(p.host_s for p in self._pulses.values()) for edge in (min, max))
         inside = all(first_s < f.host_s < last_s for f in self._extra)
-        return inside and len(self._placed) == len(self._pulses)
+        return inside and len(self._assigned) == len(self._pulses)
 
     def _off_beat(self) -> list[TriggerFinding]:
         return [
-            self._say(
+            self._finding(
                 row,
                 "off-beat",
-                f"its frame is dated {s * 1e6:+.0f} µs from where the camera's others say: it was exposed by "
-                "something else than its pulse, or its time stamp is wrong",
+                f"the time stamp of its frame is {s * 1e6:+.0f} µs off the line through the camera's other frames: "
+                "something other than its pulse exposed it, or the time stamp is wrong",
             )
-            for row, s in self._off_s.items()
-            if abs(s) > LIMIT_S
+            for row, s in self._residuals_s.items()
+            if abs(s) > RESIDUAL_LIMIT_S
         ]
 
     def _early(self) -> list[TriggerFinding]:
-        """A frame that came before its pulse is another's: one of those that came after it and stand before it.
-
-        A replay that does not wait for the clock tells of pulses before their time; there causality says nothing.
-        """
+        """Find frames that arrived before their pulse, and the later-arriving frames they are exchanged with."""
         found = []
-        for frame in self._placed:
+        for frame in self._assigned:
             assert frame.row is not None
             fired_s = self._pulses[frame.row].host_s - self._bound_s
             before_s = fired_s - frame.arrived_s
-            if before_s <= 0 or self._pulses[frame.row].heard_s < fired_s:
+            # A replay at the fast pace reports pulses before their time: causality proves nothing there.
+            if before_s <= 0 or self._pulses[frame.row].reported_s < fired_s:
                 continue
-            text = f"its frame had arrived {before_s * 1e3:.1f} ms before its pulse was fired: it is of an earlier one"
-            found.append(self._say(frame.row, "early", text))
-            for other in self._placed:
+            text = f"its frame arrived {before_s * 1e3:.1f} ms before its pulse was fired: it is of an earlier pulse"
+            found.append(self._finding(frame.row, "early", text))
+            for other in self._assigned:
                 if other.row is not None and other.row < frame.row and other.arrived_s > frame.arrived_s:
-                    text = f"its frame came after that of row {frame.row}, which came before its pulse: exchanged"
-                    found.append(self._say(other.row, "exchanged", text))
+                    text = (
+                        f"its frame arrived after that of row {frame.row}, which arrived before its own pulse: "
+                        "the frames are exchanged"
+                    )
+                    found.append(self._finding(other.row, "exchanged", text))
         return found
 
     def _exchanged(self) -> list[TriggerFinding]:
-        """By time they stand in one order, by number in another."""
+        """Find frames whose ids are in another order than their time stamps."""
         found = []
-        for epoch in sorted({f.epoch for f in self._placed}):
+        for epoch in sorted({f.epoch for f in self._assigned}):
             ids = {
                 f.row: f.frame_id
-                for f in self._placed
+                for f in self._assigned
                 if f.epoch == epoch and f.row is not None and f.frame_id is not None
             }
-            straight = straightened(ids)
-            rows_of = {frame_id: row for row, frame_id in straight.items()}
+            ordered = in_counting_order(ids)
+            row_of_id = {frame_id: row for row, frame_id in ordered.items()}
             found += [
-                self._say(
+                self._finding(
                     row,
                     "exchanged",
-                    f"its frame has the id {ids[row]}, which should be that of row {rows_of[ids[row]]}: "
-                    "frames, or their time stamps, are exchanged",
+                    f"its frame has the id {ids[row]}, which should be that of row {row_of_id[ids[row]]}: "
+                    "frames or their time stamps are exchanged",
                 )
                 for row in ids
-                if ids[row] != straight[row]
+                if ids[row] != ordered[row]
             ]
         return found
 
-    def _counted(self) -> list[TriggerFinding]:
-        """What the count of the frames says of the pulses between two of them."""
+    def _miscounted(self) -> list[TriggerFinding]:
+        """Find gaps in the frame ids that do not match the pulses in between."""
         found = []
         for gap in self._gaps:
-            if gap.ignored == 0:
-                continue  # every pulse between was answered; what is missing was lost on the way
-            if gap.ignored > len(gap.missing):
+            # Every pulse in between was answered: missing frames were lost in transfer, which is no trigger fault.
+            if gap.unanswered == 0:
+                continue
+            if gap.unanswered > len(gap.missing):
                 text = f"its frame's id does not count the pulses since row {gap.before} {gap.span}"
-                found.append(self._say(gap.after, "miscounted", text))
-            elif gap.ignored == len(gap.missing):
+                found.append(self._finding(gap.after, "miscounted", text))
+            elif gap.unanswered == len(gap.missing):
                 text = f"the camera did not answer its pulse {gap.span}"
-                found += [self._say(row, "ignored-trigger", text) for row in gap.missing]
-            elif gap.ignored > 0:
+                found += [self._finding(row, "ignored-trigger", text) for row in gap.missing]
+            elif gap.unanswered > 0:
                 rows = ", ".join(map(str, gap.missing))
-                text = f"the camera did not answer {gap.ignored} of the pulses of rows {rows} {gap.span}"
-                found.append(self._say(None, "ignored-trigger", text))
-            elif gap.ignored < 0:
-                more = f"{-gap.ignored} time(s) more than it was triggered"
-                text = f"the camera exposed {more} since row {gap.before} {gap.span}"
-                found.append(self._say(gap.after, "extra-frame", text))
+                text = f"the camera did not answer {gap.unanswered} of the pulses of rows {rows} {gap.span}"
+                found.append(self._finding(None, "ignored-trigger", text))
+            else:
+                text = f"since row {gap.before} the camera exposed {-gap.unanswered} time(s) without a pulse {gap.span}"
+                found.append(self._finding(gap.after, "extra-frame", text))
         return found
 
-    def _extras(self) -> list[TriggerFinding]:
+    def _unassigned(self) -> list[TriggerFinding]:
         found = []
         for frame in self._extra:
             rows = [row for row, pulse in self._pulses.items() if pulse.host_s <= frame.host_s + self._bound_s]
@@ -232,31 +245,21 @@ class _Camera:
             if row is not None:
                 since = f"{(frame.host_s - self._pulses[row].host_s) * 1e3:.1f} ms after the pulse of row {row}"
             number = f" (frame id {frame.frame_id})" if frame.frame_id is not None else ""
-            text = f"the camera exposed once more than it was triggered, {since}{number}: its trigger line bounces"
-            found.append(self._say(row, "extra-frame", text))
+            text = f"the camera exposed once without a pulse, {since}{number}: its trigger line may bounce"
+            found.append(self._finding(row, "extra-frame", text))
         return found
 
 
-def _residuals(pulses: Mapping[int, KnownPulse], placed: Sequence[Seen]) -> dict[int, float]:
-    """Row → how far its frame is off the camera's beat, s; every epoch has a clock of its own."""
-    off: dict[int, float] = {}
-    for epoch in {f.epoch for f in placed}:
-        frames = [f for f in placed if f.epoch == epoch and f.row is not None]
+def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:
+    """Return row → residual of its frame against the pulses, s; a line is fitted per epoch, which has its own clock."""
+    found: dict[int, float] = {}
+    for epoch in {f.epoch for f in assigned}:
+        frames = [f for f in assigned if f.epoch == epoch and f.row is not None]
         rows = [f.row for f in frames if f.row is not None]
         left = residuals_s([pulses[row].pulse.time_s for row in rows], [f.time_s for f in frames])
-        off |= dict(zip(rows, left.tolist(), strict=True))
-    return dict(sorted(off.items()))
+        found |= dict(zip(rows, left.tolist(), strict=True))
+    return dict(sorted(found.items()))
 
 
-def _latency_s(pulses: Mapping[int, KnownPulse], placed: Sequence[Seen]) -> float:
-    return middle([f.host_s - pulses[f.row].host_s for f in placed if f.row is not None])
-
-
-def rows_in_question(proof: TriggerProof, camera: int, rows: AbstractSet[int]) -> dict[int, str]:
-    """Rows of a camera → what speaks against their frames."""
-    notes: dict[int, str] = {}
-    for finding in proof.findings:
-        if finding.camera == camera and finding.kind in QUESTIONS:
-            for row in rows if finding.row is None else rows & {finding.row}:
-                notes[row] = f"{notes[row]}; {finding.text}" if row in notes else finding.text
-    return notes
+def _latency_s(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> float:
+    return median([f.host_s - pulses[f.row].host_s for f in assigned if f.row is not None])

@@ -1,9 +1,9 @@
-"""Pairs every pulse with one frame per camera, by time, and ends every run with a verdict for all.
+"""Assign one frame per camera to every pulse, by time, and end every run with a verdict for each (camera, row).
 
-Pure logic: events, arrivals and the time of day come in, outcomes go out; there is no thread and no
-device here. A frame belongs to the pulse nearest to its time stamp, both mapped to the host's clock, if
-it is near enough; never to a pulse because of the order of arrival. A pulse and its frames may become
-known in either order, and frames of one run may come while the next is filmed.
+Pure logic: events, arrivals and the time of day come in, outcomes go out; there are no threads and no devices here.
+A frame belongs to the pulse nearest to its time stamp, both mapped to the host's clock, if that is near enough. The
+order of arrival never decides. A pulse and its frames may become known in either order, and frames of one run may
+arrive while the next run is filmed.
 """
 
 from __future__ import annotations
@@ -13,314 +13,326 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import Arrival
-from vaoi_station.acquisition.causes import Outages
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import PulseFired
-from vaoi_station.acquisition.pairing.elimination import eliminate
+from vaoi_station.acquisition.outages import Outages
+from vaoi_station.acquisition.pairing.forced_assignment import assign_forced
+from vaoi_station.acquisition.pairing.observations import ObservedFrame, ObservedPulse
 from vaoi_station.acquisition.pairing.proof import TriggerProof
-from vaoi_station.acquisition.pairing.records import KnownPulse, Seen
-from vaoi_station.acquisition.pairing.run_conclusion import conclude
-from vaoi_station.acquisition.pairing.run_sheet import RunSheet
+from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
+from vaoi_station.acquisition.pairing.run_record import RunRecord
 from vaoi_station.model import FrameRecord, Pulse, Verdict
 
-EXTRA = 256
-"""Frames of no pulse that are remembered, for the proof of the runs about their time."""
-REMEMBERED = 4
-"""Sheets kept, so that a late frame of an earlier run is recognised as one."""
+MAX_UNASSIGNED = 256
+"""Unassigned frames kept per camera, for the proofs of the runs near them in time."""
+MAX_FINISHED = 4
+"""Finished runs kept, so that a late frame of an earlier run is recognised as one."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How near, how late."""
+    """Tolerances and waiting times of the recorder."""
 
     tolerance_s: float = 0.010
-    """Between time stamp and pulse, beside both clocks' bounds; never more than half a period."""
+    """Between time stamp and pulse, in addition to both clocks' bounds; never more than half a period."""
     late_s: float = 0.5
-    """Frames are waited for so much longer than one period after the last pulse."""
-    lag_s: float = 0.1
-    """The controller's report of a pulse comes no later than this after the pulse."""
+    """Frames are awaited until one period plus this time after the last pulse."""
+    report_delay_s: float = 0.1
+    """The controller's report of a pulse comes at the latest this long after the pulse."""
     unexplained_s: float = 5.0
-    """A frame without any pulse is given up after this time: longer than a controller runs on without its host (3 s),
-    whose reports are read when the line is back."""
+    """A frame without any pulse is given up after this time. It is longer than the 3 s for which a controller fires
+    without its host: the reports of those pulses are read when the connection is back."""
 
 
 @dataclass(frozen=True)
 class Settled:
-    """One (camera, row) has its verdict."""
+    """The verdict of one (camera, row)."""
 
     run: str
     frame: FrameRecord
 
 
 @dataclass(frozen=True)
-class Stray:
+class Unassigned:
     """A frame that belongs to no (camera, row) of a run; its slot is free again."""
 
     camera: int
     slot: int
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True)
 class Finished:
-    """Every (camera, row) of a run has its verdict, ordered by camera, then row."""
+    """The end of a run: a verdict for every (camera, row), ordered by camera, then row."""
 
-    sheet: RunSheet
+    record: RunRecord
     frames: tuple[FrameRecord, ...]
     proof: TriggerProof
 
 
-Outcome = Settled | Stray | Finished
+Outcome = Settled | Unassigned | Finished
+MoveToBay = Callable[[int, int, int], int | None]
+"""`move(slot, bay, camera)` brings a frame into its run's bay and returns its slot there; None if there is no room."""
 
 
 class Recorder:
-    """All runs that are open or fresh in memory."""
+    """All runs that are open or recently finished."""
 
     def __init__(
         self,
         controller_clock: ClockModel,
         camera_clocks: Sequence[ClockModel],
         limits: Limits | None = None,
-        home: Callable[[int, int, int], int | None] = lambda slot, _bay, _camera: slot,
+        move_to_bay: MoveToBay = lambda slot, _bay, _camera: slot,
         exposures_us: Sequence[float] = (),
     ) -> None:
         """Start with no run.
 
         Args:
             controller_clock: maps pulse times to the host's clock.
-            camera_clocks: map time stamps of every camera.
-            limits: what is believed, and how long is waited.
-            home: `home(slot, bay, camera)` brings a frame into its run's bay: the slot where it is then, or None.
-            exposures_us: of every camera, where the controller does not tell them pulse by pulse.
+            camera_clocks: map the time stamps of every camera.
+            limits: tolerances and waiting times.
+            move_to_bay: brings a frame into the bay of its run.
+            exposures_us: of every camera, where the controller does not report them pulse by pulse.
         """
         self.limits = limits or Limits()
         self.outages = Outages()
-        """When cameras were away, by what they told."""
+        """When cameras were away, by their own reports."""
         self._controller_clock = controller_clock
         self._camera_clocks = camera_clocks
-        self._home = home
+        self._move_to_bay = move_to_bay
         self._exposures_us = exposures_us
-        self._sheets: list[RunSheet] = []
+        self._runs: list[RunRecord] = []
         self._waiting: list[tuple[Arrival, float]] = []
         """Complete frames whose pulse is not known yet, with the host time of their exposure."""
-        self._extra: list[deque[Seen]] = [deque(maxlen=EXTRA) for _ in camera_clocks]
-        """Of every camera, the newest whole frames that belong to no pulse."""
-        self._unnamed: list[Arrival] = []
-        """Frames without a trustworthy time."""
+        self._unassigned: list[deque[ObservedFrame]] = [deque(maxlen=MAX_UNASSIGNED) for _ in camera_clocks]
+        """Newest unassigned complete frames of every camera."""
+        self._undated: list[Arrival] = []
+        """Frames without a trustworthy time stamp."""
         self._known_until_s = float("-inf")
-        """The controller has told everything up to this host time."""
+        """Host time up to which the controller has reported everything."""
 
     @property
-    def open_runs(self) -> list[RunSheet]:
-        """Runs not finished yet."""
-        return [s for s in self._sheets if not s.finished]
+    def open_runs(self) -> list[RunRecord]:
+        """Runs not finished yet, oldest first."""
+        return [r for r in self._runs if not r.finished]
 
-    def begin(self, run: str | None, bay: int | None, period_s: float) -> RunSheet:
-        """A board is about to be filmed (`run` None: nobody has memory for it)."""
-        sheet = RunSheet(run, bay, period_s)
-        self._sheets.append(sheet)
-        return sheet
+    def begin_run(self, run: str | None, bay: int | None, period_s: float) -> RunRecord:
+        """Begin the run of a board (`run` None: there is no memory for it)."""
+        record = RunRecord(run, bay, period_s)
+        self._runs.append(record)
+        return record
 
-    def heard(self, time_s: float) -> None:
-        """The controller reported something at its time `time_s`; all earlier pulses are known by now."""
+    def note_controller_time(self, time_s: float) -> None:
+        """Note that the controller reported something at its time `time_s`: all earlier pulses are known by now."""
         self._known_until_s = max(self._known_until_s, self._controller_clock.host_s(time_s))
 
-    def pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, Iterator[Outcome]]:
-        """A pulse of the newest run; frames that were there before it find their place now."""
-        self.heard(event.time_s)
+    def add_pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, Iterator[Outcome]]:
+        """Add a pulse to the newest run; frames that arrived before it may be assigned now."""
+        self.note_controller_time(event.time_s)
         pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
         host_s = self._controller_clock.host_s(event.time_s)
-        self._sheets[-1].pulses[event.index] = KnownPulse(pulse, host_s, event.exposures_us, now_s)
+        self._runs[-1].pulses[event.index] = ObservedPulse(pulse, host_s, event.exposures_us, now_s)
         return pulse, self.settle(now_s)
 
-    def end(self, sheet: RunSheet, pulses: int, reason: str, now_s: float) -> Iterator[Outcome]:
-        """The last pulse of a run has been fired."""
-        if sheet.pulse_count is None:
-            sheet.pulse_count, sheet.reason = pulses, reason
-            sheet.deadline_s = now_s + sheet.period_s + self.limits.late_s
+    def end_pulses(self, record: RunRecord, pulses: int, reason: str, now_s: float) -> Iterator[Outcome]:
+        """Note that the last pulse of a run has been fired."""
+        if record.pulse_count is None:
+            record.pulse_count, record.reason = pulses, reason
+            record.deadline_s = now_s + record.period_s + self.limits.late_s
         return self.settle(now_s)
 
-    def arrive(self, arrival: Arrival, now_s: float) -> Iterator[Outcome]:
-        """A camera has finished with a slot."""
+    def add_arrival(self, arrival: Arrival, now_s: float) -> Iterator[Outcome]:
+        """Add a slot that a camera has finished with."""
         if arrival.complete and arrival.time_s is not None:
             self._waiting.append((arrival, self._camera_clocks[arrival.camera].host_s(arrival.time_s)))
         else:
-            self._unnamed.append(arrival)
+            # An incomplete GigE frame repeats an older id and time stamp (measured with Aravis 0.8.26).
+            self._undated.append(arrival)
         return self.settle(now_s)
 
     def settle(self, now_s: float) -> Iterator[Outcome]:
-        """Everything that can be decided by now; call it again at `next_deadline_s` at the latest.
+        """Decide everything that can be decided by now; call it again at `next_deadline_s` at the latest.
 
-        To be read to its end: a frame's place is told before the proof of its run is worked out.
+        The iterator must be exhausted. It is lazy so that the caller reports the last frame of a run before the
+        proof of the run is computed.
         """
-        yield from self._placed(now_s)
-        for sheet in self.open_runs:
-            yield from self._try_finish(sheet, now_s)
-        yield from self._give_up_unnamed(now_s)
-        finished = [s for s in self._sheets if s.finished]
-        for sheet in finished[:-REMEMBERED]:
-            self._sheets.remove(sheet)
+        yield from self._assign_waiting(now_s)
+        for record in self.open_runs:
+            yield from self._try_finish(record, now_s)
+        # After the runs: an incomplete frame that no open run could take is given up here.
+        yield from self._give_up_undated(now_s)
+        finished = [r for r in self._runs if r.finished]
+        for record in finished[:-MAX_FINISHED]:
+            self._runs.remove(record)
 
-    def _placed(self, now_s: float) -> list[Outcome]:
-        """Of frames that wait, those whose place is known now."""
+    def next_deadline_s(self, after_s: float) -> float | None:
+        """Return the first host time after `after_s` at which `settle` may decide something without further events."""
+        limits = self.limits
+        times = [a.host_time_s + limits.unexplained_s for a, _ in self._waiting]
+        times += [a.host_time_s + s for a in self._undated for s in (limits.report_delay_s, limits.unexplained_s)]
+        times += [r.deadline_s for r in self.open_runs]
+        return min((t for t in times if t > after_s), default=None)
+
+    def _assign_waiting(self, now_s: float) -> list[Outcome]:
+        """Return the outcomes of those waiting frames that can be decided now."""
         out: list[Outcome] = []
         waiting, self._waiting = self._waiting, []
         for arrival, host_s in waiting:
-            placed = self._place(arrival, host_s, now_s)
-            if placed is None:
+            outcome = self._assign(arrival, host_s, now_s)
+            if outcome is None:
                 self._waiting.append((arrival, host_s))
             else:
-                out.append(placed)
+                out.append(outcome)
         return out
 
-    def next_deadline_s(self, after_s: float) -> float | None:
-        """The first host time after `after_s` at which `settle` may decide something without further news."""
-        limits = self.limits
-        times = [a.host_time_s + limits.unexplained_s for a, _ in self._waiting]
-        times += [a.host_time_s + age_s for a in self._unnamed for age_s in (limits.lag_s, limits.unexplained_s)]
-        times += [s.deadline_s for s in self.open_runs]
-        return min((t for t in times if t > after_s), default=None)
-
-    def _told(self, arrival: Arrival) -> bool:
-        return self._known_until_s >= arrival.host_time_s
-
-    def _place(self, arrival: Arrival, host_s: float, now_s: float) -> Outcome | None:
-        """The pulse nearest in time, if it is near enough; None while a nearer one may still be reported."""
-        near = [(abs(found[1]), n, *found) for n, s in enumerate(self._sheets) if (found := s.nearest(host_s))]
+    def _assign(self, arrival: Arrival, host_s: float, now_s: float) -> Outcome | None:
+        """Assign a frame to the pulse nearest in time, if near enough; None while a nearer one may be reported."""
+        near = [(abs(found[1]), n, *found) for n, r in enumerate(self._runs) if (found := r.nearest(host_s))]
         if near:
             distance_s, n, row, error_s = min(near)
-            if distance_s <= self._gate_s(self._sheets[n], arrival.camera):
-                return self._take(self._sheets[n], row, arrival, Verdict.OK, error_s)
-        if host_s + self.limits.tolerance_s < self._known_until_s or self._aged(arrival, now_s):
-            self._note_extra(arrival, host_s)
-            off = f"; the nearest is {min(near)[0] * 1e3:.1f} ms away" if near else ""
-            return self._stray(arrival, f"no pulse was fired when it was exposed{off}")
+            if distance_s <= self._gate_s(self._runs[n], arrival.camera):
+                return self._take(self._runs[n], row, arrival, Verdict.OK, error_s)
+        if host_s + self.limits.tolerance_s < self._known_until_s or self._is_aged(arrival, now_s):
+            self._keep_unassigned(arrival, host_s)
+            nearest = f"; the nearest one is {min(near)[0] * 1e3:.1f} ms away" if near else ""
+            return self._refuse(arrival, f"no pulse was fired at the time of its exposure{nearest}")
         return None
 
-    def _gate_s(self, sheet: RunSheet, camera: int) -> float:
+    def _gate_s(self, record: RunRecord, camera: int) -> float:
+        """Return the largest accepted difference between a time stamp and its pulse."""
         bounds_s = self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
-        return min(sheet.shortest_interval_s / 2, self.limits.tolerance_s + bounds_s)
+        # Beyond half an interval the neighbouring pulse would be nearer, whatever the tolerance allows.
+        return min(record.shortest_interval_s / 2, self.limits.tolerance_s + bounds_s)
 
-    def _aged(self, arrival: Arrival, now_s: float) -> bool:
+    def _is_aged(self, arrival: Arrival, now_s: float) -> bool:
         return now_s >= arrival.host_time_s + self.limits.unexplained_s
 
     def _take(
-        self, sheet: RunSheet, row: int, arrival: Arrival, verdict: Verdict, error_s: float | None = None
+        self, record: RunRecord, row: int, arrival: Arrival, verdict: Verdict, error_s: float | None = None
     ) -> Outcome:
-        """Give a frame to its (camera, row), unless that has one, or its run is over or nobody's."""
+        """Give a frame to its (camera, row); refuse it if that has one, or if the run is over or has no memory."""
         key = (arrival.camera, row)
-        if key in sheet.taken:
+        if key in record.taken:
             if error_s is not None:
-                self._note_extra(arrival, sheet.pulses[row].host_s + error_s)
-            return self._stray(arrival, f"camera {key[0]} has a frame of row {row} already", sheet)
-        sheet.taken.add(key)
-        if sheet.run is None or sheet.bay is None:
-            return Stray(arrival.camera, arrival.slot, "its board was missed: no memory had been granted")
-        if sheet.finished:
-            return self._stray(arrival, f"it belongs to row {row} of run {sheet.run}, which is over")
-        slot = self._home(arrival.slot, sheet.bay, arrival.camera)
+                self._keep_unassigned(arrival, record.pulses[row].host_s + error_s)
+            return self._refuse(arrival, f"camera {key[0]} has a frame of row {row} already", record)
+        record.taken.add(key)
+        if record.run is None or record.bay is None:
+            return Unassigned(arrival.camera, arrival.slot, "its board was missed: there was no free memory for a run")
+        if record.finished:
+            return self._refuse(arrival, f"it belongs to row {row} of run {record.run}, which is finished")
+        slot = self._move_to_bay(arrival.slot, record.bay, arrival.camera)
         if slot is None:
-            sheet.refused[key] = f"there is no memory left in its run for row {row}"
-            return self._stray(arrival, sheet.refused[key], sheet)
+            record.refused[key] = f"its run has no free slot for row {row}"
+            return self._refuse(arrival, record.refused[key], record)
         if error_s is not None:
-            sheet.seen[arrival.camera].append(_seen(arrival, row, sheet.pulses[row].host_s + error_s))
-        sheet.last_frame_host_s = max(sheet.last_frame_host_s or 0.0, arrival.host_time_s)
-        sheet.frames[key] = FrameRecord(
+            frame = _observed(arrival, row, record.pulses[row].host_s + error_s)
+            record.complete_frames[arrival.camera].append(frame)
+        record.last_frame_host_s = max(record.last_frame_host_s or 0.0, arrival.host_time_s)
+        record.frames[key] = FrameRecord(
             camera=arrival.camera,
             row=row,
             verdict=verdict,
-            cause="" if verdict is Verdict.OK else arrival.fault or "parts of the frame were lost on the way",
+            cause="" if verdict is Verdict.OK else arrival.fault or "parts of the frame were lost in transfer",
             slot=slot,
             frame_id=arrival.frame_id,
             camera_time_s=arrival.time_s,
             pulse_error_us=None if error_s is None else error_s * 1e6,
-            exposure_us=self._exposure_us(sheet, arrival.camera, row),
-            light=sheet.pulses[row].pulse.light if row in sheet.pulses else "",
+            exposure_us=self._exposure_us(record, arrival.camera, row),
+            light=record.pulses[row].pulse.light if row in record.pulses else "",
         )
-        return Settled(sheet.run, sheet.frames[key])
+        return Settled(record.run, record.frames[key])
 
-    def _note_extra(self, arrival: Arrival, host_s: float) -> None:
-        self._extra[arrival.camera].append(_seen(arrival, None, host_s))
+    def _keep_unassigned(self, arrival: Arrival, host_s: float) -> None:
+        self._unassigned[arrival.camera].append(_observed(arrival, None, host_s))
 
-    def _exposure_us(self, sheet: RunSheet, camera: int, row: int) -> float | None:
-        told = sheet.pulses[row].exposures_us if row in sheet.pulses else ()
-        known = told or self._exposures_us
+    def _exposure_us(self, record: RunRecord, camera: int, row: int) -> float | None:
+        reported = record.pulses[row].exposures_us if row in record.pulses else ()
+        known = reported or self._exposures_us
         return known[camera] if known else None
 
-    def _stray(self, arrival: Arrival, why: str, sheet: RunSheet | None = None) -> Stray:
-        counted = sheet or next(iter(self.open_runs[-1:]), None)
+    def _refuse(self, arrival: Arrival, reason: str, record: RunRecord | None = None) -> Unassigned:
+        """Count an unassigned frame, by default for the newest open run."""
+        counted = record or next(iter(self.open_runs[-1:]), None)
         if counted is not None:
-            counted.strays += 1
-        return Stray(arrival.camera, arrival.slot, why)
+            counted.unassigned += 1
+        return Unassigned(arrival.camera, arrival.slot, reason)
 
-    def _try_finish(self, sheet: RunSheet, now_s: float) -> list[Outcome]:
-        if sheet.pulse_count is None:
+    def _try_finish(self, record: RunRecord, now_s: float) -> list[Outcome]:
+        """Finish a run whose frames have all arrived, or whose deadline has passed."""
+        if record.pulse_count is None:
             return []
-        if sheet.run is None:
-            sheet.finished = True
+        if record.run is None:
+            record.finished = True
             return []
-        overdue = now_s >= sheet.deadline_s
-        unripe = {a.camera for a in self._unnamed if not self._ripe(a, now_s)}
+        overdue = now_s >= record.deadline_s
+        # An incomplete frame may still get further candidates while its pulses are not all reported.
+        undecided = {a.camera for a in self._undated if not self._is_decidable(a, now_s)}
         out: list[Outcome] = []
         for camera in range(len(self._camera_clocks)):
-            named = {a: row for a, (s, row) in self._name(camera, now_s).items() if s is sheet}
-            settles_all = camera not in unripe and set(named.values()) == set(sheet.open_rows(camera))
-            if named and (overdue or settles_all):
-                for arrival, row in named.items():
-                    self._unnamed.remove(arrival)
-                    out.append(self._take(sheet, row, arrival, Verdict.INCOMPLETE))
-        if overdue or len(sheet.frames) == sheet.rows * len(self._camera_clocks):
-            out += self._finish(sheet)
+            forced = {a: row for a, (r, row) in self._assign_undated(camera, now_s).items() if r is record}
+            settles_all = camera not in undecided and set(forced.values()) == set(record.open_rows(camera))
+            # Before the deadline the open rows may yet get complete frames, which would change the candidates.
+            if forced and (overdue or settles_all):
+                for arrival, row in forced.items():
+                    self._undated.remove(arrival)
+                    out.append(self._take(record, row, arrival, Verdict.INCOMPLETE))
+        if overdue or len(record.frames) == record.rows * len(self._camera_clocks):
+            out += self._finish(record)
         return out
 
-    def _name(self, camera: int, now_s: float) -> dict[Arrival, tuple[RunSheet, int]]:
-        """By elimination, to which (run, row) the unnamed frames of a camera must belong."""
-        ripe = [a for a in self._unnamed if a.camera == camera and self._ripe(a, now_s)]
-        sheets = dict(enumerate(self._sheets))
-        chosen = eliminate([self._candidates(a) for a in ripe])
-        return {ripe[n]: (sheets[index], row) for n, (index, row) in chosen.items()}
+    def _assign_undated(self, camera: int, now_s: float) -> dict[Arrival, tuple[RunRecord, int]]:
+        """Return incomplete frames of a camera → the only (run, row) they can belong to."""
+        decidable = [a for a in self._undated if a.camera == camera and self._is_decidable(a, now_s)]
+        runs = dict(enumerate(self._runs))
+        chosen = assign_forced([self._candidates(a) for a in decidable])
+        return {decidable[n]: (runs[index], row) for n, (index, row) in chosen.items()}
 
-    def _ripe(self, arrival: Arrival, now_s: float) -> bool:
-        """Whether all pulses it may belong to are known."""
-        return self._told(arrival) or now_s >= arrival.host_time_s + self.limits.lag_s
+    def _is_decidable(self, arrival: Arrival, now_s: float) -> bool:
+        """Whether all pulses that a frame may belong to are known."""
+        return self._is_reported(arrival) or now_s >= arrival.host_time_s + self.limits.report_delay_s
+
+    def _is_reported(self, arrival: Arrival) -> bool:
+        """Whether the controller has reported everything up to the arrival of a frame."""
+        return self._known_until_s >= arrival.host_time_s
 
     def _candidates(self, arrival: Arrival) -> set[tuple[int, int]]:
-        """(index of sheet, row) that have no frame, were fired before it arrived, and not too long before."""
+        """Return the (index of run, row) that have no frame and were fired before its arrival, but not too long ago."""
         found = set()
-        for n, sheet in enumerate(self._sheets):
-            latest_s = sheet.period_s + self.limits.late_s
-            for row in sheet.open_rows(arrival.camera):
-                fired = sheet.pulses.get(row)
+        for n, record in enumerate(self._runs):
+            latest_s = record.period_s + self.limits.late_s
+            for row in record.open_rows(arrival.camera):
+                fired = record.pulses.get(row)
+                # A row whose report was lost has no time: it stays a candidate of every incomplete frame.
                 if fired is None or -self.limits.tolerance_s <= arrival.host_time_s - fired.host_s <= latest_s:
                     found.add((n, row))
         return found
 
-    def _give_up_unnamed(self, now_s: float) -> list[Outcome]:
-        """Unnamed frames that no open run can claim any more."""
+    def _give_up_undated(self, now_s: float) -> list[Outcome]:
+        """Refuse incomplete frames that no open run can take any more."""
         out: list[Outcome] = []
-        for arrival in list(self._unnamed):
-            sheets = [self._sheets[n] for n, _ in self._candidates(arrival)]
-            if self._ripe(arrival, now_s) and all(s.finished for s in sheets) and not self._expects(arrival, now_s):
-                self._unnamed.remove(arrival)
-                why = "it may be of several pulses" if sheets else "no pulse waits for it"
-                out.append(self._stray(arrival, f"incomplete, and {why}"))
+        for arrival in list(self._undated):
+            runs = [self._runs[n] for n, _ in self._candidates(arrival)]
+            may_be_reported = not self._is_reported(arrival) and not self._is_aged(arrival, now_s)
+            if self._is_decidable(arrival, now_s) and all(r.finished for r in runs) and not may_be_reported:
+                self._undated.remove(arrival)
+                reason = "several pulses are possible" if runs else "no pulse lacks a frame"
+                out.append(self._refuse(arrival, f"incomplete, and {reason}"))
         return out
 
-    def _expects(self, arrival: Arrival, now_s: float) -> bool:
-        """Without any pulse to think of, wait a while for the controller to tell of one."""
-        return not self._told(arrival) and not self._aged(arrival, now_s)
-
-    def _finish(self, sheet: RunSheet) -> list[Outcome]:
-        """Verdicts for what never came, and the proof of what did."""
-        assert sheet.run is not None
-        sheet.finished = True
-        place = next(n for n, s in enumerate(self._sheets) if s is sheet)
-        before = self._sheets[place - 1] if place and self._sheets[place - 1].run is not None else None
-        missing, proof = conclude(sheet, self._extra, self.outages, self._controller_clock.bound_s(), before)
-        ordered = tuple(sheet.frames[key] for key in sorted(sheet.frames))
-        return [*(Settled(sheet.run, record) for record in missing), Finished(sheet, ordered, proof)]
+    def _finish(self, record: RunRecord) -> list[Outcome]:
+        """Conclude a run: verdicts for the missing frames, and the proof."""
+        assert record.run is not None
+        record.finished = True
+        place = next(n for n, r in enumerate(self._runs) if r is record)
+        previous = self._runs[place - 1] if place and self._runs[place - 1].run is not None else None
+        bound_s = self._controller_clock.bound_s()
+        missing, proof = conclude_run(record, self._unassigned, self.outages, bound_s, previous)
+        ordered = tuple(record.frames[key] for key in sorted(record.frames))
+        return [*(Settled(record.run, frame) for frame in missing), Finished(record, ordered, proof)]
 
 
-def _seen(arrival: Arrival, row: int | None, host_s: float) -> Seen:
+def _observed(arrival: Arrival, row: int | None, host_s: float) -> ObservedFrame:
     assert arrival.time_s is not None
-    return Seen(row, arrival.frame_id, arrival.time_s, host_s, arrival.host_time_s)
+    return ObservedFrame(row, arrival.frame_id, arrival.time_s, host_s, arrival.host_time_s)

@@ -1,1 +1,1 @@
-"""Run the acquisition process: open devices, film boards, report to the station."""
+"""The acquisition process: open devices, film boards, report to the station over one pipe."""

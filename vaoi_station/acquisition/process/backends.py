@@ -1,4 +1,4 @@
-"""Which backend opens the devices of a station, and whether what it is told fits."""
+"""Open the devices of the configured backend, and check the inputs of simulated and replayed ones."""
 
 from __future__ import annotations
 
@@ -8,10 +8,16 @@ from vaoi_station.errors import InputError
 
 
 def open_devices(config: StationConfig) -> Devices:
-    """Cameras and controller of the configured backend; InputError or DeviceError says what is wrong."""
+    """Open cameras and controller of the configured backend.
+
+    Raises:
+        InputError: the configuration does not fit the devices, the scenario or the recordings.
+        DeviceError: a device cannot be opened.
+    """
     if config.controller.backend == "serial":
         return _open_hardware(config)
     if config.controller.backend == "replay":
+        # Backends are imported on use: the twin and the Aravis library are slow to load.
         from vaoi_station.acquisition.simulated.replay import open_replay
 
         return open_replay(config)
@@ -21,20 +27,21 @@ def open_devices(config: StationConfig) -> Devices:
 
 
 def _open_hardware(config: StationConfig) -> Devices:
-    """Real cameras and a real controller; it says at once what is wrong, and so comes first."""
+    """Open real cameras and a real controller."""
     from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
     from vaoi_station.acquisition.controller.serial import open_serial_controller
 
+    # The controller first: it fails at once, while an absent camera is noticed after seconds.
     controller = open_serial_controller(config)
     try:
         return Devices(open_aravis_cameras(config), controller)
-    except BaseException:  # whatever ended it, give the port back; it is raised again
+    except BaseException:  # KeyboardInterrupt too: the port must be free for the next attempt; raised again
         controller.close()
         raise
 
 
 def check_backends(config: StationConfig) -> None:
-    """Refuse at once what no attempt to open the devices could mend: a scenario or recordings that do not fit."""
+    """Raise InputError for a scenario or recordings that do not fit: opening the devices again would not help."""
     if config.controller.backend == "serial":
         return
     if config.controller.backend == "replay":

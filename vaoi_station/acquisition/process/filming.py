@@ -1,4 +1,4 @@
-"""Film a number of runs with a station's devices and nothing else of the station."""
+"""Film a number of runs with a station's devices, without the rest of the station."""
 
 from __future__ import annotations
 
@@ -29,142 +29,144 @@ from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.model import Verdict
 
 STOP_S = 5.0
-"""How long the acquisition process may take to close its devices."""
+"""Time for the acquisition process to close its devices before it is terminated, s."""
 
 
-Finish = Callable[[RunFinished, Ring, int], None]
-"""Called with a run, the ring and the run's generation; its memory is free afterwards."""
-Settle = Callable[[FrameSettled, Ring, int], None]
-"""Called with a whole frame as soon as it is there, the ring and the generation of its bay."""
-Notice = Callable[[str], None]
-"""Called with a sentence for whatever the operator should see."""
+@dataclass(frozen=True)
+class FilmingHandlers:
+    """The functions that are called while runs are filmed, all from the calling thread."""
+
+    run_finished: Callable[[RunFinished, Ring, int], None]
+    """Called with a run, the ring and the generation of its bay; the bay is reused after it returns."""
+    notice: Callable[[str], None]
+    """Called with a sentence that the operator should see."""
+    frame_settled: Callable[[FrameSettled, Ring, int], None] | None = None
+    """Called with every complete frame as soon as it is assigned, the ring and the generation of its bay."""
 
 
-def film(config: StationConfig, runs: int, finished: Finish, notice: Notice, settled: Settle | None = None) -> None:
-    """Film so many boards in a process of its own; blocks until done.
+def film(config: StationConfig, runs: int, handlers: FilmingHandlers) -> None:
+    """Film a number of boards in a process of its own; block until all are filmed.
 
     Raises:
-        InputError: so many boards will never come.
-        DeviceError: a device does not do what it should.
+        InputError: the simulation or replay has fewer boards.
+        DeviceError: a device fails.
     """
     _check_supply(config, runs)
-    with _studio(config, finished, notice, settled) as studio:
-        _film_boards(config, studio, runs)
+    with _filming_process(config, handlers) as process:
+        _film_boards(config, process, runs)
 
 
-def film_pulses(
-    config: StationConfig, pulses: int, rate_hz: float, finished: Finish, notice: Notice, settled: Settle | None = None
-) -> None:
-    """Fire so many pulses without the light barrier, each of them a run of one row; blocks until done.
+def film_pulses(config: StationConfig, pulses: int, rate_hz: float, handlers: FilmingHandlers) -> None:
+    """Fire a number of pulses without the light barrier, each a run of one row; block until all are filmed.
 
     Args:
         config: the station.
-        pulses: how many.
-        rate_hz: so many a second; a pulse waits until the one before has all its frames, or they are given up.
-        finished: as for `film`.
-        notice: as for `film`.
-        settled: as for `film`.
+        pulses: count of pulses.
+        rate_hz: highest rate; a pulse waits until all frames of the one before have arrived or are given up.
+        handlers: are called with the results.
 
     Raises:
-        DeviceError: a device does not do what it should, or cannot fire without a board.
+        DeviceError: a device fails, or cannot fire without a board.
     """
-    with _studio(config, finished, notice, settled) as studio:
-        _fire_steadily(studio, pulses, 1 / rate_hz)
+    with _filming_process(config, handlers) as process:
+        _fire_steadily(process, pulses, 1 / rate_hz)
 
 
 @dataclass
-class _Studio:
-    """An acquisition process at the other end of a pipe, its ring, and who is told of its reports."""
+class _FilmingProcess:
+    """The acquisition process at the other end of a pipe, its ring, and the handlers of its reports."""
 
     ring: Ring
     connection: Connection
-    finished: Finish
-    notice: Notice
-    settled: Settle | None
+    handlers: FilmingHandlers
     granted: int = 0
     generations: dict[int, int] = field(default_factory=dict)
+    """Bay → its generation."""
 
     def grant(self, bay: int) -> None:
-        """Memory for one more run."""
+        """Grant memory for one more run."""
         self.generations[bay] = self.ring.claim(bay)
         self.granted += 1
         self.connection.send(Grant(f"{self.granted:03d}", bay))
 
     def receive(self, wait_s: float | None = None) -> object:
-        """The next report; None if none comes in time."""
+        """Return the next report; None if none comes in time."""
         try:
             return self.connection.recv() if self.connection.poll(wait_s) else None
         except (EOFError, ConnectionResetError, BrokenPipeError) as error:
-            what = "the acquisition process has ended before all boards were filmed."
-            raise DeviceError(what, action="Look at what it printed.") from error
+            what = "the acquisition process ended before all boards were filmed."
+            raise DeviceError(what, action="Read its output above; then start again.") from error
 
-    def take(self, report: object, *, fatal: bool) -> None:
-        """What is handed on however it was filmed; `fatal`: trouble now means that it will not work at all."""
+    def dispatch(self, report: object, *, fatal: bool) -> None:
+        """Call the handler of a report; `fatal`: raise a fault instead of showing it."""
         if isinstance(report, FrameSettled):
             slot = report.frame.slot
-            if self.settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
-                self.settled(report, self.ring, self.generations[self.ring.layout.place(slot)[0]])
+            if self.handlers.frame_settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
+                self.handlers.frame_settled(report, self.ring, self.generations[self.ring.layout.place(slot)[0]])
         elif isinstance(report, RunFinished):
-            self.finished(report, self.ring, self.generations[report.bay])
+            self.handlers.run_finished(report, self.ring, self.generations[report.bay])
         elif isinstance(report, BoardMissed):
-            self.notice(f"A board was missed: {report.reason}.")
+            self.handlers.notice(f"A board was missed: {report.reason}.")
         elif isinstance(report, Trouble):
             if fatal:
                 raise DeviceError(report.message, action=report.action, code=report.code)
-            self.notice(f"{report.message} {report.action}")
+            self.handlers.notice(f"{report.message} {report.action}")
 
 
-def _film_boards(config: StationConfig, studio: _Studio, runs: int) -> None:
-    """Grant memory, arm, take what comes."""
+def _film_boards(config: StationConfig, process: _FilmingProcess, runs: int) -> None:
+    """Grant memory, arm, and dispatch reports until all runs are finished."""
     armed, done = False, 0
     while done < runs:
-        report = studio.receive()
+        report = process.receive()
         if isinstance(report, Ready):
-            for bay in range(min(runs, studio.ring.layout.bays)):
-                studio.grant(bay)
-            studio.connection.send(Arm(TriggerPlan.of(config.line)))
+            for bay in range(min(runs, process.ring.layout.bays)):
+                process.grant(bay)
+            process.connection.send(Arm(TriggerPlan.of(config.line)))
         elif isinstance(report, Armed):
             armed = True
-            studio.notice("Armed: waiting for a board.")
-        studio.take(report, fatal=not armed)
+            process.handlers.notice("Armed: waiting for a board.")
+        # A fault before the line is armed means that it will not be; later ones cost frames only.
+        process.dispatch(report, fatal=not armed)
         if isinstance(report, RunFinished):
             done += 1
-            if studio.granted < runs:
-                studio.grant(report.bay)
+            if process.granted < runs:
+                process.grant(report.bay)
 
 
-def _fire_steadily(studio: _Studio, pulses: int, period_s: float) -> None:
-    """One pulse after another, each with memory of its own; one that was refused is asked for again."""
+def _fire_steadily(process: _FilmingProcess, pulses: int, period_s: float) -> None:
+    """Fire one pulse after another, each with memory of its own; request a refused pulse again."""
     done, due_s = 0, float("inf")
     waiting = False
     while done < pulses:
         now_s = time.monotonic()
         if now_s >= due_s and not waiting:
-            if studio.granted == done:
-                studio.grant(0)
-            studio.connection.send(FireOne())
+            # A refused pulse has not used its grant: the next attempt uses it.
+            if process.granted == done:
+                process.grant(0)
+            process.connection.send(FireOne())
             waiting, due_s = True, now_s + period_s
-        report = studio.receive(None if waiting or due_s == float("inf") else due_s - now_s)
+        report = process.receive(None if waiting or due_s == float("inf") else due_s - now_s)
         if isinstance(report, Ready):
             due_s = time.monotonic()
-        studio.take(report, fatal=not done)
+        process.dispatch(report, fatal=not done)
         waiting = waiting and not isinstance(report, RunFinished | Trouble)
         done += isinstance(report, RunFinished)
 
 
 @contextmanager
-def _studio(config: StationConfig, finished: Finish, notice: Notice, settled: Settle | None) -> Iterator[_Studio]:
-    """A process that films, and its ring; both are gone afterwards."""
+def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterator[_FilmingProcess]:
+    """Start the acquisition process with a ring; stop it and remove the ring at the end."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
         if ring.lock_note:
-            notice(ring.lock_note)
+            handlers.notice(ring.lock_note)
         process = context.Process(target=run_acquisition, args=(config, ring.path, theirs), name="acquisition")
         process.start()
+        # With our copy of its end closed, the death of the process ends the pipe instead of blocking us.
         theirs.close()
         try:
-            yield _Studio(ring, ours, finished, notice, settled)
+            yield _FilmingProcess(ring, ours, handlers)
         finally:
             _stop(process, ours)
 
@@ -173,7 +175,7 @@ def _stop(process: multiprocessing.process.BaseProcess, connection: Connection) 
     try:
         connection.send(Shutdown())
     except OSError:
-        pass  # it has gone already
+        pass  # the process has ended already
     finally:
         connection.close()
     process.join(STOP_S)
@@ -183,7 +185,7 @@ def _stop(process: multiprocessing.process.BaseProcess, connection: Connection) 
 
 
 def _check_supply(config: StationConfig, runs: int) -> None:
-    """Refuse to wait for boards that will never come."""
+    """Raise InputError if a simulation or replay has fewer boards than are to be filmed."""
     if config.simulation is not None and 0 < config.simulation.boards < runs:
         raise InputError.field("station.toml", "simulation.boards", config.simulation.boards, f"0 or at least {runs}")
     if config.replay is not None and 0 < config.replay.runs < runs:

@@ -1,8 +1,8 @@
-"""The acquisition process: one inbox, one loop; everything else happens in threads of devices.
+"""The acquisition process: one inbox and one loop; devices deliver into the inbox from their own threads.
 
-The station starts it with `spawn` and talks to it over one pipe. Commands, controller events, arrivals,
-clock readings and faults meet in one queue, so that the loop is the only one to think. When the pipe ends
-it closes its devices and goes; when a device fails it says so and stays.
+The station starts the process with `spawn` and communicates with it over one pipe. Commands, controller events,
+arrivals, clock readings and faults go through one queue, so that a single thread takes all decisions. When the pipe
+ends, the process closes its devices and exits. When a device fails, it reports the fault and continues.
 """
 
 from __future__ import annotations
@@ -26,68 +26,79 @@ from vaoi_station.acquisition.controller.interface import Controller, Controller
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.messages import Arm, Disarm, FireOne, Grant, Health, Ready, Report, Shutdown
-from vaoi_station.acquisition.process.run_reports import trouble
+from vaoi_station.acquisition.process.run_reports import trouble_report
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InternalError, StateError, VaoiError
 
-HEALTH_S = 0.5
+HEALTH_PERIOD_S = 0.5
+"""Between two heartbeats, and between two readings of all clocks."""
 FIRST_READINGS = 8
-"""Clock readings before the process is ready."""
-HURRY_S = 0.05
-"""Between readings while somebody waits for them."""
-CLOCK_PATIENCE_S = 10.0
-"""So long an arming or a single pulse waits until the clocks are known well enough. On a busy computer round trips
-are long, and a short one decides."""
+"""Clock readings of every device before the process is ready."""
+URGENT_READING_PERIOD_S = 0.05
+"""Between two readings of all clocks while a command waits for them."""
+CLOCK_TIMEOUT_S = 10.0
+"""Longest time for which arming or a single pulse waits until the clocks are known well enough. On a busy computer most
+round trips are long, and one short one suffices."""
 
 
 def run_acquisition(
     config: StationConfig,
     ring_path: Path,
     connection: Connection,
-    open_them: Callable[[StationConfig], Devices] = open_devices,
+    open_backend: Callable[[StationConfig], Devices] = open_devices,
 ) -> None:
-    """Film until told to stop, or until the other end of the pipe is gone; `open_them` gives the devices."""
+    """Run the acquisition process until `Shutdown`, or until the other end of the pipe is closed.
+
+    Args:
+        config: the station.
+        ring_path: the ring that the station has created.
+        connection: the pipe to the station.
+        open_backend: opens the devices.
+    """
     if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the station's to answer, by Shutdown
+        # Ctrl-C reaches the whole process group. Only the station reacts to it: it sends Shutdown.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         with Ring.attach(ring_path, writable=True) as ring:
             _check_layout(ring, config)
-            devices = open_them(config)
+            devices = open_backend(config)
             try:
-                _Loop(config, ring, devices, connection).run()
+                _MainLoop(config, ring, devices, connection).run()
             finally:
                 devices.close()
     except VaoiError as error:
-        _last_words(connection, error)
+        _report_failure(connection, error)
     except (BrokenPipeError, ConnectionResetError):
-        pass  # the station is gone; there is nobody to tell
+        pass  # the station is gone; no process is left to report to
     finally:
         connection.close()
 
 
-class _Disarmed:
-    """Put into the inbox behind the last event of an armed controller."""
+class _ControllerDisarmed:
+    """The marker in the inbox behind the last event of the armed controller."""
 
 
 @dataclass(frozen=True)
-class _Waiting:
-    """A command that waits for clocks to be known."""
+class _WaitingCommand:
+    """A command that waits until all clocks are known well enough."""
 
     command: Arm | FireOne
     until_s: float
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What a device, the controller (0) or a camera (from 1), answered when asked for its time, or why it did not."""
+class _PolledClock:
+    """The reading of a device's clock, or why it failed; number 0 is the controller, cameras count from 1."""
 
     number: int
-    answer: ClockReading | VaoiError
+    result: ClockReading | VaoiError
 
 
-class _Loop:
+class _MainLoop:
+    """The inbox, the session, and the threads that only wait."""
+
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -95,10 +106,10 @@ class _Loop:
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
         self._sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
         self._closing = threading.Event()
-        self._waiting: _Waiting | None = None
+        self._waiting: _WaitingCommand | None = None
 
     def run(self) -> None:
-        """Start the devices, then think about one message after another."""
+        """Start the devices, then handle one message after another until `Shutdown`."""
         for camera in self._devices.cameras:
             camera.start(self._inbox)
         self._devices.controller.start(self._inbox)
@@ -106,28 +117,29 @@ class _Loop:
             self._read_clocks()
         woken, waker = multiprocessing.Pipe(duplex=False)
         threads = [
-            threading.Thread(target=self._listen, args=(woken,), name="commands"),
-            threading.Thread(target=self._watch_clocks, name="clocks"),
+            threading.Thread(target=self._receive_commands, args=(woken,), name="commands"),
+            threading.Thread(target=self._poll_clocks, name="clocks"),
         ]
         for thread in threads:
             thread.start()
         try:
             self._send(Ready(len(self._devices.cameras)))
-            self._think()
+            self._process_inbox()
         finally:
             self._closing.set()
+            # The closed end wakes the thread that waits for commands: a blocked recv cannot be interrupted.
             waker.close()
             for thread in threads:
                 thread.join()
             woken.close()
 
-    def _think(self) -> None:
+    def _process_inbox(self) -> None:
         health_s = ticked_s = time.monotonic()
         while True:
             now_s = time.monotonic()
             if now_s >= health_s:
                 self._send(self._health(now_s))
-                health_s = now_s + HEALTH_S
+                health_s = now_s + HEALTH_PERIOD_S
             if now_s >= self._session.deadline_s(ticked_s):
                 self._session.tick(now_s)
                 ticked_s = now_s
@@ -139,55 +151,59 @@ class _Loop:
                 return
             if item is not None:
                 self._try(partial(self._handle, item))
-            self._try(self._obey)
+            # After every item: a clock reading may be what the waiting command needs.
+            self._try(self._retry_waiting)
 
     def _try(self, step: Callable[[float], None]) -> None:
-        """Do something now; what it refuses is told."""
+        """Carry out a step; report its refusal."""
         try:
             step(time.monotonic())
         except VaoiError as error:
-            self._send(trouble(error))
+            self._send(trouble_report(error))
 
     def _handle(self, item: object, now_s: float) -> None:
         if isinstance(item, Arrival):
-            self._session.arrived(item, now_s)
+            self._session.handle_arrival(item, now_s)
         elif isinstance(item, ControllerEvent):
-            self._session.heard(item, now_s)
+            self._session.handle_event(item, now_s)
         elif isinstance(item, Grant):
             self._session.grant(item)
         elif isinstance(item, Arm | FireOne):
-            self._waiting = _Waiting(item, now_s + CLOCK_PATIENCE_S)
+            self._waiting = _WaitingCommand(item, now_s + CLOCK_TIMEOUT_S)
         elif isinstance(item, Disarm):
             self._waiting = None
             self._devices.controller.disarm()
-            self._inbox.put(_Disarmed())
-        elif isinstance(item, _Disarmed):
-            self._session.disarmed(now_s)
+            # disarm() returns when all its events are in the inbox; the marker comes after them.
+            self._inbox.put(_ControllerDisarmed())
+        elif isinstance(item, _ControllerDisarmed):
+            self._session.finish_disarming(now_s)
         elif isinstance(item, CameraLost):
-            self._session.lost(item)
-            self._send(trouble(item.error))
+            self._session.camera_lost(item)
+            self._send(trouble_report(item.error))
         elif isinstance(item, CameraBack):
+            # The reading first: the clock may have restarted, and the next arrival is dated by it.
             self._clocks[1 + item.camera].add(item.reading)
-            self._session.back(item)
+            self._session.camera_back(item)
         elif isinstance(item, DeviceFault):
-            self._send(trouble(item.error, item.device))
+            self._send(trouble_report(item.error, item.device))
         elif isinstance(item, ClockReading):
             self._clocks[0].add(item)
-        elif isinstance(item, _Asked):
-            self._note_time(item)
+        elif isinstance(item, _PolledClock):
+            self._add_polled(item)
         else:
-            raise InternalError(f"the acquisition process was told {item!r}, which it does not know.")
+            raise InternalError(f"the acquisition process has no handler for {item!r}.")
 
-    def _note_time(self, asked: _Asked) -> None:
-        """That a lost camera does not answer has been told, and must not end an arming that does without it."""
-        clock = self._clocks[asked.number]
-        if isinstance(asked.answer, ClockReading):
-            clock.add(asked.answer)
-        elif not self._session.is_away(asked.number):
-            self._send(trouble(asked.answer, clock.name))
+    def _add_polled(self, polled: _PolledClock) -> None:
+        """Add a reading to its clock model, or report why there is none."""
+        clock = self._clocks[polled.number]
+        # The loss of a camera was reported. A second report would end an arming that does without that camera.
+        if isinstance(polled.result, ClockReading):
+            clock.add(polled.result)
+        elif not self._session.is_away(polled.number):
+            self._send(trouble_report(polled.result, clock.name))
 
-    def _obey(self, now_s: float) -> None:
-        """Arm, or fire, once the clocks are known well enough; ClockError if they are not in time."""
+    def _retry_waiting(self, now_s: float) -> None:
+        """Arm or fire if the clocks are known well enough; raise ClockError when the time for that is over."""
         waiting, self._waiting = self._waiting, None
         if waiting is None:
             return
@@ -208,8 +224,8 @@ class _Loop:
         cameras = tuple(camera.health() for camera in self._devices.cameras)
         return Health(cameras, self._devices.controller.health(), now_s)
 
-    def _listen(self, woken: Connection) -> None:
-        """Commands into the inbox; the end of the pipe is a Shutdown."""
+    def _receive_commands(self, woken: Connection) -> None:
+        """Put commands into the inbox; the end of the pipe counts as Shutdown."""
         command: object = None
         while not isinstance(command, Shutdown):
             if woken in wait([self._connection, woken]):
@@ -220,17 +236,15 @@ class _Loop:
                 command = Shutdown()
             self._inbox.put(command)
 
-    def _watch_clocks(self) -> None:
-        """Readings twice a second, from a thread of their own: a camera that is gone lets one wait for seconds.
-
-        While a command waits for them they follow one another at once.
-        """
-        while not self._closing.wait(HURRY_S if self._waiting else HEALTH_S):
+    def _poll_clocks(self) -> None:
+        """Read all clocks twice a second, and more often while a command waits for them."""
+        # In a thread of its own: the control channel of a dead Aravis camera blocks for about 2.6 s.
+        while not self._closing.wait(URGENT_READING_PERIOD_S if self._waiting else HEALTH_PERIOD_S):
             for number, source in enumerate(self._sources):
                 try:
-                    self._inbox.put(_Asked(number, source.read_clock()))
+                    self._inbox.put(_PolledClock(number, source.read_clock()))
                 except VaoiError as error:
-                    self._inbox.put(_Asked(number, error))
+                    self._inbox.put(_PolledClock(number, error))
 
     def _read_clocks(self) -> None:
         for clock, source in zip(self._clocks, self._sources, strict=True):
@@ -239,9 +253,9 @@ class _Loop:
 
 def _check_layout(ring: Ring, config: StationConfig) -> None:
     if ring.layout != RingLayout.of(config):
-        raise StateError(f"{ring.path}: was made for another configuration.", action="Restart the station.")
+        raise StateError(f"{ring.path}: was created for another configuration.", action="Restart the station.")
 
 
-def _last_words(connection: Connection, error: VaoiError) -> None:
-    with contextlib.suppress(OSError):  # the station is gone; there is nobody to tell
-        connection.send(trouble(error))
+def _report_failure(connection: Connection, error: VaoiError) -> None:
+    with contextlib.suppress(OSError):  # the station is gone; no process is left to report to
+        connection.send(trouble_report(error))

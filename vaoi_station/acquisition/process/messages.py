@@ -1,7 +1,7 @@
-"""What the station and the acquisition process say to each other, over one pipe.
+"""The messages between station and acquisition process, sent over one pipe.
 
-Commands go down, reports come up; both are frozen and picklable. The station grants memory ahead of
-time, so that a board that comes right after another finds cameras with slots in their hands.
+The station sends commands, the process sends reports; both are frozen and picklable. The station grants memory ahead
+of time, so that the cameras already hold slots when a board follows directly behind another.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from vaoi_station.model import FrameRecord, Pulse, RecordingHead
 
 @dataclass(frozen=True)
 class Grant:
-    """A bay of the ring for a coming run; grants are used in the order they come.
+    """A bay of the ring for a coming run; grants are used in the order in which they are sent.
 
-    Whoever grants has claimed the bay beforehand (`Ring.claim`): a new generation, all pixels zero.
+    The station claims the bay before it grants it (`Ring.claim`): a new generation, all pixels zero.
     """
 
     run: str
@@ -27,19 +27,19 @@ class Grant:
 
 @dataclass(frozen=True)
 class Arm:
-    """From now on every passage of the barrier is a run."""
+    """Film every board that interrupts the barrier from now on."""
 
     plan: TriggerPlan
 
 
 @dataclass(frozen=True)
 class Disarm:
-    """Ignore the barrier; a run under way is finished with what it has."""
+    """Ignore the barrier; a run under way is finished with the frames that it has."""
 
 
 @dataclass(frozen=True)
 class FireOne:
-    """Fire one pulse now, whatever the barrier shows: a run of one row, into the next grant; only while disarmed."""
+    """Fire one pulse now, whatever the barrier shows: a run of one row in the next grant. Refused while armed."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Ready:
 
 @dataclass(frozen=True)
 class Armed:
-    """The controller watches the barrier and the cameras hold memory for the next run."""
+    """The controller watches the barrier, and the cameras hold slots for the next run if memory was granted."""
 
 
 @dataclass(frozen=True)
@@ -71,20 +71,20 @@ class Disarmed:
 
 @dataclass(frozen=True)
 class RunStarted:
-    """A board is being filmed: its first pulse was fired. `host_time_s` is when it interrupted the barrier
-    (of a pulse without the barrier: when it was asked for).
+    """The first pulse of a board was fired.
 
-    That may be before the run ahead of it is finished, if that one still waits for late frames.
+    The run before it may not be finished yet, if that one still waits for late frames.
     """
 
     run: str
     bay: int
     host_time_s: float
+    """When the board interrupted the barrier; for a single pulse: when it was requested."""
 
 
 @dataclass(frozen=True)
 class PulseReported:
-    """The controller fired one row."""
+    """The controller fired one pulse."""
 
     run: str
     pulse: Pulse
@@ -92,7 +92,7 @@ class PulseReported:
 
 @dataclass(frozen=True)
 class FrameSettled:
-    """One (camera, row) of a run has its verdict; ok frames come as soon as they are paired."""
+    """One (camera, row) of a run has its verdict; complete frames are reported as soon as they are assigned."""
 
     run: str
     frame: FrameRecord
@@ -101,29 +101,30 @@ class FrameSettled:
 
 @dataclass(frozen=True)
 class RunFinished:
-    """Every (camera, row) has its verdict; nothing of this run will change any more.
+    """Every (camera, row) has its verdict; nothing of this run changes any more.
 
-    Runs finish in the order of their boards but where one has to wait for late frames (0.5 s at most).
-    In `head` frames that are not whole count as missing; `frames` is ordered by camera, then row.
+    Runs finish in the order of their boards, except where one waits for late frames (one period + 0.5 s at most).
     """
 
     run: str
     bay: int
     head: RecordingHead
+    """Head of a recording of this run; frames that are not complete count as missing."""
     frames: tuple[FrameRecord, ...]
+    """Ordered by camera, then row."""
     last_frame_host_s: float
-    """time.monotonic() when the last frame of the run arrived (of the last pulse, if none did)."""
+    """time.monotonic() when the last frame of the run arrived; of the last pulse, if none did."""
     reason: str
-    """Why the pulses ended: see controller.RunEnded."""
+    """Why the pulses ended: see `controller.interface.RunEnded`."""
     unassigned: int = 0
     """Count of frames that belong to no pulse of a run."""
     proof: TriggerProof | None = None
-    """That every frame belongs to its pulse; None if the acquisition process did not live to give it."""
+    """The check that every frame belongs to its pulse; None if the acquisition process ended before it was made."""
 
 
 @dataclass(frozen=True)
 class BoardMissed:
-    """A board passed and nothing of it was filmed: no memory was granted, or no pulse was fired."""
+    """A board passed and was not filmed: no memory was granted, or no pulse was fired."""
 
     host_time_s: float
     reason: str
@@ -131,7 +132,7 @@ class BoardMissed:
 
 @dataclass(frozen=True)
 class Health:
-    """Sign of life, twice a second, with what the devices say of themselves."""
+    """The heartbeat of the process, twice a second, with the state of the devices."""
 
     cameras: tuple[CameraHealth, ...]
     controller: str
@@ -140,7 +141,7 @@ class Health:
 
 @dataclass(frozen=True)
 class Trouble:
-    """A device does not do what it should; the operator's sentence is `action`."""
+    """A fault of a device; `action` is what the operator should do."""
 
     code: str
     message: str

@@ -1,4 +1,4 @@
-"""A run in the ring → a recording on the disk, whole or not at all."""
+"""Write a run of the ring as a recording on disk, completely or not at all."""
 
 from __future__ import annotations
 
@@ -14,17 +14,21 @@ from vaoi_station.files.images import Image
 from vaoi_station.model import RecordingHead, Verdict
 
 
-def keep_run(
+def export_run(
     directory: Path, finished: RunFinished, ring: Ring, generation: int, copies: Mapping[str, Path] | None = None
 ) -> Recording:
     """Write a finished run as the recording `directory`, which must not exist yet.
 
     Args:
-        directory: appears complete, by a rename, or not at all.
-        finished: the run; what is not ok is listed under `missing`, with its cause under `x_verdicts`.
-        ring: where its frames are.
-        generation: of its bay; `GoneError` if the memory goes to another board meanwhile.
+        directory: is renamed into place when it is complete.
+        finished: the run; frames that are not complete are listed under `missing`, with causes under `x_verdicts`.
+        ring: holds its frames.
+        generation: of its bay.
         copies: name in the recording → file to copy there ("calibration.json", "board.json").
+
+    Raises:
+        GoneError: the memory was given to another board meanwhile.
+        StateError: the directory exists already.
     """
     with new_directory(directory) as draft:
         for name, source in (copies or {}).items():
@@ -34,7 +38,7 @@ def keep_run(
 
 
 def recording_head(finished: RunFinished) -> RecordingHead:
-    """The head of the recording, with what went wrong in keys of our own."""
+    """Return the head of the recording; faults and the proof are in `x_` keys, which other readers ignore."""
     document = finished.head.model_dump(mode="json", exclude_none=True)
     document["x_run"] = finished.run
     document["x_ended"] = finished.reason

@@ -1,4 +1,4 @@
-"""What the station is told of a finished run, built from its sheet."""
+"""Build the reports of finished runs and of faults."""
 
 from __future__ import annotations
 
@@ -9,38 +9,39 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.model import RecordingHead, Verdict
 
 
-def run_finished(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
-    """The report; `head` is that of a recording of this run, where frames that are not whole count as missing."""
-    sheet = finished.sheet
-    assert sheet.run is not None
-    assert sheet.bay is not None
+def finished_report(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
+    """Return the report of a finished run; frames that are not complete count as missing in its head."""
+    record = finished.record
+    assert record.run is not None
+    assert record.bay is not None
     head = RecordingHead(
         format="vaoi-recording",
         version=1,
         cameras=tuple(c.head for c in config.cameras),
-        rows=sheet.rows,
-        trigger_period_s=sheet.period_s,
+        rows=record.rows,
+        trigger_period_s=record.period_s,
         conveyor_mm_s=config.line.conveyor_mm_s,
         missing=tuple((f.camera, f.row) for f in finished.frames if f.verdict is not Verdict.OK),
-        trigger_times_s=sheet.times_s(),
-        exposures_us=sheet.exposures_us(),
-        lights=sheet.lights(),
+        trigger_times_s=record.times_s(),
+        exposures_us=record.exposures_us(),
+        lights=record.lights(),
     )
-    last_pulse_s = min(max(p.host_s for p in sheet.pulses.values()), now_s)
+    # A replay at the fast pace reports pulses before their time, so the last one may lie in the future.
+    last_pulse_s = min(max(p.host_s for p in record.pulses.values()), now_s)
     return RunFinished(
-        run=sheet.run,
-        bay=sheet.bay,
+        run=record.run,
+        bay=record.bay,
         head=head,
         frames=finished.frames,
-        last_frame_host_s=sheet.last_frame_host_s or last_pulse_s,
-        reason=sheet.reason,
-        unassigned=sheet.strays,
+        last_frame_host_s=record.last_frame_host_s or last_pulse_s,
+        reason=record.reason,
+        unassigned=record.unassigned,
         proof=finished.proof,
     )
 
 
-def trouble(error: VaoiError, what: str = "") -> Trouble:
-    """An error as a report; the operator always gets a sentence to act on."""
-    named = not what or error.message.startswith(f"{what}:")
-    message = error.message if named else f"{what}: {error.message}"
-    return Trouble(error.code, message, error.action or "Look at the station's log, then arm again.")
+def trouble_report(error: VaoiError, device: str = "") -> Trouble:
+    """Return an error as a report, which always has an action; the message begins with the name of the device."""
+    named = not device or error.message.startswith(f"{device}:")
+    message = error.message if named else f"{device}: {error.message}"
+    return Trouble(error.code, message, error.action or "Read the station's log, then arm again.")

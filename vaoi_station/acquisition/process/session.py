@@ -1,7 +1,7 @@
-"""What the acquisition process knows between two messages: plan, grants, the run under way.
+"""The state of the acquisition process between two messages: plan, grants, the run under way.
 
-One thread uses it. Everything that can happen comes in as a call, with the time of day; reports go out by
-`send`. Devices, ring and recorder are told in the order that keeps frames safe: memory before pulses.
+One thread uses it. Every event comes in as a call with the time of day; reports go out by `send`. The order of actions
+on devices, ring and recorder keeps frames safe: the cameras hold slots before a pulse is fired.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Stray
-from vaoi_station.acquisition.pairing.run_sheet import RunSheet
+from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Unassigned
+from vaoi_station.acquisition.pairing.run_record import RunRecord
 from vaoi_station.acquisition.process.messages import (
     Armed,
     BoardMissed,
@@ -32,8 +32,8 @@ from vaoi_station.acquisition.process.messages import (
     Report,
     RunStarted,
 )
-from vaoi_station.acquisition.process.run_reports import run_finished, trouble
-from vaoi_station.acquisition.process.slot_queue import Magazine
+from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
+from vaoi_station.acquisition.process.slot_queue import SlotQueue
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
 from vaoi_station.config import StationConfig
@@ -42,17 +42,17 @@ from vaoi_station.model import Verdict
 from vaoi_station.optics.timing import spare_time_us
 
 CLOCK_LIMIT_S = 2e-3
-"""Clocks must be known this well before the station is armed ..."""
+"""Largest bound of a clock with which the station is armed, s ..."""
 CLOCK_SHARE = 1 / 10
-"""... and to this share of the period: which pulse a frame belongs to is decided by time."""
+"""... and as a share of the period: frames are assigned to pulses by time."""
 SILENCE_S = 10.0
-"""A controller that has not ended a run so long after its longest duration has fallen silent."""
+"""A controller that has not ended a run this long after its longest duration is given up."""
 
 _STATES = {Verdict.OK: OK, Verdict.INCOMPLETE: INCOMPLETE}
 
 
 class Session:
-    """Grants, arming, and the runs one after another."""
+    """Grants, arming, and one run after another."""
 
     def __init__(
         self,
@@ -63,49 +63,69 @@ class Session:
         camera_clocks: list[ClockModel],
         send: Callable[[Report], None],
     ) -> None:
+        """Start disarmed, without grants.
+
+        Args:
+            config: the station.
+            ring: the ring, mapped writable.
+            devices: opened and started.
+            controller_clock: maps the controller's times to the host's clock.
+            camera_clocks: map the time stamps of every camera.
+            send: sends a report to the station.
+        """
         self._config, self._ring, self._devices, self._send = config, ring, devices, send
         self._clocks = [controller_clock, *camera_clocks]
-        self._magazine = Magazine(ring, devices.cameras)
+        self._slot_queue = SlotQueue(ring, devices.cameras)
         exposures_us = [camera.exposure_us for camera in config.cameras]
-        self._recorder = Recorder(controller_clock, camera_clocks, home=self._magazine.home, exposures_us=exposures_us)
+        self._recorder = Recorder(
+            controller_clock, camera_clocks, move_to_bay=self._slot_queue.move_to_bay, exposures_us=exposures_us
+        )
         self._grants: deque[Grant] = deque()
         self._next: Grant | None = None
         """The grant whose slots the cameras hold for the next board."""
         self._plan: TriggerPlan | None = None
-        self._run: RunSheet | None = None
+        self._run: RunRecord | None = None
         """The run whose pulses are being fired."""
         self._silent_s = float("inf")
         self._skipped: dict[int, str] = {}
-        """Rows of a passage that were not fired, before the first one that was."""
+        """Row → why it was not fired, for rows before the first pulse of a passage."""
         self._given_up = False
-        """A run was closed before its end was told; what is still told of it comes too late."""
+        """Whether a run was closed before its end was reported; later events of it are ignored."""
         self._edge_s = 0.0
+        """Host time of the latest edge of the barrier, or of the latest request of a single pulse."""
         self._disarming = False
 
     def deadline_s(self, after_s: float) -> float:
-        """The first time after `after_s` when `tick` has something to do; infinite if there is none."""
+        """Return the first time after `after_s` at which `tick` has something to do; infinite if there is none."""
         times = (self._recorder.next_deadline_s(after_s), self._silent_s)
         return min(t for t in times if t is not None)
 
     def tick(self, now_s: float) -> None:
-        """Deadlines."""
+        """Handle the deadlines that have passed."""
         if self._run is not None and now_s >= self._silent_s:
             error = DeviceError(
-                f"the controller has not ended run {self._run.run}.",
+                f"the controller has not reported the end of run {self._run.run}.",
                 action="Check its cable and power, then arm again.",
             )
-            self._send(trouble(error))
-            self._end_run(self._run.rows, "the controller fell silent", now_s)
+            self._send(trouble_report(error))
+            self._end_run(self._run.rows, "the controller stopped reporting", now_s)
             self._given_up = True
-        self._tell(self._recorder.settle(now_s), now_s)
+        self._apply(self._recorder.settle(now_s), now_s)
 
     def grant(self, grant: Grant) -> None:
-        """Memory for one more run."""
+        """Accept memory for one more run."""
         self._grants.append(grant)
         self._load_next()
 
     def arm(self, plan: TriggerPlan) -> None:
-        """Slots into the cameras, then the controller watches the barrier. Raises what forbids it."""
+        """Queue slots in the cameras, then let the controller watch the barrier.
+
+        Raises:
+            InputError: the plan does not fit the ring or the cameras.
+            ClockError: a clock is not known well enough yet.
+            StateError: a board is passing and the plan is another one.
+            DeviceError: the controller refuses the plan.
+        """
         if plan.max_rows > self._ring.layout.slots_per_camera:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
             raise InputError.field("trigger plan", "max_rows", plan.max_rows, limit)
@@ -116,51 +136,64 @@ class Session:
                 raise StateError("a board is passing; the plan cannot change now.", action="Arm again in a moment.")
             if self._plan is not None:
                 self._devices.controller.disarm()
+            # Slots are queued only with a plan set, and before the controller may fire.
             before, self._plan = self._plan, plan
             try:
                 self._load_next()
                 self._devices.controller.arm(plan)
-            except BaseException:  # whatever ended it, tidy up; it is raised again
+            except BaseException:  # any failure leaves the plan as it was; raised again
                 self._plan = None if before is None else before
                 raise
         self._send(Armed())
 
     def fire_one(self, now_s: float) -> None:
-        """Slots into the cameras, then one pulse without the barrier. Raises what forbids it."""
+        """Queue slots in the cameras, then fire one pulse without the barrier.
+
+        Raises:
+            StateError: the station is armed, or no memory is granted.
+            ClockError: a clock is not known well enough yet.
+            DeviceError: the controller refuses the pulse.
+        """
         if self._plan is not None:
-            raise StateError("boards are being filmed; single pulses would be among theirs.", action="Disarm first.")
+            raise StateError(
+                "the station is armed; single pulses would mix with those of boards.", action="Disarm first."
+            )
         self._require_clocks(CLOCK_LIMIT_S)
-        self._swap()
+        self._load_while_waiting()
         if self._next is None:
-            raise StateError("there is no memory for a pulse: all of it is in use.", action="Fire again in a moment.")
+            raise StateError(
+                "there is no memory for a pulse: all bays of the ring are in use.", action="Fire again in a moment."
+            )
         self._edge_s = now_s
         self._devices.controller.fire_one()
 
-    def disarmed(self, now_s: float) -> None:
-        """The controller is disarmed and all its events have been read: finish, then give memory back."""
+    def finish_disarming(self, now_s: float) -> None:
+        """End the run under way, then return unused memory; the controller is disarmed and all its events are read."""
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self._plan = None
         self._given_up = False
         self._disarming = True
-        self._tell(self._recorder.settle(now_s), now_s)
+        self._apply(self._recorder.settle(now_s), now_s)
 
-    def heard(self, event: ControllerEvent, now_s: float) -> None:
-        """The controller reports something."""
-        self._recorder.heard(event.time_s)
-        if self._comes_too_late(event):
+    def handle_event(self, event: ControllerEvent, now_s: float) -> None:
+        """Handle an event of the controller."""
+        self._recorder.note_controller_time(event.time_s)
+        if self._is_outdated(event):
             return
         if isinstance(event, BarrierBlocked):
             self._edge_s = min(self._clocks[0].host_s(event.time_s), now_s)
             self._skipped = {}
-            self._swap()
+            # The start delay leaves time to queue slots before the first pulse.
+            self._load_while_waiting()
         elif isinstance(event, PulseFired):
+            # An index that does not grow belongs to the next board: the end of the run before was lost.
             if self._run is None or event.index <= max(self._run.pulses, default=-1):
                 self._begin_run(now_s)
-            pulse, outcomes = self._recorder.pulse(event, now_s)
+            pulse, outcomes = self._recorder.add_pulse(event, now_s)
             if self._run is not None and self._run.run is not None:
                 self._send(PulseReported(self._run.run, pulse))
-            self._tell(outcomes, now_s)
+            self._apply(outcomes, now_s)
         elif isinstance(event, PulseSkipped):
             (self._skipped if self._run is None else self._run.skipped)[event.index] = event.reason
         elif isinstance(event, RunEnded):
@@ -170,118 +203,120 @@ class Session:
                 self._end_run(event.pulses, event.reason, now_s)
 
     def _require_clocks(self, limit_s: float) -> None:
-        """ClockError while one is not known well enough; a camera that is away is read when it is back."""
+        """Raise ClockError while a clock is not known well enough, except those of cameras that are away."""
         for number, clock in enumerate(self._clocks):
             if not self.is_away(number):
                 clock.require(limit_s)
 
-    def _comes_too_late(self, event: ControllerEvent) -> bool:
-        """Whether it is of a run that has been given up; the next board, or that run's end, closes the matter."""
+    def _is_outdated(self, event: ControllerEvent) -> bool:
+        """Whether an event belongs to a run that was given up; the end of that run, or the next board, resets this."""
         late = self._given_up and not isinstance(event, BarrierBlocked)
         self._given_up = late and not isinstance(event, RunEnded)
         return late
 
-    def arrived(self, arrival: Arrival, now_s: float) -> None:
-        """A camera has finished with a slot."""
-        self._magazine.came_back(arrival.slot)
-        self._tell(self._recorder.arrive(arrival, now_s), now_s)
+    def handle_arrival(self, arrival: Arrival, now_s: float) -> None:
+        """Handle a slot that a camera has finished with."""
+        self._slot_queue.mark_returned(arrival.slot)
+        self._apply(self._recorder.add_arrival(arrival, now_s), now_s)
 
-    def lost(self, news: CameraLost) -> None:
-        """A camera is away; what it misses has that cause."""
-        self._recorder.outages.lost(news.camera, news.since_s, news.why)
+    def camera_lost(self, event: CameraLost) -> None:
+        """Note that a camera is away; the frames that it misses have that cause."""
+        self._recorder.outages.begin(event.camera, event.since_s, event.why)
 
-    def back(self, news: CameraBack) -> None:
-        """A camera films again."""
-        self._recorder.outages.back(news.camera, news.at_s)
+    def camera_back(self, event: CameraBack) -> None:
+        """Note that a camera delivers again."""
+        self._recorder.outages.end(event.camera, event.at_s)
 
     def is_away(self, number: int) -> bool:
-        """Whether a device has been lost and is not back: never the controller (0), cameras are counted from 1."""
-        return number > 0 and self._recorder.outages.away(number - 1)
+        """Whether a device was lost and is not back; cameras count from 1, the controller (0) is never away."""
+        return number > 0 and self._recorder.outages.is_away(number - 1)
 
     def _begin_run(self, now_s: float) -> None:
-        """The first pulse of a passage."""
+        """Begin a run with the first pulse of a passage."""
         if self._run is not None:
             self._end_run(self._run.rows, "the controller did not report its end", now_s)
-            self._swap()
+            self._load_while_waiting()
         plan = self._plan
         period_s = plan.period_s if plan else self._config.line.trigger_period_s
         rows = plan.max_rows if plan else self._ring.layout.slots_per_camera
         grant, self._next = self._next, None
         self._silent_s = now_s + rows * period_s + SILENCE_S
         if grant is None:
-            self._run = self._recorder.begin(None, None, period_s)
-            self._send(BoardMissed(self._edge_s, "no memory was granted for it: all of it is in use"))
+            self._run = self._recorder.begin_run(None, None, period_s)
+            self._send(BoardMissed(self._edge_s, "no memory was free for its frames: all bays of the ring are in use"))
         else:
-            self._devices.feedback.memory(False)
-            self._run = self._recorder.begin(grant.run, grant.bay, period_s)
+            self._devices.feedback.set_memory(False)
+            self._run = self._recorder.begin_run(grant.run, grant.bay, period_s)
             self._send(RunStarted(grant.run, grant.bay, self._edge_s))
         self._run.skipped, self._skipped = self._skipped, {}
 
     def _end_run(self, pulses: int, reason: str, now_s: float) -> None:
         assert self._run is not None
-        sheet, self._run, self._silent_s = self._run, None, float("inf")
-        self._tell(self._recorder.end(sheet, pulses, reason, now_s), now_s)
+        record, self._run, self._silent_s = self._run, None, float("inf")
+        self._apply(self._recorder.end_pulses(record, pulses, reason, now_s), now_s)
         self._load_next()
 
-    def _tell(self, outcomes: Iterable[Outcome], now_s: float) -> None:
-        """Carry out and report what the recorder has decided."""
+    def _apply(self, outcomes: Iterable[Outcome], now_s: float) -> None:
+        """Carry out and report the decisions of the recorder."""
         for outcome in outcomes:
-            if isinstance(outcome, Stray):
-                self._magazine.recycle(outcome.slot)
+            if isinstance(outcome, Unassigned):
+                self._slot_queue.recycle(outcome.slot)
                 self._devices.feedback.frame_done()
             elif isinstance(outcome, Finished):
                 self._finish(outcome, now_s)
             else:
                 frame = outcome.frame
+                # The slot table before the report: readers of the ring look the frame up as soon as it is reported.
                 if frame.slot is not None:
                     self._ring.note(frame.slot, _STATES[frame.verdict], frame.row, frame.frame_id)
                 self._send(FrameSettled(outcome.run, frame, now_s))
                 if frame.slot is not None:
                     self._devices.feedback.frame_done()
         if self._disarming and not self._recorder.open_runs:
-            self._give_back()
+            self._return_grants()
 
     def _finish(self, finished: Finished, now_s: float) -> None:
-        """The bay's slots out of the cameras before the station may give it away."""
-        bay = finished.sheet.bay
+        """Report the end of a run."""
+        bay = finished.record.bay
         assert bay is not None
-        if self._magazine.loaded == bay:
-            self._magazine.unload()
-        self._magazine.close_run(bay)
-        self._send(run_finished(self._config, finished, now_s))
+        # The slots first: with the report the station may give the bay to another board.
+        if self._slot_queue.loaded == bay:
+            self._slot_queue.unload()
+        self._slot_queue.close_bay(bay)
+        self._send(finished_report(self._config, finished, now_s))
         self._load_next()
 
-    def _swap(self) -> None:
-        """Pulses come while the last run waits for late frames: the next one's slots must be in the cameras."""
+    def _load_while_waiting(self) -> None:
+        """Replace the slots of a run that still waits for late frames by those of the next grant."""
         if self._run is None and self._next is None and self._grants:
-            self._magazine.unload()
+            self._slot_queue.unload()
             self._load()
 
     def _load_next(self) -> None:
-        """Queue the next grant's slots while armed, unless cameras still need those of another run."""
-        if self._plan is not None and self._run is None and self._magazine.loaded is None and self._grants:
+        """Queue the slots of the next grant while armed, unless the cameras hold those of another run."""
+        if self._plan is not None and self._run is None and self._slot_queue.loaded is None and self._grants:
             self._load()
 
     def _load(self) -> None:
         self._next = self._grants.popleft()
-        self._magazine.load(self._next.bay)
-        self._devices.feedback.memory(True)
+        self._slot_queue.load(self._next.bay)
+        self._devices.feedback.set_memory(True)
 
-    def _give_back(self) -> None:
-        """Everything that was granted and not used."""
+    def _return_grants(self) -> None:
+        """Return everything that was granted and not used."""
         self._disarming = False
-        self._devices.feedback.memory(False)
-        self._magazine.unload()
+        self._devices.feedback.set_memory(False)
+        self._slot_queue.unload()
         unused = ([self._next] if self._next else []) + list(self._grants)
         for grant in unused:
-            self._magazine.close_run(grant.bay)
+            self._slot_queue.close_bay(grant.bay)
         self._next = None
         self._grants.clear()
         self._send(Disarmed(tuple(unused)))
 
 
 def _require_time(plan: TriggerPlan, config: StationConfig) -> None:
-    """InputError for a period in which a camera cannot expose and read out."""
+    """Raise InputError for a period in which a camera cannot expose and read out."""
     for camera in config.cameras:
         if spare_time_us(plan.period_s * 1e6, camera.exposure_us, camera.readout_us) < 0:
             needed_s = (camera.exposure_us + camera.readout_us) * 1e-6

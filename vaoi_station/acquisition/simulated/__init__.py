@@ -1,1 +1,1 @@
-"""Stand in for line, cameras and controller: the digital twin, or recordings."""
+"""Replace line, cameras and controller by the digital twin or by recordings."""

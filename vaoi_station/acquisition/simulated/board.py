@@ -1,7 +1,7 @@
-"""One board of the twin, made ready for the belt: its barrier edges, its pulses, its frames rendered.
+"""One board of the twin, prepared for the belt: its barrier edges, its pulses and its rendered frames.
 
-The controller fires by what the barrier shows, bounces included; so its pulses are predicted with the
-firmware's own rule, and frames are rendered for the times that will really be fired.
+The controller fires by the barrier's edges, bounces included. Its pulses are therefore predicted with the firmware's
+own rule, and frames are rendered for the times at which they will be fired.
 """
 
 from __future__ import annotations
@@ -18,51 +18,53 @@ from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
 from vaoi_station.simulation import Passage
 
 FAR_S = 1e4
+"""After the end of every passage, s."""
 
 
 class SimulatedBoard:
-    """All times are seconds since the passage's start."""
+    """A board with its edges, pulses and frames; all times are seconds since the start of its passage."""
 
     def __init__(self, passage: Passage, plan: TriggerPlan, cameras: int) -> None:
         self.passage = passage
         self.edges = barrier_edges(passage)
         self.pulses = predict_pulses(self.edges, plan)
-        self._left = [(c, r) for r in range(len(self.pulses)) for c in range(cameras)]
+        self._to_render = [(c, r) for r in range(len(self.pulses)) for c in range(cameras)]
         self._frames: dict[tuple[int, int], NDArray[np.uint8]] = {}
 
     @property
     def ready(self) -> bool:
         """Whether all frames are rendered."""
-        return not self._left
+        return not self._to_render
 
     def render_one(self) -> None:
-        """Render one more frame."""
-        camera, row = self._left.pop(0)
+        """Render the next frame."""
+        camera, row = self._to_render.pop(0)
         pulse = self.pulses[row]
         image = self.passage.frame_at(camera, pulse.time_s, pulse.light, row)
         self._frames[camera, row] = to_bytes(image)
 
     def pixels(self, camera: int, row: int) -> NDArray[np.uint8]:
-        """The flat bytes of a frame; a board that sticks looks the same in every further row."""
+        """Return the flat bytes of a frame; rows beyond the last (a board that is stuck) repeat it."""
         return self._frames[camera, min(row, len(self.pulses) - 1)]
 
 
 def to_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """A frame (h, w) as the flat bytes a camera sends."""
+    """Return a frame (h, w) as the flat bytes that a camera sends."""
     return np.ascontiguousarray(image).reshape(-1).view(np.uint8)
 
 
 def barrier_edges(passage: Passage) -> list[tuple[float, bool]]:
-    """When the barrier changes and to what: the truth, turned to its opposite during bounces."""
+    """Return (time, whether interrupted) of every change of the barrier; bounces invert its true state."""
     toggles = [passage.blocked_s, passage.clear_s]
     for bounce in passage.faults.bounces:
         toggles += [bounce.at_s, bounce.at_s + bounce.duration_s]
+    # A board that is stuck never clears the barrier: its time is infinite and gives no edge.
     finite = sorted(t for t in toggles if math.isfinite(t))
     return [(0.0, False), *((t, n % 2 == 0) for n, t in enumerate(finite))]
 
 
 def predict_pulses(edges: list[tuple[float, bool]], plan: TriggerPlan) -> list[PulseFired]:
-    """The pulses the controller will fire for these edges."""
+    """Return the pulses that the controller will fire for these edges."""
     rule = TriggerRule(plan, count())
     events: list[ControllerEvent] = []
     for time_s, blocked in edges:

@@ -1,9 +1,8 @@
-"""The conveyor of a simulated station: prepares boards and lets one after another pass the barrier.
+"""The conveyor of a simulated station: it prepares boards and lets one after another pass the barrier.
 
-Boards come only while the controller is armed: whoever feeds the line waits for the station. A board is
-let onto the belt when all its frames are rendered, and nothing is rendered while a board passes, so that
-the twin's arithmetic does not disturb the station it tests. Pulses without the barrier see the calibration
-board, which somebody has laid under the cameras.
+Boards come only while the controller is armed. A board enters the belt when all its frames are rendered, and nothing
+is rendered while a board passes, so that rendering does not take processor time from the station under test. Pulses
+without the barrier show the calibration board at rest under the cameras.
 """
 
 from __future__ import annotations
@@ -26,13 +25,15 @@ from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.simulation import Twin, calibration_board
 
 AHEAD = 2
-"""Boards kept ready."""
+"""Boards prepared in advance."""
 LEAD_S = 0.02
+"""From the decision to let a board pass to the start of its passage, s."""
 SAME_TIME_S = 1e-6
+"""Largest difference between a fired and a predicted pulse, s."""
 
 
 class SimulatedLine:
-    """Owns the belt; cameras and controller are told what happens on it."""
+    """The belt: it drives the barrier of the controller and exposes the cameras."""
 
     def __init__(
         self,
@@ -43,6 +44,16 @@ class SimulatedLine:
         boards: int,
         interval_s: float,
     ) -> None:
+        """Start without boards.
+
+        Args:
+            twin: the digital twin.
+            plan: the trigger plan for which frames are rendered.
+            cameras: of the station.
+            clock: the controller's.
+            boards: count of boards; 0: without end.
+            interval_s: from the start of one passage to that of the next, at least.
+        """
         self._twin, self._plan, self._cameras, self._clock = twin, plan, cameras, clock
         self._boards, self._interval_s = boards, interval_s
         self._change = threading.Condition()
@@ -50,32 +61,32 @@ class SimulatedLine:
         self._prepared = 0
         self._board: SimulatedBoard | None = None
         self._still: list[NDArray[np.uint8]] = []
-        """Flat bytes of every camera's frame of what lies still; rendered with the first pulse that shows it."""
+        """Flat bytes of every camera's frame of the calibration board; rendered with the first pulse that shows it."""
         self._start_s = 0.0
         self._next_host_s = float("-inf")
         self._armed = self._passing = self._closing = False
         self._thread: threading.Thread | None = None
 
     def start(self, controller: SimulatedController, faults: EventQueue) -> None:
-        """Begin to prepare boards."""
+        """Begin to prepare boards; report faults to `faults`."""
         self._controller, self._faults = controller, faults
         self._thread = threading.Thread(target=self._work, name="line")
         self._thread.start()
 
     def set_armed(self, armed: bool) -> None:
-        """Boards come, or wait."""
+        """Let boards come, or hold them back."""
         with self._change:
             self._armed = armed
             self._change.notify()
 
     def set_over(self) -> None:
-        """The run has ended; the next board may come."""
+        """Note that the run has ended: the next board may come."""
         with self._change:
             self._passing = False
             self._change.notify()
 
     def fire(self, event: PulseFired) -> None:
-        """The controller triggers all cameras: they see what the twin shows at this time."""
+        """Expose all cameras for a pulse of a board."""
         board, row = self._board, event.index
         if board is None or not self._agrees(board, event):
             error = InternalError(f"pulse {row} was fired at {event.time_s} s, when the twin did not expect one.")
@@ -85,7 +96,7 @@ class SimulatedLine:
             self._expose(board, n, row, self._clock.host_s(event.time_s))
 
     def fire_single(self, event: PulseFired) -> None:
-        """No board passes: the cameras see the calibration board, which lies still under them."""
+        """Expose all cameras for a pulse without a board: they show the calibration board at rest."""
         if not self._still:
             self._still = [to_bytes(image) for _, _, image in calibration_board.frames(self._twin)]
         host_s = self._clock.host_s(event.time_s)
@@ -93,7 +104,7 @@ class SimulatedLine:
             camera.trigger(host_s, pixels)
 
     def _expose(self, board: SimulatedBoard, n: int, row: int, host_s: float) -> None:
-        """One camera, triggered for a row; with all that goes wrong."""
+        """Expose one camera for a row, with the faults of the scenario."""
         camera, faults = self._cameras[n], board.passage.faults
         if (interval_s := faults.runs_freely_s(n)) is not None:
             if row == 0:
@@ -103,20 +114,23 @@ class SimulatedLine:
             return
         other = faults.carries(n, row)
         last = len(board.pulses) - 1
-        said_s = board.pulses[min(other, last)].time_s - board.pulses[min(row, last)].time_s
+        # An exchanged frame carries the time stamp and the id of the other row.
+        stamp_error_s = board.pulses[min(other, last)].time_s - board.pulses[min(row, last)].time_s
         camera.trigger(
             host_s,
             board.pixels(n, row),
             lost=faults.lost(n, row),
             late_s=faults.late_s(n, row),
             share=faults.received_share(n, row),
-            said=(said_s, other - row),
+            stamp_error_s=stamp_error_s,
+            id_error=other - row,
         )
         for after_s in faults.extra_s(n, row):
             camera.trigger(host_s + after_s, board.pixels(n, row))
 
     def _run_freely(self, board: SimulatedBoard, n: int, host_s: float, interval_s: float) -> None:
-        """Frames from the first pulse on until the last, a third of an interval late."""
+        """Expose a camera at its own interval from the first pulse until the last."""
+        # A third of an interval late, so that no frame coincides with a pulse by construction.
         passing_s = board.pulses[-1].time_s - board.pulses[0].time_s
         for k in range(math.ceil(passing_s / interval_s)):
             self._cameras[n].trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))
@@ -152,13 +166,13 @@ class SimulatedLine:
 
     def _to_prepare(self) -> bool:
         if self._still and not self._armed:
-            return False  # somebody looks at what lies still; boards can wait
+            return False  # single pulses show the calibration board: rendering would delay their frames
         if self._ready and not self._ready[-1].ready:
             return True
         return len(self._ready) < AHEAD and (self._boards == 0 or self._prepared < self._boards)
 
     def _prepare(self) -> None:
-        """One frame more, or the next board begun."""
+        """Render one frame, or begin the next board."""
         if not self._ready or self._ready[-1].ready:
             passage = self._twin.passage(self._prepared)
             self._ready.append(SimulatedBoard(passage, self._plan, len(self._cameras)))
@@ -168,6 +182,7 @@ class SimulatedLine:
 
     def _let_pass(self) -> None:
         with self._change:
+            # Disarming may have come between the check in _may_pass and here.
             if not self._armed:
                 return
             board, now_s = self._ready.popleft(), time.monotonic()

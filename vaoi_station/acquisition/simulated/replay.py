@@ -1,4 +1,4 @@
-"""Recordings in place of line, cameras and controller."""
+"""Play recordings in place of line, cameras and controller."""
 
 from __future__ import annotations
 
@@ -19,23 +19,29 @@ from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
-DECODED = 4
-"""Recordings whose frames are kept in memory."""
-PATIENCE_S = 2.0
-"""A fast replay does not wait longer than this for a row to be taken."""
+CACHED_RECORDINGS = 4
+"""Recordings whose decoded frames are kept in memory."""
+ROW_TIMEOUT_S = 2.0
+"""Longest time for which a fast replay waits until a row is taken."""
 
 Pixels = dict[tuple[int, int], NDArray[np.uint8]]
 
 
 def open_replay(config: StationConfig) -> Devices:
-    """Cameras and controller that play `config.replay`; InputError if a recording is not of this station."""
+    """Open cameras and controller that play `config.replay`.
+
+    Raises:
+        InputError: a recording does not fit this station.
+    """
     assert config.replay is not None
     recordings = [open_recording(path) for path in config.replay.recordings]
     for recording in recordings:
         _check(recording, config)
     clock, feedback = DeviceClock(), Feedback()
     cameras = tuple(ReplayCamera(n, clock) for n in range(len(config.cameras)))
-    decode = lru_cache(maxsize=DECODED)(partial(_decode, formats=tuple(c.pixel_format for c in config.cameras)))
+    formats = tuple(camera.pixel_format for camera in config.cameras)
+    decode = lru_cache(maxsize=CACHED_RECORDINGS)(partial(_decode, formats=formats))
+    # Decoded before the line is armed: the first run must not wait for the disk.
     decode(recordings[0])
     order = cycle(recordings)
     runs = (_rows(r, cameras, decode(r)) for r in (islice(order, config.replay.runs) if config.replay.runs else order))
@@ -44,27 +50,27 @@ def open_replay(config: StationConfig) -> Devices:
 
 
 class FastPace:
-    """As fast as frames are taken: a run begins when there is memory, a pulse when the last row is done."""
+    """The pace of a fast replay: a run begins when there is memory, a pulse when the last row is done."""
 
     def __init__(self, feedback: Feedback) -> None:
         self._feedback = feedback
         self._expected = 0
 
     def before_run(self, stop: Callable[[], bool]) -> None:
-        """Wait for memory."""
-        self._feedback.wait_memory(stop)
+        """Wait until there is memory for a run."""
+        self._feedback.wait_for_memory(stop)
         self._expected = self._feedback.frames_done()
 
     def before_pulse(self, stop: Callable[[], bool]) -> None:
-        """Wait for the frames shown so far; a frame nobody had memory for is not waited for long."""
-        self._feedback.wait_done(self._expected, stop, PATIENCE_S)
+        """Wait until the frames shown by now are done, but not for long: one without a slot is never done."""
+        self._feedback.wait_for_frames(self._expected, stop, ROW_TIMEOUT_S)
 
     def frames_coming(self, frames: int) -> None:
-        """So many frames are on their way."""
+        """Count frames that will arrive."""
         self._expected += frames
 
     def wake(self) -> None:
-        """Something may have stopped."""
+        """Let waiting threads evaluate their `stop` again."""
         self._feedback.wake()
 
 
@@ -89,7 +95,7 @@ def _rows(recording: Recording, cameras: tuple[ReplayCamera, ...], pixels: Pixel
 
 
 def _decode(recording: Recording, formats: tuple[str, ...]) -> Pixels:
-    """All frames of a recording as flat bytes, as a camera of that pixel format would send them."""
+    """Return all frames of a recording as flat bytes, as cameras of these pixel formats send them."""
     frames: Pixels = {}
     for n, pixel_format in enumerate(formats):
         for row in range(recording.head.rows):
@@ -107,7 +113,7 @@ def _decode(recording: Recording, formats: tuple[str, ...]) -> Pixels:
 
 
 def _check(recording: Recording, config: StationConfig) -> None:
-    """Refuse a recording that this station could not have made."""
+    """Raise InputError for a recording that this station could not have made."""
     head, where = recording.head, recording.directory / "recording.json"
     if len(head.cameras) != len(config.cameras):
         raise InputError.field(where, "cameras", len(head.cameras), f"{len(config.cameras)}, as in station.toml")

@@ -1,4 +1,4 @@
-"""The digital twin in place of line, cameras and controller."""
+"""Open the digital twin in place of line, cameras and controller."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
 from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
 from vaoi_station.acquisition.controller.simulated import SimulatedController
-from vaoi_station.acquisition.device_clock import crystal
+from vaoi_station.acquisition.device_clock import simulated_clock
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.simulated.line import SimulatedLine
 from vaoi_station.config import StationConfig
@@ -17,27 +17,33 @@ from vaoi_station.simulation import Scenario, Twin, read_scenario
 
 
 class _ControllerWithLine(SimulatedController):
-    """The controller, and the line that lives and dies with it."""
+    """A simulated controller that starts and closes the line with itself."""
 
     line: SimulatedLine
 
     def start(self, events: EventQueue) -> None:
+        """Start the controller, then the line."""
         super().start(events)
         self.line.start(self, events)
 
     def close(self) -> None:
+        """Close the line, then the controller."""
         self.line.close()
         super().close()
 
 
 def open_simulated(config: StationConfig) -> Devices:
-    """Cameras, controller and line of `config.simulation`; InputError if the scenario is of another station."""
+    """Open cameras, controller and line of `config.simulation`.
+
+    Raises:
+        InputError: the scenario does not fit this station.
+    """
     assert config.simulation is not None
     twin = Twin(read_scenario(config.simulation.scenario))
     _check(twin.scenario, config)
-    cameras = tuple(SimulatedCamera(n, crystal(n), c.exposure_us) for n, c in enumerate(config.cameras))
+    cameras = tuple(SimulatedCamera(n, simulated_clock(n), c.exposure_us) for n, c in enumerate(config.cameras))
     plan = scenario_plan(twin)
-    clock = crystal(-1)
+    clock = simulated_clock(-1)
     line = SimulatedLine(twin, plan, cameras, clock, config.simulation.boards, config.simulation.interval_s)
     controller = _ControllerWithLine(
         clock,
@@ -52,12 +58,16 @@ def open_simulated(config: StationConfig) -> Devices:
 
 
 def scenario_plan(twin: Twin) -> TriggerPlan:
-    """What the scenario expects of the controller."""
+    """Return the trigger plan of a scenario."""
     return TriggerPlan.of(twin.line, twin.scenario.line.lights)
 
 
 def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
-    """The plan with the scenario's lights; InputError where it differs, as frames were rendered for the scenario's."""
+    """Return the requested plan with the scenario's lights.
+
+    Raises:
+        InputError: the plans differ, but frames are rendered for that of the scenario.
+    """
     for key in ("start_delay_s", "period_s", "tail_s", "debounce_s"):
         value, must = getattr(asked, key), getattr(expected, key)
         if not math.isclose(value, must, rel_tol=1e-9, abs_tol=1e-12):
@@ -69,7 +79,7 @@ def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
 
 
 def check_scenario(config: StationConfig) -> None:
-    """Refuse a scenario that is absent, wrong, or of another station."""
+    """Raise InputError for a scenario that is absent, invalid, or of another station."""
     assert config.simulation is not None
     scenario = read_scenario(config.simulation.scenario)
     _check(scenario, config)
@@ -77,7 +87,7 @@ def check_scenario(config: StationConfig) -> None:
 
 
 def _check(scenario: Scenario, config: StationConfig) -> None:
-    """Refuse a scenario with another array or another line."""
+    """Raise InputError for a scenario with another array or another line."""
     where = config.simulation.scenario if config.simulation else "scenario"
     array, twin = scenario.array, Twin(scenario)
     pairs: list[tuple[str, object, object]] = [("array.cameras", array.cameras, len(config.cameras))]

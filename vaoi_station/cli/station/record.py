@@ -21,9 +21,9 @@ def record(
     ] = False,
 ) -> None:
     """Film boards with the configured devices and keep each as a recording."""
-    from vaoi_station.acquisition.process.filming import film, film_pulses
+    from vaoi_station.acquisition.process.filming import FilmingHandlers, film, film_pulses
     from vaoi_station.acquisition.process.messages import RunFinished
-    from vaoi_station.acquisition.process.recording_export import keep_run
+    from vaoi_station.acquisition.process.recording_export import export_run
     from vaoi_station.acquisition.ring.ring import Ring
     from vaoi_station.config import read_config
     from vaoi_station.errors import StateError
@@ -43,7 +43,7 @@ def record(
 
     def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
         target = targets[len(kept)]
-        keep_run(target, finished, ring, generation, copies)
+        export_run(target, finished, ring, generation, copies)
         kept.append(target)
         cameras, rows = len(station.cameras), finished.head.rows
         whole = cameras * rows - len(finished.head.missing)
@@ -56,6 +56,6 @@ def record(
         print(sentence, file=sys.stderr)
 
     if still:
-        film_pulses(station, runs, STILL_RATE_HZ, keep, notice)
+        film_pulses(station, runs, STILL_RATE_HZ, FilmingHandlers(keep, notice))
     else:
-        film(station, runs, keep, notice)
+        film(station, runs, FilmingHandlers(keep, notice))

@@ -9,7 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from vaoi_station.acquisition.pairing.proof import QUESTIONS, TriggerProof
+from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, TriggerProof
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch, Verdict
@@ -103,7 +103,7 @@ def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
     """What speaks against frames, and frames that nobody asked for; those that are missing are told elsewhere."""
     for f in proof.findings if proof else ():
         where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
-        if f.kind in QUESTIONS:
+        if f.kind in QUESTIONING_KINDS:
             yield Reason(
                 code=f"trigger-{f.kind}",
                 message=f"{where}: {f.text}.",

@@ -18,9 +18,9 @@ from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     Arrival,
     CameraBack,
+    CameraEvent,
     CameraHealth,
     CameraLost,
-    CameraNews,
     Slot,
 )
 from vaoi_station.acquisition.clocks import ClockReading
@@ -68,7 +68,7 @@ class AravisCamera:
         """Of the connection, and of the slots that wait for one."""
         self._connection: Connection | None = connection
         self._waiting: list[Slot] = []
-        self._arrivals: SimpleQueue[CameraNews] = SimpleQueue()
+        self._arrivals: SimpleQueue[CameraEvent] = SimpleQueue()
         self._counts = _Counts()
         self._counting = threading.Lock()
         self._fault: VaoiError | None = None
@@ -82,7 +82,7 @@ class AravisCamera:
         self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
         connection.start(self._on_slot, share)
 
-    def start(self, arrivals: SimpleQueue[CameraNews]) -> None:
+    def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
         """Announce what becomes of slots, and losses of the camera."""
         self._arrivals = arrivals
         self._thread.start()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraNews, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, Slot
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.rig.devices.network import addresses
@@ -82,7 +82,7 @@ class Stage:
         self.config = config
         self.cameras: tuple[AravisCamera, ...] = open_aravis_cameras(config)
         self.ring = Ring.create(ring_path(config), RingLayout.of(config))
-        self.news: SimpleQueue[CameraNews] = SimpleQueue()
+        self.news: SimpleQueue[CameraEvent] = SimpleQueue()
         for camera in self.cameras:
             camera.start(self.news)
 

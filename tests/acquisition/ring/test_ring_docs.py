@@ -12,7 +12,7 @@ from tests.needs import need
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import HEADER, INCOMPLETE, OK, FrameShape, RingLayout
 
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "internals" / "ring.md").read_text()
+DOCUMENT = (Path(__file__).parents[3] / "docs" / "internals" / "ring.md").read_text()
 SIZES = {"char[8]": 8, "u32": 4, "u64": 8}
 
 

@@ -1,9 +1,9 @@
-"""Which frame is it? The only one it can be, or nobody's.
+"""Assign incomplete frames by elimination.
 
-An incomplete frame carries no trustworthy time or number. It came from some pulse of its camera, at most
-one frame came from each, and none can arrive before its pulse; so each has a set of candidates. Where
-these sets leave exactly one possibility it is taken, which may settle others in turn; where they leave
-several, none is.
+An incomplete frame has no trustworthy time stamp or id. It belongs to some pulse of its camera, at most one frame
+belongs to each pulse, and no frame arrives before its pulse. So each frame has a set of candidate pulses. A frame with
+exactly one candidate is assigned to it, which may leave other frames with one candidate. A frame with several
+candidates is not assigned.
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ from typing import TypeVar
 T = TypeVar("T", bound=Hashable)
 
 
-def eliminate(candidates: Sequence[AbstractSet[T]]) -> dict[int, T]:
-    """The forced choices: index of a set → its element. Two sets that are left with the same one get nothing."""
+def assign_forced(candidates: Sequence[AbstractSet[T]]) -> dict[int, T]:
+    """Return index of a candidate set → its element, where the sets leave no other possibility.
+
+    Two sets that are left with the same single element get nothing.
+    """
     left = [set(c) for c in candidates]
     chosen: dict[int, T] = {}
     while True:

@@ -1,4 +1,4 @@
-"""Frames that stay in the ring as the camera sends them, and what is kept of them."""
+"""Tests of the export of runs, from packed frames too."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.process.messages import RunFinished
-from vaoi_station.acquisition.process.recording_export import keep_run
+from vaoi_station.acquisition.process.recording_export import export_run
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
 from vaoi_station.acquisition.ring.ring_layout import FrameShape
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 18, 16
 
 @pytest.mark.parametrize("names", [("Mono12p", "BayerRG8"), ("Mono10Packed", "BayerGB12p")])
 def test_a_recording_holds_pictures_of_packed_frames(tmp_path: Path, names: tuple[str, str]) -> None:
-    """Sixteen bits of grey, or colour."""
+    """Recordings hold 16 bit grey or colour pictures, whatever the cameras send."""
     layout = RingLayout(1, 1, tuple(FrameShape(WIDTH, HEIGHT, name) for name in names))
     with Ring.create(tmp_path / "packed.ring", layout) as ring, Ring.attach(ring.path) as reader:
         generation = ring.claim(0)
@@ -39,7 +39,7 @@ def test_a_recording_holds_pictures_of_packed_frames(tmp_path: Path, names: tupl
             conveyor_mm_s=(0.0, 100.0),
         )
         finished = RunFinished("001", 0, head, frames, 0.0, "clear")
-        recording = keep_run(tmp_path / "kept", finished, reader, generation)
+        recording = export_run(tmp_path / "kept", finished, reader, generation)
         for camera, (frame, name) in enumerate(zip(sent, names, strict=True)):
             seen = picture(frame, WIDTH, HEIGHT, PIXEL_FORMATS[name])
             assert (reader.frame(camera) == seen).all()
