@@ -202,7 +202,7 @@ def test_a_host_that_was_stopped(paced: PacedChip) -> None:
         told = ""
         while "DeviceFault" not in told:
             told = next(lines)
-        assert "had not heard of this computer" in told
+        assert "received no heartbeat from this computer" in told
         while "PulseFired" not in told:
             told = next(lines)
             if told == "nothing new\n":

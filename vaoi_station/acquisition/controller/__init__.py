@@ -1,1 +1,1 @@
-"""The trigger controller: one interface, one module per backend."""
+"""The trigger controller: one interface, and one module or folder per backend."""

@@ -1,7 +1,7 @@
-"""What the recorder asks of the controller: arm, pulses with index and time, barrier events, stop.
+"""The interface of the trigger controller: arm, disarm, fire one pulse, report events with their times.
 
-Real time belongs to the controller: once armed it watches the barrier and fires cameras and LEDs by
-itself; the host learns of it by events and may be late.
+The controller alone works in real time. Once armed it watches the barrier and fires cameras and LEDs by itself. The
+host receives events afterwards and may be late.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from vaoi_station.config import Line
 
 @dataclass(frozen=True)
 class TriggerPlan:
-    """What happens after the barrier's edge; fixed while armed."""
+    """The timing of one run after the barrier's edge; fixed while armed."""
 
     start_delay_s: float
     period_s: float
@@ -26,11 +26,11 @@ class TriggerPlan:
     max_rows: int
     debounce_s: float
     lights: Sequence[str] = ()
-    """Names of the light patterns, used in turn; empty: always the same light."""
+    """Names of the light patterns, used in turn. Empty: every row has the same light."""
 
     @classmethod
     def of(cls, line: Line, lights: Sequence[str] = ()) -> TriggerPlan:
-        """What follows from the mechanics of a line."""
+        """Return the plan that follows from the mechanics of a line."""
         return cls(
             start_delay_s=line.start_delay_s,
             period_s=line.trigger_period_s,
@@ -43,7 +43,7 @@ class TriggerPlan:
 
 @dataclass(frozen=True)
 class ControllerEvent:
-    """Something that happened, numbered from 0 without gaps, with the controller's own time."""
+    """An event of the controller, numbered from 0 without gaps; `time_s` is the controller's own time."""
 
     number: int
     time_s: float
@@ -51,34 +51,34 @@ class ControllerEvent:
 
 @dataclass(frozen=True)
 class BarrierBlocked(ControllerEvent):
-    """A board has reached the barrier; a run begins."""
+    """A board that reached the barrier; a run begins."""
 
 
 @dataclass(frozen=True)
 class BarrierClear(ControllerEvent):
-    """The board has left the barrier; the tail begins."""
+    """A board that left the barrier; the tail begins."""
 
 
 @dataclass(frozen=True)
 class BarrierBounce(ControllerEvent):
-    """An interruption too short to be a board was ignored."""
+    """An interruption that was ignored because it was too short for a board."""
 
     duration_s: float
 
 
 @dataclass(frozen=True)
 class PulseFired(ControllerEvent):
-    """All cameras and LEDs were triggered; `time_s` is the rising edge."""
+    """A trigger pulse for all cameras and LEDs; `time_s` is its rising edge."""
 
     index: int
     light: str = ""
     exposures_us: tuple[float, ...] = ()
-    """Exposure of every camera, where it varies from row to row."""
+    """Exposure time of each camera, where it varies from row to row."""
 
 
 @dataclass(frozen=True)
 class PulseSkipped(ControllerEvent):
-    """A row was due and not fired; `time_s` is when it was due."""
+    """A row that was due and not fired; `time_s` is when it was due."""
 
     index: int
     reason: str
@@ -86,52 +86,53 @@ class PulseSkipped(ControllerEvent):
 
 @dataclass(frozen=True)
 class RunEnded(ControllerEvent):
-    """The last pulse of a run has been fired."""
+    """The end of a run, after its last pulse."""
 
     pulses: int
-    """Rows of the run, those skipped included."""
+    """Number of rows, including skipped ones."""
     reason: str
     """"clear" (board left, tail over), "max-rows" (the board did not leave in time), "disarmed", "single"
-    (asked for by `fire_one`), or what befell the controller."""
+    (requested by `fire_one`), or a sentence on the failure of the controller."""
 
 
 EventQueue = SimpleQueue[ControllerEvent | DeviceFault | ClockReading]
-"""What a controller reports to; a `ClockReading` is one of its own clock."""
+"""The queue of a controller's reports; a `ClockReading` is a reading of its own clock."""
 
 
 class Controller(Protocol):
-    """The trigger controller; it stays armed for one passage after another until disarmed."""
+    """A trigger controller; it stays armed for one board after another until it is disarmed."""
 
     def start(self, events: EventQueue) -> None:
         """Begin to report events.
 
-        Where its clock has jumped, readings of it come before the first event of the new time.
+        After a jump of its clock, the controller puts clock readings into the queue before the first event with the
+        new time.
         """
 
     def arm(self, plan: TriggerPlan) -> None:
-        """From now on every passage of the barrier is a run with this plan."""
+        """Film every board that passes the barrier from now on with this plan."""
 
     def disarm(self) -> None:
-        """Ignore the barrier; a run under way is ended with the next pulse left out.
+        """Ignore the barrier from now on; end a run under way without another pulse.
 
-        All events up to then, its RunEnded included, have been reported when this returns.
+        When this returns, all events up to then have been reported, including RunEnded.
         """
 
     def fire_one(self) -> None:
-        """Trigger all cameras and LEDs once, now, whatever the barrier shows: a run of one pulse.
+        """Trigger all cameras and LEDs once, now, whatever the state of the barrier: a run of one pulse.
 
-        Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board; the firmware's
-        `FIRE_ONE` tells of a pulse of no row only, of which its host end makes both.
+        Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board. The firmware reports
+        `FIRE_ONE` as one pulse without a row; the host end turns it into these two events.
 
         Raises:
-            StateError: it is armed, or cannot fire but when a board passes.
+            StateError: the controller is armed, or this backend fires only when a board passes.
         """
 
     def read_clock(self) -> ClockReading:
-        """Compare the controller's clock with the host's; called from a thread of its own."""
+        """Compare the controller's clock with the host's; called from a separate thread because it may take time."""
 
     def health(self) -> str:
-        """A sentence on its state; never blocks."""
+        """Return a sentence on the controller's state; never block."""
 
     def close(self) -> None:
-        """Outputs off, port closed."""
+        """Switch all outputs off and close the port."""

@@ -1,7 +1,7 @@
-"""A controller that fires when the recorded one did, or as soon as the last row has been taken.
+"""A controller that replays recordings: it fires at the recorded times, or as soon as the last row was processed.
 
-Device times are the recording's trigger times, shifted by a whole number of ns per run, so that results
-are exactly those of the recording stitched from its files.
+Device times are the recording's trigger times shifted by a whole number of ns per run. The results are therefore
+exactly those of the recording when it is stitched from its files.
 """
 
 from __future__ import annotations
@@ -28,51 +28,51 @@ from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.errors import InputError, StateError, VaoiError
 
 LEAD_S = 0.05
-"""From the barrier to the first pulse, and from arming to the barrier."""
+"""Time from the barrier to the first pulse, and from arming to the barrier."""
 GAP_S = 1.0
-"""Between two runs on the device's clock, at least."""
+"""Shortest time between two runs on the device's clock."""
 
 
 @dataclass(frozen=True)
 class RecordedRow:
-    """One pulse of a recording; `time_s` relative to the first, rounded to ns."""
+    """One pulse of a recording; `time_s` is relative to the first pulse and rounded to ns."""
 
     time_s: float
     light: str
     exposures_us: tuple[float, ...]
     deliver: Callable[[float], int]
-    """Let the cameras deliver, at a device time; returns how many frames will come."""
+    """Deliver the row's frames with this device time; return the number of frames that will arrive."""
 
 
 class Pace(Protocol):
-    """When a replay goes on that does not follow the clock; `stop()` ends every waiting."""
+    """The pacing of a replay that does not follow the clock; a wait ends when `stop()` is true."""
 
     def before_run(self, stop: Callable[[], bool]) -> None:
         """Wait until a run may begin."""
 
     def before_pulse(self, stop: Callable[[], bool]) -> None:
-        """Wait until the next row may be shown."""
+        """Wait until the next row may be delivered."""
 
     def frames_coming(self, frames: int) -> None:
-        """So many frames are on their way."""
+        """Take note that `frames` more frames will arrive."""
 
     def wake(self) -> None:
-        """Waiters look at `stop` again."""
+        """Make all waits evaluate `stop` again."""
 
 
 class ReplayController:
-    """Plays runs, each a list of rows, while armed."""
+    """A `Controller` that plays runs while armed; a run is a list of rows."""
 
     def __init__(
         self, runs: Iterator[list[RecordedRow]], clock: DeviceClock, pause_s: float, pace: Pace | None
     ) -> None:
-        """With a `pace` time does not matter: what is due comes when the pace lets it, and there are no pauses."""
+        """Play `runs` in order; a `pace` replaces the clock, and `pause_s` between runs is then not used."""
         self._runs, self._clock, self._pause_s, self._pace = runs, clock, pause_s, pace
         self._numbers = count()
         self._change = threading.Condition()
         self._plan: TriggerPlan | None = None
         self._episode = 0
-        """Counts arming, so that a run of an earlier one notices."""
+        """Number of the arming; a run stops when it has changed."""
         self._in_run = self._closing = False
         self._pulses = 0
         self._played = 0
@@ -86,13 +86,13 @@ class ReplayController:
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
-        """From now on recordings are played."""
+        """Play recordings from now on."""
         with self._change:
             self._plan, self._episode = plan, self._episode + 1
             self._change.notify_all()
 
     def disarm(self) -> None:
-        """End a run under way; the rest of its recording is skipped."""
+        """End a run under way and skip the rest of its recording."""
         with self._change:
             self._plan = None
             if self._in_run:
@@ -100,18 +100,18 @@ class ReplayController:
             self._wake()
 
     def fire_one(self) -> None:
-        """A recording has no frames but those of its pulses: always StateError."""
+        """Raise StateError: a recording has no frames except those of its pulses."""
         raise StateError(
             "a replay plays recorded boards; it cannot fire a pulse of its own.",
             action="Film the boards it plays: vaoi view --boards.",
         )
 
     def read_clock(self) -> ClockReading:
-        """The clock of the replay."""
+        """Read the clock of the replay, which is exact."""
         return self._clock.read_exactly()
 
     def health(self) -> str:
-        """How much was played."""
+        """Return the number of runs that were played."""
         return f"replay: {self._played} runs played"
 
     def close(self) -> None:
@@ -126,6 +126,7 @@ class ReplayController:
         while True:
             try:
                 run = next(self._runs, None)
+            # A recording that cannot be read is reported like a device that fails; the station stays up.
             except VaoiError as error:
                 self._events.put(DeviceFault("replay", error))
                 return
@@ -151,7 +152,10 @@ class ReplayController:
             return
         if self._pace is not None:
             self._pace.before_run(stop)
+        # A paced replay runs faster than its clock, so the run before may end in the clock's future. The next one
+        # begins after that: device times must not overlap.
         barrier_s = max(self._clock.now_s() + LEAD_S, self._last_end_s + GAP_S if self._pace else 0.0)
+        # Whole nanoseconds: sums with the rounded recorded times are then the same in every run.
         first_s = round(barrier_s + LEAD_S, 9)
         if not self._wait_until(barrier_s, stop) or not self._begin_run(barrier_s, stop):
             return
@@ -178,6 +182,7 @@ class ReplayController:
                 return False
             self._pulses += 1
             self._last_end_s = device_s
+            # The pulse is reported before its frames, so that the recorder can assign them at once.
             self._put(PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us))
             frames = row.deliver(device_s)
             if self._pace is not None:
@@ -192,7 +197,7 @@ class ReplayController:
         self._events.put(event)
 
     def _wait_until(self, device_s: float, stop: Callable[[], bool]) -> bool:
-        """Until it is time for what happens at a device time; False if stopped."""
+        """Wait until a device time, or until the pace allows the next pulse; return False if stopped."""
         if self._pace is not None:
             self._pace.before_pulse(stop)
             return not stop()

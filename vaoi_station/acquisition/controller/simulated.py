@@ -1,4 +1,4 @@
-"""A controller that does in real time what the firmware does, with a clock and a thread of its own."""
+"""A controller that does in real time what the firmware does, with its own clock and thread."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Edge = tuple[float, bool]
 
 
 class SimulatedController:
-    """Obeys a `TriggerRule`; what it fires goes to `fire`, what it reports to the host also to `heard`."""
+    """A `Controller` that follows a `TriggerRule` and calls the simulated line instead of setting pins."""
 
     def __init__(
         self,
@@ -37,13 +37,19 @@ class SimulatedController:
         on_armed: Callable[[bool], None],
         on_run_end: Callable[[], None],
     ) -> None:
-        """`accept` may complete a plan or refuse it; `armed` and `over` tell the line how things stand.
+        """Connect the controller with a simulated line.
 
-        Pulses of boards go to `fire`, those without the barrier to `fire_single`.
+        Args:
+            clock: the controller's clock.
+            accept: completes a plan or refuses it with InputError.
+            fire: called with every pulse of a board.
+            fire_single: called with a pulse of `fire_one`.
+            on_armed: called when the controller has been armed or disarmed.
+            on_run_end: called when a run has ended.
         """
         self.clock = clock
         self._accept, self._fire, self._on_armed, self._on_run_end = accept, fire, on_armed, on_run_end
-        self._fire_still = fire_single
+        self._fire_single = fire_single
         self._numbers = count()
         self._changed = threading.Condition()
         self._edges: deque[Edge] = deque()
@@ -59,16 +65,18 @@ class SimulatedController:
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
-        """Watch the barrier from now on."""
+        """Film every board that passes the barrier from now on with this plan."""
         rule = TriggerRule(self._accept(plan), self._numbers)
         with self._changed:
             self._rule = rule
+            # Edges of a board that entered before belong to no run of this arming.
             self._edges.clear()
             self._changed.notify()
+        # Only now may boards enter: edges scheduled before the rule is in place would have been cleared.
         self._on_armed(True)
 
     def disarm(self) -> None:
-        """No further pulse; a run under way ends."""
+        """Ignore the barrier from now on and end a run under way."""
         with self._changed:
             if self._rule is not None:
                 self._report(self._rule.stop(self.clock.now_s()))
@@ -78,27 +86,27 @@ class SimulatedController:
         self._on_run_end()
 
     def fire_one(self) -> None:
-        """One pulse at once."""
+        """Fire one pulse now."""
         with self._changed:
             if self._rule is not None:
                 raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
             pulse = PulseFired(next(self._numbers), self.clock.now_s(), 0)
-            self._fire_still(pulse)
+            self._fire_single(pulse)
             self._events.put(pulse)
             self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))
 
     def schedule_edges(self, edges: Sequence[Edge]) -> None:
-        """The barrier will change so; in order of time."""
+        """Add future changes of the barrier, in order of time."""
         with self._changed:
             self._edges.extend(edges)
             self._changed.notify()
 
     def read_clock(self) -> ClockReading:
-        """Compare clocks."""
+        """Compare the controller's clock with the host's."""
         return self.clock.read()
 
     def health(self) -> str:
-        """How many boards it saw."""
+        """Return the state and the number of boards seen."""
         return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
 
     def close(self) -> None:
@@ -112,18 +120,20 @@ class SimulatedController:
     def _work(self) -> None:
         with self._changed:
             while not self._closing:
+                # The lock is held during the whole step, so that `disarm` never meets a half reported run.
                 ended = self._step(self.clock.now_s())
                 if ended:
                     self._on_run_end()
                 self._changed.wait(self._wait_s())
 
     def _step(self, now_s: float) -> bool:
-        """Everything that is due by now; whether a run has ended."""
+        """Do everything that is due by now; return whether a run has ended."""
         if self._rule is None:
             return False
         events: list[ControllerEvent] = []
         while self._edges and self._edges[0][0] <= now_s:
             time_s, blocked = self._edges.popleft()
+            # Pulses due before the edge come first, even if this thread wakes up late.
             events += self._rule.advance(time_s)
             self._rule.add_edge(time_s, blocked)
         events += self._rule.advance(now_s)
@@ -133,6 +143,7 @@ class SimulatedController:
     def _report(self, events: Sequence[ControllerEvent]) -> None:
         for event in events:
             if isinstance(event, PulseFired):
+                # Cameras are triggered before the host knows of the pulse, as with the real controller.
                 self._fire(event)
             self._runs += isinstance(event, BarrierBlocked)
             self._events.put(event)

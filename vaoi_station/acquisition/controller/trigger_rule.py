@@ -1,9 +1,10 @@
-"""What the firmware does with the barrier: debounce, delay, steady pulses, tail, end. Pure logic.
+"""The trigger rule as pure logic: debounce, delay, periodic pulses, tail, end of the run.
 
-Times are seconds of the controller's clock. Pulse j of a passage is due at edge + delay + j · period,
-computed from the edge each time, so that no error adds up. An edge counts when it has lasted
-`debounce_s`; the passage is dated by the edge itself. A pulse is fired if it is due no later than the
-tail's end. A board that blocks the barrier again within its tail (a cut-out) goes on being the same run.
+It specifies what the firmware does; `tests/hw/test_logic.py` compares the two. Times are seconds of the controller's
+clock. Pulse j of a run is due at edge + delay + j · period, always computed from the edge, so that rounding errors do
+not add up. An edge counts once the level has lasted `debounce_s`; the run is dated by the edge itself. A pulse is fired
+if it is due no later than the end of the tail. A board that blocks the barrier again within its tail (a cut-out in the
+board) continues the same run.
 """
 
 from __future__ import annotations
@@ -25,22 +26,26 @@ from vaoi_station.errors import InputError
 
 @dataclass
 class _Passage:
+    """A run under way."""
+
     first_s: float
+    """When pulse 0 is due."""
     fired: int = 0
     clear_s: float | None = None
 
 
 class TriggerRule:
-    """Fed with edges and the time of day, it says what to fire and report, in order of time."""
+    """The state machine of one arming: takes edges and the time, returns events in order of time."""
 
     def __init__(self, plan: TriggerPlan, numbers: count[int]) -> None:
+        """Begin with the barrier clear; `numbers` numbers the events across armings."""
         check_plan(plan)
         self.plan = plan
         self._numbers = numbers
         self._raw = False
         self._blocked = False
         self._pending_s: float | None = None
-        """When the raw level last changed, while that may still be a bounce."""
+        """When the raw level last changed; None once that change is confirmed."""
         self._passage: _Passage | None = None
         self._bounces: list[tuple[float, float]] = []
 
@@ -50,28 +55,32 @@ class TriggerRule:
         return self._passage is not None
 
     def add_edge(self, time_s: float, blocked: bool) -> None:
-        """The barrier changed; call `advance(time_s)` first."""
+        """Take a change of the barrier's level; call `advance(time_s)` first."""
         if blocked == self._raw:
             return
         self._raw = blocked
         if self._pending_s is None:
             self._pending_s = time_s
         else:
+            # The level returned before it was confirmed. The bounce is reported by the next `advance`, so that
+            # events keep their order of time and number.
             self._bounces.append((self._pending_s, time_s - self._pending_s))
             self._pending_s = None
 
     def due_s(self) -> float | None:
-        """When `advance` has something to do, if no edge comes before."""
+        """Return when `advance` has something to do next, if no edge comes before; None if nothing is due."""
         if self._bounces:
             return self._bounces[0][0]
         return min((t for t in (self._confirm_s(), self._pulse_s()) if t is not None), default=None)
 
     def advance(self, now_s: float) -> list[ControllerEvent]:
-        """Everything due by now."""
+        """Return all events that are due by `now_s`."""
         events: list[ControllerEvent] = [BarrierBounce(next(self._numbers), *bounce) for bounce in self._bounces]
         self._bounces.clear()
         while True:
             confirm_s, pulse_s = self._confirm_s(), self._pulse_s()
+            # At equal times the edge is confirmed first: it may end the run and thereby cancel the pulse. The firmware
+            # decides in the same order.
             if confirm_s is not None and confirm_s <= now_s and (pulse_s is None or confirm_s <= pulse_s):
                 events += self._confirm()
             elif pulse_s is not None and pulse_s <= now_s:
@@ -80,7 +89,7 @@ class TriggerRule:
                 return events
 
     def stop(self, now_s: float) -> list[ControllerEvent]:
-        """Disarmed: no further pulse; a run under way ends."""
+        """End the run under way because the controller is disarmed."""
         if self._passage is None:
             return []
         return self._end(now_s, "disarmed")
@@ -94,11 +103,12 @@ class TriggerRule:
         return self._passage.first_s + self._passage.fired * self.plan.period_s
 
     def _confirm(self) -> list[ControllerEvent]:
-        """The level has lasted: it is real."""
+        """Accept the pending level, which has now lasted for the debounce time."""
         assert self._pending_s is not None
         edge_s, self._pending_s, self._blocked = self._pending_s, None, self._raw
         if self._blocked:
             if self._passage is not None:
+                # A cut-out of the same board: cancel the tail.
                 self._passage.clear_s = None
                 return []
             self._passage = _Passage(edge_s + self.plan.start_delay_s)
@@ -106,6 +116,7 @@ class TriggerRule:
         if self._passage is None:
             return []
         self._passage.clear_s = edge_s
+        # The debounce time has passed since the edge, and the run cannot end before it is confirmed.
         return [BarrierClear(next(self._numbers), edge_s), *self._end_if_over(edge_s + self.plan.debounce_s)]
 
     def _fire(self, time_s: float) -> list[ControllerEvent]:
@@ -131,12 +142,13 @@ class TriggerRule:
 
 
 def check_plan(plan: TriggerPlan) -> None:
-    """InputError for a plan no controller can follow."""
+    """Raise InputError for a plan that no controller can carry out."""
     if plan.period_s <= 0:
         raise InputError.field("trigger plan", "period_s", plan.period_s, "above 0")
     if plan.max_rows < 1:
         raise InputError.field("trigger plan", "max_rows", plan.max_rows, "at least 1")
     for key in ("start_delay_s", "tail_s"):
+        # An edge is confirmed only after the debounce time. A shorter delay or tail would be over before that.
         if not getattr(plan, key) >= plan.debounce_s >= 0:
             limit = f"no shorter than debounce_s, {plan.debounce_s} s"
-            raise InputError.field("trigger plan", key, getattr(plan, key), limit, "An edge is sure only then.")
+            raise InputError.field("trigger plan", key, getattr(plan, key), limit, "An edge is confirmed only then.")

@@ -1,1 +1,1 @@
-"""The controller's serial protocol (`hw/protocol.md`) without any I/O: bytes in, bytes out, time as an argument."""
+"""The serial protocol of the trigger controller without any port: bytes to messages and back (hw/protocol.md)."""

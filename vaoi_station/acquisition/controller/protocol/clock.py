@@ -1,7 +1,7 @@
-"""The controller's 32-bit ticks → time of the host, with a bound.
+"""Conversion of the controller's 32-bit ticks to host time, with an error bound.
 
-The counter wraps every 35.8 minutes. Which turn a tick is of follows from the host's time, which is known to far
-better than half a turn; what is left is a device clock like any other (`acquisition.clocks`).
+The counter wraps every 35.8 minutes. The host's time, known to far better than half of that, says how often it has
+wrapped. The extended ticks are then a device clock like any other (`acquisition.clocks`).
 """
 
 from __future__ import annotations
@@ -10,17 +10,19 @@ from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.protocol.messages import TICK_S
 
 _WRAP = 1 << 32
+"""Ticks until the counter wraps."""
 
 
 class TickClock:
-    """Fed with replies to CLOCK; one per boot of the controller."""
+    """The clock fit of one boot of the controller, from replies to CLOCK."""
 
     def __init__(self, name: str = "controller") -> None:
         self.model = ClockModel(name)
         self._known = False
 
     def add(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
-        """A reply: the tick lies between the first sending of the question and the answer's arrival."""
+        """Add a reply: its tick was read between the first sending of the request and the arrival of the reply."""
+        # The midpoint, with half the round trip as its bound: nothing is known of how the delay splits.
         host_s = (sent_s + received_s) / 2
         reading = ClockReading(self.device_s(tick, host_s), host_s, (received_s - sent_s) / 2)
         self.model.add(reading)
@@ -28,16 +30,17 @@ class TickClock:
         return reading
 
     def device_s(self, tick: int, near_host_s: float) -> float:
-        """Seconds since the controller's start, for a tick within 17 minutes of a host time."""
+        """Return seconds since the controller's boot for a tick within 17 minutes of a host time."""
+        # Before the first reading there is nothing to count wraps from. Any origin will do: the fit finds the offset.
         if not self._known:
             return tick * TICK_S
         expected = self.model.device_s(near_host_s) / TICK_S
         return (tick + _WRAP * round((expected - tick) / _WRAP)) * TICK_S
 
     def host_s(self, tick: int, near_host_s: float) -> float:
-        """Host time of a tick within 17 minutes of another host time; DeviceError before the first reading."""
+        """Return the host time of a tick near another host time; DeviceError before the first reading."""
         return self.model.host_s(self.device_s(tick, near_host_s))
 
     def bound_s(self, tick: int, near_host_s: float) -> float:
-        """How far `host_s` may be off for this tick."""
+        """Return the largest error of `host_s` for this tick."""
         return self.model.bound_s(self.device_s(tick, near_host_s))

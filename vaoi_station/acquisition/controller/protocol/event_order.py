@@ -1,4 +1,4 @@
-"""Events in order of their numbers, each once, whatever the line does to them."""
+"""Restores the order of events: each is passed on once, by number, despite loss and repetition on the serial port."""
 
 from __future__ import annotations
 
@@ -6,32 +6,34 @@ from vaoi_station.acquisition.controller.protocol.messages import Event
 
 
 class EventOrder:
-    """Holds back what came too early, and knows which number is next_number next."""
+    """A reorder buffer for the events of one boot of the controller."""
 
     def __init__(self) -> None:
         self.next_number = 0
+        """Number of the next event to pass on."""
         self._early: dict[int, Event] = {}
         self._announced = 0
-        """All events before this number have happened."""
+        """All events before this number have occurred."""
 
     def add(self, event: Event) -> list[Event]:
-        """The events that are now complete up to here; none if this one is old or comes too early."""
+        """Add an event; return all events that are now complete in order: none if it is a repeat or comes too early."""
         if event.number >= self.next_number:
             self._early[event.number] = event
             self.announce(event.number + 1)
         return self._release()
 
     def announce(self, count: int) -> None:
-        """So many have happened, says the controller."""
+        """Take note that the controller has numbered `count` events."""
         self._announced = max(self._announced, count)
 
     def missing(self) -> int | None:
-        """Number to be read again, because later ones exist."""
+        """Return the number of the event to read again because later ones exist; None if there is none."""
         return self.next_number if self.next_number < self._announced else None
 
     def skip_to(self, number: int) -> tuple[int, list[Event]]:
-        """Those before `number` are gone for ever; how many were, and what is complete without them."""
+        """Give up events before `number` that have not arrived; return their count and the events now complete."""
         lost = sum(k not in self._early for k in range(self.next_number, number))
+        # Events that arrived early are not lost: they are passed on before those that follow the gap.
         waiting = [self._early.pop(k) for k in sorted(self._early) if k < number]
         self.next_number = max(self.next_number, number)
         return lost, waiting + self._release()

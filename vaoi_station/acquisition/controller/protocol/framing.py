@@ -1,7 +1,7 @@
-"""Messages ↔ bytes: COBS(type, sequence, payload, CRC-16), then 0x00.
+"""Framing of messages: COBS(type, sequence, payload, CRC-16), then 0x00.
 
-COBS is Cheshire and Baker, "Consistent Overhead Byte Stuffing", 1999: the content without zeros, so that a zero
-ends a frame and nothing else does. The checksum is CRC-16/CCITT-FALSE, low byte first.
+COBS is Cheshire and Baker, "Consistent Overhead Byte Stuffing", 1999. It removes all zeros from the content, so that a
+zero always ends a frame. The checksum is CRC-16/CCITT-FALSE, low byte first.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import binascii
 from dataclasses import dataclass
 
 PAYLOAD_LONGEST = 58
+"""Bytes; the firmware's buffers have this size (hw/firmware/logic/link/protocol.h)."""
 _CONTENT_LONGEST = 2 + PAYLOAD_LONGEST + 2
 
 
 @dataclass(frozen=True)
 class Message:
-    """One message of either side."""
+    """A message of either side."""
 
     type: int
     sequence: int
@@ -23,7 +24,7 @@ class Message:
 
 
 def encode(message: Message) -> bytes:
-    """The frame of a message, delimiter included."""
+    """Return the frame of a message, including its delimiter; ValueError if the payload is too long."""
     if len(message.payload) > PAYLOAD_LONGEST:
         raise ValueError(f"a payload of {len(message.payload)} bytes; {PAYLOAD_LONGEST} is the longest")
     content = bytes([message.type, message.sequence]) + message.payload
@@ -31,7 +32,8 @@ def encode(message: Message) -> bytes:
 
 
 def decode(frame: bytes) -> Message | None:
-    """The message of a frame without its delimiter; None if it is none."""
+    """Return the message of a frame without its delimiter; None if the frame is damaged."""
+    # The length is checked first: the firmware has no longer frames, and noise may be of any length.
     content = uncob(frame) if len(frame) <= _CONTENT_LONGEST + 1 else None
     if content is None or len(content) < 4 or crc16(content[:-2]) != int.from_bytes(content[-2:], "little"):
         return None
@@ -39,18 +41,18 @@ def decode(frame: bytes) -> Message | None:
 
 
 class FrameReader:
-    """Collects bytes as they come; after anything that is no frame it goes on behind the next zero."""
+    """Splits a stream of bytes into messages; after a damaged frame it continues behind the next zero."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
         self.bad = 0
-        """Frames thrown away."""
+        """Count of damaged frames."""
 
     def feed(self, data: bytes) -> list[Message]:
-        """The messages that these bytes complete."""
+        """Return the messages that these bytes complete."""
         self._bytes += data
         *frames, rest = self._bytes.split(b"\0")
-        # What is too long already stays too long: enough of it is kept to be recognised by.
+        # Noise without zeros must not fill the memory. What is kept of it is still too long for a frame.
         self._bytes = rest[: _CONTENT_LONGEST + 2]
         messages = [(frame, decode(bytes(frame))) for frame in frames if frame]
         self.bad += sum(message is None for _, message in messages)
@@ -58,17 +60,18 @@ class FrameReader:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, nothing reflected."""
+    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected."""
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def cobs(content: bytes) -> bytes:
-    """Content of at most 253 bytes without zeros."""
+    """Encode at most 253 bytes so that no zero occurs."""
+    # Blocks of 254 bytes without a zero, which COBS treats specially, cannot occur in so short a content.
     return b"".join(bytes([len(part) + 1]) + part for part in content.split(b"\0"))
 
 
 def uncob(frame: bytes) -> bytes | None:
-    """The content of a frame; None if its codes lead out of it, or if there is a zero in it."""
+    """Decode a frame; return None if a code points beyond its end, or if it contains a zero."""
     parts: list[bytes] = []
     at = 0
     while at < len(frame):

@@ -1,7 +1,7 @@
-"""The host's end of the line as a state machine: one request at a time, repeated until answered; events in order.
+"""The host's end of the protocol as a state machine without I/O: one request at a time, repeated until its reply.
 
-Every request may safely be repeated (`hw/protocol.md`), so a lost reply costs time and nothing else. A reset of the
-controller is normal: it is noticed by the boot counter, requests under way are given back, events count from 0 again.
+Every request may be repeated safely (`hw/protocol.md`), so a lost reply only costs time. A reset of the controller is a
+normal event: the boot counter shows it, pending requests are returned as unanswered, and events count from 0 again.
 """
 
 from __future__ import annotations
@@ -26,13 +26,16 @@ from vaoi_station.acquisition.controller.protocol.messages import (
 )
 
 RETRY_S = 0.1
+"""Time without a reply after which a request is sent again."""
 MAX_TRIES = 10
+"""Transmissions of one request."""
 HEARTBEAT_S = 0.25
+"""Interval of BEAT; the firmware makes itself safe after 3 s without one."""
 
 
 @dataclass(frozen=True)
 class Replied:
-    """A request was carried out; the times of its first sending and of the reply bound when."""
+    """A request that was carried out between its first sending and its reply."""
 
     request: Request
     payload: bytes
@@ -42,7 +45,7 @@ class Replied:
 
 @dataclass(frozen=True)
 class Refused:
-    """A request was not carried out."""
+    """A request that the controller refused."""
 
     request: Request
     nak: Nak
@@ -50,40 +53,43 @@ class Refused:
 
 @dataclass(frozen=True)
 class Unanswered:
-    """A request may or may not have been carried out: no reply came to any try, or the controller was reset."""
+    """A request whose fate is unknown: no try had a reply, or the controller was reset."""
 
     request: Request
 
 
 @dataclass(frozen=True)
 class EventReceived:
-    """The next event."""
+    """The next event of the controller, in order of number."""
 
     event: Event
 
 
 @dataclass(frozen=True)
 class EventsLost:
-    """So many events were overwritten before they could be read."""
+    """Events that the controller overwrote before they could be read; `count` is their number."""
 
     count: int
 
 
 @dataclass(frozen=True)
 class Restarted:
-    """The controller was reset since it was last heard; nothing is configured any more."""
+    """A reset of the controller since its last message; it has lost its configuration."""
 
     boots: int
 
 
 Notification = Replied | Refused | Unanswered | EventReceived | EventsLost | Restarted
+"""What `Link.receive` returns."""
 
 
 @dataclass
 class _Pending:
+    """A request that waits to be sent, or for its reply."""
+
     request: Request
     internal: bool
-    """Asked by the link itself, whose answer is nobody else's."""
+    """Whether the link made the request for itself; its reply is then not passed on."""
     sequence: int = 0
     first_s: float = 0.0
     last_s: float = 0.0
@@ -91,19 +97,20 @@ class _Pending:
 
 
 class Link:
-    """Give it the bytes that come and the time; send the bytes it gives, and hear the news."""
+    """The state machine: takes received bytes and the time, returns bytes to send and notifications."""
 
     def __init__(self, *, heartbeat: bool = False, first_sequence: int = 0) -> None:
         self.heartbeat = heartbeat
-        """Whether BEAT is sent; to be true while armed."""
+        """Whether BEAT is sent; true while the controller is armed."""
         self.retries = 0
         self.unmatched = 0
-        """Messages that answer nothing."""
+        """Count of messages that match no pending request."""
         self.messages = 0
-        """Messages of any kind: signs of life."""
+        """Count of all valid messages, as a sign of life."""
         self.boots: int | None = None
+        """The controller's boot counter, once known."""
         self.status: Status | None = None
-        """The newest one."""
+        """The newest status."""
         self._reader = FrameReader()
         self._sequences = (k % 256 for k in itertools.count(first_sequence))
         self._queue: deque[_Pending] = deque()
@@ -112,39 +119,39 @@ class Link:
         self._acknowledged = 0
         self._next_heartbeat_s = 0.0
         self._out_of_sync = False
-        """Something does not fit the boot that is known."""
+        """Whether a message did not fit the known boot; the next request is then STATUS."""
 
     @property
     def bad_frames(self) -> int:
-        """Frames from the controller that were thrown away."""
+        """Count of damaged frames from the controller."""
         return self._reader.bad
 
     @property
     def up_to_date(self) -> bool:
-        """Whether every event that is known to have happened has been told."""
+        """Whether every event that is known to have occurred has been passed on."""
         return not self._out_of_sync and self._order.missing() is None
 
     @property
     def status_is_outdated(self) -> bool:
-        """Whether an event has been told that happened after the newest status."""
+        """Whether an event was passed on that occurred after the newest status."""
         return self.status is not None and self._order.next_number > self.status.events_next
 
     def request(self, request: Request) -> None:
-        """Queue a request; its outcome will be among the news."""
+        """Queue a request; a later `receive` returns its outcome."""
         self._queue.append(_Pending(request, internal=False))
 
     def drop_requests(self) -> None:
-        """The line is gone: what was pending is not pending again, and nobody will hear of it."""
+        """Forget all requests without a notification, because the port is gone."""
         self._queue.clear()
         self._pending = None
 
     def skip_history(self) -> None:
-        """The events up to the newest status were somebody else's; they are not told."""
+        """Discard the events up to the newest status, which belong to an earlier process."""
         if self.status is not None:
             self._order.skip_to(self.status.events_next)
 
     def outgoing(self, now_s: float) -> bytes:
-        """What is to be sent now: the next request, the one under way once more, or nothing."""
+        """Return the bytes to send now: the next request, the pending one again, or nothing."""
         if self._pending is None:
             self._pending = self._next_request(now_s)
             if self._pending is None:
@@ -159,7 +166,7 @@ class Link:
         return encode(Message(self._pending.request.type, self._pending.sequence, self._pending.request.payload))
 
     def receive(self, data: bytes, now_s: float) -> list[Notification]:
-        """What these bytes tell; call it with none to notice that a reply is overdue."""
+        """Process received bytes; call it also without bytes, so that overdue replies are noticed."""
         news = [item for message in self._reader.feed(data) for item in self._on_message(message, now_s)]
         pending = self._pending
         if pending is not None and pending.tries >= MAX_TRIES and now_s - pending.last_s >= RETRY_S:
@@ -168,7 +175,8 @@ class Link:
         return news
 
     def _next_request(self, now_s: float) -> _Pending | None:
-        """Own needs come first: the heartbeat, then events that were lost on the way."""
+        """Take the next request; the link's own come first: heartbeat, STATUS, lost events."""
+        # The heartbeat goes first, because the controller switches everything off without it.
         if self.heartbeat and now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_S
             return _Pending(Request(Type.BEAT), internal=True)
@@ -178,6 +186,7 @@ class Link:
             return _Pending(number_request(Type.READ_EVENT, missing), internal=True)
         if self._queue:
             return self._queue.popleft()
+        # Acknowledgements go last: the firmware overwrites its oldest event anyway and only counts losses by them.
         if self._acknowledged < self._order.next_number:
             return _Pending(number_request(Type.ACK_EVENTS, self._order.next_number), internal=True)
         return None
@@ -201,22 +210,26 @@ class Link:
                 if refused
                 else self._on_reply(pending, message, now_s)
             )
-        except ValueError:  # a checksum that fits by chance, or another protocol: the request is tried again
+        # The checksum fitted by chance, or the device has another protocol. The request stays pending and is repeated.
+        except ValueError:
             self.unmatched += 1
             return []
+        # A reset, noticed in the reply, may have replaced the pending request already.
         if self._pending is pending:
             self._pending = None
         return news
 
     def _on_event(self, message: Message) -> list[Notification]:
-        """Its sequence number is the low byte of the boot counter: so it is not taken for one of another boot."""
+        """Put an event in order; its sequence number is the low byte of the boot counter."""
         try:
             event = Event.unpack(message.payload)
         except ValueError:
             self.unmatched += 1
             return []
         if self.boots is None or message.sequence != self.boots % 256:
-            self._out_of_sync = True  # until STATUS has told the whole counter; the event will be read again
+            # The event may be of another boot, whose numbers begin at 0 again. STATUS has the whole boot counter; then
+            # the event is read again by its number.
+            self._out_of_sync = True
             return []
         return [EventReceived(e) for e in self._order.add(event)]
 
@@ -252,9 +265,10 @@ class Link:
         return []
 
     def _on_boot_count(self, boots: int) -> list[Notification]:
-        """Compare the boot counter; the request that told it is answered, all others were pending of the past."""
+        """Compare the boot counter; after a reset, return all queued requests as unanswered."""
         if self.boots == boots:
             return []
+        # Queued requests were meant for the configuration before the reset. Their callers decide what to do.
         first, self.boots = self.boots is None, boots
         self._order, self._acknowledged = EventOrder(), 0
         if first:

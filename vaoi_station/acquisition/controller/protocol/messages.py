@@ -1,7 +1,7 @@
-"""The structs of the protocol, version 1.0: little-endian, packed; times in ticks of 0.5 µs.
+"""The structs of the protocol, version 1.0: little-endian, packed; ticks of 0.5 µs.
 
-`hw/firmware/logic/link/protocol.h` defines the same structs in C. `hw/protocol_vectors.json` holds examples that both
-must encode alike.
+`hw/firmware/logic/link/protocol.h` defines the same structs in C. `hw/protocol_vectors.json` has examples that both
+must encode to the same bytes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ REPLY = 0x80
 
 
 class Type(IntEnum):
-    """What a message is."""
+    """The type of a message."""
 
     IDENT = 0x01
     STATUS = 0x02
@@ -42,7 +42,7 @@ class Type(IntEnum):
 
 
 class Reason(IntEnum):
-    """Why a request was refused."""
+    """The reason of a refusal."""
 
     UNKNOWN = 1
     LENGTH = 2
@@ -56,7 +56,7 @@ class Reason(IntEnum):
 
 
 class State(IntEnum):
-    """What the controller is doing."""
+    """The state of the controller."""
 
     IDLE = 0
     ARMED = 1
@@ -65,7 +65,7 @@ class State(IntEnum):
 
 
 class Fault(IntEnum):
-    """Why it is in the safe state."""
+    """The cause of the safe state."""
 
     NONE = 0
     HEARTBEAT = 1
@@ -74,14 +74,14 @@ class Fault(IntEnum):
 
 
 class Pacing(IntEnum):
-    """What rows are spaced by."""
+    """The quantity by which rows are spaced."""
 
     TIME = 0
     DISTANCE = 1
 
 
 class Kind(IntEnum):
-    """What an event is about."""
+    """The kind of an event."""
 
     BOOT = 1
     BARRIER = 2
@@ -92,7 +92,7 @@ class Kind(IntEnum):
 
 
 class Suppressed(IntEnum):
-    """Why there was no run, or no pulse."""
+    """The reason why a run or a pulse was left out."""
 
     BOUNCE = 1
     GAP = 2
@@ -102,7 +102,7 @@ class Suppressed(IntEnum):
 
 
 class RunEnd(IntEnum):
-    """Why a run ended."""
+    """The reason why a run ended."""
 
     CLEAR = 1
     MAX_ROWS = 2
@@ -115,17 +115,19 @@ S = TypeVar("S", bound="_Wire")
 
 @dataclass(frozen=True)
 class _Wire:
+    """A struct of the protocol."""
+
     LAYOUT: ClassVar[Struct]
     GROWS: ClassVar[bool] = False
-    """Whether a higher minor version may have further fields behind these."""
+    """Whether a higher minor version may append fields."""
 
     def pack(self) -> bytes:
-        """As it is sent."""
+        """Return the bytes of the struct."""
         return self.LAYOUT.pack(*astuple(self))
 
     @classmethod
     def unpack(cls: type[S], payload: bytes) -> S:
-        """ValueError if the size is another."""
+        """Read the struct from a payload; ValueError if its size is wrong."""
         if len(payload) < cls.LAYOUT.size or (len(payload) > cls.LAYOUT.size and not cls.GROWS):
             raise ValueError(f"{cls.__name__} has {cls.LAYOUT.size} bytes, not {len(payload)}")
         values: tuple[Any, ...] = cls.LAYOUT.unpack_from(payload)
@@ -134,7 +136,7 @@ class _Wire:
 
 @dataclass(frozen=True)
 class Timing(_Wire):
-    """When rows come; delays, period and tail in ticks, or in counts of the encoder if paced by distance."""
+    """The timing of rows; delay, period and tail are ticks, or encoder counts if paced by distance."""
 
     LAYOUT = Struct("<BBHIIIIIIH")
     pacing: int
@@ -160,7 +162,7 @@ class Step(_Wire):
 
 @dataclass(frozen=True)
 class Ident(_Wire):
-    """Who it is and what it can do."""
+    """The controller's identity, versions and limits."""
 
     LAYOUT = Struct("<8BII8s8sHH4HHBB")
     GROWS = True
@@ -189,7 +191,7 @@ class Ident(_Wire):
 
 @dataclass(frozen=True)
 class Status(_Wire):
-    """How it is; the reply to BEAT too."""
+    """The controller's state; the reply to STATUS and BEAT."""
 
     LAYOUT = Struct("<4BHH6I6H")
     GROWS = True
@@ -215,7 +217,7 @@ class Status(_Wire):
 
 @dataclass(frozen=True)
 class Event(_Wire):
-    """What happened; `detail`, `index` and `value` mean what hw/protocol.md says for this kind."""
+    """An event; hw/protocol.md defines `detail`, `index` and `value` for each kind."""
 
     LAYOUT = Struct("<IIBBHI")
     number: int
@@ -228,7 +230,7 @@ class Event(_Wire):
 
 @dataclass(frozen=True)
 class ClockReply(_Wire):
-    """The tick at which a question about the clock was answered."""
+    """The tick at which the controller answered CLOCK."""
 
     LAYOUT = Struct("<II")
     nonce: int
@@ -237,7 +239,7 @@ class ClockReply(_Wire):
 
 @dataclass(frozen=True)
 class Nak(_Wire):
-    """A refusal: of which request, why, which field, and the nearest allowed value."""
+    """A refusal: the request's type, reason, field and nearest allowed value."""
 
     LAYOUT = Struct("<BBBxI")
     request: int
@@ -248,41 +250,42 @@ class Nak(_Wire):
 
 @dataclass(frozen=True)
 class Request:
-    """What the host asks for, before it has a sequence number."""
+    """A request of the host, before it has a sequence number."""
 
     type: Type
     payload: bytes = b""
 
 
 def set_step(index: int, step: Step) -> Request:
-    """One step of the program."""
+    """Return the request that sets one step of the program."""
     return Request(Type.STEP, bytes([index]) + step.pack())
 
 
 def number_request(kind: Type, number: int) -> Request:
-    """A request with one number: CLOCK, COMMIT, READ_EVENT, ACK_EVENTS."""
+    """Return a request with one number: CLOCK, COMMIT, READ_EVENT, ACK_EVENTS."""
     return Request(kind, number.to_bytes(4, "little"))
 
 
 def arm(run: int, config_crc: int) -> Request:
-    """Watch the barrier, with the configuration of this checksum and no other."""
+    """Return the request to watch the barrier with the configuration of this checksum, and no other."""
     return Request(Type.ARM, run.to_bytes(2, "little") + config_crc.to_bytes(4, "little"))
 
 
 def fire_one(nonce: int, step: Step, trigger_width: int) -> Request:
-    """One pulse that belongs to no row; a nonce fires once, however often it is sent."""
+    """Return the request for one pulse without a row; a nonce fires once, however often it is sent."""
     return Request(Type.FIRE_ONE, nonce.to_bytes(2, "little") + step.pack() + trigger_width.to_bytes(2, "little"))
 
 
 def config_crc(timing: Timing, steps: Sequence[Step]) -> int:
-    """CRC-32 (that of zlib) over the timing and its steps, as they are sent."""
+    """Return the CRC-32 (that of zlib) of the timing and its steps, as they are sent."""
     return zlib.crc32(b"".join([timing.pack(), *(step.pack() for step in steps)]))
 
 
 def configuration(timing: Timing, steps: Sequence[Step]) -> list[Request]:
-    """All requests that put a configuration in force."""
+    """Return all requests that activate a configuration; ValueError if the number of steps differs."""
     if timing.steps != len(steps):
         raise ValueError(f"timing.steps is {timing.steps}, but there are {len(steps)} steps")
+    # COMMIT comes last: until then the firmware keeps its old configuration, so a half sent one has no effect.
     return [
         Request(Type.TIMING, timing.pack()),
         *(set_step(k, step) for k, step in enumerate(steps)),

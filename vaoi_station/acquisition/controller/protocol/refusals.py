@@ -1,4 +1,4 @@
-"""What the controller refuses, and who it is, in sentences for people."""
+"""Checks of the controller's identity, and texts for its refusals."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from vaoi_station.acquisition.controller.protocol.messages import VERSION, Ident
 from vaoi_station.errors import DeviceError
 
 BOARD = b"m328p16"
+"""Name of the board type that this station drives: an ATmega328P at 16 MHz."""
 OLDEST_FIRMWARE = (1, 0, 0)
 _FLASH = "Write the firmware that came with this station: make -C hw/firmware flash."
 _FIELDS = (
@@ -24,10 +25,8 @@ _FIRST_STEP = 16
 
 
 def check_ident(payload: bytes) -> Ident:
-    """Who it is, from its answer to IDENT; DeviceError if it is none of ours, or none that this station can use.
-
-    The first two bytes are the protocol's version in every version of it.
-    """
+    """Read the reply to IDENT; DeviceError if the device is not ours or too old for this station."""
+    # The first two bytes are the protocol's version in every version of the protocol; the rest may differ.
     if payload[:1] != bytes([VERSION[0]]):
         spoken = ".".join(str(number) for number in payload[:2])
         raise DeviceError(
@@ -59,7 +58,7 @@ def _dotted(version: tuple[int, ...]) -> str:
 
 
 def describe(nak: Nak) -> str:
-    """Why a request was refused, with field and limit."""
+    """Return a sentence on why a request was refused, with field and limit."""
     request = Type(nak.request).name if nak.request in set(Type) else f"request {nak.request:#04x}"
     texts = {
         Reason.UNKNOWN: "this firmware does not know it",
@@ -78,5 +77,6 @@ def describe(nak: Nak) -> str:
 def _field(nak: Nak) -> str:
     if nak.request == Type.COMMIT:
         return f"step {nak.field - _FIRST_STEP}" if nak.field >= _FIRST_STEP else _FIELDS[nak.field % len(_FIELDS)]
+    # Only COMMIT numbers its fields; other requests have one value that can be out of range.
     names: dict[int, str] = {Type.STEP: "its index", Type.FIRE_ONE: "its pulse"}
     return names.get(nak.request, f"field {nak.field}")

@@ -1,4 +1,4 @@
-"""The real trigger controller: its firmware's protocol over a serial port."""
+"""The real trigger controller: the protocol over a serial port, supervised by one thread."""
 
 from vaoi_station.acquisition.controller.serial.controller import SerialController, open_serial_controller
 

@@ -1,4 +1,4 @@
-"""The controller at a serial port: one thread talks to it, everybody else asks that thread."""
+"""The controller at a serial port: one thread uses the port; other threads pass jobs to it."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from vaoi_station.errors import DeviceError
 T = TypeVar("T")
 
 PACE = BackoffPolicy(first_s=0.1, longest_s=1.0, proven_s=5.0)
-"""How soon a port is opened again."""
+"""Pauses between attempts to open the port again."""
 
 
 def open_serial_controller(config: StationConfig) -> SerialController:
-    """The controller of `[controller]`; DeviceError says why it cannot be used."""
+    """Open the controller of `[controller]`; DeviceError gives the reason if it cannot be used."""
     return SerialController(config.controller)
 
 
 class SerialController:
-    """A `Controller`; opened, identified and disarmed when it has been made."""
+    """A `Controller` at a serial port; the constructor opens, identifies and disarms it."""
 
     def __init__(self, config: ControllerConfig) -> None:
         self._waker = Waker()
         self._supervisor = Supervisor(config, self._waker)
         self._broken: DeviceError | None = None
-        """What a job has found broken."""
+        """The failure of the connection that the last job met."""
         self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
         self._backoff = Backoff(PACE)
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         try:
             self._supervisor.connect()
-        except BaseException:  # whatever ended it, tidy up; it is raised again
+        except BaseException:  # also KeyboardInterrupt: the port must be free again; it is raised on
             self._release()
             raise
 
@@ -55,11 +55,11 @@ class SerialController:
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
-        """From now on every passage of the barrier is a run with this plan."""
+        """Film every board that passes the barrier from now on with this plan."""
         self._do(lambda: self._supervisor.arm(plan))
 
     def disarm(self) -> None:
-        """Ignore the barrier; without a line, the controller will be disarmed when it is there again."""
+        """Ignore the barrier; a controller that is not reachable is disarmed when it is back."""
         supervisor = self._supervisor
         with supervisor.lock:
             supervisor.guard_tripped = False
@@ -68,7 +68,8 @@ class SerialController:
                 return
         try:
             self._do(supervisor.disarm)
-        except DeviceError:  # it broke just now, and is told by the thread that mends it
+        except DeviceError:
+            # The connection broke just now. The controller's thread reports that and restores it, unarmed.
             with supervisor.lock:
                 supervisor.drop_arming()
 
@@ -77,27 +78,27 @@ class SerialController:
         self._do(self._supervisor.fire_one)
 
     def read_clock(self) -> ClockReading:
-        """Compare clocks."""
+        """Compare the controller's clock with the host's."""
         return self._do(self._supervisor.read_clock)
 
     def health(self) -> str:
-        """What it is and does, and how well the line is."""
+        """Return state, firmware, clock and quality of the connection in one sentence."""
         supervisor, link, ident = self._supervisor, self._supervisor.link, self.ident
         state = "not reachable" if supervisor.unavailable else "armed" if supervisor.arming else "idle"
         barrier = ", barrier interrupted" if link.status is not None and link.status.blocked else ""
         firmware = f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}"
-        noise = f"{link.bad_frames} bad frames, {link.retries} repeats, {link.unmatched} strays"
+        noise = f"{link.bad_frames} bad frames, {link.retries} repeats, {link.unmatched} unmatched"
         clock = f"clock ± {self.clock_bound_s * 1e3:.2f} ms, {supervisor.timebase.drift_ppm():+.1f} ppm"
         return f"serial: {state}{barrier}, firmware {firmware}, start {link.boots}, {clock}, {noise}"
 
     @property
     def ident(self) -> Ident:
-        """Who it is: versions, limits, start number."""
+        """Versions, limits and boot counter of the controller."""
         return self._supervisor.ident
 
     @property
     def clock_bound_s(self) -> float:
-        """How well its clock is known."""
+        """Largest error of the clock fit."""
         return self._supervisor.timebase.bound_s()
 
     def close(self) -> None:
@@ -111,26 +112,27 @@ class SerialController:
         self._release()
 
     def _do(self, job: Callable[[], T]) -> T:
-        """Let the thread do it; DeviceError at once while the line is down."""
+        """Let the controller's thread do a job; raise DeviceError at once while the controller is not reachable."""
         if self._thread is None:
             return job()
         with self._supervisor.lock:
             if (down := self._supervisor.unavailable) is not None:
                 raise DeviceError(down.message, action=down.action, code=down.code)
+            # Queued under the lock that `mark_lost` takes: the job is either refused above or failed by `_fail_jobs`.
             future: Future[T] = Future()
             self._jobs.put((lambda: self._try(job), future))
             self._waker.wake()
         return future.result()
 
-    # --- the thread that talks
+    # --- the controller's thread
 
     def _work(self) -> None:
         try:
-            self._keep_at_it()
+            self._serve_and_reconnect()
         finally:
-            self._lose(DeviceError("The controller is not attended to any more.", action="Restart the station."))
+            self._fail_jobs(DeviceError("The controller is no longer supervised.", action="Restart the station."))
 
-    def _keep_at_it(self) -> None:
+    def _serve_and_reconnect(self) -> None:
         while not self._closing.is_set():
             try:
                 if self._supervisor.unavailable is not None:
@@ -138,16 +140,17 @@ class SerialController:
                     self._supervisor.connect()
                 self._backoff.record_success()
                 self._serve()
-            except ResetError as error:  # told when it is known what it cost
-                self._lose(error)
+            # A reset is reported by `connect`, which knows whether a run was cut. The port is still open.
+            except ResetError as error:
+                self._fail_jobs(error)
             except DeviceError as error:
                 self._supervisor.translator.report_fault(error)
-                self._lose(error)
+                self._fail_jobs(error)
                 self._supervisor.disconnect()
                 self._closing.wait(self._backoff.record_failure())
 
     def _serve(self) -> None:
-        """Until something breaks: carry out what is asked, hear what comes."""
+        """Carry out jobs and receive events until the connection fails."""
         self._broken = None
         while not self._closing.is_set():
             try:
@@ -155,22 +158,23 @@ class SerialController:
             except Empty:
                 self._supervisor.poll()
             else:
-                _carry_out(job, future)
+                _run_job(job, future)
                 if self._broken is not None:
                     raise self._broken
 
     def _try(self, job: Callable[[], T]) -> T:
-        """A job that finds the line broken ends the serving as well."""
+        """Run a job; a failure of the connection in it also ends `_serve`."""
         try:
             return job()
+        # A refusal is an answer: the connection works.
         except RefusalError:
             raise
         except DeviceError as error:
             self._broken = error
             raise
 
-    def _lose(self, error: DeviceError) -> None:
-        """Whoever waits is told, and whoever asks from now on."""
+    def _fail_jobs(self, error: DeviceError) -> None:
+        """Refuse jobs from now on, and fail those that wait."""
         self._supervisor.mark_lost(error)
         while True:
             try:
@@ -184,8 +188,8 @@ class SerialController:
         self._waker.close()
 
 
-def _carry_out(job: Callable[[], Any], future: Future[Any]) -> None:
+def _run_job(job: Callable[[], Any], future: Future[Any]) -> None:
     try:
         future.set_result(job())
-    except BaseException as error:  # noqa: BLE001  (whoever asked gets it, whatever it is)
+    except BaseException as error:  # noqa: BLE001  (any failure of the job belongs to its caller)
         future.set_exception(error)

@@ -1,6 +1,6 @@
-"""What the station wants of the controller, as its firmware takes it: a timing, and a program of lights.
+"""Translation of a trigger plan and the lights of station.toml into the firmware's configuration.
 
-What the firmware could not carry out is refused with the numbers of `station.toml`; what it refuses all the same
+Values beyond the firmware's limits are refused here, in the units of `station.toml`. A refusal by the firmware itself
 is translated back into them.
 """
 
@@ -25,6 +25,7 @@ from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import InputError
 
 DARK = Step(0, 0)
+"""A row without light."""
 _WHERE = "station.toml"
 _PLAN = "trigger plan"
 _FIELDS = {
@@ -37,9 +38,11 @@ _FIELDS = {
     8: (_WHERE, "controller.min_gap_s", TICK_S),
     9: (_WHERE, "controller.trigger_us", TICK_S * 1e6),
 }
-"""Field of a refused COMMIT → where it comes from, its name there, and the size of its unit."""
+"""Field of a refused COMMIT → the file or plan it comes from, its name there, and the size of its unit."""
 _FIRST_STEP = 16
-_MOST = {2: 0xFFFF, 9: 0xFFFF}
+"""Fields of a refused COMMIT from here on are steps."""
+_LARGEST = {2: 0xFFFF, 9: 0xFFFF}
+"""Largest number of fields that have 16 bits."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +55,16 @@ class DeviceProgram:
 
     @property
     def crc(self) -> int:
-        """By which the firmware names it."""
+        """Checksum by which the firmware identifies the configuration."""
         return config_crc(self.timing, self.steps)
 
     def light(self, row: int) -> str:
-        """Name of a row's light; empty if lights have none."""
+        """Return the name of a row's light; empty if lights have no names."""
         return self.lights[row % len(self.lights)] if self.lights else ""
 
 
 def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
-    """InputError for lights that do not exist, or that this firmware's limits forbid.
-
-    What the firmware holds to be out of range it refuses itself: a value too large to be sent is sent as the largest.
-    """
+    """Make the configuration for a plan; InputError for lights that do not exist or exceed the firmware's limits."""
     lights = tuple(plan.lights) or config.light_sequence
     if len(lights) > ident.program_steps:
         limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
@@ -82,11 +82,12 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
         _ticks(config.min_gap_s),
         _ticks(config.trigger_us * 1e-6),
     )
-    return DeviceProgram(Timing(*(min(v, _MOST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values))), steps, lights)
+    # Values that do not fit are sent as the largest number. The firmware then refuses them with its own limit.
+    return DeviceProgram(Timing(*(min(v, _LARGEST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values))), steps, lights)
 
 
 def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None) -> Step:
-    """A light within the limits of the firmware; with a period, also within the share of time that LEDs may be on."""
+    """Make the step of a light; InputError beyond the firmware's limits (with a period, also beyond its duty limit)."""
     if name not in config.lights:
         raise InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
     light = config.lights[name]
@@ -100,6 +101,7 @@ def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: floa
     if period_s is not None:
         share = 1 << ident.led_duty_shift
         limits[_ticks(period_s) >> ident.led_duty_shift] = f"1/{share} of the period of {period_s} s"
+    # Checked here although the firmware checks too: its refusal names one tick limit, not the channel or the period.
     width, most = _ticks(light.on_us * 1e-6), min(limits)
     if not ident.led_shortest <= width <= most:
         why = limits[most] if width > most else "the shortest pulse of its firmware"
@@ -109,7 +111,7 @@ def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: floa
 
 
 def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
-    """A refused COMMIT in the words of `station.toml`; None for a refusal that none of its values caused."""
+    """Translate a refused COMMIT into the terms of `station.toml`; None if none of its values caused the refusal."""
     if nak.request != Type.COMMIT:
         return None
     if nak.reason == Reason.RANGE and nak.field in _FIELDS:

@@ -1,4 +1,4 @@
-"""Events of the firmware → events of the controller's interface, numbered by the host."""
+"""Translation of the firmware's events into those of the controller's interface, numbered by the host."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ _SKIPPED: dict[int, str] = {
 }
 _FAULTS: dict[int, tuple[str, str]] = {
     Fault.HEARTBEAT: (
-        "The controller had not heard of this computer for too long and has put everything out; "
+        "The controller received no heartbeat from this computer for too long and switched all outputs off; "
         "boards that passed meanwhile were not filmed.",
-        "Nothing, if this computer or the cable had been stopped; it goes on by itself.",
+        "Nothing, if this computer was stopped or the cable unplugged; the controller is armed again automatically.",
     ),
-    Fault.COMMANDED: ("The controller was told to put everything out.", "Arm again."),
+    Fault.COMMANDED: ("The controller received the command to switch all outputs off.", "Arm again."),
     Fault.GUARD: (
-        "The controller's guard had to put out an LED that was on for too long.",
+        "The controller's guard switched off an LED that was on for too long.",
         "Check the LED drivers and their wiring, then arm again.",
     ),
 }
 
 
 class EventTranslator:
-    """Knows whether a run is under way, and which rows it has had."""
+    """Translates events in order; keeps track of the run under way, so that every run that begins also ends."""
 
     def __init__(self) -> None:
         self._put: Callable[[ControllerEvent | DeviceFault], None] | None = None
@@ -69,15 +69,15 @@ class EventTranslator:
         return self._running
 
     def start(self, put: Callable[[ControllerEvent | DeviceFault], None]) -> None:
-        """Events before this were history."""
+        """Pass events on to `put` from now on; earlier ones were dropped."""
         self._put = put
 
     def set_lights(self, light: Callable[[int], str], single: str) -> None:
-        """What rows and single pulses are lit by, from now on."""
+        """Set the names of the lights of rows and of single pulses."""
         self._light, self._single_light = light, single
 
     def translate(self, event: Event, time_s: float) -> None:
-        """The next event of the firmware."""
+        """Translate the next event of the firmware."""
         if event.kind == Kind.BOOT:
             return
         self._time_s = time_s
@@ -94,19 +94,20 @@ class EventTranslator:
             self.report_fault(DeviceError(message, action=action, code="controller-safe"))
 
     def end(self, reason: str) -> bool:
-        """Nothing more will be heard of the run under way; False if there is none."""
+        """End the run under way, because its end will not be reported; return False if there is none."""
         if not self._running:
             return False
         self._end(self._time_s, self._rows, reason)
         return True
 
     def report_fault(self, error: DeviceError) -> None:
-        """The controller is in trouble."""
+        """Report a fault of the controller."""
         if self._put is not None:
             self._put(DeviceFault("controller", error))
 
     def _barrier(self, event: Event, time_s: float) -> None:
         if event.detail:
+            # The end of the run before was overwritten in the firmware's ring of events.
             self.end("the controller's report of its end was lost")
             self._running, self._rows = True, 0
             self._emit(BarrierBlocked(next(self._numbers), time_s))
@@ -115,9 +116,11 @@ class EventTranslator:
 
     def _pulse(self, event: Event, time_s: float) -> None:
         if event.index == ROW_NONE:
+            # The firmware has one event for a single pulse; the interface has a run of one row.
             self._emit(PulseFired(next(self._numbers), time_s, 0, self._single_light))
             self._emit(RunEnded(next(self._numbers), time_s, 1, "single"))
             return
+        # A pulse also begins a run whose barrier event was lost.
         self._running, self._rows = True, event.index + 1
         self._emit(PulseFired(next(self._numbers), time_s, event.index, self._light(event.index)))
 

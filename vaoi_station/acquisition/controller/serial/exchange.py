@@ -1,4 +1,4 @@
-"""Questions and answers over one port: the link of the protocol, kept turning by whoever waits for an answer."""
+"""Requests and replies over one serial port: drives the protocol's `Link` while a caller waits for a reply."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from vaoi_station.acquisition.controller.serial.port import Port
 from vaoi_station.errors import DeviceError
 
 POLL_S = 0.05
-"""Heartbeats and repetitions are looked after this often."""
+"""Longest wait for bytes, and so the precision of heartbeats and retries."""
 IDENTIFY_S = 4.0
-"""A bootloader swallows the first bytes for one to two seconds."""
+"""How long IDENT is repeated: a bootloader swallows the first bytes for 1 to 2 s after a reset."""
 
 
 class SilentError(DeviceError):
-    """The port is there, but nothing answers."""
+    """A port that exists, but where no controller replies."""
 
     code = "controller-silent"
 
 
 class PortLostError(DeviceError):
-    """The port was there, and has gone."""
+    """A port that has disappeared while it was open."""
 
     code = "port-lost"
 
 
 class ResetError(DeviceError):
-    """The controller has been reset; nothing is configured any more."""
+    """A reset of the controller, which has lost its configuration."""
 
     code = "controller-reset"
 
 
 class RefusalError(DeviceError):
-    """The controller refuses a request."""
+    """A request that the controller refused."""
 
     code = "controller-refused"
 
@@ -53,18 +53,18 @@ class RefusalError(DeviceError):
 
     @classmethod
     def of(cls, nak: Nak) -> RefusalError:
-        """Its describe."""
+        """Make the error of a refusal."""
         error = cls(describe(nak), action="Check [line] and [controller] in station.toml.")
         error.nak = nak
         return error
 
 
 OnNotification = Callable[[EventReceived | EventsLost, float], None]
-"""Called with what happened and the host time at which that was heard."""
+"""Callback with an event, or a count of lost ones, and the host time of its arrival."""
 
 
 class Exchange:
-    """One port, for one thread; the link outlives it."""
+    """Requests over one open port, for one thread; the link outlives the port."""
 
     def __init__(self, port: Port, link: Link, on_notification: OnNotification, name: str) -> None:
         self.port, self.link, self._on_notification, self._name = port, link, on_notification, name
@@ -73,11 +73,18 @@ class Exchange:
 
     @property
     def silence_s(self) -> float:
-        """For how long nothing has been understood."""
+        """Time since the last valid message."""
         return time.monotonic() - self._last_message_s
 
     def request(self, request: Request) -> Replied:
-        """Wait for the reply. Raises RefusalError, SilentError, ResetError or PortLostError."""
+        """Send a request and wait for its reply.
+
+        Raises:
+            RefusalError: the controller refuses the request.
+            SilentError: no try had a reply.
+            ResetError: the controller was reset meanwhile.
+            PortLostError: the port has gone.
+        """
         self.link.request(request)
         while True:
             for item in self.poll():
@@ -92,7 +99,7 @@ class Exchange:
                     )
 
     def read_status(self) -> Status:
-        """As it is now, with every event up to then on_notification."""
+        """Read the present status, after all events up to it have been passed on."""
         self.request(Request(Type.STATUS))
         while not self.link.up_to_date:
             self.poll()
@@ -101,7 +108,7 @@ class Exchange:
         return self.link.status
 
     def poll(self) -> list[Notification]:
-        """Send what is due, and take what comes within a moment. Raises ResetError or PortLostError."""
+        """Send what is due and process what arrives within `POLL_S`; ResetError or PortLostError."""
         try:
             if data := self.link.outgoing(time.monotonic()):
                 self.port.write(data)
@@ -111,6 +118,7 @@ class Exchange:
                 f"The serial port {self._name} has gone ({error.strerror}).",
                 action="Plug the controller in again, and check its cable.",
             ) from error
+        # Timed after the wait, directly behind the read: it bounds the reply's arrival for the clock fit.
         messages, now_s = self.link.messages, time.monotonic()
         news = self.link.receive(data, now_s)
         if self.link.messages > messages:
@@ -127,21 +135,20 @@ class Exchange:
         return news
 
     def identify(self) -> bytes:
-        """Ask who it is until it answers; the payload of its answer, or DeviceError for what does not.
-
-        A reset that is noticed meanwhile changes nothing here: nothing else has been asked of it yet.
-        """
+        """Request IDENT until the controller replies; return the payload, or raise DeviceError."""
         give_up_s = time.monotonic() + IDENTIFY_S
         while time.monotonic() < give_up_s:
             try:
                 payload = self.request(Request(Type.IDENT)).payload
                 check_ident(payload)
                 return payload
+            # A reset is normal here: opening a port resets many boards (pyserial #124). Nothing else is pending yet.
             except (SilentError, ResetError):
                 continue
         raise self._no_reply()
 
     def _no_reply(self) -> DeviceError:
+        # Bytes without one valid message: another device, or another baud rate.
         if self.port.received and self.link.messages == self._messages_before:
             return DeviceError(
                 f"What is at {self._name} sends bytes, but no message of the trigger controller's protocol.",

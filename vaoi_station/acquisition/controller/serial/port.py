@@ -1,4 +1,8 @@
-"""A serial port that one thread reads: exclusive, woken from outside, closed without resetting the board behind it."""
+"""A serial port: opened exclusively, read by one thread that others can wake, closed without resetting the board.
+
+pyserial only opens and configures the port. Reading and writing go through the descriptor, so that one `poll` waits for
+bytes and for a wake-up.
+"""
 
 from __future__ import annotations
 
@@ -13,37 +17,39 @@ import serial
 from vaoi_station.errors import DeviceError
 
 WRITE_S = 1.0
-"""A port that does not take a few bytes within this time is gone."""
+"""A port that does not take a few bytes within this time has failed."""
 _CONTROL_FLAGS = 2
+"""Index of c_cflag in what `termios.tcgetattr` returns."""
 
 
 class Waker:
-    """Ends the `read` of whichever port is open, or the next one."""
+    """Ends the present or next `Port.read` from another thread; a pipe, because `poll` can wait for it."""
 
     def __init__(self) -> None:
         self.handle, self._write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def wake(self) -> None:
-        """From any thread."""
-        with contextlib.suppress(BlockingIOError):  # it rings already
+        """End the present or next read; callable from any thread."""
+        # A full pipe wakes the reader too.
+        with contextlib.suppress(BlockingIOError):
             os.write(self._write_end, b"\0")
 
     def clear(self) -> None:
-        """It has been heard."""
+        """Empty the pipe after a wake-up."""
         with contextlib.suppress(BlockingIOError):
             os.read(self.handle, 4096)
 
     def close(self) -> None:
-        """Nobody rings any more."""
+        """Close the pipe."""
         os.close(self.handle)
         os.close(self._write_end)
 
 
 class Port:
-    """Open from the start; OSError from any method means that the device is gone."""
+    """An open serial port; OSError from any method means that the device has gone."""
 
     def __init__(self, name: str, baud: int, waker: Waker) -> None:
-        """DeviceError says why it cannot be opened, and what to do."""
+        """Open a port; DeviceError gives the reason if that fails, and the action."""
         try:
             self._serial = serial.Serial(name, baud, exclusive=True)
             _keep_dtr(self._serial.fileno())
@@ -55,39 +61,41 @@ class Port:
         self._incoming.register(waker.handle, select.POLLIN)
         self._outgoing.register(self._serial.fileno(), select.POLLOUT)
         self.received = 0
-        """Bytes so far."""
+        """Count of bytes since it was opened."""
 
     def read(self, wait_s: float) -> bytes:
-        """What has come; nothing after `wait_s`, or when the waker rings."""
+        """Return the bytes that have arrived; empty after `wait_s`, or when woken."""
         ready = {handle for handle, _ in self._incoming.poll(wait_s * 1000)}
         if self._waker.handle in ready:
             self._waker.clear()
         if self._serial.fileno() not in ready:
             return b""
         data = os.read(self._serial.fileno(), 4096)
+        # End of file: the bridge was unplugged. Reading on would spin.
         if not data:
             raise OSError(errno.EIO, "the device has hung up")
         self.received += len(data)
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of it.
-
-        pyserial's own would take a computer that was stopped meanwhile for a line that is stuck.
-        """
+        """Send all bytes."""
+        # Not pyserial's write: it measures its timeout over the whole call, so a process that was stopped (SIGSTOP)
+        # within it would find a stuck port.
         while data:
             if not self._outgoing.poll(WRITE_S * 1000):
                 raise OSError(errno.ETIMEDOUT, "the device takes no bytes")
             data = data[os.write(self._serial.fileno(), data) :]
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         with contextlib.suppress(OSError, termios.error):  # it may be gone already
             self._serial.close()
 
 
 def _keep_dtr(handle: int) -> None:
-    """Boards like the Arduino Nano are reset by an edge of DTR: it is up while the port is open, and stays up."""
+    """Keep DTR up when the port is closed."""
+    # An edge of DTR resets boards like the Arduino Nano (pyserial #124, grbl #160). The kernel drops it at the last
+    # close if HUPCL is set.
     flags = termios.tcgetattr(handle)
     flags[_CONTROL_FLAGS] &= ~termios.HUPCL
     termios.tcsetattr(handle, termios.TCSANOW, flags)

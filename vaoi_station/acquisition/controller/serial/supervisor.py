@@ -1,6 +1,7 @@
-"""Brings the controller to do what it should, and mends what broke; everything here happens in one thread.
+"""Keeps the controller in the wanted state and restores it after failures, all in one thread.
 
-The controller's answers decide what has to be done, never what the host remembers of them.
+What has to be done follows from the controller's own status, never from what the host remembers of it: a reset or
+another process may have changed it.
 """
 
 from __future__ import annotations
@@ -45,10 +46,10 @@ from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError, StateError
 
 CLOCK_READINGS = 8
-"""Of the clock, at every meeting."""
+"""Clock readings at every connection."""
 STATUS_AGE_S = 1.0
-"""After so long without a word on its state it is asked."""
-_CAUSES = {
+"""Age of the newest status after which it is read again."""
+_RESET_CAUSES = {
     1: "its power came on",
     2: "its reset line was pulled",
     4: "its supply was too low",
@@ -63,15 +64,19 @@ _WATCHING = (State.ARMED, State.RUNNING)
 
 @dataclass(frozen=True)
 class Arming:
-    """What the controller should be doing."""
+    """The wanted state while armed."""
 
     program: DeviceProgram
     number: int
-    """By which the firmware names this arming."""
+    """Number by which the firmware identifies this arming."""
 
 
 class Supervisor:
-    """Keep the controller in the wanted state; callers in other threads hold `lock`."""
+    """Connects, arms, polls and restores the controller.
+
+    One thread calls the methods. Other threads hold `lock` and use only `arming`, `unavailable`, `guard_tripped`,
+    `translator` and `drop_arming`.
+    """
 
     def __init__(self, config: ControllerConfig, waker: Waker) -> None:
         self._config, self._waker = config, waker
@@ -79,27 +84,28 @@ class Supervisor:
         self.lock = threading.RLock()
         self.arming: Arming | None = None
         self.unavailable: DeviceError | None = None
-        """Why nothing can be asked of it at the moment."""
+        """Why the controller cannot be reached at present; None if it can."""
         self.guard_tripped = False
-        """Its guard has spoken: it is not armed again before somebody has disarmed it."""
+        """Whether its guard switched an LED off; it is not armed again until a caller disarms or arms it."""
         self.publish_reading: Callable[[ClockReading], None] = lambda _reading: None
-        """Told of readings of the clock after it may have jumped."""
+        """Callback for clock readings after a possible jump of the clock."""
         self.ident: Ident
         self._exchange: Exchange | None = None
         self._boots: int | None = None
-        """The start of the controller that its time is counted from."""
+        """Boot counter of the boot that `timebase` counts from."""
         self._checked_status: Status | None = None
         self._status_s = time.monotonic()
-        """When it last said how it is."""
+        """When the newest status arrived."""
         self._number = randrange(0x10000)
 
-    # --- meeting and losing it
+    # --- connecting and disconnecting
 
     def connect(self) -> None:
-        """Open the port if need be; who is it, what is its time, and does it do what it should?"""
+        """Open the port if it is closed; identify the controller, fit its clock, and bring it into the wanted state."""
         if self._exchange is None:
             port = Port(self._config.port, self._config.baud, self._waker)
             self._exchange = Exchange(port, self.link, self._on_notification, self._config.port)
+        # Nothing but IDENT is sent until the identity is known.
         self.link.heartbeat = False
         self.ident = check_ident(self._exchange.identify())
         self._start_timebase(self._exchange)
@@ -107,29 +113,30 @@ class Supervisor:
             arming = self.arming
             self._apply(arming)
             with self.lock:
+                # `disarm` may have been called meanwhile, which only drops the arming: apply the new wish too.
                 if self.arming is arming:
                     self.unavailable = None
                     return
 
     def mark_lost(self, error: DeviceError) -> None:
-        """From now on nothing can be asked of it."""
+        """Refuse requests from now on, for this reason."""
         self.link.drop_requests()
         with self.lock:
             self.unavailable = error
 
     def disconnect(self) -> None:
-        """Close the port, if it is open."""
+        """Close the port if it is open."""
         exchange, self._exchange = self._exchange, None
         if exchange is not None:
             exchange.port.close()
 
     def drop_arming(self) -> None:
-        """It shall do nothing, whether or not it can be told so now."""
+        """Want no arming any more and end the run; the controller is disarmed at the next chance."""
         self.arming = None
         self.translator.end("disarmed")
 
     def _start_timebase(self, exchange: Exchange) -> None:
-        """Its clock, which a reset has begun anew; what another process did with it before is history."""
+        """Begin the clock fit of a new boot; skip the events of an earlier process."""
         if self._boots is None:
             exchange.request(Request(Type.STATUS))
             self.link.skip_history()
@@ -141,8 +148,9 @@ class Supervisor:
             self.publish_reading(self.read_clock())
 
     def _apply(self, arming: Arming | None) -> None:
-        """Make it do what it should, if it does not."""
-        exchange, status = self._exchange_or_error(), self._exchange_or_error().read_status()
+        """Bring the controller into the wanted state if it is not."""
+        exchange = self._exchange_or_error()
+        status = exchange.read_status()
         self.link.heartbeat = arming is not None
         if arming is None or self.guard_tripped:
             if status.state != State.IDLE:
@@ -153,6 +161,7 @@ class Supervisor:
 
     def _configure_and_arm(self, arming: Arming, status: Status) -> None:
         exchange, program = self._exchange_or_error(), arming.program
+        # The firmware takes a configuration only when it is idle.
         if status.state != State.IDLE:
             exchange.request(Request(Type.DISARM))
         if status.config_crc != program.crc:
@@ -161,8 +170,8 @@ class Supervisor:
         exchange.request(arm(arming.number, program.crc))
 
     def _report_reset(self) -> None:
-        """Named with what it cost; what had been fired of a run is kept."""
-        causes = [words for bit, words in _CAUSES.items() if self.ident.reset_cause & bit]
+        """Report a reset with its cause and its effect; pulses that were fired stay in the run."""
+        causes = [words for bit, words in _RESET_CAUSES.items() if self.ident.reset_cause & bit]
         with self.lock:
             cost = (
                 "the run under way was ended" if self.translator.end("the controller was reset") else "no run was cut"
@@ -180,12 +189,13 @@ class Supervisor:
             raise SilentError(f"The controller at {self._config.port} is not connected.")
         return self._exchange
 
-    # --- what is asked of it
+    # --- requests
 
     def arm(self, plan: TriggerPlan) -> None:
         """See `Controller.arm`."""
         program = make_program(plan, self._config, self.ident)
         self._number = (self._number + 1) % 0x10000
+        # A new number for each arming: after a reconnection the status shows whether the firmware is still in this one.
         arming = Arming(program, self._number)
         exchange = self._exchange_or_error()
         try:
@@ -229,10 +239,10 @@ class Supervisor:
         replied = self._exchange_or_error().request(number_request(Type.CLOCK, randrange(1 << 32)))
         return self.timebase.add_reply(ClockReply.unpack(replied.payload).tick, replied.sent_s, replied.received_s)
 
-    # --- what it tells
+    # --- events
 
     def poll(self) -> None:
-        """Hear what comes within a moment, and see that it does what it should."""
+        """Receive events for a moment, and restore the wanted state if the controller has left it."""
         exchange, before = self._exchange_or_error(), self.link.status
         exchange.poll()
         self._check_status()
@@ -258,14 +268,15 @@ class Supervisor:
             self.translator.translate(event, self.timebase.time_s(event.tick, now_s))
 
     def _check_status(self) -> None:
-        """A new status: a run whose end was overwritten has ended; what is not watching should be."""
+        """Evaluate a new status: end a run whose end was lost; arm the controller again if it is not armed."""
         status = self.link.status
+        # A status says something about the run only after all events before it, and none after it, were passed on.
         if status is None or status is self._checked_status or self.link.status_is_outdated or not self.link.up_to_date:
             return
         self._checked_status = status
         with self.lock:
             if status.state != State.RUNNING:
                 self.translator.end("the controller's report of its end was lost")
-            amiss = self.arming is not None and not self.guard_tripped and status.state not in _WATCHING
-        if amiss:
+            must_arm = self.arming is not None and not self.guard_tripped and status.state not in _WATCHING
+        if must_arm:
             self._apply(self.arming)

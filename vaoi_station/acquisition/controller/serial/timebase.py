@@ -1,7 +1,7 @@
-"""Seconds of the controller's clock through all its resets.
+"""Seconds of the controller's clock across all its resets.
 
-A reset begins its ticks anew. Every boot has a stretch of its own on one axis, far enough from the one before
-that a clock model takes it for the jump it is (`acquisition.clocks`).
+A reset sets the tick counter to 0. Each boot has its own interval on one time axis, far enough from the one before that
+a clock fit recognises the jump (`acquisition.clocks`).
 """
 
 from __future__ import annotations
@@ -10,15 +10,16 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol.clock import TickClock
 
 BOOT_SPACING_S = 3600.0
-"""Between the end of one boot's stretch and the beginning of the next."""
+"""Time on the axis between the end of one boot and the beginning of the next."""
 BITS_PER_BYTE = 10
+"""One start bit, eight data bits, one stop bit."""
 REQUEST_BYTES = 10
 REPLY_BYTES = 14
-"""Frames of CLOCK and its reply on the line."""
+"""Sizes of the frames of CLOCK and its reply."""
 
 
 class Timebase:
-    """Ticks → seconds; fed with readings of the clock."""
+    """Conversion of ticks to seconds, from replies to CLOCK."""
 
     def __init__(self, baud: int) -> None:
         byte_s = BITS_PER_BYTE / baud
@@ -27,28 +28,30 @@ class Timebase:
         self._origin_s = self._latest_s = 0.0
 
     def restart(self) -> None:
-        """The controller has been reset."""
+        """Begin the interval of a new boot."""
         self._clock = TickClock()
         self._origin_s = self._latest_s + BOOT_SPACING_S
 
     def add_reply(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
-        """A reply to CLOCK: the tick is of a time when the whole question had arrived and the answer had not begun."""
+        """Add a reply to CLOCK; return it as a reading of the common time axis."""
+        # The tick was read after the whole request had arrived and before the reply began, which narrows the bound.
         earliest_s, latest_s = sent_s + self._request_s, received_s - self._reply_s
-        if earliest_s > latest_s:  # faster than a line of this rate: it is none
+        # Faster than this baud rate allows: a pseudo terminal or native USB, where the byte times do not apply.
+        if earliest_s > latest_s:
             earliest_s, latest_s = sent_s, received_s
         reading = self._clock.add(tick, earliest_s, latest_s)
         return ClockReading(self._at(reading.device_s), reading.host_s, reading.bound_s)
 
     def time_s(self, tick: int, near_host_s: float) -> float:
-        """Of a tick within 17 minutes of a host time."""
+        """Return the time on the axis of a tick within 17 minutes of a host time."""
         return self._at(self._clock.device_s(tick, near_host_s))
 
     def drift_ppm(self) -> float:
-        """How much slower than the host's the controller's clock goes."""
+        """Return the rate by which the controller's clock is slower than the host's."""
         return self._clock.model.drift_ppm
 
     def bound_s(self) -> float:
-        """How well it is known."""
+        """Return the largest error of the clock fit."""
         return self._clock.model.bound_s()
 
     def _at(self, since_boot_s: float) -> float:
