@@ -32,7 +32,8 @@ from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.verdict import decide_verdict, quality_document
+from vaoi_station.stitching.quality.quality_document import quality_document
+from vaoi_station.stitching.quality.verdict import decide_verdict
 from vaoi_station.version import __version__
 
 _MOTION_MM = 5e-4

@@ -1,4 +1,4 @@
-"""Covariances of D_j and M_ij, against motions drawn from the covariance they come from."""
+"""Covariances of D_j and sigmas of M_ij, against motions drawn from the covariance of the adjustment."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def adjusted() -> AdjustmentResult:
 
 
 def drawn(adjusted: AdjustmentResult, count: int) -> list[Motion]:
-    """Motions as they might be."""
+    """Random motions with the covariance of the adjustment."""
     g = np.random.default_rng(5)
     rows = np.stack([g.multivariate_normal(np.zeros(3), c, count) for c in adjusted.covariance], 1)
     return [replace(MOTION, angle=MOTION.angle + r[:, 0], shift=MOTION.shift + r[:, 1:]) for r in rows]
 
 
-def test_rows_vary_as_their_covariance_says(adjusted: AdjustmentResult) -> None:
-    said = row_covariances(adjusted)
-    assert not said[0].any(), "D_0 is the identity"
+def test_row_covariances_match_drawn_motions(adjusted: AdjustmentResult) -> None:
+    predicted = row_covariances(adjusted)
+    assert not predicted[0].any(), "D_0 is the identity"
     for j in (1, 2):
         under_pivot = MOTION.board(np.array([j]), PIVOT[None])
         seen = []
@@ -45,10 +45,10 @@ def test_rows_vary_as_their_covariance_says(adjusted: AdjustmentResult) -> None:
             seen.append([np.arctan2(d.matrix[1, 0], d.matrix[0, 0]), *d(under_pivot)[0]])
         found = np.cov(np.array(seen).T)
         scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
-        assert said[j] / scale == pytest.approx(found / scale, abs=0.06)
+        assert predicted[j] / scale == pytest.approx(found / scale, abs=0.06)
 
 
-def test_images_vary_as_the_sigmas_of_their_matrices_say(adjusted: AdjustmentResult, workshop: Any) -> None:
+def test_matrix_sigmas_match_drawn_motions(adjusted: AdjustmentResult, workshop: Any) -> None:
     cameras = [workshop.camera((2.0, 1.0), tilt=(1e-3, -2e-3)), workshop.camera((16.0, 1.0), angle_rad=0.02)]
     sigmas = matrix_sigmas(cameras, PIVOT, row_covariances(adjusted))
     assert sigmas.shape == (2, 3, 2)
@@ -62,7 +62,7 @@ def test_images_vary_as_the_sigmas_of_their_matrices_say(adjusted: AdjustmentRes
             assert sigmas[i, j] == pytest.approx([spread[0], spread[1:].max()], rel=0.07)
 
 
-def test_the_longest_direction() -> None:
+def test_largest_sigma_is_the_major_axis() -> None:
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     assert largest_sigma(turn @ np.diag([9.0, 4.0]) @ turn.T) == pytest.approx(3.0)
     assert largest_sigma(np.zeros((2, 2, 2))) == pytest.approx([0, 0])

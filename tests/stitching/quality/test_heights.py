@@ -1,4 +1,4 @@
-"""Heights of parts: those of the twin's bodies, never those of the board beside them."""
+"""Heights of components: those of the twin's bodies, never those of the board beside them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.quality.heights import highest, told
+from vaoi_station.stitching.quality.heights import (
+    FootprintArrays,
+    LinkArrays,
+    highest_agreeing_groups,
+    per_link_heights,
+)
 
 
-def test_the_twins_parts_are_as_high_as_they_are(filmed: Any) -> None:
+def test_heights_of_the_twins_components_match_the_truth(filmed: Any) -> None:
     q, true = filmed.stitch.quality, filmed.truth["heights"]
     found = q["heights_mm"]
     assert len(found) >= 4
@@ -22,8 +27,8 @@ def test_the_twins_parts_are_as_high_as_they_are(filmed: Any) -> None:
         assert 0.005 < q["height_sigma_mm"][ref] < 0.2
 
 
-def test_a_link_tells_the_height_that_explains_its_misfit() -> None:
-    """Against numpy; of five links one lies on a corner, and one on a part too small for a patch."""
+def test_link_height_explains_the_residual() -> None:
+    """Against numpy. Of five links one lies on a corner, and one on a component too small for a patch."""
     g = np.random.default_rng(3)
     center, size = np.array([[2.0, 1.0], [9.0, 4.0]]), np.array([[3.0, 2.0], [0.4, 0.4]])
     angle, floor_px = np.radians([30.0, 0.0]), 0.02
@@ -33,11 +38,9 @@ def test_a_link_tells_the_height_that_explains_its_misfit() -> None:
     near, component = np.array([5, 3, 1, 0, 4]), np.array([0, 0, -1, 0, 1, 0])
     misfit, lean, half = g.normal(0, 0.02, (5, 2)), g.normal(0, 0.1, (5, 2)), g.normal(0, 1e-3, (6, 2, 2))
     ground, noise, resolution = g.normal(0, 0.1, 6), half @ half.swapaxes(1, 2), g.uniform(30, 40, 6)
-    height, sigma, sole, aside = told(
-        *(near, place, misfit, lean, ground, noise, resolution, component),
-        *(np.eye(3), center, size, angle),
-        *(1.0, floor_px),
-    )
+    links = LinkArrays(near, place, misfit, lean, ground, noise, resolution, component)
+    footprints = FootprintArrays(center, size, angle, 1.0)
+    height, sigma, sole, aside = per_link_heights(links, footprints, np.eye(3), floor_px)
     assert np.isinf(sigma).tolist() == [False, False, True, False, True]
     for i in (0, 1, 3):
         n = near[i]
@@ -53,33 +56,33 @@ def test_a_link_tells_the_height_that_explains_its_misfit() -> None:
 Part = list[float]
 
 
-def of_parts(*parts: Part) -> list[tuple[float, float, int]]:
-    """What `highest` makes of parts whose links tell these heights: mm, sigma_mm, links of each."""
+def heights_of(*parts: Part) -> list[tuple[float, float, int]]:
+    """Height, sigma and number of links of components whose links give these heights."""
     heights = np.array([mm for part in parts for mm in part])
     ends = np.cumsum([len(part) for part in parts])
-    found = highest(ends, heights, np.full(len(heights), 0.05), np.full(len(heights), 0.01))
+    found = highest_agreeing_groups(ends, heights, np.full(len(heights), 0.05), np.full(len(heights), 0.01))
     return list(zip(*(values.tolist() for values in found), strict=True))
 
 
-def test_the_highest_group_that_agrees_is_the_body() -> None:
-    [(mm, sigma_mm, links)] = of_parts([0.02, 0.0, 0.05, 0.03, 1.41, 1.38, 1.44, 3.0])
+def test_the_highest_agreeing_group_is_the_body() -> None:
+    [(mm, sigma_mm, links)] = heights_of([0.02, 0.0, 0.05, 0.03, 1.41, 1.38, 1.44, 3.0])
     assert links == 3
     assert mm == pytest.approx(1.41, abs=0.005)
     assert 0.03 < sigma_mm < 0.06
 
 
-def test_links_that_do_not_agree_tell_nothing() -> None:
-    assert of_parts([0.0, 0.8, 1.7, 2.9])[0][2] == 0
-    assert of_parts([1.0, 1.0])[0][2] == 0
-    assert of_parts([])[0][2] == 0
-    [(mm, _, links)] = of_parts([0.0] * 17 + [1.5] * 3)
+def test_links_that_do_not_agree_give_no_height() -> None:
+    assert heights_of([0.0, 0.8, 1.7, 2.9])[0][2] == 0
+    assert heights_of([1.0, 1.0])[0][2] == 0
+    assert heights_of([])[0][2] == 0
+    [(mm, _, links)] = heights_of([0.0] * 17 + [1.5] * 3)
     assert links == 17
     assert mm == pytest.approx(0), "three of twenty are no body"
 
 
 @given(st.lists(st.lists(st.sampled_from([0.0, 0.04, 0.3, 0.9, 0.93, 1.6]), max_size=9), min_size=1, max_size=5))
-def test_every_part_is_told_by_its_own_links_as_numpy_has_it(parts: list[Part]) -> None:
-    for part, (mm, sigma_mm, links) in zip(parts, of_parts(*parts), strict=True):
+def test_every_component_gets_the_highest_group_of_its_own_links(parts: list[Part]) -> None:
+    for part, (mm, sigma_mm, links) in zip(parts, heights_of(*parts), strict=True):
         h, variance = np.array(part), 0.05**2 + 0.03**2
         agree = np.abs(h[None] - h[:, None]) <= 2.5 * np.sqrt(variance)
         able = agree.sum(1) >= max(3, 0.25 * len(h))

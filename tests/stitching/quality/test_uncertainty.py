@@ -1,3 +1,5 @@
+"""Predicted uncertainty: of rows, components and single views, against closed forms and numeric derivatives."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -13,7 +15,16 @@ from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import board_plane
 from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
 from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.quality.uncertainty import MODEL_PX, PredictedSigma, position_covariances, predict_sigma
+from vaoi_station.stitching.quality.uncertainty import (
+    MODEL_PX,
+    PointArrays,
+    PredictedSigma,
+    RowArrays,
+    ViewArrays,
+    position_covariances,
+    predict_sigma,
+    surface_sigma_mm,
+)
 
 ROWS = 3
 BOARD = {
@@ -25,7 +36,7 @@ BOARD = {
 
 
 def adjusted(shift_sigma_mm: list[float], angle_sigma: float = 0.0, c_sigma_mm: float = 0.0) -> AdjustmentResult:
-    """A solution of which only the covariance matters: rows independent, as said."""
+    """A solution of which only the covariance matters: with independent rows."""
     of_c = (0.0, 0.0, c_sigma_mm**2, c_sigma_mm**2)
     covariance = np.array([np.diag([angle_sigma**2, s**2, s**2, *of_c]) for s in shift_sigma_mm])
     motion = nominal_motion(np.arange(ROWS, dtype=np.float64), np.array([0.0, 8.0]), np.zeros(2))
@@ -51,39 +62,39 @@ def predicted(scene: Scene, plane: Any, found: AdjustmentResult) -> PredictedSig
     return predict_sigma(scene, plane, found, FootprintViews.of(landmarks(plane)[1], matrix, scene.cameras, rows, None))
 
 
-def test_a_shift_of_so_many_mm_is_one_of_so_many_px(scene: Scene, plane: Any) -> None:
+def test_shift_uncertainty_scales_with_the_resolution(scene: Scene, plane: Any) -> None:
     sigma = predicted(scene, plane, adjusted([0.0, 0.01, 0.03]))
     assert sigma.rows_px == pytest.approx([MODEL_PX, np.hypot(0.1, MODEL_PX), np.hypot(0.3, MODEL_PX)])
     assert sigma.worst_px == pytest.approx(np.hypot(0.3, MODEL_PX))
 
 
-def test_c_counts_in_every_row(scene: Scene, plane: Any) -> None:
+def test_uncertainty_of_c_counts_in_every_row(scene: Scene, plane: Any) -> None:
     sigma = predicted(scene, plane, adjusted([0.0] * 3, c_sigma_mm=0.02))
     assert sigma.rows_px == pytest.approx([np.hypot(0.2, MODEL_PX)] * 3)
 
 
-def test_an_angle_counts_by_its_arm(scene: Scene, plane: Any) -> None:
+def test_angle_uncertainty_grows_with_the_distance_from_the_pivot(scene: Scene, plane: Any) -> None:
     """U28 is seen 4 mm from the pivot in row 0: an angle moves it across; the sigma is that across."""
     sigma = predicted(scene, plane, adjusted([0.0] * 3, angle_sigma=0.01))
     assert sigma.rows_px[0] == pytest.approx(np.hypot(0.01 * 4 * 10, MODEL_PX), rel=0.01)
 
 
-def test_without_c_rows_have_a_sigma_and_components_none(scene: Scene, plane: Any) -> None:
+def test_without_c_rows_have_a_sigma_and_components_have_none(scene: Scene, plane: Any) -> None:
     for board in (None, plane):
         sigma = predict_sigma(scene, board, adjusted([0.0, 0.01, 0.03]), None)
         assert sigma.worst_px is None
         assert sigma.rows_px[2] == pytest.approx(np.hypot(0.3, MODEL_PX))
 
 
-def test_rows_that_show_no_part_count_by_their_motion_alone(scene: Scene, plane: Any) -> None:
+def test_rows_without_a_component_in_view_have_the_sigma_of_their_motion(scene: Scene, plane: Any) -> None:
     blind = replace(scene, present=((0, 0), (0, 1)))
     sigma = predicted(blind, plane, adjusted([0.0, 0.01, 0.5]))
     assert sigma.rows_px[2] == pytest.approx(np.hypot(5.0, MODEL_PX))
     assert sigma.worst_px == pytest.approx(np.hypot(0.1, MODEL_PX))
 
 
-def test_covariances_are_those_of_the_misfit_by_differences() -> None:
-    """Row, C and surface all at once, against numpy and derivatives of a sighting's misfit by differences."""
+def test_position_covariances_match_numeric_derivatives() -> None:
+    """Row, C and surface all at once, against numpy and numeric derivatives of a detection's residual."""
     g = np.random.default_rng(4)
     angle, shift, pivot, c = g.normal(0, 0.1, 2), g.normal(0, 5, (2, 2)), np.array([3.0, -2.0]), g.normal(0, 1, 4)
     flat, functions, place, lean = (
@@ -95,9 +106,11 @@ def test_covariances_are_those_of_the_misfit_by_differences() -> None:
     half = g.normal(0, 1, (2, 13, 13))
     covariance = half @ half.swapaxes(1, 2)
     row, point = np.array([0, 1, 1, 0]), np.array([2, 0, 1, 1])
-    found = position_covariances(row, point, place, lean, flat, functions, angle, pivot, covariance)
+    found = position_covariances(
+        ViewArrays(row, point, place, lean), PointArrays(flat, functions), RowArrays(angle, pivot, covariance)
+    )
 
-    def misfit(k: int, unknowns: Any) -> Any:
+    def residual(k: int, unknowns: Any) -> Any:
         motion = Motion(unknowns[None, 0], unknowns[None, 1:3], pivot)
         first = np.zeros(1, dtype=np.int_)
         board = motion.board(first, place[k : k + 1])
@@ -110,5 +123,24 @@ def test_covariances_are_those_of_the_misfit_by_differences() -> None:
 
     for k in range(4):
         at = np.concatenate([angle[row[k], None], shift[row[k]], c, np.zeros(6)])
-        j = np.stack([(misfit(k, at + d) - misfit(k, at - d)) / 2e-6 for d in 1e-6 * np.eye(13)], -1)
+        j = np.stack([(residual(k, at + d) - residual(k, at - d)) / 2e-6 for d in 1e-6 * np.eye(13)], -1)
         assert found[k] == pytest.approx(j @ covariance[row[k]] @ j.T, rel=1e-6)
+
+
+def test_json_has_every_view_with_four_significant_digits() -> None:
+    covariance = np.array([[[1.23456e-5, -2.5e-9], [-2.5e-9, 4.0]], [[9.87654e-3, 0.0], [0.0, 1.0]]])
+    sigma = PredictedSigma((0.1,), 2.0, ("U1", "U2"), np.array([1, 1]), np.array([[0, 2], [1, 2]]), covariance)
+    assert sigma.to_json() == {"U2": [[0, 2, 1.235e-5, -2.5e-9, 4.0], [1, 2, 9.877e-3, 0.0, 1.0]]}
+    assert sigma.of_components == {"U2": 2.0}
+    assert sigma.views["U2"][1, 2] == pytest.approx(covariance[1])
+
+
+def test_surface_sigma_is_that_of_the_basis_functions(plane: Any) -> None:
+    flat = adjusted([0.0] * ROWS)
+    places = np.array([[8.0, 15.0], [0.0, 0.0]])
+    assert surface_sigma_mm(plane, flat, places) == pytest.approx([0.0, 0.0])
+    whole = np.zeros((ROWS, 13, 13))
+    whole[:, 7, 7] = 0.25
+    assert surface_sigma_mm(plane, replace(flat, surface_mm=np.zeros(6), covariance=whole), places) == pytest.approx(
+        [0.5, 0.5]
+    )

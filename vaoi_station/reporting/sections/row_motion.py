@@ -37,7 +37,7 @@ class Deviation:
 def deviation(f: Findings) -> Deviation:
     """Of every row, at the middle of the array, with row 0 as the origin."""
     motion, times_s = f.adjusted.motion, f.problem.times_s
-    velocity = measured_velocity(motion, times_s, max(f.tied, key=len)) if f.tied else None
+    velocity = measured_velocity(motion, times_s, max(f.connected_groups, key=len)) if f.connected_groups else None
     if velocity is None or not np.hypot(*velocity) > 0:
         velocity = np.asarray(f.problem.velocity_mm_s, dtype=np.float64)
     speed = float(np.hypot(*velocity))
@@ -50,7 +50,7 @@ def deviation(f: Findings) -> Deviation:
     yaw = np.array([b[0, 0] for b in blocks])
     sigma = np.sqrt(np.maximum(np.column_stack([places * 1e6, yaw * 1e6]), 0))
     value = np.column_stack([off * 1e3, -motion.angle * 1e3])
-    rows = {int(r) for group in f.tied for r in group}
+    rows = {int(r) for group in f.connected_groups for r in group}
     return Deviation(velocity, value, sigma, tuple(j in rows for j in range(m)))
 
 

@@ -21,7 +21,7 @@ def seams(stitched: StitchedRun) -> Section:
         used = sum(p.used for p in pairs)
         squares = [p.residual_px**2 * p.used for p in pairs if p.residual_px is not None]
         rms = (sum(squares) / used) ** 0.5 if used else None
-        strange = f.strangers.get((i, i + 1))
+        strange = f.non_overlapping_pairs.get((i, i + 1))
         told = f"shows different things in {strange} rows" if strange else "" if used else "no links"
         rows.append(
             [f"{i} – {i + 1}", str(used), str(len(pairs)), number(f.seams_px.get((i, i + 1))), number(rms), told]

@@ -1,1 +1,1 @@
-"""Judge a result: covariances, predicted uncertainty, agreement of the evidence, component heights, verdict."""
+"""Judge a stitch: component heights, uncertainty, agreement with the CAD data, and the verdict with its reasons."""

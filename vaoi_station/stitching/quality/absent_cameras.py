@@ -1,4 +1,4 @@
-"""Cameras that delivered nothing of a whole board, and what of the board they alone would have shown."""
+"""Cameras that delivered no good frame of a run, and the fiducials that only they would have shown."""
 
 from __future__ import annotations
 
@@ -15,33 +15,36 @@ from vaoi_station.stitching.matching.scene import Scene
 def absent_camera_reasons(
     scene: Scene, plane: BoardPlane | None, expectation: Expectation, motion: Motion
 ) -> list[str]:
-    """A sentence for every camera of which no good frame arrived, with the fiducials that lay in its view alone.
+    """Write a sentence for every camera without a good frame, with the fiducials that lay in its view alone.
 
     Args:
         scene: cameras, and the frames that arrived whole.
-        frame: of the board type whose fiducials were sought; None if none were.
-        expectation: where the board should lie. If it leaves the place open, so do the sentences.
-        motion: of the rows, as far as the other cameras tell it.
+        plane: of the board type whose fiducials were searched; None if none were.
+        expectation: of the board's place. Without a place no fiducials are named.
+        motion: of the rows, from the other cameras.
     """
-    there = {camera for camera, _ in scene.present}
-    away = [i for i in range(len(scene.cameras)) if i not in there]
-    if not away:
+    delivered = {camera for camera, _ in scene.present}
+    absent = [i for i in range(len(scene.cameras)) if i not in delivered]
+    if not absent:
         return []
     board_mm = None if plane is None else expected_fiducials(plane, scene, expectation)
     if plane is None or board_mm is None:
         unknown = "" if plane is None else ": a fiducial in its view cannot be found"
-        return [f"camera {i} delivered no whole frame of this board{unknown}" for i in away]
+        return [f"camera {i} delivered no whole frame of this board{unknown}" for i in absent]
     names = np.array([f.name for f in plane.board_type.fiducials])
+    # A fiducial in an overlap is seen by the neighbour as well; only the others are lost.
     shown = np.zeros(len(names), dtype=np.bool_)
     for i, row in scene.present:
-        shown |= _seen(scene, i, row, motion, board_mm)
+        shown |= _in_frame(scene, i, row, motion, board_mm)
     rows = range(len(motion.angle))
-    hidden = {i: ~shown & np.any([_seen(scene, i, j, motion, board_mm) for j in rows], axis=0) for i in away}
-    return [f"camera {i} delivered no whole frame of this board{_lost(names[hidden[i]].tolist())}" for i in away]
+    hidden = {i: ~shown & np.any([_in_frame(scene, i, j, motion, board_mm) for j in rows], axis=0) for i in absent}
+    return [
+        f"camera {i} delivered no whole frame of this board{_hidden_clause(names[hidden[i]].tolist())}" for i in absent
+    ]
 
 
 def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation) -> Floats | None:
-    """(k, 2) tester mm of the fiducials in the first row if the board lies as expected; None if that says not where."""
+    """Compute the places (k, 2) of the fiducials in row 0, tester mm, as expected; None without a place."""
     x, y = expectation.corner_mm
     if x is None or y is None:
         return None
@@ -49,17 +52,18 @@ def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation
     turn = np.array([scale * np.cos(angle), scale * np.sin(angle), 0.0, 0.0])
     low, high = plane.board_type.extent()
     corners = plane.flat(np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]))
+    # The expectation gives the lowest corner of the board as it lies, whatever its rotation.
     shift = np.array((x, y)) - apply_similarity(turn, corners).min(0)
     return np.asarray(apply_similarity(turn, plane.fiducials) + shift)
 
 
-def _seen(scene: Scene, camera: int, row: int, motion: Motion, board_mm: Floats) -> np.ndarray:
-    """(k,) which places of the board lie in one frame."""
-    eye = scene.cameras[camera]
-    return eye.sees(eye.project(apply(motion.rows_from_tester[row], board_mm)))
+def _in_frame(scene: Scene, camera: int, row: int, motion: Motion, board_mm: Floats) -> np.ndarray:
+    """Return (k,) which places of the board lie in one frame."""
+    model = scene.cameras[camera]
+    return model.sees(model.project(apply(motion.rows_from_tester[row], board_mm)))
 
 
-def _lost(fiducials: list[str]) -> str:
+def _hidden_clause(fiducials: list[str]) -> str:
     if not fiducials:
         return ""
     return f", and in its view alone lay the fiducial{'s' if len(fiducials) > 1 else ''} {', '.join(fiducials)}"

@@ -1,4 +1,4 @@
-"""Whether fiducials, CAD data, calibration and the board's outline agree; if not, in words and numbers who does not."""
+"""Agreement of fiducials, CAD data, calibration and outline; where they disagree, the reasons in words and numbers."""
 
 from __future__ import annotations
 
@@ -14,26 +14,27 @@ from vaoi_station.stitching.board.outline import OutlineShift
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
-"""Laminate is held to that; a fiducial that is off its place in the CAD data looks the same."""
+"""Largest relative scale error; laminate keeps to it, and a fiducial that is off its CAD place looks the same."""
 _SURFACE_LIMIT = 4.0
-"""Tilt, twist and bow, in their standard deviations before anything is seen: a fiducial out of its place bends the
-board that is computed rather than leave a misfit."""
+"""Largest tilt, twist and bow, in their prior standard deviations.
+
+A fiducial out of its place bends the computed board rather than leave a residual."""
 _LAMINATE, _ARTWORK_MM = 3e-4, 0.01
-"""Standard deviations of a board's scale and of a fiducial on it, by which the one that is off is told."""
+"""Standard deviations of a board's scale (relative) and of a fiducial's place, for the search of the wrong fiducial."""
 _PLAINLY = 4.0
-"""The others must fit so much better without it than without any other one."""
+"""Least factor by which the others fit better without the wrong fiducial than without any other one."""
 
 
 def fiducial_reasons(
     plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
 ) -> list[str]:
-    """Fiducials off their places, a scale or a surface that no board has, and the one to blame if three or more tell.
+    """List fiducials off their places, an impossible scale or surface, and the wrong fiducial if three or more decide.
 
     Args:
-        frame: the board type.
-        adjusted: everything together.
-        points: the sightings it rests on.
-        moved: the motion from links alone, which no fiducial has bent.
+        plane: of the board type.
+        adjusted: the adjustment of everything together.
+        points: the detections it rests on.
+        moved: the motion from links alone, on which the fiducials have no influence.
         px_per_mm: resolution of the station.
     """
     if adjusted.similarity is None:
@@ -46,15 +47,16 @@ def fiducial_reasons(
             out.append(f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})")
     scale = float(np.hypot(*adjusted.similarity[:2])) / plane.board_type.mm_per_unit - 1
     if abs(scale) > _SCALE_LIMIT:
-        out.append(_of_scale(plane, scale, px_per_mm))
-    out += _of_surface(adjusted.surface_mm)
+        out.append(_scale_reason(plane, scale, px_per_mm))
+    out += _surface_reasons(adjusted.surface_mm)
+    # The wrong fiducial is named only after something disagrees: with sound data the search has nothing to find.
     if out:
-        out += _blamed(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
+        out += _wrong_fiducial(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
     return out
 
 
 def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit_px: float) -> str:
-    """Which fiducials are to blame for positions that are too uncertain: those no sighting of which is sure."""
+    """Name the fiducials whose best detection is worse than a limit, as a clause; empty if there are none."""
     if points is None:
         return ""
     sigma_px = points.sigma_mm * points.px_per_mm
@@ -69,7 +71,7 @@ def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit
 
 
 def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
-    """The outline lies elsewhere than the fiducials say."""
+    """List the reasons if the outline lies elsewhere than the fiducials put it."""
     if shift is None:
         return []
     out = []
@@ -90,14 +92,15 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
     return out
 
 
-Seen = dict[int, tuple[Floats, float]]
-"""By the fiducial's number: where the motion of links alone has it on a flat board (tester mm), and how far it lies off
-its place in the adjustment (px)."""
+FiducialPlaces = dict[int, tuple[Floats, float]]
+"""By number of the fiducial: its place on a flat board by the motion of links alone (tester mm), and the length of its
+mean residual in the adjustment (px)."""
 
 
-def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion) -> Seen:
+def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion) -> FiducialPlaces:
     if points is None:
         return {}
+    # Only the lift of the surface: a fiducial out of its place bends the other terms, and would hide itself.
     lift = adjusted.surface_mm[0] if len(adjusted.surface_mm) else 0.0
     place = moved.board(points.row, points.ground_mm) + moved.turned(points.row, points.lean) * lift
     off_px = np.hypot(*adjusted.fiducial_px.T)
@@ -105,7 +108,7 @@ def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Mo
     return {n: (place[points.which == n].mean(0), float(off_px[points.which == n].mean())) for n in numbers}
 
 
-def _of_surface(surface_mm: Floats) -> list[str]:
+def _surface_reasons(surface_mm: Floats) -> list[str]:
     if not len(surface_mm):
         return []
     unlikely = np.abs(surface_mm / SIGMA_MM)[1:]
@@ -119,13 +122,14 @@ def _of_surface(surface_mm: Floats) -> list[str]:
     ]
 
 
-def _blamed(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[str]:
-    """The fiducial without which the others agree with the CAD data; two alone cannot tell."""
+def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[str]:
+    """Name the fiducial without which the others agree with the CAD data; two alone cannot decide it."""
     if len(places) < 3:
         return []
     without = {n: _fit_without(n, plane, places) for n in places}
     costs = sorted((cost, n) for n, (cost, _) in without.items())
     (best, n), (second, _) = costs[0], costs[1]
+    # One clear culprit or none: a wrong name would send the engineer to a sound fiducial.
     if second < _PLAINLY * max(best, 1.0):
         return []
     off_mm = without[n][1]
@@ -136,7 +140,8 @@ def _blamed(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> l
 
 
 def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[float, float]:
-    """χ² of the other fiducials and of their scale, and how far off the fiducial then is, in mm."""
+    """Compute χ² of the other fiducials and of their scale, and the error of this fiducial then, in mm."""
+    # Flat coordinates have the tester's handedness, so the fit never mirrors.
     others = [k for k in places if k != n]
     cad, board = plane.fiducials, np.array([places[k] for k in others])
     fit = fit_similarity(board, cad[others], System.TESTER, System.CAD, mirrored=False)
@@ -148,7 +153,7 @@ def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[
     return cost, float(np.hypot(*(fit(cad[n]) - places[n])))
 
 
-def _of_scale(plane: BoardPlane, scale: float, px_per_mm: float) -> str:
+def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float) -> str:
     apart_mm = float(np.hypot(*np.ptp(plane.fiducials, axis=0))) * plane.board_type.mm_per_unit
     off_mm = abs(scale) * apart_mm
     return (

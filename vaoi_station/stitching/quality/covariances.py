@@ -1,4 +1,4 @@
-"""The covariance of every D_j and every M_ij, in forms that others can carry on.
+"""Covariances of D_j and standard deviations of M_ij, in the form that results carry.
 
 A row's three numbers are the turn φ of D_j (rad) and the place (mm, row coordinates) to which D_j takes the point of
 the board that then lies under the pivot, a fixed point of the conveyor's plane in the middle of the array. A ground
@@ -18,12 +18,12 @@ from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 
 
 def row_covariances(adjusted: AdjustmentResult) -> Floats:
-    """Of (φ, x, y) of every D_j at the pivot, (m, 3, 3) in rad and mm."""
+    """Compute the covariance of (φ, x, y) of every D_j at the pivot, (m, 3, 3) in rad and mm."""
     motion = adjusted.motion
     m = len(motion.angle)
     c, s = np.cos(motion.angle), np.sin(motion.angle)
-    # what was adjusted is the inverse, board = R(φ)·(x − c) + c + s: a shift of the board by δs is one of the ground
-    # point by −R(−φ)·δs, and its turn the opposite one
+    # The adjustment has the inverse, board = R(φ)·(x − c) + c + s. A shift of the board by δs is a shift of the ground
+    # point by −R(−φ)·δs, and its turn is the opposite one.
     turn = np.zeros((m, 3, 3))
     turn[:, 0, 0] = -1
     turn[:, 1, 1], turn[:, 1, 2], turn[:, 2, 1], turn[:, 2, 2] = -c, -s, s, -c
@@ -31,15 +31,16 @@ def row_covariances(adjusted: AdjustmentResult) -> Floats:
 
 
 def matrix_sigmas(cameras: Sequence[Camera], pivot_mm: Floats, rows: Floats) -> Floats:
-    """Of every M_ij, by the covariances (m, 3, 3) of the rows: how far the image may be off, (n, m, 2) px.
+    """Compute standard deviations (n, m, 2) px of every M_ij from the covariances (m, 3, 3) of the rows.
 
-    The standard deviation in the worst direction at the middle of the frame, and at its worst corner.
+    They are those in the worst direction, at the middle of the frame and at its worst corner.
     """
     return np.array([_sigmas(camera, pivot_mm, rows) for camera in cameras])
 
 
 def largest_sigma(covariance: Floats) -> Floats:
-    """Standard deviation (…) in the worst direction, for covariances (…, 2, 2)."""
+    """Compute the standard deviation (…) in the worst direction, for covariances (…, 2, 2)."""
+    # The larger eigenvalue of a symmetric 2×2 matrix in closed form, for all of them at once.
     a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     return np.asarray(np.sqrt(np.maximum((a + d) / 2 + np.hypot((a - d) / 2, b), 0)))
 
@@ -57,7 +58,7 @@ def _sigmas(camera: Camera, pivot_mm: Floats, rows: Floats) -> Floats:
 
 
 def _slope(camera: Camera, ground_mm: Floats) -> Floats:
-    """Derivative (k, 2, 2) of undistorted pixels by ground places (k, 2), px/mm."""
+    """Compute the derivative (k, 2, 2) of undistorted pixels by ground places (k, 2), px/mm."""
     n = camera.image_from_row.matrix
     homogeneous = np.column_stack([ground_mm, np.ones(len(ground_mm))]) @ n.T
     px = homogeneous[:, :2] / homogeneous[:, 2:]

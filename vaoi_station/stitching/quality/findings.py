@@ -1,4 +1,4 @@
-"""What the stitching found out about a run; the verdict and the quality document read from it."""
+"""What the stitching found out about a run; the verdict, the quality numbers and the report read from it."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma
 
+_USED = 0.1
+"""Links with a larger weight count as used."""
 _SAME_HEIGHT_PX = 0.5
-"""Leads and body of a part differ by less, most of them."""
+"""Largest difference between the heights of a component from row to row and across a seam, in px at the seam."""
 _SEAM_LINKS = 12
-"""So many links between two cameras say whether they fit together."""
+"""Least number of links between two cameras from which their agreement is decided."""
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """All that was found out about a run."""
+    """All that was found out about a run. Derived values are computed when first read."""
 
     plane: BoardPlane | None
     expectation: Expectation
@@ -43,7 +45,7 @@ class Findings:
     moved: AdjustmentResult
     """The motion from links alone."""
     found: CadMapping | Failure
-    """The board, or why it was not found."""
+    """The board, or the reason for which it was not found."""
 
     @property
     def mapping(self) -> CadMapping | None:
@@ -52,40 +54,40 @@ class Findings:
 
     @property
     def adjusted(self) -> AdjustmentResult:
-        """The adjustment that counts."""
+        """The final solution: the adjustment with the board, or that of the links alone."""
         return self.found.adjusted if isinstance(self.found, CadMapping) else self.moved
 
     @property
     def problem(self) -> Problem:
-        """What it solved."""
+        """The problem that `adjusted` solves."""
         return self.found.problem if isinstance(self.found, CadMapping) else self.links_only
 
     @property
     def rows(self) -> int:
-        """The paper's m."""
+        """Number of rows, the paper's m."""
         return len(self.adjusted.motion.angle)
 
     @cached_property
     def sigma(self) -> PredictedSigma:
-        """Predicted standard deviations."""
+        """Predicted standard deviations of positions."""
         return predict_sigma(self.scene, self.plane, self.adjusted, self.views)
 
     @cached_property
     def surface(self) -> Surface | None:
-        """Of the board; None where it was not sought."""
+        """The surface of the board; None where it was not estimated."""
         if self.plane is None or self.mapping is None or not len(self.adjusted.surface_mm):
             return None
         return to_surface(self.plane.board_type, self.adjusted.surface_mm)
 
     @cached_property
     def cad_matrix(self) -> Floats | None:
-        """C, 3×3; None without."""
+        """C as a 3×3 matrix; None without a CAD mapping."""
         c = self.adjusted.similarity
         return None if self.plane is None or self.mapping is None or c is None else self.plane.matrix(c)
 
     @cached_property
     def views(self) -> FootprintViews | None:
-        """Of the components, or the board's corners; None without C."""
+        """Views of the components, or of the board's corners where it has none; None without C."""
         if self.plane is None or self.cad_matrix is None:
             return None
         rows = self.adjusted.motion.rows_from_tester
@@ -93,40 +95,42 @@ class Findings:
 
     @cached_property
     def heights(self) -> dict[str, Height]:
-        """Of components above the board, by address, where their links tell."""
+        """Heights of components above the board, by address, where their links determine them."""
         if self.plane is None or self.mapping is None:
             return {}
         return component_heights(self.plane, self.problem, self.adjusted)
 
     @cached_property
     def placed(self) -> tuple[bool, ...]:
-        """Rows with at least one good frame; of the others there is nothing to place."""
+        """Whether each row has at least one good frame; a row without any has no image matrices."""
         rows = {row for _, row in self.scene.present}
         return tuple(j in rows for j in range(self.rows))
 
     @cached_property
-    def tied(self) -> list[np.ndarray]:
-        """Groups of rows that links tie together, of those rows that show texture."""
+    def connected_groups(self) -> list[np.ndarray]:
+        """Groups of rows that links or CAD points connect, of those rows that show texture."""
         o = self.problem.links
-        used = (self.adjusted.weight > 0.1) & (o.p != o.q)
+        used = (self.adjusted.weight > _USED) & (o.p != o.q)
         linked = set(np.flatnonzero(np.bincount(np.append(o.p[used], o.q[used]), minlength=self.rows)).tolist())
         if self.problem.fiducials is not None:
             linked |= set(self.problem.fiducials.row.tolist())
+        # A row of bare belt before or after the board has no links. It is no second group.
         groups = [g for g in connected_rows(o, self.rows, used) if any(r in linked for r in g)]
         fixed = [self._fixed_by_cad(g) for g in groups]
+        # Groups that CAD points fix are connected with one another through C.
         together = [r for g, by_cad in zip(groups, fixed, strict=True) if by_cad for r in g.tolist()]
         apart = [g for g, by_cad in zip(groups, fixed, strict=True) if not by_cad]
         return sorted([np.array(sorted(together)), *apart] if together else apart, key=lambda g: int(g.min()))
 
     def _fixed_by_cad(self, rows: np.ndarray) -> bool:
-        """Whether points known in CAD, two or more, fix these rows by themselves."""
+        """Return whether two or more points known in CAD fix these rows without links."""
         points = self.problem.fiducials
         if points is None:
             return False
         return len(np.unique(points.cad[np.isin(points.row, rows)], axis=0)) >= 2
 
     @cached_property
-    def seam(self) -> np.ndarray:
+    def seam_of_link(self) -> np.ndarray:
         """(k,) the left one of the two neighbouring cameras that a link joins, −1 for links from row to row."""
         o = self.problem.links
         left = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in o.groups]
@@ -134,9 +138,13 @@ class Findings:
 
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
-        """Median misfit between neighbouring cameras of one row, on the bare board: height or a moved camera."""
-        bare = np.flatnonzero((self.seam >= 0) & (self.problem.component < 0))
-        seam, off_px, out = self.seam[bare], self.adjusted.link_px[bare], {}
+        """Median residual between neighbouring cameras of one row, on the bare board, in px.
+
+        A large value means a camera that has moved, or a height that the surface model does not have.
+        """
+        # Links on components are left out: a component has a height of its own, which is not the seam's error.
+        bare = np.flatnonzero((self.seam_of_link >= 0) & (self.problem.component < 0))
+        seam, off_px, out = self.seam_of_link[bare], self.adjusted.link_px[bare], {}
         for i in range(len(self.scene.cameras) - 1):
             mine = off_px[seam == i]
             if len(mine) >= _SEAM_LINKS:
@@ -144,27 +152,26 @@ class Findings:
         return out
 
     @cached_property
-    def _vouching(self) -> np.ndarray:
-        """Links that may say that two cameras fit together: (k,) truth values.
-
-        On the bare board all may. On a part a height of its own explains whatever they say across the seam, so it
-        must be the height that is seen from row to row.
-        """
-        o, part = self.problem.links, self.problem.component
+    def _usable_seam_links(self) -> np.ndarray:
+        """(k,) whether a link can show that two cameras fit together."""
+        o, component = self.problem.links, self.problem.component
         rows, seam = self.adjusted.heights_mm
         if not len(rows):
-            return part < 0
-        off_px = np.abs(seam - rows)[part] * np.hypot(*(o.b_lean - o.a_lean).T) * o.px_per_mm
-        return np.asarray((part < 0) | (off_px < _SAME_HEIGHT_PX))
+            return component < 0
+        # On a component, a free height explains any residual across the seam. Such links count only where
+        # that height is the one the rows show as well.
+        off_px = np.abs(seam - rows)[component] * np.hypot(*(o.b_lean - o.a_lean).T) * o.px_per_mm
+        return np.asarray((component < 0) | (off_px < _SAME_HEIGHT_PX))
 
     @cached_property
-    def strangers(self) -> dict[tuple[int, int], int]:
-        """Neighbouring cameras whose overlap shows texture, but not the same, and in how many rows."""
+    def non_overlapping_pairs(self) -> dict[tuple[int, int], int]:
+        """Neighbouring cameras whose overlap shows texture that does not match, with the number of such rows."""
         unmatched = Counter(e.task.a[0] for e in self.links if e.task.kind == "neighbours" and e.unmatched)
         out = {}
         for i, rows in sorted(unmatched.items()):
+            # A failed match in a single row is no evidence of a moved camera.
             if rows >= 2 and (i, i + 1) not in self.seams_px:
-                agreeing = (self.seam == i) & (self.adjusted.weight > 0.1) & self._vouching
+                agreeing = (self.seam_of_link == i) & (self.adjusted.weight > _USED) & self._usable_seam_links
                 if agreeing.sum() < _SEAM_LINKS:
                     out[i, i + 1] = rows
         return out

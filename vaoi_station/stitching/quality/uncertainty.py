@@ -1,7 +1,7 @@
-"""How far a position can be trusted: the covariance of the adjustment, carried to the images.
+"""Predicted uncertainty of positions: the covariance of the adjustment, carried to the images.
 
-A component's place in an image follows from its row, from C and from the surface; its covariance is
-that of the misfit a sighting of it would have.
+A component's place in an image follows from its row, from C and from the surface. Its covariance is that of the
+residual which a detection of it would have.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,24 +34,24 @@ _DIGITS = 4
 
 @dataclass(frozen=True, eq=False)
 class PredictedSigma:
-    """Standard deviations in px, in the direction where they are largest; covariances are of x and y in one image."""
+    """Standard deviations in px, in the direction where they are largest, and covariances of x and y in one image."""
 
     rows_px: tuple[float, ...]
-    """Of each row: of the worst component in view there, of the motion alone where there is none."""
+    """Of each row: that of the worst component in view there, or of the motion alone where none is in view."""
     worst_px: float | None
     """The largest of all views of components; None without C."""
     names: tuple[str, ...]
     """Addresses of the components."""
     part: Ints
-    """(k,) which component a view shows; component by component, of each in the order of cameras and rows."""
+    """(k,) number of the component that a view shows; component by component, each in the order of cameras and rows."""
     seen_in: Ints
     """(k, 2) camera and row of every view."""
     covariance_px2: Floats
-    """(k, 2, 2) of every view."""
+    """(k, 2, 2) covariance of every view."""
 
     @cached_property
     def views(self) -> dict[str, dict[FrameKey, Floats]]:
-        """(2, 2) px² of every view of every component, by address and frame."""
+        """Covariances (2, 2) px² of all views, by address and frame."""
         out: dict[str, dict[FrameKey, Floats]] = {}
         for n, (i, j), c in zip(self.part.tolist(), self.seen_in.tolist(), self.covariance_px2, strict=True):
             out.setdefault(self.names[n], {})[i, j] = c
@@ -58,20 +59,21 @@ class PredictedSigma:
 
     @cached_property
     def of_components(self) -> dict[str, float]:
-        """The largest over each component's views, by address, of those that are in view; to four decimals."""
+        """The largest standard deviation over the views of each component in view, by address; four decimals."""
         worst = np.zeros(len(self.names))
         np.maximum.at(worst, self.part, largest_sigma(self.covariance_px2))
-        told = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
-        return {name: px for name, px, seen in told if seen}
+        each = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
+        return {name: px for name, px, seen in each if seen}
 
-    def told(self) -> dict[str, list[list[float]]]:
-        """[camera, row, xx, xy, yy] of every view, by address; four digits, wherever the point."""
+    def to_json(self) -> dict[str, list[list[float]]]:
+        """List [camera, row, xx, xy, yy] of every view, by address; four significant digits."""
         values = self.covariance_px2[:, (0, 0, 1), (0, 1, 1)]
+        # All views in one pass: a result has thousands.
         with np.errstate(divide="ignore"):
             digits = _DIGITS - 1 - np.floor(np.log10(np.abs(values)))
         unit = 10.0 ** np.where(np.isfinite(digits), digits, 0)
-        told = zip(*self.seen_in.T.tolist(), *(np.round(values * unit) / unit).T.tolist(), strict=True)
-        entries = [list(entry) for entry in told]
+        views = zip(*self.seen_in.T.tolist(), *(np.round(values * unit) / unit).T.tolist(), strict=True)
+        entries = [list(view) for view in views]
         ends = [0, *np.cumsum(np.bincount(self.part, minlength=len(self.names))).tolist()]
         return {name: entries[a:b] for name, (a, b) in zip(self.names, pairwise(ends), strict=True) if b > a}
 
@@ -79,13 +81,13 @@ class PredictedSigma:
 def predict_sigma(
     scene: Scene, plane: BoardPlane | None, adjusted: AdjustmentResult, views: FootprintViews | None
 ) -> PredictedSigma:
-    """Covariance of components' positions in every good frame that shows them.
+    """Predict the covariance of components' positions in every good frame that shows them.
 
     Args:
         scene: cameras and good frames.
-        frame: the board type.
+        plane: of the board type.
         adjusted: the solution.
-        views: of the frame's `landmarks`; None without C.
+        views: of the plane's `landmarks`; None without C.
     """
     resolution = float(np.mean([camera.px_per_mm for camera in scene.cameras]))
     motion = np.hypot(largest_sigma(adjusted.covariance[:, 1:3, 1:3]) * resolution, MODEL_PX).tolist()
@@ -100,12 +102,14 @@ def predict_sigma(
     inside = (x >= 0) & (y >= 0) & (x <= last_x) & (y <= last_y) & whole[views.camera, views.row]
     part, camera, row = (numbers[inside] for numbers in (views.point, views.camera, views.row))
     place = views.place_mm[inside]
+    functions = basis(plane.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0))
     covariance = position_covariances(
-        *(row, part, place, _leans(scene.cameras, camera, place), plane.flat(cad)),
-        basis(plane.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0)),
-        *(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
+        ViewArrays(row, part, place, _leans(scene.cameras, camera, place)),
+        PointArrays(plane.flat(cad), functions),
+        RowArrays(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
     )
     px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
+    # What no residual shows is added to every view: calibration and artwork are taken as exact by the adjustment.
     covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
     rows = np.zeros(len(motion))
     np.maximum.at(rows, row, largest_sigma(covariance))
@@ -115,7 +119,7 @@ def predict_sigma(
 
 
 def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
-    """`Camera.parallax` (k, 2) of places (k, 2), each seen by the camera of its number (k,)."""
+    """Compute `Camera.parallax` (k, 2) of places (k, 2), each for the camera of its number (k,)."""
     lean = np.empty(place.shape)
     for i in np.unique(camera).tolist():
         lean[camera == i] = cameras[i].parallax(place[camera == i])
@@ -123,7 +127,7 @@ def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
 
 
 def surface_sigma_mm(plane: BoardPlane, adjusted: AdjustmentResult, cad: Floats) -> Floats:
-    """Standard deviation (k,) of the board's height at CAD points (k, 2); 0 where no surface was sought."""
+    """Compute the standard deviation (k,) of the board's height at CAD points (k, 2); 0 without a surface."""
     f = len(adjusted.surface_mm)
     if not f:
         return np.zeros(len(cad))
@@ -131,34 +135,49 @@ def surface_sigma_mm(plane: BoardPlane, adjusted: AdjustmentResult, cad: Floats)
     return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", b, adjusted.covariance[0, -f:, -f:], b)))
 
 
-@compiled
-def position_covariances(
-    row: Ints,
-    point: Ints,
-    place: Floats,
-    lean: Floats,
-    flat: Floats,
-    basis: Floats,
-    angle: Floats,
-    pivot: Floats,
-    covariance: Floats,
-) -> Floats:
-    """Covariance (k, 2, 2) mm² of the misfit that a sighting of a point in a row would have.
+class ViewArrays(NamedTuple):
+    """k views of points."""
 
-    Args:
-        row: (k,).
-        point: (k,) its number.
-        place: (k, 2) where it is on the conveyor's plane in that row, mm.
-        lean: (k, 2) by how much it lies elsewhere per mm of height.
-        flat: (n, 2) CAD coordinates of the points.
-        basis: (n, f) values of the surface's basis functions there.
-        angle: (m,) of the rows, rad.
-        pivot: (2,) mm.
-        covariance: (m, u, u) of (φ, sx, sy) of each row, C and the surface; u = 7 + f.
-    """
+    row: Ints
+    """(k,)."""
+    point: Ints
+    """(k,) number of the point."""
+    place_mm: Floats
+    """(k, 2) place on the conveyor's plane in that row."""
+    lean: Floats
+    """(k, 2) change of that place per mm of height."""
+
+
+class PointArrays(NamedTuple):
+    """n points of a board."""
+
+    flat: Floats
+    """(n, 2) flat CAD coordinates."""
+    basis: Floats
+    """(n, f) values of the surface's basis functions."""
+
+
+class RowArrays(NamedTuple):
+    """m rows as adjusted."""
+
+    angle: Floats
+    """(m,) rad."""
+    pivot: Floats
+    """(2,) mm."""
+    covariance: Floats
+    """(m, u, u) of (φ, sx, sy) of each row, C and the surface; u = 7 + f."""
+
+
+@compiled
+def position_covariances(views: ViewArrays, points: PointArrays, rows: RowArrays) -> Floats:
+    """Compute the covariance (k, 2, 2) mm² of the residual that a detection of a point in a row would have."""
+    row, point, place, lean = views.row, views.point, views.place_mm, views.lean
+    flat, basis = points.flat, points.basis
+    angle, pivot, covariance = rows.angle, rows.pivot, rows.covariance
     f = basis.shape[1]
     u = 7 + f
     j, out = np.zeros((2, u)), np.empty((len(row), 2, 2))
+    # Columns of the Jacobian: φ, sx, sy of the row, then a, b, x, y of C, then the surface. These four never change.
     j[0, 1] = j[1, 2] = 1.0
     j[0, 5] = j[1, 6] = -1.0
     for k in range(len(row)):

@@ -1,0 +1,144 @@
+"""The quality document of a result: the numbers behind the verdict, as docs/formats.md describes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vaoi_station.stitching.adjustment.motion import measured_velocity
+from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE
+from vaoi_station.stitching.quality.covariances import matrix_sigmas, row_covariances
+from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
+
+_OUTLIER = 8.5
+"""CAD points with a larger residual, in standard deviations, have no weight: 6 per axis, √2 of that in the plane."""
+
+
+def quality_document(f: Findings) -> dict[str, Any]:
+    """Collect the numbers behind the verdict."""
+    a = f.adjusted
+    sigma = f.sigma
+    velocity = None
+    if f.connected_groups:
+        # Only rows that links connect show the belt's speed; between groups it is the nominal one.
+        group = max(f.connected_groups, key=len)
+        velocity = measured_velocity(a.motion, f.problem.times_s, group)
+    nominal = float(np.hypot(*f.problem.velocity_mm_s))
+    used, rows = a.weight > 0.1, row_covariances(a)
+    return {
+        "links": {
+            kind: {"found": int(mine.sum()), "used": int((mine & used).sum())}
+            for kind, mine in (("rows", f.seam_of_link < 0), ("neighbours", f.seam_of_link >= 0))
+        }
+        | _points_used(f),
+        "unlinked": [
+            {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
+        ],
+        "residual_px": {
+            "median": _rounded(float(np.sqrt(np.median((a.link_px**2).sum(1)[used])))) if used.any() else None,
+            "scatter": _rounded(a.floor_px),
+            "sigma0": _rounded(a.sigma0),
+        },
+        "seams_px": {f"{i}-{j}": _rounded(v) for (i, j), v in f.seams_px.items()},
+        "fiducials": _fiducials(f),
+        "scale_error": _scale_error(f),
+        "outline_contrast": _rounded(f.mapping.outline.contrast, 1) if f.mapping and f.mapping.outline else None,
+        "outline_shift_mm": _outline_shift(f),
+        "row_sigma_px": [_rounded(v) for v in sigma.rows_px],
+        "cad_sigma_px": _rounded(sigma.worst_px) if sigma.worst_px is not None else None,
+        "component_sigma_px": _component_sigma(f),
+        "pivot_mm": [_rounded(float(v)) for v in a.motion.pivot],
+        "row_covariance": [[[_significant(v) for v in r] for r in c] for c in rows.tolist()],
+        "matrix_sigma_px": [
+            [pair if placed else None for pair, placed in zip(camera, f.placed, strict=True)]
+            for camera in np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist()
+        ],
+        # A board without components has views of its corners, which are no components.
+        "component_covariance_px2": sigma.to_json() if f.plane and f.plane.board_type.components else {},
+        "surface_sigma_mm": _surface_sigma(f),
+        "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
+        "height_sigma_mm": {address: _rounded(h.sigma_mm) for address, h in f.heights.items()},
+        "belt": {
+            "nominal_mm_s": [float(v) for v in f.problem.velocity_mm_s],
+            "measured_mm_s": None if velocity is None else [_rounded(float(v)) for v in velocity],
+            "speed_error": None if velocity is None else _rounded(float(np.hypot(*velocity)) / nominal - 1, 6),
+        },
+    }
+
+
+def _points_used(f: Findings) -> dict[str, dict[str, int]]:
+    """Count the points known in CAD by kind: those found, and those whose residual is not an outlier."""
+    points = f.mapping.problem.fiducials if f.mapping else None
+    which, off = np.zeros(0, dtype=np.int_), np.zeros(0)
+    if points is not None:
+        which = points.which
+        off = np.hypot(*f.adjusted.fiducial_px.T) / (points.sigma_mm * points.px_per_mm)
+    kinds = {"fiducials": which >= 0, "fixture": which == FIXTURE, "reference": which == REFERENCE}
+    return {
+        kind: {"found": int(mine.sum()), "used": int((mine & (off <= _OUTLIER)).sum())} for kind, mine in kinds.items()
+    }
+
+
+def _fiducials(f: Findings) -> list[dict[str, Any]]:
+    mapping = f.mapping
+    if f.plane is None or mapping is None:
+        return []
+    out = []
+    points = mapping.problem.fiducials
+    which = points.which if points is not None else np.zeros(0, dtype=np.int_)
+    for n, fiducial in enumerate(f.plane.board_type.fiducials):
+        at = np.flatnonzero(which == n)
+        residual = f.adjusted.fiducial_px[at].mean(0) if len(at) else None
+        out.append(
+            {
+                "name": fiducial.name,
+                "sightings": len(at),
+                "residual_px": None if residual is None else [_rounded(float(v)) for v in residual],
+            }
+        )
+    return out
+
+
+def _outline_shift(f: Findings) -> dict[str, Any] | None:
+    shift = f.mapping.shift if f.mapping else None
+    if shift is None:
+        return None
+    return {
+        "mm": [_rounded(float(v), 3) for v in shift.mm],
+        "sigma_mm": [_rounded(float(v), 3) for v in shift.sigma_mm],
+        "turn_mrad": _rounded(1e3 * shift.turn_rad, 3),
+        "turn_sigma_mrad": _rounded(1e3 * shift.turn_sigma_rad, 3),
+        "pieces": shift.pieces,
+    }
+
+
+def _component_sigma(f: Findings) -> dict[str, float]:
+    """Return the largest predicted standard deviation over the views of each component, by address."""
+    return f.sigma.of_components if f.plane and f.mapping and f.plane.components.addresses else {}
+
+
+def _surface_sigma(f: Findings) -> float | None:
+    """Return the largest sigma of the height, over the board's middle and corners; None without a surface."""
+    if f.plane is None or not len(f.adjusted.surface_mm):
+        return None
+    low, high = f.plane.board_type.extent()
+    places = np.array([(low + high) / 2, low, high, (low[0], high[1]), (high[0], low[1])])
+    return _rounded(float(surface_sigma_mm(f.plane, f.adjusted, places).max()))
+
+
+def _scale_error(f: Findings) -> float | None:
+    if f.plane is None or f.adjusted.similarity is None:
+        return None
+    a, b = f.adjusted.similarity[:2]
+    return _rounded(float(np.hypot(a, b)) / f.plane.board_type.mm_per_unit - 1, 7)
+
+
+def _significant(value: float) -> float:
+    """Round to four significant digits: variances are small, and fixed decimals would cut them to zero."""
+    return float(f"{value:.4g}")
+
+
+def _rounded(value: float, digits: int = 4) -> float:
+    return round(value, digits)
