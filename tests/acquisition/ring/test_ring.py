@@ -1,4 +1,4 @@
-"""The ring: its life as a file, generations, and who may do what."""
+"""Tests of the ring: owner, borrowers, generations and the slot table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.ring.ring import Ring, ring_path, sweep
+from vaoi_station.acquisition.ring.ring import Ring, remove_leftovers, ring_path
 from vaoi_station.acquisition.ring.ring_layout import EMPTY, HEADER, NO_ROW, OK, FrameShape, RingLayout
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, GoneError, InputError, NotFoundError, StateError
@@ -27,42 +27,42 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "vaoi-test.ring"
 
 
-def look(path: Path, slot: int, answer: Connection) -> None:
-    """What another process sees."""
+def read_frame(path: Path, slot: int, answer: Connection) -> None:
+    """Send what another process reads from the ring."""
     with Ring.attach(path) as ring:
         answer.send((ring.frame(slot).copy(), ring.frame(slot).flags.writeable, ring.generation(0)))
 
 
-def own_and_die(path: Path) -> None:
+def create_and_die(path: Path) -> None:
     Ring.create(path, LAYOUT)
     os._exit(0)
 
 
-def test_frames_written_by_the_owner_are_seen_by_another_process(path: Path) -> None:
+def test_another_process_reads_the_frames_of_the_owner(path: Path) -> None:
     with Ring.create(path, LAYOUT) as ring:
         generation = ring.claim(0)
         slot = ring.slot(0, 1, 1)
         ring.frame(slot)[:] = np.arange(64 * 20).reshape(20, 64)
         ours, theirs = multiprocessing.get_context("spawn").Pipe()
-        reader = multiprocessing.get_context("spawn").Process(target=look, args=(path, slot, theirs))
+        reader = multiprocessing.get_context("spawn").Process(target=read_frame, args=(path, slot, theirs))
         reader.start()
         seen, writeable, seen_generation = ours.recv()
         reader.join()
-        assert path.exists(), "a reader that exits unlinks nothing"
+        assert path.exists(), "a reader that exits does not unlink the file"
         assert seen.dtype == np.uint16
         assert (seen == ring.frame(slot)).all()
         assert (writeable, seen_generation) == (False, generation)
     assert not path.exists()
 
 
-def test_the_file_is_private_to_the_group_and_exactly_as_large_as_its_layout(path: Path) -> None:
+def test_the_file_has_the_mode_and_the_size_of_its_layout(path: Path) -> None:
     with Ring.create(path, LAYOUT):
         assert path.stat().st_mode & 0o777 == 0o640
         assert path.stat().st_size == LAYOUT.file_bytes
         assert path.stat().st_blocks * 512 >= LAYOUT.file_bytes, "allocated, not sparse"
 
 
-def test_a_claim_bumps_the_generation_and_blackens_only_its_bay(path: Path) -> None:
+def test_a_claim_raises_the_generation_and_clears_only_its_bay(path: Path) -> None:
     with Ring.create(path, LAYOUT) as ring:
         for slot in range(LAYOUT.slots):
             ring.memory(slot)[:] = 7
@@ -81,7 +81,7 @@ def test_a_stale_generation_is_refused(path: Path) -> None:
         assert reader.snapshot(0, old).shape == (30, 40)
         ring.claim(0)
         with pytest.raises(GoneError, match="later board"):
-            reader.check(0, old)
+            reader.check_generation(0, old)
         with pytest.raises(GoneError):
             reader.snapshot(0, old)
 
@@ -94,7 +94,7 @@ def test_readers_cannot_write(path: Path) -> None:
             reader.claim(0)
 
 
-def test_a_borrower_that_closes_leaves_the_file_and_learns_when_the_owner_goes(path: Path) -> None:
+def test_a_borrower_leaves_the_file_and_sees_that_the_owner_closed_it(path: Path) -> None:
     ring = Ring.create(path, LAYOUT)
     with Ring.attach(path, writable=True) as borrower:
         borrower.frame(0)[:] = 9
@@ -110,16 +110,16 @@ def test_a_borrower_that_closes_leaves_the_file_and_learns_when_the_owner_goes(p
     reader.close()
 
 
-def test_the_slot_table_says_what_a_slot_holds(path: Path) -> None:
+def test_the_slot_table_describes_each_slot(path: Path) -> None:
     with Ring.create(path, LAYOUT) as ring:
         generation = ring.claim(0)
-        assert ring.record(1) == (generation, EMPTY, NO_ROW, 0)
-        ring.note(1, OK, 5, 65400)
-        assert ring.record(1) == (generation, OK, 5, 65400)
+        assert ring.slot_record(1) == (generation, EMPTY, NO_ROW, 0)
+        ring.write_slot_record(1, OK, 5, 65400)
+        assert ring.slot_record(1) == (generation, OK, 5, 65400)
         ring.memory(1)[:] = 3
         ring.clear(1)
         assert not ring.memory(1).any()
-        assert ring.record(1) == (generation, EMPTY, NO_ROW, 0)
+        assert ring.slot_record(1) == (generation, EMPTY, NO_ROW, 0)
 
 
 def test_two_stations_cannot_share_a_path(path: Path) -> None:
@@ -130,8 +130,8 @@ def test_two_stations_cannot_share_a_path(path: Path) -> None:
         assert not ring.closed_by_owner
 
 
-def test_leftovers_of_dead_owners_are_swept_and_nothing_else(path: Path) -> None:
-    child = multiprocessing.get_context("spawn").Process(target=own_and_die, args=(path,))
+def test_only_leftovers_of_dead_owners_are_removed(path: Path) -> None:
+    child = multiprocessing.get_context("spawn").Process(target=create_and_die, args=(path,))
     child.start()
     child.join()
     assert path.exists()
@@ -140,21 +140,21 @@ def test_leftovers_of_dead_owners_are_swept_and_nothing_else(path: Path) -> None
     short = path.with_name("short.ring")
     short.write_bytes(b"VAOIRING")
     with Ring.create(path.with_name("living.ring"), LAYOUT) as living:
-        assert not path.exists(), "creating a ring sweeps its directory"
-        assert sweep(path.parent) == []
+        assert not path.exists(), "creating a ring removes leftovers from its directory"
+        assert remove_leftovers(path.parent) == []
         assert living.path.exists()
     assert foreign.exists()
     assert short.exists()
 
 
 def test_a_reused_pid_does_not_keep_a_leftover_alive(path: Path) -> None:
-    child = multiprocessing.get_context("spawn").Process(target=own_and_die, args=(path,))
+    child = multiprocessing.get_context("spawn").Process(target=create_and_die, args=(path,))
     child.start()
     child.join()
     with path.open("r+b") as file:  # as if the number had been given to this very process
         file.seek(HEADER.fields["owner_pid"][1])  # type: ignore[index]
         file.write(np.uint32(os.getpid()).tobytes())
-    assert sweep(path.parent) == [path]
+    assert remove_leftovers(path.parent) == [path]
 
 
 def test_a_locked_ring_is_alive_whatever_its_pid_says(path: Path) -> None:
@@ -162,7 +162,7 @@ def test_a_locked_ring_is_alive_whatever_its_pid_says(path: Path) -> None:
         with path.open("r+b") as file:  # as seen from a container that shares the memory but not the pids
             file.seek(HEADER.fields["owner_pid"][1])  # type: ignore[index]
             file.write(np.uint32(2**22 + 1).tobytes())
-        assert sweep(path.parent) == []
+        assert remove_leftovers(path.parent) == []
         assert ring.path.exists()
 
 
@@ -174,7 +174,7 @@ def test_a_ring_too_large_is_refused_with_its_size_and_leaves_nothing(path: Path
     assert not path.exists()
 
 
-def test_memory_that_runs_out_while_allocating_is_told_and_leaves_nothing(path: Path) -> None:
+def test_memory_that_runs_out_while_allocating_is_an_error_and_leaves_nothing(path: Path) -> None:
     """A limit of the process on file sizes stands in for a full tmpfs."""
     script = """
 import pathlib, resource, sys
@@ -194,8 +194,8 @@ except BusyError as error:
     assert not path.exists()
 
 
-def test_a_directory_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be made"):
+def test_an_absent_directory_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be created"):
         Ring.create(tmp_path / "absent" / "x.ring", LAYOUT)
 
 
@@ -220,7 +220,7 @@ def test_another_layout_version_or_size_is_refused(path: Path) -> None:
             Ring.attach(copy)
 
 
-def test_a_memory_limit_is_told_not_fatal(path: Path) -> None:
+def test_a_memory_limit_is_noted_and_not_fatal(path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, hard))
     try:

@@ -1,4 +1,4 @@
-"""`docs/internals/ring.md` says what the bytes mean: its table is compared with the layout, its C program is run."""
+"""Tests of `docs/internals/ring.md`: its table equals the layout, and its C program reads a ring."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_the_c_program_reads_what_the_station_wrote(tmp_path: Path) -> None:
         ring.claim(1)
         for slot, state, row, grey in ((ring.slot(1, 0, 1), OK, 5, 7), (ring.slot(1, 1, 0), INCOMPLETE, 2, 300)):
             ring.frame(slot)[:] = np.array(grey)
-            ring.note(slot, state, row, 1)
+            ring.write_slot_record(slot, state, row, 1)
         done = subprocess.run([binary, ring.path, "1"], check=True, capture_output=True, text=True)
         assert done.stdout.splitlines() == ["camera 0 row 5 ok 7.000", "camera 1 row 2 incomplete 300.000"]
         assert subprocess.run([binary, ring.path, "2"], check=False).returncode == 2

@@ -1,4 +1,4 @@
-"""The ring's arithmetic: slots neither overlap nor leave the file, whatever the numbers."""
+"""Tests of the ring's layout: slots neither overlap nor leave the file."""
 
 from __future__ import annotations
 

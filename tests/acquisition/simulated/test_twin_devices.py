@@ -52,7 +52,7 @@ def test_a_board_is_filmed_row_by_row_as_the_twin_shows_it(start: Start, make_co
     for frame in finished.frames:
         assert (frame.verdict, frame.cause) == (Verdict.OK, "")
         assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
-        assert bench.ring.record(frame.slot)[:3] == (bench.generations[0], OK, frame.row)
+        assert bench.ring.slot_record(frame.slot)[:3] == (bench.generations[0], OK, frame.row)
         assert abs(frame.pulse_error_us) < 10_000
     assert [p.pulse.index for p in bench.of(PulseReported)] == list(range(truth.rows))
     assert len(bench.of(FrameSettled)) == 2 * truth.rows

@@ -45,7 +45,7 @@ def ring(passage: BoardPassage, tmp_path: Path) -> Iterator[Ring]:
 def put(ring: Ring, camera: int, row: int, pixels: np.ndarray, state: int = OK, k: int | None = None) -> None:
     slot = ring.slot(BAY, camera, row + 1 if k is None else k)
     ring.memory(slot)[:] = pixels
-    ring.note(slot, state, row, 65400 + row)
+    ring.write_slot_record(slot, state, row, 65400 + row)
 
 
 def look(ring: Ring, passage: BoardPassage) -> RingCheck:

@@ -251,7 +251,7 @@ class _CameraCheck:
 
 
 def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:
-    """Return row → residual of its frame against the pulses, s; a line is fitted per epoch, which has its own clock."""
+    """Return row → residual of its frame against the pulses, s; a line is fitted per epoch, as its clock may differ."""
     found: dict[int, float] = {}
     for epoch in {f.epoch for f in assigned}:
         frames = [f for f in assigned if f.epoch == epoch and f.row is not None]

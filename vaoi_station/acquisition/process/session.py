@@ -268,7 +268,7 @@ class Session:
                 frame = outcome.frame
                 # The slot table before the report: readers of the ring look the frame up as soon as it is reported.
                 if frame.slot is not None:
-                    self._ring.note(frame.slot, _STATES[frame.verdict], frame.row, frame.frame_id)
+                    self._ring.write_slot_record(frame.slot, _STATES[frame.verdict], frame.row, frame.frame_id)
                 self._send(FrameSettled(outcome.run, frame, now_s))
                 if frame.slot is not None:
                     self._devices.feedback.frame_done()

@@ -1,1 +1,1 @@
-"""Hold frames in shared memory: the ring, its file and its layout."""
+"""Hold frames in shared memory: the ring, its file and its layout (docs/internals/ring.md)."""

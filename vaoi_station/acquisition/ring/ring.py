@@ -1,8 +1,8 @@
-"""The ring: frames in shared memory, written by cameras and read in place by everybody else.
+"""The ring: frames in shared memory, written by cameras and read in place by other processes.
 
-One process, the station, makes the file and unlinks it; the acquisition process maps it writable; workers
-and tester software map it read-only. A bay's **generation** changes when the bay is given to another
-board: who remembers the generation can tell, before and after looking, whose pixels it saw.
+One process, the station, creates the file and unlinks it. The acquisition process maps it writable; workers and tester
+software map it read-only. A bay's **generation** changes when the bay is given to another board. A reader that compares
+the generation before and after its read knows to which run the pixels belong.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from vaoi_station.acquisition.ring import ring_file
 from vaoi_station.acquisition.ring.ring_layout import (
     BAY_RECORD,
     CLOSED,
+    EMPTY,
     HEADER,
     IN_USE,
     NO_ROW,
@@ -31,25 +32,26 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, StateError
 from vaoi_station.pixel_formats import picture
 
-__all__ = ["Ring", "RingLayout", "ring_path", "sweep"]
+__all__ = ["Ring", "RingLayout", "remove_leftovers", "ring_path"]
 
-sweep = ring_file.sweep
+remove_leftovers = ring_file.remove_leftovers
 
 
 def ring_path(config: StationConfig) -> Path:
-    """Where a station keeps its ring, unless told otherwise."""
+    """Return the path of a station's ring."""
     return config.ring.directory / f"vaoi-{config.name}{ring_file.SUFFIX}"
 
 
 class Ring:
-    """An open ring; `create` owns the file, `attach` borrows it. Views die with `close`."""
+    """An open ring, owned by the process that used `create`, borrowed by those that use `attach`."""
 
     def __init__(self, path: Path, layout: RingLayout, handle: int, *, writable: bool, owner: bool) -> None:
+        """Map the open file; use `create` or `attach`."""
         self.path = path
         self.layout = layout
         self.writable = writable
         self.lock_note = ""
-        """Why the memory could not be locked; empty where it is, and for readers."""
+        """Why the memory could not be locked in RAM; empty if it is, and for borrowers."""
         self._inode = os.fstat(handle).st_ino
         self._owner_pid = os.getpid() if owner else None
         self._handle = handle if owner else None
@@ -62,126 +64,138 @@ class Ring:
 
     @classmethod
     def create(cls, path: Path, layout: RingLayout) -> Ring:
-        """Make the file (exclusively, mode 0640), allocate and lock it; leftovers of dead owners are swept first.
+        """Create the file (exclusively, mode 0640), allocate and lock it; nothing is left behind on failure.
 
-        Raises BusyError with the sizes if the memory is not there, StateError if a living process owns the
-        path; in both cases nothing is left behind.
+        Raises:
+            BusyError: there is not enough memory; the message has the sizes.
+            StateError: a living process owns the path.
+            InputError: the directory is not writable.
         """
-        sweep(path.parent)
+        # Leftovers of dead owners first: they hold the memory and perhaps the very path.
+        remove_leftovers(path.parent)
         handle = ring_file.create_file(path, layout)
         try:
             ring = cls(path, layout, handle, writable=True, owner=True)
-        except BaseException:  # whatever ended it, tidy up; it is raised again
+        except BaseException:  # KeyboardInterrupt too: the file must not stay behind; raised again
             path.unlink(missing_ok=True)
             os.close(handle)
             raise
-        ring.lock_note = ring_file.lock(ring._bytes)
+        ring.lock_note = ring_file.lock_in_ram(ring._bytes)
         ring._slots["row"] = NO_ROW
+        # Last: readers refuse the file in any other state.
         ring._header["state"] = IN_USE
         return ring
 
     @classmethod
     def attach(cls, path: Path, writable: bool = False) -> Ring:
-        """Map a ring somebody else owns; NotFoundError, or InputError for a foreign file or layout."""
+        """Map a ring that another process owns.
+
+        Raises:
+            NotFoundError: there is no such file.
+            InputError: the file is no ring, or one of another layout.
+            StateError: the ring is being created or closed.
+        """
         handle = ring_file.open_existing(path, writable)
         try:
             layout, header = ring_file.read_layout(handle, path)
             if int(header["state"][0]) != IN_USE:
-                raise StateError(f"{path}: is being made or taken down.", action="Try again when the station is up.")
+                raise StateError(f"{path}: is being created or closed.", action="Try again when the station is up.")
             return cls(path, layout, handle, writable=writable, owner=False)
         finally:
             os.close(handle)
 
     @property
     def owned(self) -> bool:
-        """Whether this process made the file and will unlink it."""
+        """Whether this process created the file and will unlink it."""
+        # A forked child inherits the object, but must not unlink the file of its parent.
         return self._owner_pid == os.getpid()
 
     @property
     def closed_by_owner(self) -> bool:
-        """Whether the owner has taken the ring down; what is mapped stays readable but will not change."""
+        """Whether the owner has closed the ring; the mapped memory stays readable and does not change any more."""
         return int(self._header["state"][0]) == CLOSED
 
     def slot(self, bay: int, camera: int, k: int) -> int:
-        """Number of the k-th slot of a camera in a bay."""
+        """Return the number of the k-th slot of a camera in a bay."""
         return self.layout.slot(bay, camera, k)
 
     def memory(self, slot: int) -> NDArray[np.uint8]:
-        """The bytes of exactly one frame, (nbytes,) uint8; writable where the ring is."""
+        """Return the bytes of one frame, (nbytes,) uint8; writable if the ring is."""
         start = self.layout.offset(slot)
         return self._bytes[start : start + self._shape(slot).nbytes]
 
     def frame(self, slot: int) -> NDArray[Any]:
-        """The picture in a slot, (h, w) or under a Bayer filter (h, w, 3), uint8 or uint16 at full scale.
+        """Return the picture in a slot: (h, w), or (h, w, 3) for Bayer formats; uint8 or uint16 at full scale.
 
-        Mono8 and Mono16 are seen in place, writable where the ring is; other formats are unpacked into a picture of
-        its own.
+        Mono8 and Mono16 are views of the ring, writable if the ring is. Other formats are unpacked into a copy.
         """
         shape = self._shape(slot)
         return picture(self.memory(slot), shape.width, shape.height, shape.format)
 
     def claim(self, bay: int) -> int:
-        """Give a bay to a coming run: a new generation, and all its pixels zero; returns the generation.
+        """Give a bay to a coming run; return its new generation.
 
-        Whoever decides about memory (the station) claims *before* it grants the bay to the cameras. Holes
-        of an incomplete frame are then black and never show the board before.
+        All pixels are set to zero, so that holes of an incomplete frame are black and never show an earlier board. The
+        station claims a bay *before* it grants the bay to the acquisition process.
         """
-        self._must_write("claim")
+        self._require_writable("claim")
         first = self.layout.slot(bay, 0, 0)
         last = first + self.layout.slots_per_bay
         generation = int(self._header["generation"][0]) + 1
         self._header["generation"] = generation
-        self._bays["generation"][bay] = generation  # before the pixels go: readers look at it afterwards
+        # Before the pixels are cleared: a reader checks the generation after it has copied them.
+        self._bays["generation"][bay] = generation
         self._slots[first:last] = (generation, 0, NO_ROW, 0, 0)
         self._bytes[self.layout.offset(first) : self.layout.offset(last)] = 0
         return generation
 
     def generation(self, bay: int) -> int:
-        """Generation of a bay; 0: never used."""
-        self.layout.slot(bay, 0, 0)
+        """Return the generation of a bay; 0: never used."""
+        self.layout.slot(bay, 0, 0)  # refuses a bay out of range
         return int(self._bays["generation"][bay])
 
-    def check(self, bay: int, generation: int) -> None:
-        """GoneError if the bay has been given to another board; call it before *and after* looking."""
+    def check_generation(self, bay: int, generation: int) -> None:
+        """Raise GoneError if the bay was given to another board; call it before *and after* reading pixels."""
         now = self.generation(bay)
         if now != generation:
             raise GoneError(
-                f"bay {bay} of the ring holds generation {now}, not {generation}: its memory went to a later board.",
+                f"bay {bay} of the ring holds generation {now}, not {generation}: it was given to a later board.",
                 action="Hold a run while you use it, or keep a recording of it.",
             )
 
     def snapshot(self, slot: int, generation: int) -> NDArray[Any]:
-        """A copy of one frame, checked before and after; GoneError if the board has changed meanwhile."""
+        """Return a copy of one frame; raise GoneError if the bay was given to another board meanwhile."""
         bay = self.layout.place(slot)[0]
-        self.check(bay, generation)
+        self.check_generation(bay, generation)
         pixels = self.frame(slot).copy()
-        self.check(bay, generation)
+        self.check_generation(bay, generation)
         return pixels
 
     def clear(self, slot: int) -> None:
-        """Blacken one slot, so that it can be filled again in the same generation."""
-        self._must_write("clear")
+        """Set the pixels of a slot to zero, so that it can be filled again in the same generation."""
+        self._require_writable("clear")
         self.memory(slot)[:] = 0
-        self.note(slot, 0, NO_ROW, None)
+        self.write_slot_record(slot, EMPTY, NO_ROW, None)
 
-    def note(self, slot: int, state: int, row: int, frame_id: int | None) -> None:
-        """Say in the slot table what a slot holds, for tester software that reads the ring by itself."""
-        self._must_write("note")
+    def write_slot_record(self, slot: int, state: int, row: int, frame_id: int | None) -> None:
+        """Write into the slot table what a slot holds, for tester software that reads the ring."""
+        self._require_writable("write to")
         bay = self.layout.place(slot)[0]
         self._slots[slot] = (self.generation(bay), state, row, frame_id or 0, 0)
 
-    def record(self, slot: int) -> tuple[int, int, int, int]:
-        """Generation, state, row and frame id the slot table has for a slot."""
-        self.layout.place(slot)
+    def slot_record(self, slot: int) -> tuple[int, int, int, int]:
+        """Return generation, state, row and frame id of a slot from the slot table."""
+        self.layout.place(slot)  # refuses a slot out of range
         entry = self._slots[slot]
         return int(entry["generation"]), int(entry["state"]), int(entry["row"]), int(entry["frame_id"])
 
     def close(self) -> None:
-        """Unmap; the owner also unlinks the file. Views still held keep their memory until they die."""
+        """Unmap the ring; the owner also unlinks the file. Views that are still held keep their memory."""
         if self._map is None:
             return
         if self.owned:
             self._header["state"] = CLOSED
+            # Unlinked only if the path is still our file: another owner may have created one there since.
             with contextlib.suppress(FileNotFoundError):
                 if self.path.stat().st_ino == self._inode:
                     self.path.unlink()
@@ -189,7 +203,8 @@ class Ring:
             os.close(self._handle)
         mapped, self._map = self._map, None
         del self._bytes, self._header, self._bays, self._slots
-        with contextlib.suppress(BufferError):  # somebody still looks: unmapped when the last view goes
+        # mmap.close() raises BufferError while NumPy views exist; it is unmapped when the last of them goes.
+        with contextlib.suppress(BufferError):
             mapped.close()
 
     def __enter__(self) -> Ring:
@@ -204,6 +219,6 @@ class Ring:
     def _table(self, offset: int, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
         return self._bytes[offset : offset + count * dtype.itemsize].view(dtype)
 
-    def _must_write(self, verb: str) -> None:
+    def _require_writable(self, verb: str) -> None:
         if not self.writable:
             raise StateError(f"{self.path}: is mapped read-only; only the station may {verb} its memory.")

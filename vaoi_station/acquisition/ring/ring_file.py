@@ -1,4 +1,4 @@
-"""The file behind the ring: made exclusively, allocated before it is used, owned by one process."""
+"""The file of the ring: created exclusively, allocated before use, owned by one process."""
 
 from __future__ import annotations
 
@@ -28,22 +28,24 @@ SUFFIX = ".ring"
 
 
 def start_ticks(pid: int) -> int | None:
-    """When a process started, in kernel ticks since boot; None if there is none of that number.
+    """Return when a process started, in kernel ticks since boot; None if there is no such process.
 
-    With the pid it names one process for good: pids are used again, start times are not.
+    Pid and start time together identify a process: pids are reused, start times are not.
     """
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except (FileNotFoundError, ProcessLookupError):
         return None
+    # The name of the program, in parentheses, may itself contain blanks and parentheses (proc(5)).
     state, *fields = stat.rpartition(")")[2].split()
+    # A zombie holds no memory any more. The list begins with field 4 of stat; field 22 is the start time.
     return None if state in "ZX" else int(fields[18])
 
 
-def owner_of(path: Path) -> tuple[int, bool] | None:
-    """Pid of a ring's owner and whether it lives; None if the file is no ring.
+def read_owner(path: Path) -> tuple[int, bool] | None:
+    """Return the pid of a ring's owner and whether it lives; None if the file is no ring.
 
-    An owner keeps the file locked while it lives: that shows even where its pid is not ours to see (containers).
+    The owner keeps the file locked while it lives. The lock is visible even where its pid is not (containers).
     """
     try:
         with path.open("rb") as file:
@@ -58,11 +60,11 @@ def owner_of(path: Path) -> tuple[int, bool] | None:
     return pid, locked or start_ticks(pid) == int(header["owner_start_ticks"][0])
 
 
-def sweep(directory: Path) -> list[Path]:
-    """Unlink the rings of owners that died without doing so; returns what was removed."""
+def remove_leftovers(directory: Path) -> list[Path]:
+    """Unlink the rings of owners that ended without doing so; return the removed paths."""
     removed = []
     for path in sorted(directory.glob(f"*{SUFFIX}")):
-        owner = owner_of(path)
+        owner = read_owner(path)
         if owner is not None and not owner[1]:
             with contextlib.suppress(FileNotFoundError):
                 path.unlink()
@@ -71,9 +73,10 @@ def sweep(directory: Path) -> list[Path]:
 
 
 def create_file(path: Path, layout: RingLayout) -> int:
-    """Make, lock and allocate the file (mode 0640, header written); nothing stays behind on failure.
+    """Create, lock and allocate the file (mode 0640) and write its header; nothing is left behind on failure.
 
-    The descriptor that is returned holds the lock.
+    Returns:
+        The descriptor, which holds the lock.
     """
     try:
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o640)
@@ -81,13 +84,15 @@ def create_file(path: Path, layout: RingLayout) -> int:
         raise _taken(path) from None
     except OSError as error:
         raise InputError(
-            f"ring {path}: cannot be made ({error.strerror}).", action="Set [ring] directory to one we may write to."
+            f"ring {path}: cannot be created ({error.strerror}).",
+            action="Set [ring] directory to a directory that the station may write to.",
         ) from error
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
+        # The umask may have removed the group's right to read.
         os.fchmod(handle, 0o640)
         _allocate(handle, path, layout)
-    except BaseException:  # whatever ended it, tidy up; it is raised again
+    except BaseException:  # KeyboardInterrupt too: the file must not stay behind; raised again
         os.close(handle)
         path.unlink(missing_ok=True)
         raise
@@ -95,13 +100,14 @@ def create_file(path: Path, layout: RingLayout) -> int:
 
 
 def map_file(handle: int, nbytes: int, writable: bool) -> mmap.mmap:
-    """The whole file in memory; page tables are filled now rather than when the first frame comes."""
+    """Map the whole file."""
+    # MAP_POPULATE fills the page tables now: else the thread that receives the first frames takes the page faults.
     flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
     return mmap.mmap(handle, nbytes, flags=flags, prot=mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0))
 
 
-def lock(memory: NDArray[np.uint8]) -> str:
-    """Pin the pages in RAM; an empty string, or a sentence why that was not permitted."""
+def lock_in_ram(memory: NDArray[np.uint8]) -> str:
+    """Lock the pages in RAM; return an empty string, or a sentence why that was not permitted."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlock(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(memory.nbytes)) == 0:
         return ""
@@ -113,7 +119,7 @@ def lock(memory: NDArray[np.uint8]) -> str:
 
 
 def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
-    """The layout of an existing ring and its header, checked against the file's real size."""
+    """Return the layout and the header of an existing ring, checked against the size of the file."""
     page = os.pread(handle, PAGE_BYTES, 0)
     if len(page) < PAGE_BYTES or page[:8] != MAGIC:
         raise InputError(f"{path}: is not a ring of vaoi_station.")
@@ -128,7 +134,7 @@ def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
 
 
 def open_existing(path: Path, writable: bool) -> int:
-    """A descriptor of a ring somebody else made."""
+    """Open the file of an existing ring; return its descriptor."""
     try:
         return os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -138,6 +144,7 @@ def open_existing(path: Path, writable: bool) -> int:
 
 
 def _is_locked(handle: int) -> bool:
+    # A shared lock, given up when the caller closes the file: readers do not exclude one another.
     try:
         fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -146,12 +153,13 @@ def _is_locked(handle: int) -> bool:
 
 
 def _allocate(handle: int, path: Path, layout: RingLayout) -> None:
-    """Header and cameras first, so that a leftover names its owner; then every block of the file."""
+    """Write the header and the camera table, then allocate every block of the file."""
     pid = os.getpid()
     free = os.fstatvfs(handle)
     if (available := free.f_bavail * free.f_frsize) < layout.file_bytes:
         raise _full(path, layout, f"{_mib(available)} are free")
     try:
+        # The header first: if this process dies now, the leftover names its owner and is removed.
         os.pwrite(handle, layout.header(pid, start_ticks(pid) or 0).tobytes(), 0)
         os.posix_fallocate(handle, 0, layout.file_bytes)
         os.pwrite(handle, layout.camera_records().tobytes(), layout.camera_table)
@@ -173,7 +181,7 @@ def _full(path: Path, layout: RingLayout, why: str) -> BusyError:
 
 
 def _taken(path: Path) -> StateError:
-    owner = owner_of(path)
+    owner = read_owner(path)
     who = f"process {owner[0]}" if owner else "another program"
     return StateError(
         f"ring {path}: exists already and belongs to {who}.",

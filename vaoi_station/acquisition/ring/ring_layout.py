@@ -1,7 +1,7 @@
-"""Where everything lies in the ring's file: pure arithmetic, described for C and C# in `docs/internals/ring.md`.
+"""The layout of the ring's file: pure arithmetic, documented for C and C# in `docs/internals/ring.md`.
 
-A **bay** is the memory of one run: for every camera as many slots as the longest board needs. A **slot**
-is the memory of one frame and begins on a page of its own. All numbers are little-endian.
+A **bay** is the memory of one run: for every camera as many slots as the longest board needs. A **slot** is the memory
+of one frame and begins on a page boundary. All numbers are little-endian.
 
     header page │ camera table │ bay table │ slot table │ bay 0: camera 0: slot 0, slot 1 … │ bay 1 …
 """
@@ -24,11 +24,13 @@ LAYOUT_VERSION = 1
 PAGE_BYTES = 4096
 
 BUILDING, IN_USE, CLOSED = 0, 1, 2
-"""States of the file, in the header."""
+"""States of the file in the header."""
 EMPTY, OK, INCOMPLETE = 0, 1, 2
-"""States of a slot, in the slot table."""
+"""States of a slot in the slot table."""
 NO_ROW = 0xFFFFFFFF
+"""In place of the row of an empty slot."""
 
+# Offsets are explicit: other programs read them from ring.md, so no compiler or NumPy alignment may move a field.
 HEADER = np.dtype(
     {
         "names": [
@@ -62,23 +64,23 @@ class FrameShape:
 
     @property
     def format(self) -> PixelFormat:
-        """What the bytes of a frame mean."""
+        """How the bytes of a frame are to be read."""
         return PIXEL_FORMATS[self.pixel_format]
 
     @property
     def nbytes(self) -> int:
-        """Size of one frame."""
+        """Bytes of one frame."""
         return self.format.nbytes(self.width, self.height)
 
 
 @dataclass(frozen=True)
 class RingLayout:
-    """Numbers and sizes from which every offset follows."""
+    """The counts and sizes from which every offset follows."""
 
     bays: int
     slots_per_camera: int
     frames: tuple[FrameShape, ...]
-    """One entry per camera."""
+    """Of every camera."""
 
     def __post_init__(self) -> None:
         for key in ("bays", "slots_per_camera"):
@@ -89,18 +91,18 @@ class RingLayout:
 
     @classmethod
     def of(cls, config: StationConfig) -> RingLayout:
-        """The ring a station needs: `ring.runs` bays of the longest board and its spare rows."""
+        """Return the layout for a station: `ring.runs` bays for the longest board and the spare rows."""
         shapes = tuple(FrameShape(c.width, c.height, c.pixel_format) for c in config.cameras)
         return cls(config.ring.runs, config.rows_per_run, shapes)
 
     @property
     def cameras(self) -> int:
-        """The paper's n."""
+        """Count of cameras: n of the paper."""
         return len(self.frames)
 
     @property
     def slots_per_bay(self) -> int:
-        """Slots of one run, all cameras."""
+        """Slots of one run of all cameras."""
         return self.cameras * self.slots_per_camera
 
     @property
@@ -139,7 +141,7 @@ class RingLayout:
         return self.first_slot + self.slots * self.slot_bytes
 
     def slot(self, bay: int, camera: int, k: int) -> int:
-        """Number of the k-th slot of a camera in a bay."""
+        """Return the number of the k-th slot of a camera in a bay."""
         limits = (("bay", bay, self.bays), ("camera", camera, self.cameras), ("slot", k, self.slots_per_camera))
         for what, value, count in limits:
             if not 0 <= value < count:
@@ -147,7 +149,7 @@ class RingLayout:
         return (bay * self.cameras + camera) * self.slots_per_camera + k
 
     def place(self, slot: int) -> tuple[int, int, int]:
-        """Bay, camera and k of a slot: the inverse of `slot`."""
+        """Return bay, camera and k of a slot: the inverse of `slot`."""
         if not 0 <= slot < self.slots:
             raise InputError.field("ring", "slot", slot, f"0 … {self.slots - 1}")
         rest, k = divmod(slot, self.slots_per_camera)
@@ -155,11 +157,11 @@ class RingLayout:
         return bay, camera, k
 
     def offset(self, slot: int) -> int:
-        """Offset of a slot's first byte in the file."""
+        """Return the offset of a slot's first byte in the file."""
         return self.first_slot + slot * self.slot_bytes
 
     def header(self, pid: int, start_ticks: int) -> NDArray[Any]:
-        """The header page (1,), state BUILDING."""
+        """Return the header page (1,) with the state BUILDING."""
         page = np.zeros(1, dtype=HEADER)
         page["magic"] = MAGIC
         for key, value in (
@@ -173,13 +175,14 @@ class RingLayout:
         return page
 
     def camera_records(self) -> NDArray[Any]:
-        """The camera table (cameras,)."""
+        """Return the camera table (cameras,)."""
         rows = [(f.width, f.height, f.format.code, f.format.bytes_per_pixel) for f in self.frames]
         return np.array(rows, dtype=CAMERA_RECORD)
 
     @classmethod
     def read(cls, header: NDArray[Any], cameras: NDArray[Any]) -> RingLayout:
-        """The layout a file says it has; `header` (1,) HEADER, `cameras` (n,) CAMERA_RECORD."""
+        """Return the layout of a file from its `header` (1,) HEADER and `cameras` (n,) CAMERA_RECORD."""
+        # An unknown code is kept as hexadecimal text, which FrameShape refuses with the list of known formats.
         names = {known.code: name for name, known in PIXEL_FORMATS.items()}
         frames = tuple(
             FrameShape(int(c["width"]), int(c["height"]), names.get(int(c["pixel_format"]), hex(c["pixel_format"])))

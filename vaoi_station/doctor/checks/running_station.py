@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from vaoi_station.acquisition.ring.ring import ring_path
-from vaoi_station.acquisition.ring.ring_file import owner_of
+from vaoi_station.acquisition.ring.ring_file import read_owner
 from vaoi_station.config import ApiConfig, StationConfig
 from vaoi_station.doctor.check_context import CheckContext, RunningProcess
 from vaoi_station.doctor.finding import Finding, fault, ok, warning
@@ -24,7 +24,7 @@ _EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}  # noqa: S1
 def find(config: StationConfig) -> RunningProcess | None:
     """The owner of the station's ring, if it lives, and what it says."""
     path = ring_path(config)
-    owner = owner_of(path)
+    owner = read_owner(path)
     hidden = owner is None and nearest(path) == path and not os.access(path, os.R_OK, effective_ids=True)
     if not hidden and (owner is None or not owner[1]):
         return None

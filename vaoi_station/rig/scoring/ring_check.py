@@ -53,7 +53,7 @@ def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:
     for camera in range(ring.layout.cameras):
         for k in range(ring.layout.slots_per_camera):
             slot = ring.slot(bay, camera, k)
-            _, state, row, _ = ring.record(slot)
+            _, state, row, _ = ring.slot_record(slot)
             if state == EMPTY or row == NO_ROW:
                 continue
             cell = (camera, row)

@@ -167,9 +167,9 @@ class WorkerRuntime:
 
     def _guarded(self, bay: int, generation: int, look: Callable[[], T]) -> T:
         """What `look` saw is this run's: the bay's generation is checked before and after."""
-        self._ring.check(bay, generation)
+        self._ring.check_generation(bay, generation)
         seen = look()
-        self._ring.check(bay, generation)
+        self._ring.check_generation(bay, generation)
         return seen
 
 
