@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.process.filming import FilmingHandlers, _FilmingProcess, _fire_steadily, film, film_pulses
+from vaoi_station.acquisition.process.filming import FilmingHandlers, FilmingProcess, film, film_pulses, fire_steadily
 from vaoi_station.acquisition.process.messages import Command, FireOne, Grant, Ready, RunFinished, Trouble
 from vaoi_station.acquisition.process.recording_export import export_run
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
@@ -133,7 +133,7 @@ def test_a_refused_pulse_is_requested_again_with_the_same_grant(make_config: Mak
         player = threading.Thread(target=play)
         player.start()
         handlers = FilmingHandlers(lambda run, *_: results.append(run.run), results.append)
-        _fire_steadily(_FilmingProcess(ring, ours, handlers), 2, 0.01)
+        fire_steadily(FilmingProcess(ring, ours, handlers), 2, 0.01)
         player.join()
     assert results == ["001", "the LEDs must cool down. Wait.", "002"]
     assert received == [Grant("001", 0), FireOne(), Grant("002", 0), FireOne(), FireOne()]
@@ -146,4 +146,4 @@ def test_a_refused_first_pulse_raises(make_config: Make) -> None:
         theirs.send(Ready(2))
         theirs.send(Trouble("led-limit", "the on-time is too long.", "Shorten it."))
         with pytest.raises(DeviceError, match=r"the on-time is too long\. Shorten it\."):
-            _fire_steadily(_FilmingProcess(ring, ours, IGNORE), 1, 0.01)
+            fire_steadily(FilmingProcess(ring, ours, IGNORE), 1, 0.01)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 import threading
 import time
 from collections.abc import Callable
@@ -15,9 +16,10 @@ from vaoi_station.acquisition.cameras.interface import CameraBack, CameraLost
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.process import main_loop as process
+from vaoi_station.acquisition.process import main_loop
 from vaoi_station.acquisition.process.backends import open_devices
-from vaoi_station.acquisition.process.messages import Arm, Armed, FireOne, RunFinished, Trouble
+from vaoi_station.acquisition.process.messages import Arm, Armed, FireOne, Health, RunFinished, Trouble
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 
@@ -96,7 +98,7 @@ class LooseCamera:
 
 def test_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
     """Neither the readings before the process is ready nor three more suffice."""
-    bench = start(make_config(), open_backend=busy(process.FIRST_READINGS + 3))
+    bench = start(make_config(), open_backend=busy(main_loop.FIRST_READINGS + 3))
     bench.grant("one", 0)
     bench.arm()
     assert bench.of(Trouble) == []
@@ -104,7 +106,7 @@ def test_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make
 
 
 def test_a_single_pulse_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
-    bench = start(make_config(), open_backend=busy(process.FIRST_READINGS + 3))
+    bench = start(make_config(), open_backend=busy(main_loop.FIRST_READINGS + 3))
     bench.grant("one", 0)
     bench.send(FireOne())
     assert bench.until(RunFinished).head.missing == ()
@@ -114,7 +116,7 @@ def test_a_single_pulse_waits_until_the_clocks_are_known(start: Start, make_conf
 def test_clocks_that_stay_unknown_are_reported_after_the_timeout(
     start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(process, "CLOCK_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(main_loop, "CLOCK_TIMEOUT_S", 0.3)
     bench = start(make_config(), open_backend=busy(10**6))
     bench.grant("one", 0)
     bench.send(Arm(TriggerPlan.of(bench.config.line)))
@@ -169,3 +171,32 @@ def test_the_clock_of_a_lost_camera_is_not_reported_again(start: Start, make_con
     assert len(bench.of(Trouble)) == reported
     camera.report_back()
     assert bench.until(Trouble).message == "camera c1: its clock cannot be read."
+
+
+def test_a_ring_of_another_configuration_is_refused(make_config: Make) -> None:
+    config = make_config()
+    other = make_config(ring={"directory": config.ring.directory, "runs": config.ring.runs + 1})
+    here, there = multiprocessing.Pipe()
+    with Ring.create(ring_path(other), RingLayout.of(other)) as ring:
+        main_loop.run_acquisition(config, ring.path, there)
+        trouble = here.recv()
+    assert isinstance(trouble, Trouble)
+    assert "was created for another configuration" in trouble.message
+    assert trouble.action == "Restart the station."
+
+
+def test_a_command_without_a_handler_is_reported_and_the_process_continues(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.connection.send("unknown")
+    assert bench.until(Trouble).message == "the acquisition process has no handler for 'unknown'."
+    bench.grant("one", 0)
+    bench.arm()
+    assert bench.until(RunFinished).run == "one"
+
+
+def test_heartbeats_report_the_devices(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    first, second = bench.until(Health), bench.until(Health)
+    assert len(second.cameras) == 2
+    assert second.controller.startswith("simulated: idle")
+    assert second.host_time_s - first.host_time_s == pytest.approx(main_loop.HEALTH_PERIOD_S, abs=0.3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -72,7 +73,6 @@ class SessionBench:
     session: Session
     cameras: list[ScriptedDevice]
     controller: ScriptedDevice
-    clocks: list[ClockModel]
     reports: list[Any]
     plan: TriggerPlan
 
@@ -89,18 +89,27 @@ class SessionBench:
             self.session.handle_arrival(Arrival(n, slot.number, True, row + 1, at_s, at_s + 0.01), at_s + 0.01)
 
 
-@pytest.fixture
-def bench(make_config: Callable[..., StationConfig]) -> Iterator[SessionBench]:
-    config = make_config()
+@contextmanager
+def session_bench(
+    config: StationConfig, bounds_s: tuple[float | None, ...] = (1e-5, 1e-5, 1e-5)
+) -> Iterator[SessionBench]:
+    """Open a session; `bounds_s`: of the readings of controller and cameras, None for a clock that was never read."""
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
         cameras, controller = [ScriptedDevice(), ScriptedDevice()], ScriptedDevice()
         reports: list[Any] = []
         clocks = [ClockModel(name) for name in ("controller", "camera c0", "camera c1")]
-        for clock in clocks:
-            clock.add(ClockReading(0.0, 0.0, 1e-5))
+        for clock, bound_s in zip(clocks, bounds_s, strict=True):
+            if bound_s is not None:
+                clock.add(ClockReading(0.0, 0.0, bound_s))
         devices = Devices(cameras, controller)  # type: ignore[arg-type]  # they have what a session uses
         session = Session(config, ring, devices, clocks[0], clocks[1:], reports.append)
-        yield SessionBench(session, cameras, controller, clocks, reports, TriggerPlan.of(config.line))
+        yield SessionBench(session, cameras, controller, reports, TriggerPlan.of(config.line))
+
+
+@pytest.fixture
+def bench(make_config: Callable[..., StationConfig]) -> Iterator[SessionBench]:
+    with session_bench(make_config()) as bench:
+        yield bench
 
 
 def test_slots_are_in_the_cameras_before_the_controller_is_armed(bench: SessionBench) -> None:
@@ -113,32 +122,38 @@ def test_slots_are_in_the_cameras_before_the_controller_is_armed(bench: SessionB
     assert len(bench.controller.plans) == 1, "the same plan again changes nothing"
 
 
-def test_arming_is_refused_while_a_clock_is_unknown(bench: SessionBench) -> None:
-    bench.clocks[2] = ClockModel("camera c1")
-    bench.session._clocks[2] = bench.clocks[2]
-    bench.clocks[2].add(ClockReading(0.0, 0.0, 0.01))
-    with pytest.raises(DeviceError, match="camera c1: its clock is known to"):
+def test_arming_is_refused_while_a_clock_is_unknown(make_config: Callable[..., StationConfig]) -> None:
+    with session_bench(make_config(), (1e-5, 1e-5, 0.01)) as bench:
+        with pytest.raises(DeviceError, match="camera c1: its clock is known to"):
+            bench.session.arm(bench.plan)
+        assert bench.controller.plans == []
+
+
+def test_arming_does_not_wait_for_the_clock_of_a_lost_camera(make_config: Callable[..., StationConfig]) -> None:
+    with session_bench(make_config(), (1e-5, 1e-5, None)) as bench:
+        bench.session.camera_lost(CameraLost(1, 0.5, "it does not answer any more", DeviceError("camera c1: is gone.")))
         bench.session.arm(bench.plan)
-    assert bench.controller.plans == []
+        assert bench.of(Armed)
+        bench.session.camera_back(CameraBack(1, 0.6, ClockReading(0.0, 0.0, 1e-5)))
+        with pytest.raises(DeviceError, match="camera c1"):
+            bench.session.arm(bench.plan)
 
 
-def test_arming_does_not_wait_for_the_clock_of_a_lost_camera(bench: SessionBench) -> None:
-    bench.session._clocks[2] = ClockModel("camera c1")
-    bench.session.camera_lost(CameraLost(1, 0.5, "it does not answer any more", DeviceError("camera c1: is gone.")))
-    bench.session.arm(bench.plan)
-    assert bench.of(Armed)
-    bench.session.camera_back(CameraBack(1, 0.6, ClockReading(0.0, 0.0, 1e-5)))
-    with pytest.raises(DeviceError, match="camera c1"):
-        bench.session.arm(bench.plan)
+def test_a_period_too_short_for_exposure_and_read_out_is_refused_with_the_numbers(
+    make_config: Callable[..., StationConfig],
+) -> None:
+    config = make_config()
+    slow = config.cameras[0].model_copy(update={"exposure_us": 60_000.0, "readout_us": 45_000.0})
+    with session_bench(config.model_copy(update={"cameras": (slow, config.cameras[1])})) as bench:
+        with pytest.raises(InputError, match=r"period_s is 0\.1, but must be at least 0\.105: camera 'c0'"):
+            bench.session.arm(replace(bench.plan, period_s=0.1))
+        assert bench.controller.plans == []
+        bench.session.arm(replace(bench.plan, period_s=0.105))
 
 
-def test_a_period_too_short_for_exposure_and_read_out_is_refused_with_the_numbers(bench: SessionBench) -> None:
-    slow = bench.session._config.cameras[0].model_copy(update={"exposure_us": 60_000.0, "readout_us": 45_000.0})
-    bench.session._config = bench.session._config.model_copy(update={"cameras": (slow,)})
-    with pytest.raises(InputError, match=r"period_s is 0\.1, but must be at least 0\.105: camera 'c0'"):
-        bench.session.arm(replace(bench.plan, period_s=0.1))
-    assert bench.controller.plans == []
-    bench.session.arm(replace(bench.plan, period_s=0.105))
+def test_more_rows_than_the_ring_has_slots_are_refused(bench: SessionBench) -> None:
+    with pytest.raises(InputError, match=r"max_rows is 1000, but must be at most the \d+ slots"):
+        bench.session.arm(replace(bench.plan, max_rows=1000))
 
 
 def test_skipped_rows_are_missing_with_the_reason_of_the_controller(bench: SessionBench) -> None:

@@ -23,6 +23,7 @@ from vaoi_station.acquisition.process.messages import (
     Trouble,
 )
 from vaoi_station.acquisition.ring.ring_layout import OK
+from vaoi_station.acquisition.simulated.twin_devices import accept_plan
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.model import Verdict
@@ -322,18 +323,7 @@ def test_a_scenario_of_another_array_is_refused_before_anything_starts(
     assert trouble.action
 
 
-def test_a_ring_of_another_configuration_is_refused(start: Callable[..., Any], make_config: Make) -> None:
-    from vaoi_station.acquisition.process.main_loop import _check_layout
-
-    config = make_config()
-    bench = start(config)
-    with pytest.raises(Exception, match="another configuration"):
-        _check_layout(bench.ring, make_config(ring={"directory": config.ring.directory, "runs": 5}))
-
-
 def test_unknown_lights_are_an_input_error(make_config: Make) -> None:
-    from vaoi_station.acquisition.simulated.twin_devices import accept_plan
-
     plan = TriggerPlan.of(make_config().line)
     assert accept_plan(plan, replace(plan, lights=("a",))).lights == ("a",)
     with pytest.raises(InputError, match="lights"):

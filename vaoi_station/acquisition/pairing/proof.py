@@ -13,7 +13,7 @@ from typing import Literal
 
 from vaoi_station.acquisition.causes import Gap, in_counting_order
 from vaoi_station.acquisition.pairing.clock_fit import free_running_interval_s, median, residuals_s
-from vaoi_station.acquisition.pairing.observations import ObservedFrame, ObservedPulse
+from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
 from vaoi_station.model import Noun
 
 RESIDUAL_LIMIT_S = 200e-6

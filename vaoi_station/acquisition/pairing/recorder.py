@@ -17,10 +17,9 @@ from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.forced_assignment import assign_forced
-from vaoi_station.acquisition.pairing.observations import ObservedFrame, ObservedPulse
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
-from vaoi_station.acquisition.pairing.run_record import RunRecord
+from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, Pulse, Verdict
 
 MAX_UNASSIGNED = 256

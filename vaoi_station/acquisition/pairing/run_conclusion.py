@@ -9,9 +9,8 @@ from dataclasses import replace
 
 from vaoi_station.acquisition.causes import Gap, explain_missing, find_gaps
 from vaoi_station.acquisition.outages import Outages
-from vaoi_station.acquisition.pairing.observations import ObservedFrame
 from vaoi_station.acquisition.pairing.proof import TriggerProof, prove, questioned_rows
-from vaoi_station.acquisition.pairing.run_record import RunRecord
+from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
 
 MARGIN_PERIODS = 1.5

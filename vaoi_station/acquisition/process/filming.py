@@ -69,11 +69,11 @@ def film_pulses(config: StationConfig, pulses: int, rate_hz: float, handlers: Fi
         DeviceError: a device fails, or cannot fire without a board.
     """
     with _filming_process(config, handlers) as process:
-        _fire_steadily(process, pulses, 1 / rate_hz)
+        fire_steadily(process, pulses, 1 / rate_hz)
 
 
 @dataclass
-class _FilmingProcess:
+class FilmingProcess:
     """The acquisition process at the other end of a pipe, its ring, and the handlers of its reports."""
 
     ring: Ring
@@ -113,7 +113,7 @@ class _FilmingProcess:
             self.handlers.notice(f"{report.message} {report.action}")
 
 
-def _film_boards(config: StationConfig, process: _FilmingProcess, runs: int) -> None:
+def _film_boards(config: StationConfig, process: FilmingProcess, runs: int) -> None:
     """Grant memory, arm, and dispatch reports until all runs are finished."""
     armed, done = False, 0
     while done < runs:
@@ -133,7 +133,7 @@ def _film_boards(config: StationConfig, process: _FilmingProcess, runs: int) -> 
                 process.grant(report.bay)
 
 
-def _fire_steadily(process: _FilmingProcess, pulses: int, period_s: float) -> None:
+def fire_steadily(process: FilmingProcess, pulses: int, period_s: float) -> None:
     """Fire one pulse after another, each with memory of its own; request a refused pulse again."""
     done, due_s = 0, float("inf")
     waiting = False
@@ -154,7 +154,7 @@ def _fire_steadily(process: _FilmingProcess, pulses: int, period_s: float) -> No
 
 
 @contextmanager
-def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterator[_FilmingProcess]:
+def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterator[FilmingProcess]:
     """Start the acquisition process with a ring; stop it and remove the ring at the end."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
@@ -166,7 +166,7 @@ def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterat
         # With our copy of its end closed, the death of the process ends the pipe instead of blocking us.
         theirs.close()
         try:
-            yield _FilmingProcess(ring, ours, handlers)
+            yield FilmingProcess(ring, ours, handlers)
         finally:
             _stop(process, ours)
 

@@ -1,0 +1,44 @@
+"""Tests of the camera interface: every backend without hardware has its methods with the same parameters."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.replay import ReplayCamera
+from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
+from vaoi_station.acquisition.device_clock import DeviceClock
+
+METHODS = [name for name, _ in inspect.getmembers(CameraDevice, inspect.isfunction) if not name.startswith("_")]
+
+
+def make(backend: type) -> CameraDevice:
+    camera: CameraDevice = backend(0, DeviceClock(), 100.0) if backend is SimulatedCamera else backend(0, DeviceClock())
+    return camera
+
+
+@pytest.mark.parametrize("backend", [SimulatedCamera, ReplayCamera])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_backend_has_every_method_of_the_interface(backend: type, method: str) -> None:
+    expected = list(inspect.signature(getattr(CameraDevice, method)).parameters)[1:]
+    assert list(inspect.signature(getattr(make(backend), method)).parameters) == expected
+
+
+@pytest.mark.parametrize("backend", [SimulatedCamera, ReplayCamera])
+def test_a_camera_holds_queued_slots_until_they_are_withdrawn(backend: type) -> None:
+    camera = make(backend)
+    for number in (4, 7):
+        camera.queue(Slot(number, np.zeros(4, np.uint8)))
+    assert camera.take_back() == [4, 7]
+    assert camera.take_back() == []
+    assert camera.health() == CameraHealth(True)
+    camera.close()
+
+
+def test_an_incomplete_arrival_needs_neither_id_nor_time() -> None:
+    arrival = Arrival(0, 3, False, None, None, 17.0, "packets lost")
+    assert arrival == Arrival(0, 3, False, None, None, 17.0, "packets lost")
+    assert hash(arrival) == hash(Arrival(0, 3, False, None, None, 17.0, "packets lost")), "the recorder maps arrivals"

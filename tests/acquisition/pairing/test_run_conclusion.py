@@ -1,0 +1,96 @@
+"""Tests of the end of a run: the causes of missing frames, in their order of precedence."""
+
+from __future__ import annotations
+
+import pytest
+
+from vaoi_station.acquisition.outages import Outages
+from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
+from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
+from vaoi_station.model import FrameRecord, Pulse, Verdict
+
+PERIOD_S = 0.1
+START_S = 100.0
+
+
+def run_with_frames(ids: dict[int, int], rows: int = 6, name: str = "a", start_s: float = START_S) -> RunRecord:
+    """Return a run of one camera: row → frame id of the frames that arrived."""
+    run = RunRecord(name, 0, PERIOD_S, pulse_count=rows)
+    for row in range(rows):
+        pulse = Pulse(index=row, time_s=start_s + row * PERIOD_S)
+        run.pulses[row] = ObservedPulse(pulse, start_s + row * PERIOD_S, reported_s=start_s + row * PERIOD_S)
+    for row, frame_id in ids.items():
+        fired_s = run.pulses[row].host_s
+        run.taken.add((0, row))
+        run.complete_frames[0].append(ObservedFrame(row, frame_id, fired_s, fired_s, fired_s + 0.02))
+        run.frames[0, row] = FrameRecord(camera=0, row=row, verdict=Verdict.OK, slot=row)
+    return run
+
+
+def causes(run: RunRecord, outages: Outages | None = None, previous: RunRecord | None = None) -> dict[int, str]:
+    missing, _ = conclude_run(run, [[]], outages or Outages(), 1e-4, previous)
+    return {frame.row: frame.cause for frame in missing}
+
+
+def test_every_row_has_a_record_afterwards() -> None:
+    run = run_with_frames({0: 1, 2: 3, 5: 6})
+    missing, proof = conclude_run(run, [[]], Outages(), 1e-4)
+    assert {key for key, frame in run.frames.items() if frame.verdict is Verdict.MISSING} == {(0, 1), (0, 3), (0, 4)}
+    assert [frame.row for frame in missing] == [1, 3, 4]
+    assert all(run.frames[0, frame.row] is frame for frame in missing)
+    assert proof.proven
+
+
+def test_a_skipped_row_has_the_reason_of_the_controller() -> None:
+    run = run_with_frames({0: 1, 2: 2}, rows=3)
+    del run.pulses[1]
+    run.skipped[1] = "the LEDs must cool down"
+    assert causes(run) == {1: "the LEDs must cool down"}
+
+
+def test_a_row_without_a_report_and_without_a_reason_is_a_lost_report() -> None:
+    run = run_with_frames({0: 1, 2: 3}, rows=3)
+    del run.pulses[1]
+    assert causes(run) == {1: "the controller's report of this pulse was lost"}
+
+
+def test_a_refused_frame_precedes_an_outage_and_an_outage_precedes_the_ids() -> None:
+    run, outages = run_with_frames({0: 1, 3: 4}, rows=4), Outages()
+    run.refused[0, 1] = "its run has no free slot for row 1"
+    outages.begin(0, START_S + 0.05, "no answer")
+    outages.end(0, START_S + 0.25)
+    assert causes(run, outages) == {
+        1: "its run has no free slot for row 1",
+        2: "the camera was lost: no answer",
+    }
+
+
+def test_ids_before_and_after_an_outage_are_not_compared() -> None:
+    """The camera restarts its ids: a comparison would find a gap of thousands of frames."""
+    run, outages = run_with_frames({0: 4711, 1: 4712, 4: 1, 5: 2}), Outages()
+    outages.begin(0, START_S + 0.15, "its cable")
+    outages.end(0, START_S + 0.35)
+    _, proof = conclude_run(run, [[]], outages, 1e-4)
+    assert proof.proven
+    assert proof.findings == ()
+
+
+@pytest.mark.parametrize(("first_id", "cause"), [(7, "did not expose"), (9, "lost in transfer")])
+def test_the_first_rows_are_compared_with_the_last_frame_of_the_run_before(first_id: int, cause: str) -> None:
+    previous = run_with_frames({row: row + 1 for row in range(6)}, name="before", start_s=START_S - 2.0)
+    run = run_with_frames({2: first_id, 3: first_id + 1}, rows=4)
+    assert all(cause in text for text in causes(run, previous=previous).values())
+
+
+def test_a_count_that_does_not_fit_the_run_before_is_ignored() -> None:
+    previous = run_with_frames({5: 6}, name="before", start_s=START_S - 2.0)
+    run = run_with_frames({2: 60, 3: 61}, rows=4)
+    assert set(causes(run, previous=previous).values()) == {"no frame arrived for the first pulses"}
+
+
+def test_a_finding_is_the_cause_of_its_complete_frame() -> None:
+    run = run_with_frames({0: 1, 1: 3, 2: 2, 3: 4}, rows=4)
+    _, proof = conclude_run(run, [[]], Outages(), 1e-4)
+    assert not proof.proven
+    assert {row for (_, row), frame in run.frames.items() if frame.cause} == {1, 2}
+    assert all(frame.verdict is Verdict.OK for frame in run.frames.values())

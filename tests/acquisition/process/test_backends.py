@@ -1,0 +1,87 @@
+"""Tests of the choice of a backend, and of the check of its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.cameras.replay import ReplayCamera
+from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.process.backends import check_backends, open_devices
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
+from vaoi_station.files import write_recording
+from vaoi_station.model import RecordingHead
+
+Make = Callable[..., StationConfig]
+
+
+@pytest.fixture
+def make_replay(make_config: Make, tmp_path: Path) -> Callable[[int], StationConfig]:
+    """Return a function that makes a station of two cameras that replays a recording of a number of cameras."""
+
+    def make(cameras: int) -> StationConfig:
+        config = make_config()
+        head = RecordingHead(
+            format="vaoi-recording",
+            version=1,
+            cameras=tuple(config.cameras[0].head for _ in range(cameras)),
+            rows=1,
+            trigger_period_s=config.line.trigger_period_s,
+            conveyor_mm_s=config.line.conveyor_mm_s,
+        )
+        black = np.zeros((config.cameras[0].height, config.cameras[0].width), np.uint8)
+        write_recording(tmp_path / "recording", head, [(n, 0, black) for n in range(cameras)])
+        return make_config(
+            simulation=None,
+            cameras=[{**c.model_dump(), "backend": "replay"} for c in config.cameras],
+            controller={"backend": "replay"},
+            replay={"recordings": [tmp_path / "recording"], "pace": "fast"},
+        )
+
+    return make
+
+
+def test_the_simulation_is_the_default_backend(make_config: Make) -> None:
+    devices = open_devices(make_config())
+    try:
+        assert [type(camera) for camera in devices.cameras] == [SimulatedCamera] * 2
+    finally:
+        devices.close()
+
+
+def test_a_replay_opens_replay_cameras(make_replay: Callable[[int], StationConfig]) -> None:
+    devices = open_devices(make_replay(2))
+    try:
+        assert [type(camera) for camera in devices.cameras] == [ReplayCamera] * 2
+    finally:
+        devices.close()
+
+
+def test_a_recording_that_fits_is_accepted(make_replay: Callable[[int], StationConfig]) -> None:
+    check_backends(make_replay(2))
+
+
+def test_a_recording_with_another_count_of_cameras_is_refused(make_replay: Callable[[int], StationConfig]) -> None:
+    with pytest.raises(InputError, match=r"cameras is 3, but must be 2, as in station\.toml"):
+        check_backends(make_replay(3))
+
+
+def test_a_scenario_that_fits_is_accepted_and_another_refused(make_config: Make, tmp_path: Path, tiny: str) -> None:
+    config = make_config()
+    check_backends(config)
+    (tmp_path / "scenario.toml").write_text(tiny.replace("cameras = 2", "cameras = 3"))
+    with pytest.raises(InputError, match=r"array\.cameras is 3, but must be 2"):
+        check_backends(config)
+
+
+def test_a_scenario_with_another_plan_is_refused(make_config: Make, tmp_path: Path, tiny: str) -> None:
+    config = make_config()
+    (tmp_path / "scenario.toml").write_text(tiny.replace("start_delay_s = 0.12", "start_delay_s = 0.13"))
+    assert TriggerPlan.of(config.line).start_delay_s == 0.12
+    with pytest.raises(InputError, match=r"start_delay_s is 0\.12, but must be 0\.13, as in the scenario"):
+        check_backends(config)

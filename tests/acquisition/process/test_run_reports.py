@@ -1,0 +1,59 @@
+"""Tests of the reports of finished runs and of faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.recorder import Finished
+from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
+from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import DeviceError
+from vaoi_station.model import FrameRecord, Pulse, Verdict
+
+PROOF = TriggerProof(proven=True, cameras=(), findings=())
+
+
+def finished(last_frame_s: float | None) -> Finished:
+    record = RunRecord("r1", 1, 0.05, pulse_count=2, reason="clear", unassigned=3, last_frame_host_s=last_frame_s)
+    for row in range(2):
+        record.pulses[row] = ObservedPulse(Pulse(index=row, time_s=7.0 + row * 0.05), 100.0 + row * 0.05)
+    frames = tuple(
+        FrameRecord(camera=camera, row=row, verdict=verdict, cause="" if verdict is Verdict.OK else "lost", slot=slot)
+        for camera, row, verdict, slot in (
+            (0, 0, Verdict.OK, 0), (0, 1, Verdict.INCOMPLETE, 1), (1, 0, Verdict.OK, 4), (1, 1, Verdict.MISSING, None),
+        )
+    )  # fmt: skip
+    return Finished(record, frames, PROOF)
+
+
+def test_the_head_describes_the_run_and_lists_frames_that_are_not_complete(
+    make_config: Callable[..., StationConfig],
+) -> None:
+    report = finished_report(make_config(), finished(100.2), 101.0)
+    assert (report.run, report.bay, report.reason, report.unassigned) == ("r1", 1, "clear", 3)
+    assert (report.head.rows, report.head.trigger_period_s) == (2, 0.05)
+    assert report.head.trigger_times_s == (0.0, 0.05)
+    assert report.head.missing == ((0, 1), (1, 1))
+    assert len(report.head.cameras) == 2
+    assert report.last_frame_host_s == 100.2
+    assert report.proof is PROOF
+
+
+@pytest.mark.parametrize(("now_s", "expected_s"), [(101.0, 100.05), (100.01, 100.01)])
+def test_without_a_frame_the_last_pulse_dates_the_run_but_never_the_future(
+    make_config: Callable[..., StationConfig], now_s: float, expected_s: float
+) -> None:
+    report = finished_report(make_config(), finished(None), now_s)
+    assert report.last_frame_host_s == pytest.approx(expected_s)
+
+
+def test_a_fault_names_its_device_once_and_always_has_an_action() -> None:
+    assert trouble_report(DeviceError("the port is gone."), "controller").message == "controller: the port is gone."
+    named = trouble_report(DeviceError("controller: the port is gone.", action="Plug it in."), "controller")
+    assert (named.message, named.action) == ("controller: the port is gone.", "Plug it in.")
+    assert trouble_report(DeviceError("the port is gone.")).action
+    assert trouble_report(DeviceError("x.", code="port-gone")).code == "port-gone"

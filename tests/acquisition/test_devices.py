@@ -1,0 +1,72 @@
+"""Tests of the feedback to a fast replay, and of the order in which devices are closed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from vaoi_station.acquisition.devices import Devices, Feedback
+
+TIMEOUT_S = 10.0
+
+
+def never() -> bool:
+    return False
+
+
+def test_waiting_for_frames_ends_when_the_count_is_reached() -> None:
+    feedback = Feedback()
+    waiter = threading.Thread(target=feedback.wait_for_frames, args=(2, never, TIMEOUT_S))
+    waiter.start()
+    feedback.frame_done()
+    assert feedback.frames_done() == 1
+    feedback.frame_done()
+    waiter.join(TIMEOUT_S)
+    assert not waiter.is_alive()
+
+
+def test_waiting_for_frames_ends_after_the_timeout() -> None:
+    started_s = time.monotonic()
+    Feedback().wait_for_frames(1, never, 0.01)
+    assert 0.01 <= time.monotonic() - started_s < TIMEOUT_S
+
+
+def test_waiting_for_memory_ends_when_there_is_memory() -> None:
+    feedback = Feedback()
+    waiter = threading.Thread(target=feedback.wait_for_memory, args=(never,))
+    waiter.start()
+    feedback.set_memory(True)
+    waiter.join(TIMEOUT_S)
+    assert not waiter.is_alive()
+    feedback.wait_for_memory(never)
+
+
+def test_a_stop_ends_all_waiting_after_wake() -> None:
+    feedback, stop = Feedback(), threading.Event()
+    waiters = [
+        threading.Thread(target=feedback.wait_for_memory, args=(stop.is_set,)),
+        threading.Thread(target=feedback.wait_for_frames, args=(1, stop.is_set, TIMEOUT_S)),
+    ]
+    for waiter in waiters:
+        waiter.start()
+    stop.set()
+    feedback.wake()
+    for waiter in waiters:
+        waiter.join(TIMEOUT_S)
+        assert not waiter.is_alive()
+
+
+def test_the_controller_is_closed_before_the_cameras() -> None:
+    closed: list[str] = []
+
+    class Device:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def close(self) -> None:
+            closed.append(self.name)
+
+    devices: Any = Devices((Device("camera 0"), Device("camera 1")), Device("controller"))  # type: ignore[arg-type]
+    devices.close()
+    assert closed == ["controller", "camera 0", "camera 1"]
