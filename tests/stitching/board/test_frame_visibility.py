@@ -50,19 +50,19 @@ def test_points_are_looked_for_where_a_frame_shows_them_closest_to_its_middle(wo
 
 def test_places_in_a_frame_are_those_of_its_camera(workshop: Any) -> None:
     s = scene(workshop)
-    shots = FrameArrays.of(s, MOTION)
+    frames = FrameArrays.of(s, MOTION)
     pieces = np.random.default_rng(1).uniform((-8, -24), (40, 8), (60, 1, 2)) + np.random.default_rng(2).normal(
         0, 0.5, (60, 3, 2)
     )
-    number = shots.nearest(pieces.mean(1))
-    px = shots.project(number, pieces)
+    number = frames.nearest(pieces.mean(1))
+    px = frames.project(number, pieces)
     for k, n in enumerate(number):
         if n < 0:
             assert np.isnan(px[k]).all()
         else:
             i, j = s.present[n]
             assert px[k] == pytest.approx(shown(s.cameras[i], pieces[k], j), abs=1e-9)
-    read = shots.look(number, 2, lambda image, mine: np.stack([np.full(len(mine), image[0, 0]), mine], -1))
+    read = frames.read_samples(number, 2, lambda image, mine: np.stack([np.full(len(mine), image[0, 0]), mine], -1))
     np.testing.assert_array_equal(read[number < 0], np.nan)
     np.testing.assert_array_equal(read[number >= 0, 0], 10 * number[number >= 0] + 5)
     np.testing.assert_array_equal(read[number >= 0, 1], np.flatnonzero(number >= 0))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.board.orientation import check, measure_outline_contrast
+from vaoi_station.stitching.board.orientation import compare_orientations, measure_outline_contrast
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -53,8 +53,8 @@ def footprints(grey: float) -> list[tuple[list[list[float]], float]]:
 @pytest.mark.parametrize("grey", [80.0, 5.0])
 def test_the_outline_tells_how_the_board_lies(workshop: Any, grey: float) -> None:
     seen = scene(workshop, [(OUTLINE, grey)], belt=40.0)
-    right = check(board(outline=OUTLINE), PLACED, TURNED, seen, STILL)
-    wrong = check(board(outline=OUTLINE), TURNED, PLACED, seen, STILL)
+    right = compare_orientations(board(outline=OUTLINE), PLACED, TURNED, seen, STILL)
+    wrong = compare_orientations(board(outline=OUTLINE), TURNED, PLACED, seen, STILL)
     assert right is not None
     assert wrong is not None
     assert (right.evidence, right.confirms, right.contradicts) == ("outline", True, False)
@@ -67,16 +67,18 @@ def test_parts_tell_where_the_outline_does_not(workshop: Any) -> None:
     """Belt and board are equally bright."""
     seen = scene(workshop, [(OUTLINE, 60.0), *footprints(150.0)], belt=60.0)
     kind = board(outline=OUTLINE, components=PARTS)
-    right = check(kind, PLACED, TURNED, seen, STILL)
+    right = compare_orientations(kind, PLACED, TURNED, seen, STILL)
     assert right is not None
     assert (right.evidence, right.confirms) == ("components", True)
-    wrong = check(kind, TURNED, PLACED, seen, STILL)
+    wrong = compare_orientations(kind, TURNED, PLACED, seen, STILL)
     assert wrong is not None
     assert wrong.contradicts
 
 
 def test_a_bare_picture_tells_nothing(workshop: Any) -> None:
-    said = check(board(outline=OUTLINE, components=PARTS), PLACED, TURNED, scene(workshop, [], 60.0), STILL)
+    said = compare_orientations(
+        board(outline=OUTLINE, components=PARTS), PLACED, TURNED, scene(workshop, [], 60.0), STILL
+    )
     assert said is not None
     assert not said.confirms
     assert not said.contradicts
@@ -86,13 +88,16 @@ def test_without_outline_and_parts_there_is_nothing_to_compare(workshop: Any) ->
     fiducials = [{"name": n, "x": x, "y": x, "diameter": 1} for n, x in (("A", 1), ("B", 9))]
     kind = board(fiducials=fiducials)
     seen = scene(workshop, [(OUTLINE, 80.0)])
-    assert check(kind, PLACED, TURNED, seen, STILL) is None
+    assert compare_orientations(kind, PLACED, TURNED, seen, STILL) is None
     assert measure_outline_contrast(kind, PLACED, seen, STILL) is None
 
 
 def test_an_outline_that_lies_the_same_both_ways_tells_nothing(workshop: Any) -> None:
     about_middle = np.array([[-1.0, 0, 18.0], [0, -1, 12.0], [0, 0, 1]])
-    assert check(board(outline=OUTLINE), PLACED, about_middle, scene(workshop, [(OUTLINE, 80.0)]), STILL) is None
+    assert (
+        compare_orientations(board(outline=OUTLINE), PLACED, about_middle, scene(workshop, [(OUTLINE, 80.0)]), STILL)
+        is None
+    )
 
 
 def shifted(x_mm: float) -> NDArray[np.float64]:
@@ -123,4 +128,4 @@ def test_a_board_out_of_view_says_nothing(workshop: Any) -> None:
     away = Motion(np.zeros(1), np.array([[500.0, 0.0]]), np.zeros(2))
     seen = scene(workshop, [(OUTLINE, 80.0)])
     assert measure_outline_contrast(board(outline=OUTLINE), PLACED, seen, away) is None
-    assert check(board(outline=OUTLINE), PLACED, TURNED, seen, away) is None
+    assert compare_orientations(board(outline=OUTLINE), PLACED, TURNED, seen, away) is None

@@ -1,1 +1,1 @@
-"""Locate the board: detect its fiducials, assign them to CAD, check orientation and outline."""
+"""Locate the board: detect its fiducials, assign them to the CAD data, check orientation and outline."""

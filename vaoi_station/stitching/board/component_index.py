@@ -1,4 +1,4 @@
-"""The components of a board type as arrays, and which of them lies where.
+"""The components of a board type as arrays, with a grid that finds the one on which a point lies.
 
 Lengths are in CAD units and angles in CAD's axes, y as the board type has it.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,9 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _AROUND_MM = 0.3
-"""A part's solder and shadow belong to it."""
+"""Margin around a footprint: solder and shadow of a component belong to it."""
 _MOST_CELLS = 400
-"""Per axis, of the grid that finds the part on which a point lies."""
+"""Largest number of cells along each axis of the grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +36,12 @@ class ComponentIndex:
     angle_rad: Floats
     """(n,)."""
     stands_out: NDArray[np.bool_]
-    """(n,) whether a part is, or may be, higher than the board."""
+    """(n,) whether a component is, or may be, higher than the board."""
     mm_per_unit: float
 
     @staticmethod
     def of(board_type: BoardType) -> ComponentIndex:
-        """Those of a board type."""
+        """Make the index of a board type."""
         parts, sign = board_type.components, 1.0 if board_type.y_axis == "up" else -1.0
         return ComponentIndex(
             tuple(p.address for p in parts),
@@ -52,7 +53,7 @@ class ComponentIndex:
         )
 
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
-        """Number of the part on which each board point (k, 2) lies; −1 for none; the smallest wins.
+        """Find the number of the component on which each board point (k, 2) lies; −1 for none; the smallest wins.
 
         Args:
             cad_from_board: (3, 3) affine, the inverse of C.
@@ -60,54 +61,52 @@ class ComponentIndex:
         """
         out = np.full(len(board_mm), -1)
         cells = self._cells
-        if len(cells.parts):
-            _under(
-                *(np.ascontiguousarray(cad_from_board), np.ascontiguousarray(board_mm), cells.origin, cells.size),
-                *(cells.first, cells.parts),
-                *(self.center, self._turn, self._half),
-                out,
-            )
+        if len(cells.numbers):
+            boxes = _Boxes(self.center, self._turn, self._half)
+            _find(np.ascontiguousarray(cad_from_board), np.ascontiguousarray(board_mm), cells, boxes, out)
         return out
 
     @cached_property
     def _turn(self) -> Floats:
-        """(n, 2) cosine and sine."""
+        """Cosine and sine (n, 2) of the angles."""
         return np.stack([np.cos(self.angle_rad), np.sin(self.angle_rad)], -1)
 
     @cached_property
     def _half(self) -> Floats:
-        """(n, 2) from the middle to where a part ends, with what is around it."""
+        """Half of width and height (n, 2), with the margin."""
         return self.size / 2 + _AROUND_MM / self.mm_per_unit
 
     @cached_property
     def _cells(self) -> _Cells:
-        """Cells are as large as parts are on average, so that a point is compared with a few parts only."""
+        """The grid over the components that stand out."""
+        # Flat components are board: their links lie on its surface.
         use = np.flatnonzero(self.stands_out)
-        use = use[np.argsort(-self.size[use].prod(1), kind="stable")[::-1]]  # of two alike the later one
+        # Small ones first, since the smallest wins; of two alike, the later one of the board type.
+        use = use[np.argsort(-self.size[use].prod(1), kind="stable")[::-1]]
         cos, sin = np.abs(self._turn[use]).T
         w, h = self._half[use].T
         reach = np.stack([cos * w + sin * h, sin * w + cos * h], -1)
         return _Cells.of(use, self.center[use] - reach, self.center[use] + reach)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cells:
+class _Cells(NamedTuple):
     """A grid, and for every cell the boxes that reach into it."""
 
     origin: Floats
     size: Floats
     """(2,) of a cell."""
     first: Ints
-    """(rows, columns + 1): where in `parts` those of a cell begin, and where they end."""
-    parts: Ints
-    """Their numbers, cell by cell, in the order in which they were given."""
+    """(rows, columns + 1): start and end of each cell's boxes in `numbers`."""
+    numbers: Ints
+    """Numbers of the boxes, cell by cell, in the order in which they were given."""
 
     @staticmethod
     def of(numbers: Ints, low: Floats, high: Floats) -> _Cells:
-        """Boxes with corners (n, 2)."""
+        """Build the grid over boxes with corners (n, 2)."""
         if not len(numbers):
             return _Cells(np.zeros(2), np.ones(2), np.zeros((1, 2), np.int_), np.zeros(0, np.int_))
         origin, span = low.min(0), high.max(0) - low.min(0)
+        # Cells as large as an average box: a point is compared with few boxes, and a box lies in few cells.
         size = np.maximum((high - low).mean(0), span / _MOST_CELLS)
         columns, rows = (np.floor(span / size).astype(int) + 1).tolist()
         (x0, y0), (x1, y1) = (np.floor((corner - origin) / size).astype(int).T for corner in (low, high))
@@ -117,22 +116,25 @@ class _Cells:
         cell = (y0[box] + k // wide[box]) * columns + x0[box] + k % wide[box]
         ends = np.append(0, np.cumsum(np.bincount(cell, minlength=rows * columns)))
         first = ends[np.arange(rows)[:, None] * columns + np.arange(columns + 1)]
+        # Stable: within a cell the boxes keep their order, and the first hit is the one that wins.
         return _Cells(origin, size, first, numbers[box[np.argsort(cell, kind="stable")]])
 
 
+class _Boxes(NamedTuple):
+    """Rotated rectangles."""
+
+    center: Floats
+    turn: Floats
+    """(n, 2) cosine and sine."""
+    half: Floats
+    """(n, 2)."""
+
+
 @compiled
-def _under(
-    cad_from_board: Floats,
-    board_mm: Floats,
-    origin: Floats,
-    size: Floats,
-    first: Ints,
-    parts: Ints,
-    center: Floats,
-    turn: Floats,
-    half: Floats,
-    out: Ints,
-) -> None:
+def _find(cad_from_board: Floats, board_mm: Floats, cells: _Cells, boxes: _Boxes, out: Ints) -> None:
+    """Write into `out` (k,) the number of the first box of its cell in which each point lies."""
+    origin, size, first, numbers = cells.origin, cells.size, cells.first, cells.numbers
+    center, turn, half = boxes.center, boxes.turn, boxes.half
     rows, columns = first.shape[0], first.shape[1] - 1
     m = cad_from_board
     for n in range(len(board_mm)):
@@ -142,7 +144,7 @@ def _under(
         if column < 0 or row < 0 or column >= columns or row >= rows:
             continue
         for at in range(first[row, column], first[row, column + 1]):
-            k = parts[at]
+            k = numbers[at]
             u, v = x - center[k, 0], y - center[k, 1]
             cos, sin = turn[k, 0], turn[k, 1]
             if abs(cos * u + sin * v) <= half[k, 0] and abs(cos * v - sin * u) <= half[k, 1]:

@@ -1,4 +1,4 @@
-"""Where the board is expected to lie in the first row, and how it is turned."""
+"""The expected place and direction of the board in row 0."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.model import BoardType
 
 @dataclass(frozen=True)
 class Expectation:
-    """Prior knowledge of the board's place; by default only that it lies upright, as CAD shows it.
+    """Prior knowledge of the board's place. By default only that it lies upright, as CAD shows it.
 
     `angle_rad` is by how much the board, as the cameras see it, is turned from CAD-upright (CAD x to the
     right on the top side, to the left on the bottom side; CAD "up" up), from image x towards image y.
@@ -25,14 +25,16 @@ class Expectation:
 
 
 def expectation_of(line: Line, board_type: BoardType) -> Expectation:
-    """What the mechanics of the line say of a board: its leading edge at the first pulse, and its guide."""
+    """Derive the expectation from the line: the leading edge at the first pulse, and the rail or centre line."""
     expected = line.expected_board
     low, high = board_type.extent()
     size = (high - low) * board_type.mm_per_unit
     width, height = (float(v) for v in (size if expected.rotation_deg % 180 == 0 else size[::-1]))
+    # The belt runs along one tester axis, whichever is nearer to its velocity.
     along = 0 if abs(line.conveyor_mm_s[0]) > abs(line.conveyor_mm_s[1]) else 1
     length, across = (width, height) if along == 0 else (height, width)
     velocity = line.conveyor_mm_s[along]
+    # The barrier sees the leading edge; the board travels on until the first pulse.
     leading = line.barrier_mm + velocity * line.start_delay_s
     corner: list[float | None] = [None, None]
     corner[along] = leading - length if velocity > 0 else leading
@@ -41,6 +43,7 @@ def expectation_of(line: Line, board_type: BoardType) -> Expectation:
     elif expected.center_mm is not None:
         corner[1 - along] = expected.center_mm - across / 2
     return Expectation(
+        # CAD rotations run counter-clockwise, angles in an image clockwise as seen (docs/conventions.md).
         angle_rad=-math.radians(expected.rotation_deg),
         angle_tolerance_rad=math.radians(expected.rotation_tolerance_deg),
         corner_mm=(corner[0], corner[1]),

@@ -1,8 +1,7 @@
-"""The CAD mapping (section 3.3.4): which sightings are the board's fiducials, and a first C.
+"""Assignment of detections to the board's fiducials, with a first C (section 3.3.4).
 
-Handedness follows from board type and cameras, never from the data. The board's fiducials are the
-set of sightings whose distances, direction and likeness fit the CAD data best; with the outline known,
-the texture that was linked must lie on the board.
+Handedness follows from board type and cameras, never from the data. The fiducials are the set of detections whose
+distances, direction and scores fit the CAD data best. Where the outline is known, linked texture must lie on the board.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ _SCALE_SIGMA = 1.0e-3
 _SCORE_SIGMA = 0.02
 _TEXTURE_MARGIN_MM = 1.0
 _MOST_OUTSIDE = 0.25
-"""With more of the texture off the board it is not this board."""
+"""Largest share of texture off the board; with more, C is rejected."""
 _SCALE_LIMIT = 4e-3
 _SLACK_MM = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class FiducialCandidates:
-    """Detections gathered over frames: places on the board (tester mm), kind, likeness."""
+    """Detections merged over frames: places on the board (tester mm), kinds and scores."""
 
     mm: Floats
     kind: NDArray[np.int_]
@@ -47,22 +46,23 @@ class FiducialCandidates:
 
 
 def merge_detections(detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion) -> FiducialCandidates:
-    """One place per mark of the board, however many frames saw it."""
+    """Merge detections of the same mark in several frames into one place, that of the best score."""
     mm, kind, score = (np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
     seen = [s for s in detections if len(s.px)]
     if seen:
-        _, _, mm = _grounded(seen, cameras, motion)
+        _, _, mm = _to_board(seen, cameras, motion)
         kind, score = np.concatenate([s.kind for s in seen]), np.concatenate([s.score for s in seen])
+    # Best score first: of places close together the first is kept.
     best_first = np.argsort(-score, kind="stable")
     mm, kind, score = mm[best_first], kind[best_first].astype(np.int_), score[best_first]
     kept = keep_distinct(mm, kind, _SAME_PLACE_MM)
     return FiducialCandidates(mm[kept], kind[kept], score[kept])
 
 
-def _grounded(
+def _to_board(
     detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[NDArray[np.int_], Floats, Floats]:
-    """Camera (k,), place on the ground (k, 2) and place on the board (k, 2) of all sightings, in their order."""
+    """Return camera (k,), place on the ground (k, 2) and on the board (k, 2) of all detections, in their order."""
     count = [len(s.px) for s in detections]
     camera = np.repeat(np.array([s.task.a[0] for s in detections], dtype=np.int_), count)
     px, ground = np.concatenate([s.px for s in detections]), np.empty((sum(count), 2))
@@ -73,7 +73,7 @@ def _grounded(
 
 @compiled
 def keep_distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArray[np.bool_]:
-    """Which of k places are no nearer than that to an earlier one of their kind that is kept."""
+    """Return (k,) which places are kept: those not within `apart_mm` of an earlier kept one of their kind."""
     kept = np.zeros(len(mm), np.bool_)
     for n in range(len(mm)):
         kept[n] = True
@@ -86,28 +86,29 @@ def keep_distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArra
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A first C and how it was chosen."""
+    """A first C, its cost, and the fiducials it was found from."""
 
     c: Floats
     cost: float
     fiducials: tuple[int, ...]
-    """Numbers of the fiducials it rests on."""
+    """Numbers of the fiducials that it fits."""
     ambiguous: bool = False
-    """Turned by 180° the board would fit as well, and the pictures do not tell."""
+    """Whether the board turned by 180° fits as well, and the pictures do not decide."""
 
 
 def find_board(
     plane: BoardPlane, places: FiducialCandidates, angle_rad: float, expectation: Expectation, texture_mm: Floats
 ) -> Hypothesis | Failure:
-    """The similarity under which sightings are the board's fiducials.
+    """Find the similarity under which the detections fit the board's fiducials at the least cost.
 
     Args:
-        frame: the board type.
-        places: sightings on the board.
+        plane: of the board type.
+        places: candidates on the board.
         angle_rad: expected direction of the flat x axis.
-        expectation: tolerances, and where the board should lie.
+        expectation: tolerances, and the expected place of the board.
         texture_mm: (k, 2) places with texture (linked points), all of which lie on the board.
     """
+    # Two points define a similarity, so every pair of fiducials is tried on every pair of candidates at its distance.
     board_type, flat = plane.board_type, plane.fiducials
     if len(flat) < 2:
         return Failure(f"board type {board_type.name!r} has {len(flat)} fiducials; two are needed for the CAD mapping")
@@ -115,17 +116,18 @@ def find_board(
     best: Hypothesis | None = None
     nearest: tuple[float, str] = (np.inf, "")
     for i, j in combinations(range(len(flat)), 2):
-        for c, pair in _pairs(flat[i], flat[j], places, kinds[i], kinds[j], board_type.mm_per_unit):
+        for c, pair in _similarities_of_pairs(flat[i], flat[j], places, kinds[i], kinds[j], board_type.mm_per_unit):
             turn = _wrapped(float(np.arctan2(c[1], c[0])) - angle_rad)
             scale = float(np.hypot(c[0], c[1])) / board_type.mm_per_unit - 1
             off = max(abs(turn) / expectation.angle_tolerance_rad, abs(scale) / _SCALE_LIMIT)
             if off > 1:
                 what = f"turned by {np.degrees(turn):.1f}°, scale off by {scale:.2%}"
+                # Kept for the reason of a failure only: it shows the engineer what was nearly accepted.
                 nearest = min(nearest, (off, what))
                 continue
-            cost, used = _cost(plane, c, places, kinds, pair, (i, j))
+            cost, used = _score_cost(plane, c, places, kinds, pair, (i, j))
             cost += (scale / _SCALE_SIGMA) ** 2 + (2 * turn / expectation.angle_tolerance_rad) ** 2
-            cost += _misplaced(plane, c, texture_mm, expectation)
+            cost += _place_score_cost(plane, c, texture_mm, expectation)
             if np.isfinite(cost) and (best is None or cost < best.cost):
                 best = Hypothesis(c, cost, used)
     if best is not None:
@@ -138,7 +140,7 @@ def find_board(
 def assign_fiducials(
     plane: BoardPlane, c: Floats, detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> FiducialPoints:
-    """The sightings that are fiducials, or marks of the fixture, under a first C."""
+    """Select the detections that are fiducials, or marks of the fixture, under a first C."""
     board_type = plane.board_type
     kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
     flat, number = plane.fiducials, np.arange(len(kinds))
@@ -149,7 +151,7 @@ def assign_fiducials(
     seen = [s for s in detections if len(s.px)]
     if not seen:
         return FiducialPoints.empty()
-    camera, ground, board = _grounded(seen, cameras, motion)
+    camera, ground, board = _to_board(seen, cameras, motion)
     ends = np.append(0, np.cumsum([len(s.px) for s in seen]))
     of_seen = np.concatenate([s.kind for s in seen]).astype(np.int_)
     at, mark = match_nearest(
@@ -174,15 +176,18 @@ def match_nearest(
     expected_kind: NDArray[np.int_],
     apart_mm: float,
 ) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Detections (n,) and marks (n,) that lie together: of each mark, in each frame, the nearest of its kind.
+    """Match marks to detections: for each mark, in each frame, the nearest detection of its kind.
 
     Args:
-        board_mm: (k, 2) where sightings are, frame by frame.
+        board_mm: (k, 2) places of detections, frame by frame.
         kind: (k,).
-        ends: (f + 1,) where the sightings of each frame begin, and where those of the last end.
-        expected_mm: (m, 2) where marks should be.
+        ends: (f + 1,) start of each frame's detections, and the end of the last.
+        expected_mm: (m, 2) expected places of marks.
         expected_kind: (m,).
-        apart_mm: what is further away is something else.
+        apart_mm: largest distance of a match.
+
+    Returns:
+        Numbers of detections (n,) and of their marks (n,).
     """
     most = (len(ends) - 1) * len(expected_mm)
     seen, mark, count = np.empty(most, np.int64), np.empty(most, np.int64), 0
@@ -198,10 +203,10 @@ def match_nearest(
     return seen[:count].copy(), mark[:count].copy()
 
 
-def _pairs(
+def _similarities_of_pairs(
     f: Floats, g: Floats, places: FiducialCandidates, kind_f: int, kind_g: int, mm_per_unit: float
 ) -> list[tuple[Floats, tuple[int, int]]]:
-    """Every ordered pair of places at the distance of two fiducials, with the similarity it fixes."""
+    """List every ordered pair of places at the distance of two fiducials, with the similarity that it defines."""
     of, og = np.flatnonzero(places.kind == kind_f), np.flatnonzero(places.kind == kind_g)
     if not len(of) or not len(og):
         return []
@@ -217,7 +222,7 @@ def _pairs(
     return out
 
 
-def _cost(
+def _score_cost(
     plane: BoardPlane,
     c: Floats,
     places: FiducialCandidates,
@@ -225,7 +230,7 @@ def _cost(
     pair: tuple[int, int],
     chosen: tuple[int, int],
 ) -> tuple[float, tuple[int, ...]]:
-    """How unlike fiducials the matched places are; every fiducial that is not seen costs as much as a poor one."""
+    """Add up the cost of the scores of matched places; an unmatched fiducial costs as much as a poor match."""
     expected = apply_similarity(c, plane.fiducials)
     cost, used = 0.0, []
     for f, at in enumerate(expected):
@@ -245,8 +250,9 @@ def _cost(
 
 
 def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
-    """Share of the textured places that lie off the board, were C this one; fixtures and bare outlines tell nothing."""
+    """Compute the share of textured places off the board under this C; 0 without an outline or with fixture marks."""
     board_type = plane.board_type
+    # A fixture has texture of its own beside the board.
     if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
         return 0.0
     low, high = board_type.extent()
@@ -257,7 +263,7 @@ def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
 
 @compiled
 def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats) -> int:
-    """How many board points (k, 2) lie outside a box in CAD coordinates; cad_from_board (3, 3) is affine."""
+    """Count the board points (k, 2) outside a box in CAD coordinates; `cad_from_board` (3, 3) is affine."""
     count, m = 0, cad_from_board
     for n in range(len(board_mm)):
         x = m[0, 0] * board_mm[n, 0] + m[0, 1] * board_mm[n, 1] + m[0, 2]
@@ -266,8 +272,8 @@ def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats
     return count
 
 
-def _misplaced(plane: BoardPlane, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
-    """Cost of texture off the board, and of a board far from where it is expected."""
+def _place_score_cost(plane: BoardPlane, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
+    """Compute the cost of texture off the board, and of a board far from its expected place."""
     outside = outside_share(plane, c, texture_mm)
     if outside > _MOST_OUTSIDE:
         return np.inf

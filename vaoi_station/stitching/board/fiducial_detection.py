@@ -22,21 +22,21 @@ from vaoi_station.stitching.matching.scene import Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
 _SMALL = 1.12
-"""Marks may come out smaller by that factor where they are searched: cameras of one array then reduce alike."""
+"""Factor by which marks may be smaller where they are searched, so that all cameras of an array reduce alike."""
 
 
 def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:
-    """The different fiducials of a board type: shape and size in mm, in order of appearance."""
+    """List the kinds of a board type's fiducials, shape and size in mm, in order of appearance."""
     return tuple(dict.fromkeys(kind_of(f, board_type) for f in board_type.fiducials))
 
 
 def kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
-    """Shape and size in mm."""
+    """Return shape and size in mm of a fiducial."""
     return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
 
 
 def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
-    """Shape and size in mm of the marks of the fixture, if there is one; their index follows those of `mark_kinds`."""
+    """Return shape and size in mm of the fixture's marks, if any; their index follows those of `mark_kinds`."""
     mark = board_type.fixture_mark
     if mark is None or not board_type.fixture_marks:
         return None
@@ -52,15 +52,16 @@ def detect_marks(
     fixture: bool = False,
     most: int = _MOST_PER_FRAME,
 ) -> Detections:
-    """The places of the frame that look most like one of the board's fiducials, or of the fixture's marks."""
+    """Detect the places of a frame that look most like the board's fiducials, or the fixture's marks."""
     found: list[tuple[Mark, int]] = []
     kinds = list(mark_kinds(board_type)) if board_type else []
     own = fixture_kind(board_type) if board_type and fixture else None
     for kind, (shape, size_mm) in enumerate([*kinds, own] if own else kinds):
         size_px = size_mm * camera.px_per_mm
-        rough = _look_for(frame, shape, size_px, most)
+        rough = _search_kind(frame, shape, size_px, most)
         marks: Iterable[Mark | Failure] = rough
-        if kind == len(kinds):  # nobody looks again at marks of the fixture
+        # Fiducials are located precisely later, by `relocate_fiducials`; marks of the fixture are not.
+        if kind == len(kinds):
             marks = (locate(frame.grey, mark.px, shape, size_px) for mark in rough)
         found += [(mark, kind) for mark in marks if isinstance(mark, Mark)]
     return Detections(
@@ -72,11 +73,9 @@ def detect_marks(
     )
 
 
-def _look_for(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> list[Mark]:
-    """Marks of one kind, searched where they are some 5 to 9 px wide and located where they are twice as wide.
-
-    That is good to some hundredths of a pixel of the frame, and touches a few hundred pixels per mark.
-    """
+def _search_kind(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> list[Mark]:
+    """Search marks of one kind where they are some 5 to 9 px wide, and locate them where they are twice as wide."""
+    # Good to some hundredths of a pixel, which is enough for a first C, at a few hundred pixels per mark.
     coarse = reduction(_SMALL * size_px)
     fine = max(coarse // 2, 1)
     places, _ = search(downsampled(frame, coarse), shape, size_px / coarse, most)
@@ -93,7 +92,7 @@ def _look_for(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> 
 def detect_more_marks(
     board_type: BoardType, scene: Scene, detections: Sequence[Detections], *, fixture: bool
 ) -> list[Detections]:
-    """The same frames searched once more, with room for many more look-alikes per frame."""
+    """Search the same frames again, with room for many more look-alikes per frame."""
     return [
         detect_marks(
             s.task,
@@ -110,20 +109,19 @@ def detect_more_marks(
 def relocate_fiducials(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
 ) -> list[Detections]:
-    """The sightings, with every fiducial that must be in a frame located anew, and precisely.
+    """Locate every fiducial that must be in a frame precisely; other detections stay.
 
-    Once a first C is known a fiducial is looked for only where it must be; a frame in which look-alikes
-    pushed it off the list is asked again.
+    With a first C a fiducial is searched only where it must be, also in frames whose short list had no room for it.
     """
     kinds = mark_kinds(board_type)
     kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
     board = apply(cad_matrix, np.array([(f.x, f.y) for f in board_type.fiducials]))
     expected = _in_view(board, scene, motion)
-    return [_looked_at(s, expected[s.task.a], kind, kinds, scene) if s.task.a in expected else s for s in detections]
+    return [_relocated(s, expected[s.task.a], kind, kinds, scene) if s.task.a in expected else s for s in detections]
 
 
 def _in_view(board: Floats, scene: Scene, motion: Motion) -> dict[FrameKey, list[tuple[int, Floats]]]:
-    """Which board points (k, 2) each frame shows, and at which pixel (2,)."""
+    """List for each frame the board points (k, 2) that it shows, with their pixels (2,)."""
     out: dict[FrameKey, list[tuple[int, Floats]]] = {}
     for number, camera in enumerate(scene.cameras):
         row, point, place = points_in_box(motion.rows_from_tester, board, *camera.view_mm())
@@ -133,19 +131,20 @@ def _in_view(board: Floats, scene: Scene, motion: Motion) -> dict[FrameKey, list
     return out
 
 
-def _looked_at(
+def _relocated(
     s: Detections,
     expected: Sequence[tuple[int, Floats]],
     kind: Sequence[int],
     kinds: Sequence[tuple[Shape, float]],
     scene: Scene,
 ) -> Detections:
-    """The sightings of one frame, with the fiducials expected there located anew."""
+    """Locate the fiducials expected in one frame, and replace their detections."""
     grey, px_per_mm = scene.prepared(s.task.a).grey, scene.cameras[s.task.a[0]].px_per_mm
     for n, px in expected:
         shape, size_mm = kinds[kind[n]]
         size_px = size_mm * px_per_mm
         near = np.hypot(*(s.px - px).T) < size_px / 3
+        # From the detection if there is one: C from two fiducials may be off by some pixels elsewhere.
         start = s.px[near][s.score[near].argmax()] if near.any() else px
         mark = locate(grey, start, shape, size_px)
         if isinstance(mark, Mark):
@@ -154,7 +153,7 @@ def _looked_at(
 
 
 def _with(s: Detections, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Detections:
-    """The sightings to keep, and one more."""
+    """Return the detections to keep, and one more."""
     return Detections(
         s.task,
         np.vstack([s.px[keep], mark.px]),

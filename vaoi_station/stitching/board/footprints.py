@@ -1,4 +1,4 @@
-"""Components on the stitched board: which link lies on which, and where their centres are in the frames."""
+"""Components on the stitched board: the one under each point, and the views of their centres in the frames."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 
 _BEYOND_PX = 3.0
-"""Views are listed until the centre is so far outside the frame."""
+"""Largest distance outside the frame at which the centre of a footprint still counts as a view."""
 
 View = tuple[int, int, float, float]
 """Camera, row, and raw pixels."""
 
 
 def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
-    """Number of the component on whose footprint each board point (k, 2) lies; −1 for none; the smallest wins."""
+    """Find the number of the component under each board point (k, 2); −1 for none; the smallest wins."""
     return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
 def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
-    """Names and CAD places (n, 2) of what is told in which frame it is: components, or the board's corners."""
+    """Return names and CAD places (n, 2) of the points whose views are computed: components, or the board's corners."""
     parts = plane.components
     if parts.addresses:
         return parts.addresses, parts.center
@@ -37,23 +37,24 @@ def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
 
 @dataclass(frozen=True, eq=False)
 class FootprintViews:
-    """Points of the board in the frames that show them: point by point, of each in the order of cameras and rows."""
+    """k views of points of the board, point by point, each in the order of cameras and rows."""
 
     point: Ints
     """(k,) number of the point."""
     camera: Ints
     row: Ints
     place_mm: Floats
-    """(k, 2) where it is on the conveyor's plane in that row."""
+    """(k, 2) place of the point on the conveyor's plane in that row."""
     px: Floats
-    """(k, 2) raw pixels; a little outside the frame is seen, too."""
+    """(k, 2) raw pixels; some lie a little outside the frame."""
 
     @staticmethod
     def of(
         cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None
     ) -> FootprintViews:
-        """Of CAD points (n, 2); `rows` (m, 3, 3) are the D_j."""
+        """Compute the views of CAD points (n, 2); `rows` (m, 3, 3) are the D_j."""
         height = surface.height_mm(cad) if surface else np.zeros(len(cad))
+        # One search over all cameras' boxes first: most pairs of point and row are out of view of every camera.
         between = float(height.min()), float(height.max())
         boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
         row, point, place = points_in_box(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
@@ -65,12 +66,13 @@ class FootprintViews:
             at = near[seen]
             found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
         point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
+        # Views were found camera by camera; the stable sort orders them by point and keeps cameras and rows.
         order = np.argsort(point, kind="stable")
         return FootprintViews(point[order], *(values[order] for values in others))
 
 
 def views_by_address(addresses: Sequence[str], views: FootprintViews) -> dict[str, tuple[View, ...]]:
-    """Raw pixels of the centre of each footprint in every frame that shows it: {address: [(camera, row, x, y)]}."""
+    """List the views of every footprint's centre: {address: ((camera, row, x, y), …)}, in raw pixels."""
     x, y = np.round(views.px, 4).T.tolist()
     every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))
     ends = [0, *np.cumsum(np.bincount(views.point, minlength=len(addresses))).tolist()]

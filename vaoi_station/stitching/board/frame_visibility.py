@@ -1,9 +1,10 @@
-"""The frames of a run as arrays: which of them shows a place of the board best, and where; compiled."""
+"""The frames of a run as arrays: the frame that shows a point of the board best, and its pixel there."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.matching.scene import Scene
 
 _MARGIN_MM = 1.0
-"""So far inside a frame lies what it shows best."""
+"""Least distance of a point from the border of its best frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +34,17 @@ class FrameArrays:
     radial: Floats
     """(c, r) a1, a2, … of the lenses."""
     lens: Floats
-    """(c, 5) what else `geometry.rays` wants of them."""
+    """(c, 5) the other parameters of the lenses, as `geometry.rays` takes them."""
     view_mm: Floats
-    """(c, 4) lowest x and y and highest x and y of what each camera sees."""
+    """(c, 4) lowest x and y and highest x and y of each camera's view."""
     size_px: Floats
     """(c, 3) width, height and margin."""
 
     @staticmethod
     def of(scene: Scene, motion: Motion) -> FrameArrays:
-        """Those of a scene, as the board moved."""
+        """Collect the arrays of a scene under a motion."""
         cameras = scene.cameras
+        # One array for all lenses: shorter polynomials are filled up with zeros.
         most = max(len(c.lens.coefficients) for c in cameras)
         return FrameArrays(
             scene,
@@ -56,23 +58,23 @@ class FrameArrays:
         )
 
     def nearest(self, board_mm: Floats) -> Ints:
-        """For each board point (k, 2) the number of the frame that shows it closest to its middle; −1 for none."""
-        return _nearest(
-            *(np.ascontiguousarray(board_mm), self.frame, self.rows, self.image_from_row),
-            *(self.radial, self.lens, self.view_mm, self.size_px),
-        )
+        """Find for each board point (k, 2) the frame that shows it closest to its middle; −1 for none."""
+        return _nearest(np.ascontiguousarray(board_mm), self._poses, self.view_mm, self.size_px)
 
     def project(self, number: Ints, board_mm: Floats) -> Floats:
-        """Raw pixels (k, s, 2), in the frames of these numbers (k,), of board points (k, s, 2); NaN where it is −1."""
-        return _projected(
-            np.ascontiguousarray(board_mm), number, self.frame, self.rows, self.image_from_row, self.radial, self.lens
-        )
+        """Project board points (k, s, 2) to raw pixels of the frames of these numbers (k,); NaN where it is −1."""
+        return _projected(np.ascontiguousarray(board_mm), number, self._poses)
 
-    def look(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
-        """What is read (k, samples) in the frames of these numbers (k,); NaN where it is −1.
+    @property
+    def _poses(self) -> _Poses:
+        return _Poses(self.frame, self.rows, self.image_from_row, self.radial, self.lens)
 
-        `read` is given the pixels of a frame and the positions (j,) of those k that it shows, and returns (j, samples).
+    def read_samples(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
+        """Read samples (k, samples) from the frames of these numbers (k,); NaN where it is −1.
+
+        `read` takes the pixels of a frame and the positions (j,) of those k that it shows, and returns (j, samples).
         """
+        # Frame by frame, so that each one is fetched and prepared once.
         out = np.full((len(number), samples), np.nan)
         for n in np.unique(number[number >= 0]).tolist():
             mine = np.flatnonzero(number == n)
@@ -80,17 +82,25 @@ class FrameArrays:
         return out
 
 
+class _Poses(NamedTuple):
+    """The arrays of `FrameArrays` that lead from the board to raw pixels."""
+
+    frame: Ints
+    rows: Floats
+    image_from_row: Floats
+    radial: Floats
+    lens: Floats
+
+
 @compiled
-def _nearest(
-    board_mm: Floats,
-    frame: Ints,
-    rows: Floats,
-    image_from_row: Floats,
-    radial: Floats,
-    lens: Floats,
-    view_mm: Floats,
-    size_px: Floats,
-) -> Ints:
+def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats) -> Ints:
+    frame, rows, image_from_row, radial, lens = (
+        poses.frame,
+        poses.rows,
+        poses.image_from_row,
+        poses.radial,
+        poses.lens,
+    )
     chosen = np.full(len(board_mm), -1)
     for k in range(len(board_mm)):
         best = np.inf
@@ -98,6 +108,7 @@ def _nearest(
             i, d = frame[n, 0], rows[frame[n, 1]]
             x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
             y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]
+            # A comparison of mm is cheap, and spares most frames the projection and the lens.
             if not (view_mm[i, 0] <= x <= view_mm[i, 2] and view_mm[i, 1] <= y <= view_mm[i, 3]):
                 continue
             m, last_x, last_y, margin = image_from_row[i], size_px[i, 0] - 1, size_px[i, 1] - 1, size_px[i, 2]
@@ -114,15 +125,14 @@ def _nearest(
 
 
 @compiled
-def _projected(
-    board_mm: Floats,
-    number: Ints,
-    frame: Ints,
-    rows: Floats,
-    image_from_row: Floats,
-    radial: Floats,
-    lens: Floats,
-) -> Floats:
+def _projected(board_mm: Floats, number: Ints, poses: _Poses) -> Floats:
+    frame, rows, image_from_row, radial, lens = (
+        poses.frame,
+        poses.rows,
+        poses.image_from_row,
+        poses.radial,
+        poses.lens,
+    )
     out = np.full(board_mm.shape, np.nan)
     for k in range(len(board_mm)):
         if number[k] < 0:

@@ -1,8 +1,8 @@
-"""Does the board lie as assumed, or turned round? Two fiducials often fit both ways.
+"""The orientation of the board: as assumed, or turned by 180°. Two fiducials often fit both ways.
 
-Where fiducials alone leave it open, the pictures decide: the board's outline is a step from board to
-belt, and parts have edges where the CAD data put them. Both are measured for the board as placed and
-for the board turned by half a turn about the same fiducials.
+Where fiducials alone leave it open, the pictures decide (docs/decisions/0004). The outline is a step from board to
+belt, and components have edges where the CAD data put them. Both are measured for the board as placed and for the board
+turned by 180° about the same fiducials.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _PIECE_MM = 4.0
 """Length over which an edge is averaged, so that texture cancels and the edge stays."""
 _SAMPLES, _DEPTHS = 10, 2
 _NEAR_MM, _FAR_MM = 0.12, 0.45
-"""Where the two sides of an edge are compared."""
+"""Distances from an edge at which its two sides are compared."""
 _APART_MM = 0.4
-"""Edges that lie closer together both ways tell nothing."""
+"""Edges of the two orientations that lie closer together are not compared."""
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
-"""By which factor, and to how many grey levels, one orientation must stand out; parts are the weaker evidence."""
+"""Least factor and least contrast in grey levels of a decision; components are weaker evidence."""
 _LEAST_PIECES, _MOST_PIECES = 6, 48
 _LEAST_OUTLINE = 3.0
 """Grey levels; noise alone gives less than one."""
@@ -36,7 +36,7 @@ _LEAST_OUTLINE = 3.0
 
 @dataclass(frozen=True)
 class Orientation:
-    """What the pictures say: median edge contrast (grey levels) as placed and turned, and on what."""
+    """Median edge contrast in grey levels, as placed and turned, and the kind of edges it was measured on."""
 
     evidence: str
     as_placed: float
@@ -44,12 +44,12 @@ class Orientation:
 
     @property
     def contradicts(self) -> bool:
-        """The board rather lies turned round."""
+        """Whether the board lies turned by 180°."""
         return _stands_out(self.evidence, self.turned, self.as_placed)
 
     @property
     def confirms(self) -> bool:
-        """The board lies as assumed."""
+        """Whether the board lies as assumed."""
         return _stands_out(self.evidence, self.as_placed, self.turned)
 
 
@@ -57,14 +57,14 @@ def _stands_out(evidence: str, one: float, other: float) -> bool:
     return one > _CLEAR[evidence] * other and one > _LEAST_STEP[evidence]
 
 
-def check(
+def compare_orientations(
     board_type: BoardType,
     placed: Floats,
     turned: Floats,
     scene: Scene,
     motion: Motion,
 ) -> Orientation | None:
-    """Compare the board as placed with the board turned round.
+    """Compare the board as placed with the board turned by 180°.
 
     Args:
         board_type: outline and components.
@@ -74,21 +74,23 @@ def check(
         motion: of the rows.
 
     Returns:
-        The first evidence that decides, the outline before the parts; the last one if none does; None
+        The first evidence that decides, outline before components; the last one if none does; None
         if there is nothing to compare.
     """
-    best, shots = None, FrameArrays.of(scene, motion)
-    for evidence, lines in (("outline", outline_polygons), ("components", _parts)):
+    best, frames = None, FrameArrays.of(scene, motion)
+    for evidence, lines in (("outline", outline_polygons), ("components", _footprints)):
         pieces = straight_pieces(lines(board_type), board_type.mm_per_unit)
         if not len(pieces):
             continue
         apart = _apart(pieces, placed, turned)
         if apart.sum() < _LEAST_PIECES:
-            continue  # it lies the same both ways
-        a = _steps(pieces[apart], placed, shots)
-        b = _steps(pieces[apart], turned, shots)
+            # A board that is symmetric about its fiducials looks the same both ways.
+            continue
+        a = _steps(pieces[apart], placed, frames)
+        b = _steps(pieces[apart], turned, frames)
         if min(len(a), len(b)) < _LEAST_PIECES:
             continue
+        # The median: texture and neighbouring components disturb single pieces.
         best = Orientation(evidence, float(np.median(a)), float(np.median(b)))
         if best.contradicts or best.confirms:
             return best
@@ -111,23 +113,21 @@ class OutlineContrast:
 def measure_outline_contrast(
     board_type: BoardType, placed: Floats, scene: Scene, motion: Motion
 ) -> OutlineContrast | None:
-    """How plainly the pictures show the board's outline where C puts it; None where too little of it is in view."""
+    """Measure the contrast along the outline where C puts it; None where too little of it is in view."""
     pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
-    pieces = pieces[spread(len(pieces))]
+    pieces = pieces[subsample_pieces(len(pieces))]
     steps = _steps(pieces, placed, FrameArrays.of(scene, motion)) if len(pieces) else np.zeros(0)
     return OutlineContrast(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
 
 
-def spread(pieces: int) -> NDArray[np.int_]:
-    """Numbers of so many pieces of an outline; of many some, evenly spread.
-
-    They tell its place far better than it was cut, so that more would only take longer.
-    """
+def subsample_pieces(pieces: int) -> NDArray[np.int_]:
+    """Choose pieces of an outline by number, evenly spread where there are more than are needed."""
+    # 48 pieces measure the outline better than it was cut; more would only take longer.
     return np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(np.int_))
 
 
 def outline_polygons(board_type: BoardType) -> list[Floats]:
-    """The outline as polygons (k, 2) in CAD units: one, or none where it is not known."""
+    """Return the outline as polygons (k, 2) in CAD units: one, or none where it is not known."""
     if board_type.outline is None:
         return []
     points = np.array(board_type.outline, dtype=np.float64)
@@ -137,12 +137,12 @@ def outline_polygons(board_type: BoardType) -> list[Floats]:
     return [points]
 
 
-def _parts(board_type: BoardType) -> list[Floats]:
+def _footprints(board_type: BoardType) -> list[Floats]:
     return [board_type.footprint(c) for c in board_type.components]
 
 
 def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
-    """Straight pieces (k, 2, 2) of closed polygons, each a few mm long; shorter edges as they are."""
+    """Cut closed polygons into straight pieces (k, 2, 2), each a few mm long; shorter edges stay whole."""
     if not polygons:
         return np.zeros((0, 2, 2))
     a, b = np.concatenate(polygons), np.concatenate([np.roll(p, -1, 0) for p in polygons])
@@ -153,7 +153,7 @@ def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
 
 
 def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
-    """Pieces that lie clear of every piece of the other hypothesis, across their own direction."""
+    """Return (k,) which pieces lie clear of all pieces of the other orientation, across their own direction."""
     a, b = apply(placed, pieces), apply(turned, pieces)
     along = a[:, 1] - a[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
@@ -165,18 +165,18 @@ def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
     return np.asarray(nearest > _APART_MM)
 
 
-def _steps(pieces: Floats, cad_matrix: Floats, shots: FrameArrays) -> Floats:
-    """Contrast across every piece that some frame shows, in grey levels."""
+def _steps(pieces: Floats, cad_matrix: Floats, frames: FrameArrays) -> Floats:
+    """Measure the contrast across every piece that some frame shows, in grey levels."""
     board = apply(cad_matrix, pieces)
-    number = shots.nearest(board.mean(1))
-    px = shots.project(number, _both_sides(board))
-    step = shots.look(number, 1, lambda image, mine: _contrast(image, px[mine]))
+    number = frames.nearest(board.mean(1))
+    px = frames.project(number, _both_sides(board))
+    step = frames.read_samples(number, 1, lambda image, mine: _contrast(image, px[mine]))
     return np.asarray(step[np.isfinite(step)])
 
 
 @compiled
 def _contrast(image: NDArray[np.uint8], px: Floats) -> Floats:
-    """Difference (k, 1) of the means over the first and the second half of places (k, s, 2); NaN if one is outside."""
+    """Compute the difference (k, 1) of the means over the two halves of points (k, s, 2); NaN if one is outside."""
     h, w = image.shape
     count = px.shape[1]
     out = np.empty((len(px), 1))
@@ -198,7 +198,7 @@ def _contrast(image: NDArray[np.uint8], px: Floats) -> Floats:
 
 
 def _both_sides(board: Floats) -> Floats:
-    """Sample points (k, s, 2) along straight pieces (k, 2, 2) of the board, one side after the other."""
+    """Lay sample points (k, s, 2) along straight pieces (k, 2, 2) of the board, one side after the other."""
     along = board[:, 1] - board[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES

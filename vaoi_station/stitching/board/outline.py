@@ -1,8 +1,8 @@
-"""Where the board's outline lies in the pictures, against where the fiducials put it.
+"""The measured shift of the board's outline against the place where the fiducials put it.
 
-Fiducials may lie all together: look-alikes at the right distances, CAD data of another revision. The board's edge, a
-step from board to belt, does not move with them. It is looked for across each piece of the outline; the pieces vote for
-one shift of the board, and around the winner the edge of each is measured to a fraction of a sample.
+All fiducials may be wrong together: look-alikes at the right distances, CAD data of another revision. The board's edge,
+a step from board to belt, does not move with them. It is searched across each piece of the outline. The pieces vote for
+one shift of the board; around the winner the edge of each piece is measured to a fraction of a sample.
 """
 
 from __future__ import annotations
@@ -18,51 +18,54 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.frame_visibility import FrameArrays
-from vaoi_station.stitching.board.orientation import outline_polygons, spread, straight_pieces
+from vaoi_station.stitching.board.orientation import outline_polygons, straight_pieces, subsample_pieces
 from vaoi_station.stitching.matching.scene import Scene
 
 _STEP_MM, _REACH = 0.05, 70
-"""Samples across a piece of the outline are so far apart, and so many are taken to either side."""
+"""Distance of samples across a piece of the outline, and their number on either side."""
 _ALONG = 12
 """Samples along a piece that are averaged."""
 _GAP, _SIDE = 1, 6
-"""A step is the mean of so many samples beyond so many left out, less the same on the other side."""
+"""A step is the difference of the means of `_SIDE` samples on both sides, `_GAP` samples away from the edge."""
 _MOST_STEP = 40.0
-"""Grey levels: stronger steps do not vote more, so that one bright pad is not heard above the belt."""
+"""Largest vote of a step, in grey levels, so that one bright pad does not outvote the edge of the board."""
 _LEAST_STEP = 6.0
 _VOTE_MM, _VOTES = 0.1, 30
-"""Shifts are tried so far apart, and so many to either side."""
+"""Distance of the shifts that are tried, and their number on either side."""
 _NEAR = 8
-"""Around the shift voted for, the edge of a piece is looked for among so many samples to either side."""
+"""Half width, in samples, of the search for the edge of a piece around the shift voted for."""
 _LEAST_PIECES = 6
 _PRIOR = np.array([3.0, 3.0, 0.02, 0.2])
-"""Standard deviations before anything is seen: shift (mm), turn (rad), outline too large all round (mm). The last is
-the machining; it is why one side alone says less than two that face each other."""
+"""Prior standard deviations: shift x and y (mm), turn (rad), outline too large all round (mm).
+
+The last is the machining. Because of it one side alone determines a shift less well than two that face each other."""
 _PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
-"""What a piece is off by at least, and the whole outline against the copper (1 σ; boards are cut to 0.1 or 0.2 mm)."""
+"""Least scatter of a piece, and error of the whole outline against the copper (1 σ; cuts are good to 0.1 or 0.2 mm)."""
 _KNEE, _ROUNDS = 2.0, 6
 _LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
-"""A cut is rather beside its place than askew: of a turn less is let pass, at the ends of the board."""
+"""Limits of the shift and of the turn (at the ends of the board), and both in standard deviations.
+
+A cut is rather beside its place than askew, so the limit of the turn is lower."""
 
 
 @dataclass(frozen=True, eq=False)
 class OutlineShift:
-    """How far the board's outline lies from where the fiducials put it."""
+    """Shift of the board's outline against the place where the fiducials put it."""
 
     mm: Floats
-    """(2,) in tester coordinates; 0 in a direction in which no piece tells anything."""
+    """(2,) in tester coordinates; 0 in a direction that no piece determines."""
     covariance: Floats
-    """(2, 2) mm²; of the size of the priors in such a direction."""
+    """(2, 2) mm²; that of the priors in such a direction."""
     turn_rad: float
     turn_sigma_rad: float
     arm_mm: float
     """From the middle of the pieces to the furthest."""
     pieces: int
-    """On so many pieces of the outline."""
+    """Number of pieces of the outline that were used."""
 
     @property
     def excess_mm(self) -> float:
-        """The part of the shift that neither machining nor noise explain, along the axes of the covariance."""
+        """Length of the shift that neither machining nor noise explains, along the axes of the covariance."""
         sigma, way = np.linalg.eigh(self.covariance)
         along = np.abs(way.T @ self.mm)
         beyond = along > np.maximum(_LIMIT_MM, _LIMIT_SIGMAS * np.sqrt(sigma))
@@ -70,35 +73,35 @@ class OutlineShift:
 
     @property
     def turned_mm(self) -> float:
-        """What the turn makes at the ends of the board, if neither machining nor noise explain it; else 0."""
+        """Effect of the turn at the ends of the board, if neither machining nor noise explains it; else 0."""
         turned = abs(self.turn_rad) * self.arm_mm
         return turned if turned > max(_TURN_LIMIT_MM, _LIMIT_SIGMAS * self.turn_sigma_rad * self.arm_mm) else 0.0
 
     @property
     def sigma_mm(self) -> Floats:
-        """(2,) along x and y of the tester."""
+        """Standard deviations (2,) along x and y of the tester."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 def measure_outline_shift(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion
 ) -> OutlineShift | None:
-    """Measure where the outline lies.
+    """Measure the shift of the outline.
 
     Args:
         board_type: with its outline.
-        cad_matrix: C as the fiducials have it, 3×3, CAD → tester.
+        cad_matrix: C from the fiducials, 3×3, CAD → tester.
         scene: the frames.
         motion: of the rows.
 
     Returns:
-        The shift of the outline, None where too little of it shows an edge.
+        The shift; None where too little of the outline shows an edge.
     """
     pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
     if len(pieces) < _LEAST_PIECES:
         return None
     board = apply(cad_matrix, pieces)
-    normal, some = _outward(board), spread(len(pieces))
+    normal, some = _outward(board), subsample_pieces(len(pieces))
     board, normal = board[some], normal[some]
     steps = _steps(_profiles(board, normal, scene, motion))
     shown = (steps >= _LEAST_STEP).any(1)
@@ -109,22 +112,23 @@ def measure_outline_shift(
 
 
 def _outward(board: Floats) -> Floats:
-    """Unit normals (k, 2) of the pieces (k, 2, 2) of a closed polygon, away from the board."""
+    """Compute unit normals (k, 2) of the pieces (k, 2, 2) of a closed polygon, away from the board."""
     along = board[:, 1] - board[:, 0]
     normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    # The sign of the area is the direction in which the polygon runs, and thus the side of the board.
     area = (board[:, 0, 0] * board[:, 1, 1] - board[:, 1, 0] * board[:, 0, 1]).sum()
     return np.asarray(normal * np.sign(area))
 
 
 def _profiles(board: Floats, normal: Floats, scene: Scene, motion: Motion) -> Floats:
-    """Grey levels (k, samples) across every piece, averaged along it; NaN where no frame shows them."""
-    shots = FrameArrays.of(scene, motion)
-    number = shots.nearest(board.mean(1))
+    """Sample grey levels (k, samples) across every piece, averaged along it; NaN where no frame shows them."""
+    frames = FrameArrays.of(scene, motion)
+    number = frames.nearest(board.mean(1))
     reach, samples = _REACH * _STEP_MM * normal, 2 * _REACH + 1
-    px = shots.project(number, np.stack([board[:, 0] - reach, board[:, 1] - reach, board[:, 0] + reach], 1))
+    px = frames.project(number, np.stack([board[:, 0] - reach, board[:, 1] - reach, board[:, 0] + reach], 1))
     along, across = (px[:, 1] - px[:, 0]) / _ALONG, (px[:, 2] - px[:, 0]) / (samples - 1)
     start = px[:, 0] + along / 2
-    return shots.look(
+    return frames.read_samples(
         number, samples, lambda image, mine: _sampled(image, start[mine], along[mine], across[mine], _ALONG, samples)
     )
 
@@ -138,7 +142,7 @@ def _sampled(
     count: int,
     samples: int,
 ) -> NDArray[np.float64]:
-    """Means (k, samples) of `count` grey levels along each line; NaN where one of them lies outside the image."""
+    """Average `count` grey levels along each line (k, samples); NaN where one of them lies outside the image."""
     out = np.empty((len(start), samples))
     height, width = image.shape
     for k in range(len(start)):
@@ -162,9 +166,10 @@ def _sampled(
 
 
 def _steps(profiles: Floats) -> Floats:
-    """Height (k, samples) of the step at each sample, in grey levels; 0 where it is not known."""
+    """Compute the height (k, samples) of the step at each sample, in grey levels; 0 where it is not known."""
     samples = profiles.shape[1]
     at = np.arange(_GAP + _SIDE, samples - _GAP - _SIDE)
+    # Prefix sums: the means on both sides of every sample in one pass.
     sums = np.concatenate([np.zeros((len(profiles), 1)), np.cumsum(np.nan_to_num(profiles), 1)], 1)
     blind = np.concatenate([np.zeros((len(profiles), 1)), np.cumsum(np.isnan(profiles), 1)], 1)
     far, near = at + _GAP + 1 + _SIDE, at - _GAP - _SIDE
@@ -175,20 +180,21 @@ def _steps(profiles: Floats) -> Floats:
 
 
 def _voted(steps: Floats, normal: Floats) -> Floats:
-    """The shift (2,) mm of the board under which most pieces have an edge."""
+    """Find the shift (2,) mm of the board under which most pieces have an edge."""
     tries = np.arange(-_VOTES, _VOTES + 1) * _VOTE_MM
-    heard = _heard(np.minimum(steps, _MOST_STEP), normal, np.asarray(tries, np.float64), _STEP_MM)
-    i, j = np.unravel_index(int(heard.argmax()), heard.shape)
+    votes = _vote_histogram(np.minimum(steps, _MOST_STEP), normal, np.asarray(tries, np.float64), _STEP_MM)
+    i, j = np.unravel_index(int(votes.argmax()), votes.shape)
     return np.array([tries[j], tries[i]])
 
 
 @compiled
-def _heard(
+def _vote_histogram(
     steps: NDArray[np.float64], normal: NDArray[np.float64], tries: NDArray[np.float64], step_mm: float
 ) -> NDArray[np.float64]:
-    """Sum of steps (y tries, x tries) of all pieces, if the board were shifted so."""
+    """Sum the steps of all pieces under every shift, (y tries, x tries)."""
     count, samples = len(tries), steps.shape[1]
-    out, far = np.zeros((count, count)), int(2 * np.abs(tries).max() / step_mm) + 1  # no shift leads further off
+    # Padded so that no shift leads out of the line: the inner loop needs no test.
+    out, far = np.zeros((count, count)), int(2 * np.abs(tries).max() / step_mm) + 1
     line = np.zeros(samples + 2 * far)
     for k in range(len(steps)):
         line[far : far + samples] = steps[k]
@@ -201,7 +207,7 @@ def _heard(
 
 
 def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> OutlineShift | None:
-    """Shift, turn and size of the outline by least squares over the edges near a shift, robustly."""
+    """Estimate shift, turn and size of the outline by robust least squares over the edges near a shift."""
     offset, height = _edges(steps, normal @ shift / _STEP_MM + _REACH)
     use = height >= _LEAST_STEP
     if use.sum() < _LEAST_PIECES:
@@ -212,15 +218,17 @@ def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Out
     for _ in range(_ROUNDS):
         inverse = np.linalg.inv((j * (weight / scatter**2)[:, None]).T @ j + np.diag(_PRIOR**-2.0))
         solved = inverse @ (j.T @ (weight / scatter**2 * offset))
-        misfit = offset - j @ solved
-        scatter = max(1.4826 * float(np.median(np.abs(misfit))), _PIECE_SIGMA_MM)
-        weight = huber_weights(misfit / scatter, _KNEE)
+        residual = offset - j @ solved
+        # 1.4826: from the median absolute deviation to the standard deviation of a normal distribution.
+        scatter = max(1.4826 * float(np.median(np.abs(residual))), _PIECE_SIGMA_MM)
+        weight = huber_weights(residual / scatter, _KNEE)
+    # The machining of the whole outline moves all pieces together, so the fit cannot see it.
     covariance, turn_sigma = inverse[:2, :2] + _MACHINED_MM**2 * np.eye(2), float(np.sqrt(inverse[2, 2]))
     return OutlineShift(solved[:2], covariance, float(solved[2]), turn_sigma, float(np.hypot(*arm.T).max()), len(n))
 
 
 def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:
-    """Place (k,) in samples, by a parabola through the highest step and its neighbours, and height (k,) of the edge."""
+    """Locate edges (k,) in samples, by a parabola through the highest step and its neighbours; with heights (k,)."""
     near = np.clip(np.rint(expected).astype(int)[:, None] + np.arange(-_NEAR, _NEAR + 1), 1, steps.shape[1] - 2)
     rows = np.arange(len(steps))
     at = near[rows, np.take_along_axis(steps, near, 1).argmax(1)]

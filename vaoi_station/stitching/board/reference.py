@@ -1,7 +1,7 @@
-"""A reference run (section 3.3.3): stitched once, kept, and later runs of its board type are placed against it.
+"""A reference run (section 3.3.3): later runs of its board type are placed against it.
 
-Frame (i, j) of a run shows nearly what frame (i, j) of the reference shows. Points linked between the two have
-known CAD coordinates, since the reference was stitched; so each is an observation like a fiducial's.
+Frame (i, j) of a run shows nearly the same part of the board as frame (i, j) of the reference. The reference was
+stitched, so points linked between the two have known CAD coordinates. Each is an observation like that of a fiducial.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 
 _SCATTER_PX = 0.03
-"""Of single links beyond image noise."""
+"""Scatter of single links beyond image noise."""
 _SHARED_PX = 0.006
-"""What the links of one frame share and does not average out."""
+"""Error that the links of one frame share, so that it does not average out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A stitched run of the board type, and which of its frames are good."""
+    """A stitched run of the board type, and its good frames."""
 
     stitch: Stitch
-    """Its CAD mapping and row motion are what is used; the rest may have been left out."""
+    """Only its CAD mapping and row motion are used; the rest may be empty."""
     present: frozenset[FrameKey]
     name: str = ""
-    """What results call it."""
+    """Its name in results."""
 
     def task(self, key: FrameKey) -> Task | None:
-        """The link of a frame of the run to the reference; None where that has no such frame."""
+        """Return the task that links a frame of the run to the reference; None where that lacks the frame."""
         return Task("reference", key, key) if key in self.present else None
 
 
 def cad_points(
     links: Sequence[Links], cameras: Sequence[Camera], plane: BoardPlane, reference: Reference
 ) -> FiducialPoints:
-    """Linked points as observations: seen in a row of the run, known in CAD through the reference."""
+    """Convert links to observations: points seen in a row of the run, with their CAD places from the reference."""
     rows, ground, lean, cad, sigma, resolution = [], [], [], [], [], []
     c = reference.stitch.cad_matrix
     assert c is not None
@@ -54,6 +54,7 @@ def cad_points(
         here = camera.ground(e.a_px)
         there = apply(np.linalg.inv(reference.stitch.row_motion[e.task.b[1]]), camera.ground(e.b_px))
         px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information), axis1=1, axis2=2) / 2, 0))
+        # n links of a frame are worth σ²/n + shared²; each of them carries its part of the shared error.
         single = np.hypot(px, _SCATTER_PX) * np.sqrt(1 + len(px) * (_SHARED_PX / _SCATTER_PX) ** 2)
         rows.append(np.full(len(here), row))
         ground.append(here)
@@ -75,10 +76,11 @@ def cad_points(
 
 
 def initial_similarity(plane: BoardPlane, reference: Reference, points: FiducialPoints, motion: Motion) -> Floats:
-    """C to start from: the reference's, shifted to where the run's points are by the belt's nominal motion."""
+    """Estimate a first C: that of the reference, shifted by the median offset of the run's points."""
     c = reference.stitch.cad_matrix
     assert c is not None
     start = np.array([c[0, 0], c[1, 0], c[0, 2], c[1, 2]])
     board = motion.board(points.row, points.ground_mm)
+    # The median, since some links are false and nothing has been adjusted yet.
     off = np.median(board - apply(plane.matrix(start), plane.cad(points.cad)), axis=0)
     return np.concatenate([start[:2], start[2:] + off])
