@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.benchmarks.s_curve import Panel, draw
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.matching.patches import match, middles
+from vaoi_station.stitching.matching.patches import match_patches, patch_centres
 
 _SIDE_PX, _STEP_PX, _BORDER_PX = 420, 26, 40
 _FINEST_PX, _COARSEST_PX, _WAVES = 4.5, 60.0, 120
@@ -88,9 +88,9 @@ def _pull(axis: str, noise: float, seed: int) -> Pull:
         shift = np.array(_WHOLE_PX)
         shift[along] += fraction
         b = _film(texture, (float(shift[0]), float(shift[1])), noise, g)
-        start = middles(places) + np.round(shift)
-        found = match(a, b, places, start)
-        ours.append(float((found.b_px - middles(places) - shift)[found.found, along].mean()))
+        start = patch_centres(places) + np.round(shift)
+        found = match_patches(a, b, places, start)
+        ours.append(float((found.b_px - patch_centres(places) - shift)[found.found, along].mean()))
         theirs.append(float((_lucas_kanade(a, b, places, shift) - places - shift)[:, along].mean()))
     return Pull(axis, noise, FRACTIONS, tuple(ours), tuple(theirs), len(places))
 

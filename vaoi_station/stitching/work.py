@@ -26,7 +26,7 @@ from vaoi_station.stitching.board.fiducial_detection import detect_marks
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.conclude import PriorKnowledge, conclude
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links, Task
-from vaoi_station.stitching.matching.link import link_frames, link_neighbours, link_reference
+from vaoi_station.stitching.matching.link import FramePair, link_neighbours, link_reference, link_rows
 from vaoi_station.stitching.matching.overlap import overlap_share
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
@@ -36,6 +36,8 @@ from vaoi_station.stitching.quality.findings import Findings
 _KEPT_ROWS, _KEPT_MORE = 3, 4
 """Prepared frames that a runner keeps: the row being done, the two before it, and a few."""
 _KEPT_STRIPS = 1024
+_AT_REST = np.zeros(2)
+"""Nominal shift between frames of one row, mm."""
 _WIDE_PX = 110.0
 """Rows j and j + 2 are linked where they still share a strip so wide: three patches. A narrower one, in which a patch
 and its margin fit once, costs as much as any pair of frames and makes positions surer by 3 to 8 per cent only."""
@@ -119,14 +121,14 @@ class TaskRunner:
             fixture = METHODS[setup.method].fixture
             return detect_marks(task, self._get(task.a), setup.cameras[task.a[0]], setup.board_type, fixture=fixture)
         assert task.b is not None
+        a, camera_a = self._get(task.a), setup.cameras[task.a[0]]
         if task.kind == "reference":
-            return link_reference(task, self._get(task.a), self._referred(task.b), setup.cameras[task.a[0]])
-        a, b = self._get(task.a), self._get(task.b)
-        camera_a, camera_b = setup.cameras[task.a[0]], setup.cameras[task.b[0]]
+            return link_reference(task, FramePair(a, self._reference(task.b), camera_a, camera_a, _AT_REST))
+        b, camera_b = self._get(task.b), setup.cameras[task.b[0]]
         if task.kind == "neighbours":
-            return link_neighbours(task, a, b, camera_a, camera_b)
+            return link_neighbours(task, FramePair(a, b, camera_a, camera_b, _AT_REST))
         shift_mm = np.asarray(setup.conveyor_mm_s) * task.dt_s
-        return link_frames(task, a, b, camera_a, camera_b, shift_mm)
+        return link_rows(task, FramePair(a, b, camera_a, camera_b, shift_mm))
 
     def conclude(self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]) -> Stitch:
         """The result of the run, when every frame has its verdict."""
@@ -153,7 +155,7 @@ class TaskRunner:
             self._link_store,
         )
 
-    def _referred(self, key: FrameKey) -> PreparedFrame:
+    def _reference(self, key: FrameKey) -> PreparedFrame:
         pixels = self._reference_frame(*key) if self._reference_frame is not None else None
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} of the reference is not there")

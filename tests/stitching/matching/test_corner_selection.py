@@ -1,4 +1,4 @@
-"""The compiled choice of places against OpenCV's corner score and a few lines of numpy."""
+"""Corner selection agrees with OpenCV's corner score and a few lines of numpy."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.matching.corner_selection import best_places
-from vaoi_station.stitching.matching.prepared_frame import frozen
+from vaoi_station.stitching.matching.corner_selection import best_corners
+from vaoi_station.stitching.matching.prepared_frame import read_only
 
 
 def image(seed: int) -> NDArray[np.uint8]:
@@ -34,7 +34,7 @@ def test_the_best_pixel_of_every_cell_is_that_of_opencv(
     (nx, width), (ny, height) = across, down
     cells = score[y0 : y0 + ny * height, x0 : x0 + nx * width].reshape(ny, height, nx, width)
     best = cells.max((1, 3)).ravel()
-    found = best_places(frozen(grey), x0, y0, across, down)
+    found = best_corners(read_only(grey), x0, y0, across, down)
     least = max(0.003 * np.sort(best)[int(len(best) * 0.9)], 1e-5)
     assert abs(len(found) - (best > least).sum()) <= (np.abs(best - least) < 1e-7).sum()
     cell = (found[:, 1] - y0) // height * nx + (found[:, 0] - x0) // width
@@ -42,5 +42,5 @@ def test_the_best_pixel_of_every_cell_is_that_of_opencv(
     np.testing.assert_allclose(score[found[:, 1], found[:, 0]], best[cell], rtol=1e-3, atol=1e-7)
 
 
-def test_flat_grey_has_no_places() -> None:
-    assert not len(best_places(frozen(np.full((60, 90), 77, np.uint8)), 10, 10, (4, 8), (4, 8)))
+def test_flat_grey_has_no_corners() -> None:
+    assert not len(best_corners(read_only(np.full((60, 90), 77, np.uint8)), 10, 10, (4, 8), (4, 8)))

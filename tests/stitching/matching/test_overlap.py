@@ -1,3 +1,5 @@
+"""The predicted overlap contains the points that both frames show, and no others."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -11,7 +13,7 @@ from vaoi_station.geometry import Lens
 from vaoi_station.stitching.matching.overlap import overlap_box, overlap_share, predict
 
 
-def test_a_shift_cuts_off_what_leaves_the_frame(workshop: Any) -> None:
+def test_a_shift_cuts_off_the_part_that_leaves_the_frame(workshop: Any) -> None:
     camera = workshop.camera()
     assert overlap_box(camera, camera, np.array([3.0, 0.0])) == (0, 0, 170, 160)
     assert overlap_box(camera, camera, np.array([-3.0, -4.0])) == (30, 40, 200, 160)
@@ -19,7 +21,7 @@ def test_a_shift_cuts_off_what_leaves_the_frame(workshop: Any) -> None:
     assert overlap_share(camera, np.array([10.0, 0.0])) == pytest.approx(0.5)
 
 
-def test_frames_that_do_not_overlap(workshop: Any) -> None:
+def test_frames_without_overlap_have_no_box(workshop: Any) -> None:
     camera = workshop.camera()
     assert overlap_box(camera, camera, np.array([0.0, 16.5])) is None
     assert overlap_share(camera, np.array([25.0, 0.0])) == 0
@@ -30,7 +32,7 @@ def test_frames_that_do_not_overlap(workshop: Any) -> None:
     shift=st.tuples(st.floats(-18, 18), st.floats(-14, 14)),
     bend=st.floats(-0.002, 0.002),
 )
-def test_what_lies_in_the_box_is_seen_by_both(
+def test_both_frames_show_the_points_in_the_box(
     workshop: Any, angles: tuple[float, float], shift: tuple[float, float], bend: float
 ) -> None:
     lens = Lens((99.5, 79.5), 128.0, (bend,))
@@ -45,4 +47,4 @@ def test_what_lies_in_the_box_is_seen_by_both(
         return
     inside = np.asarray(((px >= box[:2]) & (px < box[2:])).all(1))
     assert b.sees(predict(px[inside], a, b, np.array(shift))).all()
-    assert inside[both].all(), "nothing that both see well is left out"
+    assert inside[both].all(), "no point that both see well is outside the box"

@@ -1,3 +1,5 @@
+"""Matches of simulated texture are accurate, unbiased and honest about their uncertainty."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -8,14 +10,14 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.matching.patches import REACH_PX, Matches, fitting, match, middles
+from vaoi_station.stitching.matching.patches import REACH_PX, Matches, inside_both, match_patches, patch_centres
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 SIZE = (360, 300)
 FRACTIONS = np.arange(10) / 10
 
 
-def places() -> NDArray[np.int_]:
+def grid() -> NDArray[np.int_]:
     y, x = np.mgrid[40:260:24, 40:320:24]
     return np.stack([x.ravel(), y.ravel()], -1)
 
@@ -26,17 +28,17 @@ def shifted(workshop: Any, shift: tuple[float, float], seed: int = 1) -> tuple[N
 
 
 def errors(found: Matches, at: NDArray[np.int_], shift: tuple[float, float]) -> NDArray[np.float64]:
-    return found.b_px - middles(at) - shift
+    return found.b_px - patch_centres(at) - shift
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_whole_pixels_hardly_attract_whatever_the_fraction(workshop: Any, axis: int, seed: int) -> None:
+def test_there_is_hardly_any_bias_towards_whole_pixels(workshop: Any, axis: int, seed: int) -> None:
     bias = []
     for fraction in FRACTIONS:
         shift = (fraction + 3, -2.3) if axis == 0 else (1.7, fraction - 3)
-        at = places()
-        found = match(*shifted(workshop, shift, seed), at, middles(at) + np.round(shift))
+        at = grid()
+        found = match_patches(*shifted(workshop, shift, seed), at, patch_centres(at) + np.round(shift))
         assert found.found.all()
         error = errors(found, at, shift)
         assert np.hypot(*error.T).max() < 0.04
@@ -52,15 +54,15 @@ def test_whole_pixels_hardly_attract_whatever_the_fraction(workshop: Any, axis: 
     slope=st.floats(-0.03, 0.03),
     shift=st.tuples(st.floats(-2, 2), st.floats(-2, 2)),
 )
-def test_light_does_not_matter(
+def test_gain_offset_and_slope_of_light_do_not_matter(
     workshop: Any, gain: float, offset: float, slope: float, shift: tuple[float, float]
 ) -> None:
     waves = workshop.waves(3)
     a = waves.picture(*SIZE)
     lamp = offset + slope * (np.arange(SIZE[0]) - SIZE[0] / 2)
     grey = 128 + gain * (waves.levels(*SIZE, shift) - 128) + lamp
-    at = places()
-    found = match(a, workshop.digitised(grey), at, middles(at) + np.round(shift))
+    at = grid()
+    found = match_patches(a, workshop.digitised(grey), at, patch_centres(at) + np.round(shift))
     assert found.found.mean() > 0.8
     error = errors(found, at, shift)[found.found]
     assert np.abs(np.median(error, axis=0)).max() <= 0.012
@@ -68,21 +70,21 @@ def test_light_does_not_matter(
 
 
 @pytest.mark.parametrize("gain", [0.2, 0.25, 0.35])
-def test_at_strong_contrast_of_light_what_is_found_is_right(workshop: Any, gain: float) -> None:
-    waves, at, shift = workshop.waves(3), places(), (1.2, -0.3)
+def test_matches_at_weak_light_are_right(workshop: Any, gain: float) -> None:
+    waves, at, shift = workshop.waves(3), grid(), (1.2, -0.3)
     weak = workshop.digitised(60 + gain * (waves.levels(*SIZE, shift) - 128))
-    found = match(waves.picture(*SIZE), weak, at, middles(at) + np.round(shift))
+    found = match_patches(waves.picture(*SIZE), weak, at, patch_centres(at) + np.round(shift))
     good = found.found & (found.score > 0.8)
     assert good.mean() > 0.5
     assert np.hypot(*errors(found, at, shift)[good].T).max() < 0.15
 
 
-def test_patches_that_are_blown_out_are_refused(workshop: Any) -> None:
+def test_saturated_patches_are_not_found(workshop: Any) -> None:
     waves = workshop.waves(4)
-    a, at = waves.picture(*SIZE), places()
+    a, at = waves.picture(*SIZE), grid()
     glare = np.where(np.arange(SIZE[0]) > 200, 4.0, 1.0)
     bright = workshop.digitised(128 + glare * (waves.levels(*SIZE, (1.4, 0.0)) - 128))
-    found = match(a, bright, at, middles(at) + np.array([1.0, 0]))
+    found = match_patches(a, bright, at, patch_centres(at) + np.array([1.0, 0]))
     clipped = np.array([(bright[v - 10 : v + 11, u + 1 - 10 : u + 1 + 11] >= 254).mean() for u, v in at])
     assert (clipped > 0.03).any()
     assert not found.found[clipped > 0.03].any()
@@ -90,75 +92,77 @@ def test_patches_that_are_blown_out_are_refused(workshop: Any) -> None:
 
 
 @pytest.mark.parametrize("off", [(3.0, -4.0), (5.0, 0.0)])
-def test_a_prediction_wrong_by_a_few_pixels_is_mended(workshop: Any, off: tuple[float, float]) -> None:
-    shift, at = (2.35, 1.6), places()
-    found = match(*shifted(workshop, shift), at, middles(at) + np.round(shift) + off)
+def test_a_prediction_may_be_wrong_by_a_few_pixels(workshop: Any, off: tuple[float, float]) -> None:
+    shift, at = (2.35, 1.6), grid()
+    found = match_patches(*shifted(workshop, shift), at, patch_centres(at) + np.round(shift) + off)
     assert found.found.mean() > 0.95
     assert np.hypot(*errors(found, at, shift)[found.found].T).max() < 0.05
 
 
 @pytest.mark.parametrize("off", [7.0, 8.0, 9.0, 11.0, 15.0])
-def test_a_prediction_out_of_reach_never_gives_a_confident_wrong_place(workshop: Any, off: float) -> None:
+def test_a_prediction_out_of_reach_never_gives_a_wrong_match_with_a_good_score(workshop: Any, off: float) -> None:
     assert off > REACH_PX
-    shift, at = (2.0, 1.6), places()
-    at, _ = fitting(SIZE[::-1], SIZE[::-1], at, middles(at) + np.round(shift) + (off, 0))
-    found = match(*shifted(workshop, shift), at, middles(at) + np.round(shift) + (off, 0))
+    shift, at = (2.0, 1.6), grid()
+    at, _ = inside_both(SIZE[::-1], SIZE[::-1], at, patch_centres(at) + np.round(shift) + (off, 0))
+    found = match_patches(*shifted(workshop, shift), at, patch_centres(at) + np.round(shift) + (off, 0))
     wrong = np.hypot(*errors(found, at, shift).T) > 0.2
     assert not (found.found & wrong & (found.score > 0.8)).any()
 
 
-def test_other_texture_is_not_mistaken_for_this(workshop: Any) -> None:
-    at = places()
-    found = match(workshop.waves(5).picture(*SIZE), workshop.waves(6).picture(*SIZE), at, middles(at))
+def test_different_texture_does_not_match(workshop: Any) -> None:
+    at = grid()
+    found = match_patches(workshop.waves(5).picture(*SIZE), workshop.waves(6).picture(*SIZE), at, patch_centres(at))
     assert (found.found & (found.score > 0.8)).mean() < 0.02
 
 
-def test_an_edge_is_sure_only_across() -> None:
+def test_information_of_an_edge_is_large_only_across_it() -> None:
     x = np.arange(SIZE[0])
     a = np.tile(np.round(128 + 80 * np.tanh((x - 180) / 2)), (SIZE[1], 1)).astype(np.uint8)
     dented = np.asarray(a + np.where((np.arange(SIZE[1]) > 150)[:, None], 4, 0), dtype=np.uint8)
-    found = match(dented, dented, np.array([[180, 150]]), np.array([[180.5, 150.5]]))
+    found = match_patches(dented, dented, np.array([[180, 150]]), np.array([[180.5, 150.5]]))
     assert found.found.all()
     assert found.information[0, 0, 0] > 50 * found.information[0, 1, 1] > 0
     assert found.b_px[0] == pytest.approx([180.5, 150.5], abs=0.01)
 
 
-def test_a_straight_edge_fixes_no_place() -> None:
+def test_a_straight_edge_gives_no_match() -> None:
     x = np.arange(SIZE[0])
     a = np.tile(np.round(128 + 80 * np.tanh((x - 180) / 2)), (SIZE[1], 1)).astype(np.uint8)
-    assert not match(a, a, np.array([[180, 150]]), np.array([[180.5, 150.5]])).found.any()
+    assert not match_patches(a, a, np.array([[180, 150]]), np.array([[180.5, 150.5]])).found.any()
 
 
 def test_information_falls_with_noise(workshop: Any) -> None:
     a, b = shifted(workshop, (0.4, 0.0))
-    g, at, sharp = np.random.default_rng(1), places(), []
+    g, at, sharp = np.random.default_rng(1), grid(), []
     for noise in (0.0, 4.0, 12.0):
         grainy = workshop.digitised(b + g.normal(0, noise, b.shape))
-        found = match(a, grainy, at, middles(at))
+        found = match_patches(a, grainy, at, patch_centres(at))
         sharp.append(np.median(np.linalg.det(found.information)))
     assert sharp[0] > 2 * sharp[1] > 8 * sharp[2]
 
 
 @given(st.integers(-50, 400), st.integers(-50, 400), st.floats(-50, 400), st.floats(-50, 400))
-def test_patches_that_fit_lie_inside_both_images(x: int, y: int, u: float, v: float) -> None:
-    kept, _ = fitting(SIZE[::-1], SIZE[::-1], np.array([[x, y]]), np.array([[u, v]]))
+def test_patches_that_are_kept_lie_inside_both_images(x: int, y: int, u: float, v: float) -> None:
+    kept, _ = inside_both(SIZE[::-1], SIZE[::-1], np.array([[x, y]]), np.array([[u, v]]))
     low, (right, bottom) = MARGIN_PX, np.array(SIZE) - MARGIN_PX - 1
     assert len(kept) == all(low <= p <= right and low <= q <= bottom for p, q in ((x + 0.5, y + 0.5), (u, v)))
 
 
-def test_patches_at_the_very_border_are_matched_like_others(workshop: Any) -> None:
+def test_patches_at_the_border_are_matched_like_others(workshop: Any) -> None:
     shift = (0.4, -0.7)
     a, b = shifted(workshop, shift)
     low, high = MARGIN_PX + 1, np.array(SIZE) - MARGIN_PX - 2
     at = np.array([(low, low), (high[0], low), (low, high[1]), (high[0], high[1])], dtype=np.int_)
-    found = match(a, b, at, middles(at))
+    found = match_patches(a, b, at, patch_centres(at))
     assert found.found.all()
     assert np.abs(errors(found, at, shift)).max() < 0.04
 
 
-def test_frames_need_not_lie_contiguous_in_memory(workshop: Any) -> None:
+def test_frames_need_not_be_contiguous_in_memory(workshop: Any) -> None:
     a, b = shifted(workshop, (0.4, -0.7))
     wide = np.zeros((a.shape[0], 2 * a.shape[1]), dtype=np.uint8)
     wide[:, ::2] = b
-    at = places()
-    np.testing.assert_array_equal(match(a, wide[:, ::2], at, middles(at)).b_px, match(a, b, at, middles(at)).b_px)
+    at = grid()
+    np.testing.assert_array_equal(
+        match_patches(a, wide[:, ::2], at, patch_centres(at)).b_px, match_patches(a, b, at, patch_centres(at)).b_px
+    )

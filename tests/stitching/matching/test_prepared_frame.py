@@ -1,3 +1,5 @@
+"""Copies of a frame keep positions, and grey levels do not depend on the source."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -8,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled, halved, to_eight_bit, to_grey
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled, half_size, to_eight_bit, to_grey
 
 
-def test_copies_keep_their_places(workshop: Any) -> None:
+def test_copies_keep_positions(workshop: Any) -> None:
     """The centre of pixel k of a copy lies at (k + ½)·factor − ½: a soft dot is found there in each."""
     at = np.array([331.0, 205.0])
     y, x = np.mgrid[:480, :640].astype(float)
@@ -32,7 +34,7 @@ def test_the_coarse_copy_is_at_least_150_pixels_wide(width: int, factor: int) ->
     assert frame.coarse.shape == (96 // factor, width // factor)
 
 
-def test_light_is_taken_off_the_coarse_copy(workshop: Any) -> None:
+def test_the_coarse_copy_does_not_depend_on_light(workshop: Any) -> None:
     waves = workshop.waves(1, finest=12.0, coarsest=40.0).levels(640, 480)
     lamp = np.linspace(-30, 30, 640)
     plain, lit = PreparedFrame(workshop.digitised(waves)), PreparedFrame(workshop.digitised(waves + lamp))
@@ -56,13 +58,13 @@ def test_colour_becomes_luminance_and_grey_stays() -> None:
     assert PreparedFrame(colour).grey.shape == (20, 30)
 
 
-def test_halving_leaves_an_odd_border_out() -> None:
+def test_half_size_leaves_an_odd_border_out() -> None:
     image = np.arange(35, dtype=np.uint8).reshape(5, 7)
-    assert halved(image).shape == (2, 3)
-    assert halved(image)[0, 0] == round((0 + 1 + 7 + 8) / 4)
+    assert half_size(image).shape == (2, 3)
+    assert half_size(image)[0, 0] == round((0 + 1 + 7 + 8) / 4)
 
 
-def test_a_quarter_has_the_means_of_blocks() -> None:
+def test_quarter_size_has_the_means_of_blocks() -> None:
     image = np.random.default_rng(0).integers(0, 256, (43, 59), dtype=np.uint8)
     means = image[:40, :56].reshape(10, 4, 14, 4).mean((1, 3))
     np.testing.assert_array_equal(PreparedFrame(image).quarter, np.floor(means + 0.5))

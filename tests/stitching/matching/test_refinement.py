@@ -1,4 +1,4 @@
-"""The compiled loop against a few lines of numpy that say the same of one patch at a time."""
+"""The compiled loop agrees with a few lines of numpy for one patch at a time."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def sharp(image: Array, x: float, y: float) -> Array:
 
 
 def reference(a: Array, b: Array, place: NDArray[np.int_], at: Array) -> dict[str, Any]:
-    """What is left to be done at a place in b, and what the patch is worth."""
+    """The step that remains at a point in b, and the figures of the patch there."""
     x, y = place - (HALF - 1)
     t = a[y : y + WINDOW_PX, x : x + WINDOW_PX]
     gy, gx = ((n / 2)[y : y + WINDOW_PX, x : x + WINDOW_PX] for n in (_difference(a, 0), _difference(a, 1)))
@@ -71,51 +71,67 @@ def _difference(image: Array, axis: int) -> Array:
 
 
 @pytest.mark.parametrize("noise", [0.0, 3.0])
-def test_a_match_is_where_numpy_finds_nothing_left_to_do(workshop: Any, noise: float) -> None:
+def test_a_match_is_where_the_step_of_numpy_is_zero(workshop: Any, noise: float) -> None:
     waves, g = workshop.waves(7), np.random.default_rng(1)
     lamp = 1 + 0.1 * np.linspace(-1, 1, 300)
     a = workshop.digitised(waves.levels(300, 240) + g.normal(0, noise, (240, 300)))
     b = workshop.digitised(0.8 * lamp * waves.levels(300, 240, (1.37, -0.61)) + g.normal(0, noise, (240, 300)))
     y, x = np.mgrid[40:200:40, 40:260:40]
-    places = np.stack([x.ravel(), y.ravel()], -1).astype(np.int64)
-    k = len(places)
-    b_px, told = np.zeros((k, 2)), np.zeros((k, 4))
-    hessian, twice = np.zeros((k, 2, 2)), np.zeros((k, 2, 2))
-    guess = np.asarray(places + (2.5, 0.5), dtype=np.float64)
-    refine(a, b, places, guess, 6.0, b_px, hessian, twice, told)
-    assert np.isfinite(told[:, 2]).all()
+    corners = np.stack([x.ravel(), y.ravel()], -1).astype(np.int64)
+    guess = np.asarray(corners + (2.5, 0.5), dtype=np.float64)
+    found = refine(a, b, corners, guess, 6.0)
+    assert np.isfinite(found.last_step_px).all()
+    assert not found.saturated.any()
     soft_a, soft_b = blurred(a), blurred(b)
-    for n in range(k):
-        true = reference(soft_a, soft_b, places[n], b_px[n])
+    for n in range(len(corners)):
+        true = reference(soft_a, soft_b, corners[n], found.b_px[n])
+        hessian, twice = found.hessian[n], found.blurred[n]
         assert np.abs(true["step"]).max() < 1e-3
-        assert hessian[n] == pytest.approx(true["hessian"], rel=1e-3, abs=1e-4 * np.trace(hessian[n]))
-        assert twice[n] == pytest.approx(true["blurred"], rel=0.02, abs=0.01 * np.trace(twice[n]))
-        assert told[n, 1] == pytest.approx(true["scatter"], rel=0.02, abs=0.03)
-        assert told[n, 0] == pytest.approx(true["score"], abs=2e-4)
+        assert hessian == pytest.approx(true["hessian"], rel=1e-3, abs=1e-4 * np.trace(hessian))
+        assert twice == pytest.approx(true["blurred"], rel=0.02, abs=0.01 * np.trace(twice))
+        assert found.scatter[n] == pytest.approx(true["scatter"], rel=0.02, abs=0.03)
+        assert found.score[n] == pytest.approx(true["score"], abs=2e-4)
+
+
+def test_a_patch_without_texture_is_lost_and_stays_at_its_guess() -> None:
+    grey = np.full((120, 120), 90, np.uint8)
+    found = refine(grey, grey, np.array([[60, 60]]), np.array([[61.5, 60.5]]), 6.0)
+    assert found.last_step_px[0] == np.inf
+    assert found.b_px[0].tolist() == [61.5, 60.5]
+    assert found.score[0] == 0
+
+
+def test_saturation_is_reported_in_either_image(workshop: Any) -> None:
+    a = workshop.waves(7).picture(120, 120)
+    white = a.copy()
+    white[56:60, 56:60] = 255
+    corners, guess = np.array([[58, 58]]), np.array([[58.5, 58.5]])
+    for pair in ((a, white), (white, a)):
+        assert refine(*pair, corners, guess, 6.0).saturated[0] == pytest.approx(16 / WINDOW_PX**2, abs=0.01)
 
 
 _ONCE = """
 import hashlib
 import cv2
 import numpy as np
-from vaoi_station.stitching.matching.patches import match, middles
+from vaoi_station.stitching.matching.patches import match_patches, patch_centres
 
 g = np.random.default_rng(1)
 a = np.clip(cv2.GaussianBlur(g.normal(128, 300, (240, 300)), (0, 0), 2), 0, 255).astype(np.uint8)
 b = cv2.GaussianBlur(np.roll(a, (1, 2), (0, 1)), (3, 3), 0.5)
 places = g.integers(40, 190, (40, 2))
-found = match(a, b, places, middles(places) + (1.7, 1.2))
+found = match_patches(a, b, places, patch_centres(places) + (1.7, 1.2))
 print(hashlib.sha256(found.b_px.tobytes() + found.information.tobytes()).hexdigest())
 """
 
 
-def test_code_just_compiled_and_code_that_was_kept_agree_to_the_last_digit(tmp_path: Path) -> None:
+def test_fresh_and_cached_code_agree_to_the_last_digit(tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    said = [
+    hashes = [
         subprocess.run(
             [sys.executable, "-c", _ONCE], env=environment, capture_output=True, text=True, check=True
         ).stdout
         for _ in range(2)
     ]
-    assert len(said[0]) > 60
-    assert said[0] == said[1]
+    assert len(hashes[0]) > 60
+    assert hashes[0] == hashes[1]

@@ -1,7 +1,8 @@
-"""The coarse step: by how much the real motion differs from the nominal one, to a pixel or two.
+"""Coarse search: the difference of the real motion from the nominal one, to a pixel or two.
 
-One correlation of the overlap, high-passed and small, within the range a belt may wander. Where the overlap allows it
-is made at half the size as well: alone if it is wide, else to tell where at full size it is worth looking.
+The overlap, small and high-passed, is correlated within the range of the belt's motion. A wide overlap is correlated at
+half the size only. A narrower one is correlated at half the size first, which limits the search at full size to a few
+peaks.
 """
 
 from __future__ import annotations
@@ -18,15 +19,17 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
-_LEAST_SCORE = 0.25
+_MIN_SCORE = 0.25
+"""Correlation below which no shift is reported."""
 _AMPLE_PX = 24
-"""An overlap that is so wide even at half the size is searched there only: a quarter of the pixels, at a quarter of the
-places; one that is half as wide is searched there first …"""
+"""Width of an overlap at half the size from which it is searched there only, at a quarter of the pixels and of
+the shifts; from half that width on it is searched there first."""
 _PEAKS, _RIVAL, _AROUND_PX = 4, 0.8, 2
-"""… and then at full size around so many of its peaks that are nearly as high as the highest, so far to either side."""
+"""Peaks at half the size that are searched at full size: their number, their least share of the highest, and the range
+around them."""
 _DIRECT = 1_200_000
-"""Products up to which correlations are summed up one by one; beyond, OpenCV's Fourier transform is faster."""
-_LEAST_CONTRAST = 1.0
+"""Products up to which a correlation is summed directly; beyond, OpenCV's Fourier transform is faster."""
+_MIN_CONTRAST = 1.0
 """Grey levels (rms) of texture below which an overlap counts as empty."""
 
 Small = NDArray[np.float32]
@@ -34,27 +37,27 @@ Small = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class CoarseShift:
-    """Frame-b pixels to add to the nominal prediction."""
+    """The shift to add to the nominal prediction, in pixels of frame b, and its correlation."""
 
     px: Floats
     score: float
 
 
 class NoMatch(Failure):
-    """There is texture, but it is not in the other frame."""
+    """The overlap has texture, but the other frame does not show it."""
 
 
 def find_shift(
     a: PreparedFrame, b: PreparedFrame, box: tuple[int, int, int, int], offset_px: Floats, reach_px: Floats
 ) -> CoarseShift | Failure:
-    """Find how far content of frame a has moved beyond the prediction.
+    """Find the shift of frame a's content in frame b beyond the prediction.
 
     Args:
-        a: frame whose overlap is looked for.
-        b: frame in which it is looked for.
+        a: frame whose overlap is the template.
+        b: frame that is searched.
         box: the overlap in frame a, x0, y0, x1, y1.
-        offset_px: predicted b − a in the middle of the overlap, (2,).
-        reach_px: how far it may be off in x and y, (2,).
+        offset_px: (2,) predicted b − a in the middle of the overlap.
+        reach_px: (2,) range of the search around it.
     """
     narrow = min(box[2] - box[0], box[3] - box[1])
     wide = narrow >= _AMPLE_PX * 2 * a.factor
@@ -64,8 +67,9 @@ def find_shift(
         return Failure(f"the overlap of {box[2] - box[0]}×{box[3] - box[1]} px is too narrow to search in")
     template = np.ascontiguousarray(template)
     contrast = math.sqrt(float(np.vdot(template, template)) / template.size)
-    if contrast < _LEAST_CONTRAST:
+    if contrast < _MIN_CONTRAST:
         return Failure(f"the overlap is empty: contrast {contrast:.1f} grey levels")
+    # an overlap that half the size would leave narrower than half of _AMPLE_PX has no reliable peak there
     if wide or narrow < _AMPLE_PX * a.factor:
         peaks = _peaks(template, coarse_b, box, f, offset_px, reach_px, 1)
     else:
@@ -75,12 +79,13 @@ def find_shift(
         found = [_peaks(template, coarse_b, box, f, shift_px, around, 1) for shift_px in rivals or [offset_px]]
         peaks = sorted((peak for one in found for peak in one), key=lambda peak: -peak[0])
     score, shift = peaks[0]
-    if score < _LEAST_SCORE:
+    if score < _MIN_SCORE:
         return NoMatch(f"no place within ±{reach_px[0]:.0f}, ±{reach_px[1]:.0f} px fits: best correlation {score:.2f}")
     return CoarseShift(shift * f - offset_px, score)
 
 
 def _cut(coarse: Small, box: tuple[int, int, int, int], factor: int) -> Small:
+    """Return the part of a reduced frame that shows a box of the frame."""
     x0, y0, x1, y1 = (round(v / factor) for v in box)
     return coarse[y0:y1, x0:x1]
 
@@ -94,8 +99,9 @@ def _peaks(
     reach_px: Floats,
     most: int,
 ) -> list[tuple[float, Floats]]:
-    """The best correlations and the shifts (2,) that give them, in pixels of the image, the best first."""
-    reach_x, reach_y = (max(math.ceil(v / factor) + 1, 2) for v in reach_px.tolist())  # the best place has neighbours
+    """Return the best correlations and their shifts (2,) in pixels of the image, the best first."""
+    # one more on every side: the parabola through a peak needs its neighbours
+    reach_x, reach_y = (max(math.ceil(v / factor) + 1, 2) for v in reach_px.tolist())
     shift_x, shift_y = (round(v / factor) for v in offset_px.tolist())
     left, top = round(box[0] / factor) + shift_x - reach_x, round(box[1] / factor) + shift_y - reach_y
     window = _window(image, left, top, template.shape[1] + 2 * reach_x, template.shape[0] + 2 * reach_y)
@@ -103,6 +109,7 @@ def _peaks(
         surface = correlations(np.ascontiguousarray(template), window)
     else:
         surface = cv2.matchTemplate(window, template, cv2.TM_CCORR_NORMED)
+        # where the window is empty OpenCV divides by zero
         surface = np.nan_to_num(surface, nan=0.0, posinf=0.0, neginf=0.0)
     return [
         (score, np.array([x - reach_x + shift_x, y - reach_y + shift_y]))
@@ -112,7 +119,7 @@ def _peaks(
 
 @compiled
 def correlations(template: Small, window: Small) -> Small:
-    """Normalised cross-correlation (without taking means off) of a template (h, w) at every place of a window.
+    """Correlate a template (h, w) with a window at every shift, normalised, without subtracting means (both have none).
 
     Returns:
         (H − h + 1, W − w + 1); 0 where the window is empty.
@@ -140,6 +147,7 @@ def correlations(template: Small, window: Small) -> Small:
     for y in range(h - 1):
         total += energy[y]
     out = np.zeros((ny, nx), np.float32)
+    # template and window have the same pitch in memory, so that one flat loop, which vectorises, is a correlation
     for y in range(ny):
         total += energy[y + h - 1]
         for x in range(nx):
@@ -155,7 +163,7 @@ def correlations(template: Small, window: Small) -> Small:
 
 @compiled
 def best_peaks(surface: Small, most: int) -> Floats:
-    """The highest maxima of a surface, so many: (k, 3) height, and place by parabolas through the neighbours."""
+    """Return the highest maxima (k, 3) of a surface: height, and x and y by parabolas through the neighbours."""
     rows, columns = surface.shape
     found, count = np.zeros((most, 3)), 0
     for y in range(rows):
@@ -164,19 +172,19 @@ def best_peaks(surface: Small, most: int) -> Floats:
             at = count
             while at > 0 and height > found[at - 1, 0]:
                 at -= 1
-            if at == most or not _tops(surface, x, y):
+            if at == most or not _is_peak(surface, x, y):
                 continue
             count = min(count + 1, most)
             for k in range(count - 1, at, -1):
                 found[k] = found[k - 1]
             found[at, 0] = height
-            found[at, 1], found[at, 2] = x + _vertex(surface[y], x), y + _vertex(surface[:, x], y)
+            found[at, 1], found[at, 2] = x + _vertex_offset(surface[y], x), y + _vertex_offset(surface[:, x], y)
     return found[:count]
 
 
 @inlined
-def _tops(surface: Small, x: int, y: int) -> bool:
-    """Whether a sample is above all its neighbours; of several that are equal the first is."""
+def _is_peak(surface: Small, x: int, y: int) -> bool:
+    """Whether a sample is above all its neighbours; of equal ones the first counts."""
     rows, columns = surface.shape
     for i in range(max(y - 1, 0), min(y + 2, rows)):
         for j in range(max(x - 1, 0), min(x + 2, columns)):
@@ -187,8 +195,8 @@ def _tops(surface: Small, x: int, y: int) -> bool:
 
 
 @inlined
-def _vertex(line: Small, k: int) -> float:
-    """By how much the maximum lies beside sample k, by a parabola through its neighbours."""
+def _vertex_offset(line: Small, k: int) -> float:
+    """Return the offset of the maximum from sample k, by a parabola through its neighbours."""
     if not 0 < k < len(line) - 1:
         return 0.0
     bend = line[k - 1] - 2 * line[k] + line[k + 1]
@@ -196,7 +204,7 @@ def _vertex(line: Small, k: int) -> float:
 
 
 def _window(image: Small, left: int, top: int, width: int, height: int) -> Small:
-    """A part of an image, with zeros (no texture) where it reaches beyond."""
+    """Return a part of an image, with zeros (no texture) outside."""
     h, w = image.shape
     out = np.zeros((height, width), dtype=np.float32)
     xa, ya, xb, yb = max(left, 0), max(top, 0), min(left + width, w), min(top + height, h)

@@ -1,7 +1,7 @@
-"""Places that are worth matching: of each cell of a grid the pixel that its surroundings fix best both ways; compiled.
+"""Select corners to match: in each cell of a grid the pixel with the most texture in both directions.
 
-How well they do is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994) over 3×3 pixels of a reduced
-frame, of slopes by Sobel.
+The measure of texture is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994) over 3×3 pixels of a
+reduced frame, with slopes by Sobel.
 """
 
 from __future__ import annotations
@@ -14,26 +14,27 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled, inlined
 
 _REACH = 2
-"""How far around a pixel its structure tensor looks."""
+"""Pixels on each side that the structure tensor reads: one for its sum, one for the slopes."""
 _UNIT = 1 / (4 * 3 * 255)
-"""Of slopes: their filter sums up four differences, of three lines, of grey levels in 0 … 255."""
+"""Scale of slopes, as OpenCV's cornerMinEigenVal has it: 4 for Sobel, 3 for the block size, 255 grey levels."""
 _GOOD_SHARE, _WEAK, _LEAST = 0.9, 0.003, 1e-5
-"""A place far weaker than the good ones is noise or bare belt: than that quantile of all, by that factor."""
+"""A corner is dropped as noise or bare belt if its texture is below `_WEAK` times the quantile `_GOOD_SHARE` of all
+cells, or below `_LEAST`."""
 
 _Plane = NDArray[np.float32]
 _Ints = NDArray[np.int64]
 
 
 @compiled
-def best_places(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]) -> _Ints:
-    """The best pixel (k, 2) of every cell that has a good one, x and y in the image.
+def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]) -> _Ints:
+    """Return the best pixel (k, 2) of every cell that has a good one, x and y in the image.
 
     Args:
         image: (h, w) reduced.
         x0: first column of the first cell.
         y0: first line of it.
-        across: how many cells there are in x, and how wide each is.
-        down: the same in y.
+        across: number of cells in x, and their width.
+        down: number of cells in y, and their height.
     """
     nx, width = across
     ny, height = down
@@ -48,18 +49,20 @@ def best_places(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, i
             for x in range(left, left + width):
                 if score[y, x] > best[n]:
                     best[n], at[n, 0], at[n, 1] = score[y, x], x0 + x, y0 + y
+    # the quantile of the cells' best is a measure of the good ones, even where most cells show bare belt
     least = max(_WEAK * np.sort(best)[int(len(best) * _GOOD_SHARE)], _LEAST)
     return np.asarray(at[best > least])
 
 
 @inlined
 def _corners(image: NDArray[np.uint8], x0: int, y0: int, score: _Plane) -> None:
-    """Smaller eigenvalue at the pixels from (x0, y0) on; 0 where the image's border is too near to tell."""
+    """Compute the smaller eigenvalue at the pixels from (x0, y0) on; 0 within `_REACH` of the image's border."""
     rows, columns = score.shape
     h, w = image.shape
     left, top = max(x0, _REACH), max(y0, _REACH)
     right, bottom = min(x0 + columns, w - _REACH), min(y0 + rows, h - _REACH)
-    wide, high = right - left + 2, bottom - top + 2  # of the slopes: one pixel more on every side
+    # slopes are needed one pixel further on every side, for the sums over 3×3
+    wide, high = right - left + 2, bottom - top + 2
     if wide <= 2 or high <= 2:
         return
     gx, gy = np.empty(wide * high, np.float32), np.empty(wide * high, np.float32)

@@ -1,4 +1,4 @@
-"""Tasks, and the evidence they return: which point of one image is which of another, and where marks are."""
+"""Tasks and the evidence they return: links between two frames, and detections of marks in one frame."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ FrameKey = tuple[int, int]
 
 
 class Task(NamedTuple):
-    """One independent piece of work on one or two frames; a tuple, for a large board's 1200 are looked up often."""
+    """Independent work on one or two frames.
+
+    It is a tuple because it is a key: the 1200 tasks of a large board are looked up often, and tuples hash fastest.
+    """
 
     kind: Literal["rows", "neighbours", "marks", "reference"]
     a: FrameKey
     b: FrameKey | None = None
-    """The second frame; of the reference run, where the kind is "reference"."""
+    """The second frame; for the kind "reference" a frame of the reference run."""
     dt_s: float = 0.0
     """Time between the two frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Points of frame `task.a` found again in frame `task.b`; blind to CAD, with points to spare."""
+    """k pairs of corresponding points in the frames `task.a` and `task.b`, found without CAD data."""
 
     task: Task
     a_px: Floats
@@ -34,33 +37,33 @@ class Links:
     b_px: Floats
     """(k, 2) raw pixels in frame b."""
     information: Floats
-    """(k, 2, 2) inverse covariance of b_px − a_px by image noise, px⁻²: an edge is sure only across."""
+    """(k, 2, 2) inverse covariance of b_px − a_px by image noise, px⁻²; small along an edge, large across it."""
     score: Floats
-    """(k,) zero-mean normalised correlation at the place found."""
+    """(k,) zero-mean normalised correlation of the patches."""
     note: str = ""
-    """Why there are none, or few."""
+    """The reason why there are none."""
     coarse_px: tuple[float, float] | None = None
-    """Where the coarse search found the motion to differ from the nominal one."""
+    """Difference of the coarse search from the nominal motion."""
     tried: int = 0
-    """How many places were looked for."""
+    """The number of corners that were searched for."""
     unmatched: bool = False
-    """The overlap of two cameras shows texture, but little or none of it is in both frames."""
+    """Whether the overlap of two cameras shows texture of which little or nothing is in both frames."""
 
     @staticmethod
     def empty(task: Task, note: str, tried: int = 0) -> Links:
-        """Evidence of having looked, at so many places, and found nothing."""
+        """Return the evidence of a task that found no link among the corners it tried."""
         return Links(task, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), note, tried=tried)
 
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Places in one frame that look like a fiducial of the board type."""
+    """k places in one frame that look like a fiducial of the board type."""
 
     task: Task
     px: Floats
     """(k, 2) raw pixels."""
     sigma_px: Floats
-    """(k,) standard deviation of the place."""
+    """(k,) standard deviation of `px`."""
     score: Floats
     """(k,) correlation with the artwork."""
     kind: np.ndarray

@@ -1,9 +1,9 @@
-"""Sub-pixel matching of many small patches at once: `refine.refine`, its verdict, and how far a match can be trusted.
+"""Match many small patches of two images at once, and state the accuracy of each match.
 
-With g the slopes of a patch, H = Σ g·gᵀ, and noise that was white before the blur B, a match scatters by
-H⁻¹·(s²·Σ (B g)(B g)ᵀ)·H⁻¹: slopes are smooth, and smooth noise is what the blur leaves. What remains of the
-difference of the two patches has v² = s²·Σ B², so s² follows from it. The structure tensor
-over v² alone would be too sure by a factor of 4 to 14.
+Let g be the slopes of a patch, H = Σ g·gᵀ, B the blur, and let the noise be white with variance s² before the blur.
+A match then scatters by H⁻¹·(s²·Σ (B g)(B g)ᵀ)·H⁻¹: slopes are smooth, and the blur leaves smooth noise. The remaining
+difference of the two patches has the variance v² = s²·Σ B², which gives s². The structure tensor over v² alone
+overestimates the accuracy by a factor of 4 to 14.
 """
 
 from __future__ import annotations
@@ -17,100 +17,103 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.patch_tables import NOISE_SHARE, WINDOW_PX
-from vaoi_station.stitching.matching.prepared_frame import frozen
-from vaoi_station.stitching.matching.refinement import MARGIN_PX, refine
+from vaoi_station.stitching.matching.prepared_frame import read_only
+from vaoi_station.stitching.matching.refinement import MARGIN_PX, Refinement, refine
 
 PATCH_PX = WINDOW_PX + 10
-"""Side of what a patch looks at, blur included."""
+"""Side of the square that a patch depends on, blur included."""
 REACH_PX = 6.0
-"""A patch that moves further from its prediction has lost its way."""
+"""A match further from its prediction is discarded."""
 _SETTLED_PX = 0.1
-"""The last step of a patch that found its place is shorter: else a good score is that of somewhere nearby."""
+"""Longest last step of a match that converged; after a longer one the score is that of a place nearby."""
 _SATURATED_SHARE = 0.02
+"""Largest share of saturated pixels: they do not move with the texture."""
 _NOISE_FLOOR = 0.5
-"""Grey levels; no camera is better after rounding to whole numbers and blurring."""
-_NOTHING = 1e-9
-"""Added to what noise makes of slopes, so that it can be divided by where there is none."""
+"""Least noise in grey levels after rounding to whole numbers and blurring."""
+_TINY = 1e-9
+"""Added to the covariance of slopes, so that it can be inverted where it is 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """What came of each of k patches; `found` says which can be used at all."""
+    """The results for k patches."""
 
     b_px: Floats
-    """(k, 2) where the patches' middles are in b."""
+    """(k, 2) centres of the patches in b."""
     information: Floats
     """(k, 2, 2) inverse covariance of b_px, px⁻²."""
     sigma_px: Floats
-    """(k,) standard deviation in the direction that is fixed worst."""
+    """(k,) standard deviation in the least certain direction."""
     score: Floats
+    """(k,) correlation."""
     found: NDArray[np.bool_]
+    """(k,) whether the other values can be used."""
 
 
-def middles(places: NDArray[np.int_]) -> Floats:
-    """The middles (k, 2) of patches at whole pixels (k, 2): a patch has an even number of pixels."""
-    return np.asarray(places + 0.5, dtype=np.float64)
+def patch_centres(corners: NDArray[np.int_]) -> Floats:
+    """Return the centres (k, 2) of patches at whole pixels (k, 2): half a pixel on, as their side is even."""
+    return np.asarray(corners + 0.5, dtype=np.float64)
 
 
-def fitting(
-    a: tuple[int, ...], b: tuple[int, ...], places: NDArray[np.int64], guess_px: Floats
+def inside_both(
+    a: tuple[int, ...], b: tuple[int, ...], corners: NDArray[np.int64], guess_px: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
-    """The places (k, 2) whose patches lie inside an image of shape a and, as guessed (k, 2), inside one of shape b."""
-    return _fitting((a[0], a[1]), (b[0], b[1]), places, guess_px)
+    """Return the corners and guesses (k, 2) whose patches lie inside images of shapes a and b respectively."""
+    return _inside_both((a[0], a[1]), (b[0], b[1]), corners, guess_px)
 
 
-def match(a: NDArray[np.uint8], b: NDArray[np.uint8], places: NDArray[np.int_], guess_px: Floats) -> Matches:
+def match_patches(a: NDArray[np.uint8], b: NDArray[np.uint8], corners: NDArray[np.int_], guess_px: Floats) -> Matches:
     """Find patches of image a in image b.
 
     Args:
         a: first image.
         b: second image.
-        places: (k, 2) whole pixels in a, `fitting`. The points that are matched are the `middles` of these patches.
-        guess_px: (k, 2) where the middles are expected in b, `fitting`; right to a few pixels.
+        corners: (k, 2) whole pixels in a, as of `inside_both`. What is matched are the `patch_centres`.
+        guess_px: (k, 2) expected centres in b, as of `inside_both`; right to a few pixels.
     """
-    k = len(places)
-    b_px, told = np.empty((k, 2)), np.zeros((k, 4))
-    hessian, blurred = np.empty((k, 2, 2)), np.zeros((k, 2, 2))
-    at = np.ascontiguousarray(places, dtype=np.int64)
+    # one type of each array: for another layout or a writable image a second variant would be compiled
+    at = np.ascontiguousarray(corners, dtype=np.int64)
     guess = np.ascontiguousarray(guess_px, dtype=np.float64)
-    refine(frozen(a), frozen(b), at, guess, REACH_PX, b_px, hessian, blurred, told)
-    found, information, sigma = _weighed(guess, b_px, hessian, blurred, told)
-    return Matches(b_px, information, sigma, told[:, 0], found)
+    refined = refine(read_only(a), read_only(b), at, guess, REACH_PX)
+    found, information, sigma = _assess(guess, refined)
+    return Matches(refined.b_px, information, sigma, refined.score, found)
 
 
 @compiled
-def _weighed(
-    guess_px: Floats, b_px: Floats, hessian: Floats, blurred: Floats, told: Floats
-) -> tuple[NDArray[np.bool_], Floats, Floats]:
-    """Which patches were found (k,), the inverse covariance (k, 2, 2) of their places, its worst sigma (k,)."""
+def _assess(guess_px: Floats, refined: Refinement) -> tuple[NDArray[np.bool_], Floats, Floats]:
+    """Return which patches were found (k,), inverse covariances (k, 2, 2), and the largest sigma of each (k,)."""
+    b_px, hessian, blurred = refined.b_px, refined.hessian, refined.blurred
     k = len(guess_px)
     found, information, sigma = np.zeros(k, np.bool_), np.zeros((k, 2, 2)), np.full(k, np.inf)
     for n in range(k):
         off = max(abs(b_px[n, 0] - guess_px[n, 0]), abs(b_px[n, 1] - guess_px[n, 1]))
-        found[n] = off <= REACH_PX and told[n, 2] <= _SETTLED_PX and told[n, 3] <= _SATURATED_SHARE
-        noise = max(told[n, 1], _NOISE_FLOOR)
+        settled = refined.last_step_px[n] <= _SETTLED_PX
+        found[n] = off <= REACH_PX and settled and refined.saturated[n] <= _SATURATED_SHARE
+        noise = max(refined.scatter[n], _NOISE_FLOOR)
         share = noise * noise / NOISE_SHARE
-        p, q, r = blurred[n, 0, 0] * share + _NOTHING, blurred[n, 0, 1] * share, blurred[n, 1, 1] * share + _NOTHING
-        a, b, c, d = r, -q, p, p * r - q * q  # the inverse of what noise makes is (a, b; b, c) / d
+        p, q, r = blurred[n, 0, 0] * share + _TINY, blurred[n, 0, 1] * share, blurred[n, 1, 1] * share + _TINY
+        # the inverse of s²·Σ (B g)(B g)ᵀ is (a, b; b, c) / d
+        a, b, c, d = r, -q, p, p * r - q * q
         xx, xy, yy = hessian[n, 0, 0], hessian[n, 0, 1], hessian[n, 1, 1]
         along_x = (xx * (xx * a + xy * b) + xy * (xx * b + xy * c)) / d
         along_y = (xy * (xy * a + yy * b) + yy * (xy * b + yy * c)) / d
         cross = (xx * (xy * a + yy * b) + xy * (xy * b + yy * c)) / d
         information[n, 0, 0], information[n, 1, 1] = along_x, along_y
         information[n, 0, 1] = information[n, 1, 0] = cross
+        # the smaller eigenvalue of the information matrix
         least = (along_x + along_y) / 2 - math.hypot((along_x - along_y) / 2, cross)
         sigma[n] = 1 / math.sqrt(max(least, 1e-9))
     return found, information, sigma
 
 
 @compiled
-def _fitting(
-    a: tuple[int, int], b: tuple[int, int], places: NDArray[np.int64], guess_px: Floats
+def _inside_both(
+    a: tuple[int, int], b: tuple[int, int], corners: NDArray[np.int64], guess_px: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
-    keep = np.zeros(len(places), np.bool_)
-    for n in range(len(places)):
-        x, y = places[n, 0] + 0.5, places[n, 1] + 0.5
+    keep = np.zeros(len(corners), np.bool_)
+    for n in range(len(corners)):
+        x, y = corners[n, 0] + 0.5, corners[n, 1] + 0.5
         u, v = guess_px[n, 0], guess_px[n, 1]
         inside = min(x, y) >= MARGIN_PX and x <= a[1] - MARGIN_PX - 1 and y <= a[0] - MARGIN_PX - 1
         keep[n] = inside and min(u, v) >= MARGIN_PX and u <= b[1] - MARGIN_PX - 1 and v <= b[0] - MARGIN_PX - 1
-    return places[keep], guess_px[keep]
+    return corners[keep], guess_px[keep]

@@ -1,4 +1,4 @@
-"""What every task wants of a frame, made once: grey pixels and small high-passed copies."""
+"""Prepare a frame once for all its tasks: grey pixels and small high-passed copies."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 
 _COARSE_WIDTH_PX = 150
-"""The coarsest copy is at least this wide."""
+"""Least width of `coarse`."""
 
 
 class PreparedFrame:
-    """One frame and its copies, made when first asked for.
+    """One frame and its copies, each computed when it is first needed.
 
     The centre of pixel k of a copy lies at (k + ½)·factor − ½ of the frame.
     """
@@ -27,21 +27,21 @@ class PreparedFrame:
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
-        """(h, w) 8-bit luminance, read-only and contiguous wherever it came from.
+        """(h, w) 8-bit luminance, read-only and contiguous, from any source.
 
-        A function is compiled anew for arrays that may be written, and the two may round differently: a frame in
-        the ring and the same frame out of a file must give the same evidence.
+        Numba compiles a second variant for writable arrays, and the two may round differently. A frame in the ring
+        and the same frame from a file must give the same evidence.
         """
-        return frozen(to_eight_bit(to_grey(self._pixels)))
+        return read_only(to_eight_bit(to_grey(self._pixels)))
 
     @cached_property
     def quarter(self) -> NDArray[np.uint8]:
-        """A fourth of the size, block means."""
-        return frozen(quartered(self.grey))
+        """A fourth of the size, by block means."""
+        return read_only(quarter_size(self.grey))
 
     @cached_property
     def copies(self) -> dict[int, NDArray[np.uint8]]:
-        """What `downsampled` has made, by factor."""
+        """The results of `downsampled`, by factor."""
         return {}
 
     @cached_property
@@ -54,7 +54,7 @@ class PreparedFrame:
 
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
-        """High-passed: the local mean is taken off, so that light and vignetting do not matter."""
+        """A small copy minus its local mean, so that light and vignetting cancel."""
         small = downsampled(self, self.factor)
         wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
         return np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
@@ -62,25 +62,25 @@ class PreparedFrame:
     @cached_property
     def coarser(self) -> NDArray[np.float32]:
         """Half the size of `coarse`."""
-        return np.asarray(halved(self.coarse))
+        return np.asarray(half_size(self.coarse))
 
 
 def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:
-    """The frame reduced by a power of two, block means, read-only; made once."""
+    """Return the frame reduced by a power of two, by block means, read-only; computed once."""
     if factor == 1:
         return frame.grey
     if factor not in frame.copies:
-        frame.copies[factor] = frame.quarter if factor == 4 else frozen(halved(downsampled(frame, factor // 2)))
+        frame.copies[factor] = frame.quarter if factor == 4 else read_only(half_size(downsampled(frame, factor // 2)))
     return frame.copies[factor]
 
 
 def to_grey(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Luminance of a colour frame; a grey one as it is."""
+    """Return the luminance of a colour frame, or a grey frame unchanged."""
     return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
 
 
 def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
-    """8-bit grey; 16-bit frames, whose cameras fill 10, 12 or 16 of the bits, are scaled by the bits in use."""
+    """Convert to 8 bit; 16-bit frames, of which cameras fill 10, 12 or 16 bits, are scaled by the bits in use."""
     if grey.dtype == np.uint8:
         return grey
     bits = max(int(grey.max()).bit_length(), 8)
@@ -89,16 +89,17 @@ def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 @compiled
-def quartered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Block means of 4×4; what is left over at the right and below is left out.
+def quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return block means of 4×4; a remainder at the right and at the bottom is left out.
 
-    The frame comes out of memory here. It is read line by line in the order in which it lies there: several lines at a
-    time take twice as long, two halvings three times.
+    This is the first read of a frame from memory, so that its order of access decides: line by line takes half the
+    time of several lines at once, and a third of two halvings.
     """
     h, w = image.shape[0] // 4, image.shape[1] // 4
     out, sums = np.empty((h, w), np.uint8), np.empty(4 * w, np.uint16)
     for y in range(h):
-        sums[:] = 2  # four of them round to the nearest
+        # 2 in each of four sums rounds their sixteenth to the nearest
+        sums[:] = 2
         for k in range(4):
             line = image[4 * y + k, : 4 * w]
             for x in range(4 * w):
@@ -109,14 +110,14 @@ def quartered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return out
 
 
-def frozen(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A contiguous, read-only view: of those a function is compiled for one kind of array only."""
+def read_only(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a contiguous, read-only view, so that compiled functions see a single type of array."""
     view = np.ascontiguousarray(image).view()
     view.flags.writeable = False
     return view
 
 
-def halved(image: NDArray[Any]) -> NDArray[Any]:
-    """Block means of 2×2; an odd last row or column is left out, so that pixel centres stay in step."""
+def half_size(image: NDArray[Any]) -> NDArray[Any]:
+    """Return block means of 2×2; an odd last row or column is left out, so that pixel centres stay aligned."""
     h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     return np.asarray(cv2.resize(image[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA))

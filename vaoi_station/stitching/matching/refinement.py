@@ -1,24 +1,26 @@
-"""The inner loop of matching: one patch of image a, found again in image b to a few thousandths of a pixel.
+"""The inner loop of matching: find one patch of image a in image b with an accuracy of a few thousandths of a pixel.
 
-Both images are blurred around the patch, which takes away most of the interpolation's pull towards whole
-pixels. Inverse-compositional Gauss-Newton with gain and offset follows: first with bilinear interpolation until
-steps get short, then with a sinc of six points under a Kaiser window until they are next to nothing.
+Both images are blurred around the patch, which removes most of the interpolation's bias towards whole pixels.
+Inverse-compositional Gauss-Newton with gain and offset follows: first with bilinear interpolation until steps are
+short, then with a sinc of six points under a Kaiser window until it has converged.
 
-With t the patch without its mean, g its two slopes freed of what light can explain, H = g·gᵀ, and s the window of b at
-the place reached, a step is H⁻¹·(g·s) / gain, gain = (t·s) / (t·t).
+Let t be the patch minus its mean, g its two slopes, orthogonal to what light can explain, H = g·gᵀ, and s the window of
+b at the current position. A step is H⁻¹·(g·s) / gain, with gain = (t·s) / (t·t).
 
-**Light.** Vignetting and the fall of a lamp make a patch brighter on one side, in frame b often on the other:
-a blob of 5 px then seems to move by 0.01 to 0.02 px, in all patches alike, so that it does not average out. The
-slopes are therefore freed of what offset, gain and a slope of the gain across the patch can explain (1, t, t·x, t·y).
+**Light.** Vignetting and the fall-off of a lamp make a patch brighter on one side, and often on the other side in
+frame b. A blob of 5 px then seems to move by 0.01 to 0.02 px, in all patches alike, so that the error does not average
+out. The slopes are therefore made orthogonal to what offset, gain and a slope of the gain across the patch can explain
+(1, t, t·x, t·y).
 
-**Memory.** Patches and tiles lie line after line in flat arrays, `PITCH_PX` apart, and a loop runs over all lines: the
-compiler turns it into vector instructions, which it does not do with loops over a line of 24. What fills a line up is
-nil in everything a sum is made with.
+**Memory.** Patches and tiles are flat arrays whose lines lie `PITCH_PX` apart, and one loop runs over all lines: the
+compiler turns it into vector instructions, which it does not for loops over a line of 24. The padding of the lines is 0
+in every factor of a sum.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,21 +42,21 @@ from vaoi_station.stitching.matching.patch_tables import (
 from vaoi_station.stitching.matching.tiles import Pixels, Plane, blur, cut, saturated_share
 
 _MOST_TILES = 7
-"""A tile cut out of b has room for a patch to move by a pixel and a half; further away a new one is cut."""
+"""Most tiles cut out of b for one patch; in each the patch can move by a pixel and a half."""
 MARGIN_PX = WINDOW_PX // 2 + TAPS // 2
-"""A patch's middle keeps so far off the border of either image; what the blur wants beyond that is repeated."""
+"""Least distance of a patch's centre from the border of either image; the blur repeats border pixels."""
 _MOST_STEPS, _NEAR_PX, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.25, 0.01, 1.5, 1e-3
-"""Steps shorter than `_NEAR_PX` lead to where the sinc goes on; the one shorter than `_STILL_PX` is the last."""
+"""After a step below `_NEAR_PX` the sinc replaces bilinear interpolation; a step below `_STILL_PX` is the last."""
 _FOLLOWED, _FOLLOWED_SCORE = 4, 0.8
-"""Neighbouring patches mostly move alike: one starts where about so many before it, well matched, were found."""
+"""A patch starts at the mean shift of about this number of patches before it with this score: neighbours move alike."""
 _LEAST_CORNER = 1e-6
-"""det H / (trace H)² below which a patch is but an edge."""
+"""det H / (trace H)² below which a patch is a mere edge and fixes no point."""
 _A_PX, _B_PX, _B_PITCH = WINDOW_PX + 2, 32, 40
-"""Sides of the tiles cut out of a and b, and the pitch of the latter while it has room for the blur around it."""
+"""Sides of the tiles cut out of a and b, and the pitch of the raw pixels of b with the margin of the blur."""
 _B_FIRST = 4
-"""Where in a tile of b the window's first pixel lies when it is cut."""
+"""Position of the window's first pixel in a new tile of b."""
 _RAW_LINES, _PADDING, _TILE = 40, 6 * PITCH_PX, 34 * PITCH_PX
-"""Room in memory: loops over whole lines read a little beyond the last of them."""
+"""Sizes of buffers: loops over whole lines read a little beyond the last line."""
 _LEFT = WINDOW_PX // 2 - 1
 _AREA = WINDOW_PX * WINDOW_PX
 _SIZE = WINDOW_PX * PITCH_PX
@@ -64,32 +66,41 @@ _Patch = tuple[Plane, Plane, Plane, Plane, Plane]
 _Float = np.float32
 
 
+class Refinement(NamedTuple):
+    """The results for k patches."""
+
+    b_px: Floats
+    """(k, 2) centres of the patches in b."""
+    hessian: Floats
+    """(k, 2, 2) H, grey levels² / px²."""
+    blurred: Floats
+    """(k, 2, 2) Σ (B g)(B g)ᵀ, B the blur: the covariance of g·noise for blurred white noise of unit variance."""
+    score: Floats
+    """(k,) correlation."""
+    scatter: Floats
+    """(k,) rms of the remaining difference, grey levels."""
+    last_step_px: Floats
+    """(k,) length of the last step; infinite if the patch was lost."""
+    saturated: Floats
+    """(k,) share of saturated pixels, in a or in b."""
+
+
 @compiled
 def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
-    a: Pixels,
-    b: Pixels,
-    places: NDArray[np.int64],
-    guess_px: Floats,
-    reach_px: float,
-    b_px: Floats,
-    hessian: Floats,
-    blurred: Floats,
-    told: Floats,
-) -> None:
+    a: Pixels, b: Pixels, corners: NDArray[np.int64], guess_px: Floats, reach_px: float
+) -> Refinement:
     """Find patches of image a in image b.
 
     Args:
         a: first image (h, w).
         b: second image.
-        places: (k, 2) whole pixels; a patch's middle is half a pixel right of and below them.
-        guess_px: (k, 2) where the middles are expected in b.
-        reach_px: a patch that goes further from there is lost.
-        b_px: out, (k, 2) where the middles are in b.
-        hessian: out, (k, 2, 2) sums of products of the slopes g, grey levels² / px².
-        blurred: out, (k, 2, 2) sums of products of B g, B the blur: what noise that was blurred makes of the slopes.
-        told: out, (k, 4) correlation, scatter of what is left (grey levels), last step (px; infinite if lost), share of
-            saturated pixels.
+        corners: (k, 2) whole pixels; a patch's centre is half a pixel to the right of and below them.
+        guess_px: (k, 2) expected centres in b.
+        reach_px: a patch that moves further from there is lost.
     """
+    count = len(corners)
+    b_px, hessian, blurred = np.empty((count, 2)), np.empty((count, 2, 2)), np.zeros((count, 2, 2))
+    score, scatter, last_step_px, saturated = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     raw, half_way = np.zeros(_RAW_LINES * _B_PITCH, np.uint8), np.zeros(_RAW_LINES * _B_PITCH, _Float)
     tile_a, tile_b = np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
     padded_x, padded_y = np.zeros(_SIZE + 2 * _PADDING, _Float), np.zeros(_SIZE + 2 * _PADDING, _Float)
@@ -97,12 +108,13 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
     t, tx, ty = np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float)
     patch, factor, lines, soft = (t, gx, gy, tx, ty), np.zeros((4, 4)), np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
     lead_x, lead_y, followed = 0.0, 0.0, 0
-    further, one = reach_px + _LONGEST_STEP_PX, places.shape[1] // 2  # 1, which the compiler does not know
-    for k in range(len(places)):
-        x0, y0 = places[k, 0] - _LEFT - 1, places[k, 1] - _LEFT - 1
+    # `one` is 1, but not known to the compiler, which would unroll copies of constant length byte by byte
+    further, one = reach_px + _LONGEST_STEP_PX, corners.shape[1] // 2
+    for k in range(len(corners)):
+        x0, y0 = corners[k, 0] - _LEFT - 1, corners[k, 1] - _LEFT - 1
         cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
         blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
-        told[k, 2], told[k, 3] = np.inf, saturated_share(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
+        last_step_px[k], saturated[k] = np.inf, saturated_share(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
         b_px[k] = guess_px[k]
         mean, tt, xx, xy, yy = _template(tile_a, patch, factor)
         hessian[k, 0, 0], hessian[k, 0, 1], hessian[k, 1, 0], hessian[k, 1, 1] = xx, xy, xy, yy
@@ -110,7 +122,8 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
         if determinant <= _LEAST_CORNER * (xx + yy) ** 2 + _LEAST_CORNER:
             continue
         ixx, ixy, iyy = yy / determinant, -xy / determinant, xx / determinant
-        first_x, first_y = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5  # of the window, from here on
+        # from here on positions are those of the window's first pixel
+        first_x, first_y = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5
         px, py, tiles, near, lost = first_x + lead_x, first_y + lead_y, 0, False, True
         s1 = st = sx = sy = ss = su = sv = ex = ey = length = 0.0
         for _ in range(_MOST_STEPS):
@@ -129,33 +142,36 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
                 break
             ex, ey = (ixx * sx + ixy * sy) * tt / st, (ixy * sx + iyy * sy) * tt / st
             length = max(abs(ex), abs(ey))
+            # far from the solution the linearisation overshoots: long steps are cut
             share = min(1.0, _LONGEST_STEP_PX / max(length, 1e-9))
             px, py = px - ex * share, py - ey * share
             if max(abs(px - first_x), abs(py - first_y)) > further or not _within(px, py, b):
                 break
+            # a match counts only if the sinc has confirmed it
             lost = not near
             if near and length < _STILL_PX:
                 break
             near = near or length < _NEAR_PX
         b_px[k, 0], b_px[k, 1] = px + _LEFT + 0.5, py + _LEFT + 0.5
         if not lost:
-            told[k, 0], told[k, 1] = _agreement(factor, tt, (s1, st, sx, sy, ss, su, sv), ex, ey)
-            told[k, 2] = length
+            score[k], scatter[k] = _agreement(factor, tt, (s1, st, sx, sy, ss, su, sv), ex, ey)
+            last_step_px[k] = length
             here = saturated_share(raw, _B_PX, _B_PITCH, round(px) - x0 + BLUR_REACH, round(py) - y0 + BLUR_REACH)
-            told[k, 3] = max(told[k, 3], here)
+            saturated[k] = max(saturated[k], here)
             xx, xy, yy = _softened(padded_x, padded_y, soft)
             blurred[k, 0, 0], blurred[k, 0, 1], blurred[k, 1, 0], blurred[k, 1, 1] = xx, xy, xy, yy
-            if told[k, 0] >= _FOLLOWED_SCORE:
+            if score[k] >= _FOLLOWED_SCORE:
                 followed = min(followed + 1, _FOLLOWED)
                 lead_x += (px - first_x - lead_x) / followed
                 lead_y += (py - first_y - lead_y) / followed
+    return Refinement(b_px, hessian, blurred, score, scatter, last_step_px, saturated)
 
 
 @inlined
 def _agreement(
     factor: Floats, tt: float, sums: tuple[float, float, float, float, float, float, float], ex: float, ey: float
 ) -> tuple[float, float]:
-    """Correlation and scatter after a last step (ex, ey), from the sums before it."""
+    """Return correlation and scatter after a last step (ex, ey), from the sums before it."""
     s1, st, sx, sy, ss, su, sv = sums
     v0, v1, v2, v3 = _halfway(factor, s1, st, su, sv)
     gain = st / tt
@@ -166,14 +182,14 @@ def _agreement(
 
 @inlined
 def _outside(dx: float, dy: float) -> bool:
-    """Whether a window needs more than its tile has."""
+    """Whether a window reaches beyond its tile."""
     low, high = TAPS // 2 - 1, _B_PX - WINDOW_PX - TAPS // 2 + 1
     return not (low <= dx < high and low <= dy < high)
 
 
 @inlined
 def _within(px: float, py: float, image: Pixels) -> bool:
-    """Whether a window whose first pixel is here keeps its margin to the image's border."""
+    """Whether a window with this first pixel keeps its margin to the image's border."""
     h, w = image.shape
     low = MARGIN_PX - _LEFT - 0.5
     return bool(low <= px <= w - MARGIN_PX - _LEFT and low <= py <= h - MARGIN_PX - _LEFT)
@@ -181,7 +197,7 @@ def _within(px: float, py: float, image: Pixels) -> bool:
 
 @inlined
 def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
-    """Make a patch and the factor of its light; returns its mean, t·t and the sums of products of its slopes."""
+    """Compute a patch and the Cholesky factor of its light; return its mean, t·t, and H as (xx, xy, yy)."""
     t, gx, gy, tx, ty = patch
     half, total, p = _Float(0.5), _Float(0), PITCH_PX
     for n in range(_SIZE):
@@ -233,7 +249,7 @@ def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float,
 
 @inlined
 def _factorise(m: Floats) -> None:
-    """Cholesky factor of a matrix (4, 4), in its lower triangle; a little is added where texture may be nil."""
+    """Replace the lower triangle of a matrix (4, 4) by its Cholesky factor; a small addend covers missing texture."""
     for i in range(4):
         m[i, i] += 1e-3 if i else 0.0
         for j in range(i + 1):
@@ -245,7 +261,7 @@ def _factorise(m: Floats) -> None:
 
 @inlined
 def _halfway(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
-    """L⁻¹·b for the factor L."""
+    """Return L⁻¹·b for the factor L."""
     v0 = b0 / m[0, 0]
     v1 = (b1 - m[1, 0] * v0) / m[1, 1]
     v2 = (b2 - m[2, 0] * v0 - m[2, 1] * v1) / m[2, 2]
@@ -254,7 +270,7 @@ def _halfway(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[flo
 
 @inlined
 def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
-    """(L·Lᵀ)⁻¹·b for the factor L."""
+    """Return (L·Lᵀ)⁻¹·b for the factor L."""
     v0, v1, v2, v3 = _halfway(m, b0, b1, b2, b3)
     w3 = v3 / m[3, 3]
     w2 = (v2 - m[3, 2] * w3) / m[2, 2]
@@ -264,9 +280,9 @@ def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[floa
 
 @inlined
 def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, float, float]:
-    """Sums of products of the slopes blurred once more, nothing lying beyond the patch.
+    """Return Σ (B g)(B g)ᵀ as (xx, xy, yy); slopes are 0 outside the patch.
 
-    Of their lines every second is looked at: they are so smooth that twice its sum is that of both.
+    Only every second line is computed and the sum doubled: blurred slopes are smooth enough for that.
     """
     w0, w1, w2, w3 = BINOMIAL
     v0, v1, v2, v3 = _Float(w0 / 64), _Float(w1 / 64), _Float(w2 / 64), _Float(w3 / 64)
@@ -294,7 +310,7 @@ def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, flo
 
 @inlined
 def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, float, float]:
-    """Sums of s·t, s·gx, s·gy of the window s whose first pixel lies at (x, y) of a tile."""
+    """Return the sums of s·t, s·gx, s·gy for the window s whose first pixel lies at (x, y) of a tile."""
     t, gx, gy = patch[0], patch[1], patch[2]
     x0, y0, one = int(x), int(y), _Float(1)
     fx, fy = _Float(x - x0), _Float(y - y0)
@@ -314,7 +330,7 @@ def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, fl
 def _sharp(
     tile: Plane, x: float, y: float, patch: _Patch, lines: Plane
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y of the same window by the sinc of six points."""
+    """Return the sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y for the same window by the sinc of six points."""
     t, gx, gy, tx, ty = patch
     x0, y0, p = int(x), int(y), PITCH_PX
     first, count = (y0 - 2) * p + x0 - 2, (WINDOW_PX + TAPS - 1) * p
@@ -340,7 +356,7 @@ def _sharp(
 
 @inlined
 def _weights(f: float) -> tuple[float, float, float, float, float, float]:
-    """Of the six points at a fraction, between the two nearest of the table."""
+    """Return the weights of the six points at a fraction, interpolated in the table."""
     at = f * FRACTIONS
     n = min(int(at), FRACTIONS - 1)
     w = SINC[n] + _Float(at - n) * (SINC[n + 1] - SINC[n])

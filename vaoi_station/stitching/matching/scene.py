@@ -1,4 +1,4 @@
-"""What the last stage of stitching may look at: cameras, good frames, and their prepared pixels."""
+"""The frames of a run, for the stages that read pixels again after all links are known."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The frames of a run, for second looks."""
+    """Cameras, good frames, and access to their prepared pixels."""
 
     cameras: tuple[Camera, ...]
     present: tuple[FrameKey, ...]
+    """The good frames, sorted."""
     prepared: Callable[[FrameKey], PreparedFrame]
+    """Returns a frame; raises LookupError where there is none."""

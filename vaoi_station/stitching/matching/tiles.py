@@ -1,7 +1,7 @@
-"""Tiles: squares of an image, cut out and blurred, in which patches and their windows lie.
+"""Tiles: squares of an image, cut out and blurred, which contain patches and their windows.
 
-A tile is a flat array, line after line `PITCH_PX` apart, so that a loop may run over all lines (see `refine`). It is
-made of `raw` pixels, which reach `BLUR_REACH` further on every side; their lines may lie further apart.
+A tile is a flat array whose lines lie `PITCH_PX` apart, so that one loop runs over all lines (see `refinement`). It is
+computed from `raw` pixels, which reach `BLUR_REACH` further on every side and may have a larger pitch.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 
 _SATURATED = 254
-"""Grey level from which a pixel counts as blown out."""
+"""Grey level from which a pixel counts as saturated."""
 _Float = np.float32
 
 
 @inlined
 def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wide: int) -> None:
-    """A square of an image, with room for the blur around `size`; beyond the border its last pixels are repeated.
+    """Cut a square out of an image, `BLUR_REACH` wider than `size` on every side; border pixels are repeated outside.
 
-    `wide` is the pitch; were it a constant, the compiler would copy byte by byte.
+    `wide` equals the pitch. It is a variable because the compiler unrolls a copy of constant length byte by byte.
     """
     h, w = image.shape
     side = size + 2 * BLUR_REACH
@@ -42,12 +42,13 @@ def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wid
 
 @inlined
 def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: float) -> None:
-    """Down, exactly, and across, less a constant; `raw` has room for the reach on every side."""
+    """Blur a square: down in whole numbers, then across; subtract a constant."""
     w0, w1, w2, w3 = BINOMIAL
     p = pitch
     for n in range(size * p):
         near = w1 * (raw[n + 2 * p] + raw[n + 4 * p]) + w2 * (raw[n + p] + raw[n + 5 * p])
         half_way[n] = np.uint16(w0 * raw[n + 3 * p] + near + w3 * (raw[n] + raw[n + 6 * p]))
+    # 64² from both directions; the sum down was exact, so that only these products round
     v0, v1, v2, v3 = _Float(w0 / 4096), _Float(w1 / 4096), _Float(w2 / 4096), _Float(w3 / 4096)
     constant = _Float(less)
     for y in range(size):
@@ -59,7 +60,8 @@ def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: 
 
 @inlined
 def saturated_share(raw: Pixels, size: int, pitch: int, x0: int, y0: int) -> float:
-    """Share of a window's pixels that are blown out."""
+    """Return the share of a window's pixels that are saturated."""
+    # most tiles have no saturated pixel: a maximum, which vectorises, decides that without counting
     brightest = np.uint8(0)
     for n in range((size + 2 * BLUR_REACH) * pitch):
         brightest = max(brightest, raw[n])
