@@ -1,4 +1,4 @@
-"""GigE Vision and USB3 Vision cameras by Aravis: frames go straight from the network into slots of the ring."""
+"""GigE Vision and USB3 Vision cameras through Aravis: frames are received directly into slots of the ring."""
 
 from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
 

@@ -1,7 +1,7 @@
-"""A camera of the array, whatever becomes of its connection: one supervisor opens it again, from scratch.
+"""A camera of the array that survives the loss of its connection: a supervisor thread opens it again from scratch.
 
-The supervisor asks a GigE camera four times a second whether it is there. When the camera is gone, the slots it held
-wait here; when it is back it is opened anew, gets our settings, and the slots again. Cameras are opened one at a time.
+The supervisor checks a GigE camera four times a second. While the camera is lost, its slots wait here. When it is back,
+it is opened anew, configured, and gets the slots again. Cameras are opened one at a time.
 """
 
 from __future__ import annotations
@@ -28,20 +28,23 @@ from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 
 CHECK_S = 0.25
-"""Between two looks at whether the camera is there."""
+"""Interval of the checks whether the camera is present."""
 HEARTBEAT_S = 1.0
-"""Aravis asks a camera so often whether it still is ours; what it says of that may be as old."""
+"""Interval at which Aravis checks that it still controls a camera; what it reports may be as old."""
 TEMPERATURE_S = 5.0
+"""Interval of temperature readings: every feature read costs a round trip (Aravis #253: reading all took 11.8 s)."""
 PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=10.0)
-"""How soon a camera that is lost is opened again; one that refuses its settings will do so again …"""
+"""Pauses between attempts to open a lost camera. A camera that refuses its settings will probably do so again …"""
 ABSENT_S = 2.0
-"""… but one that is absent, or in other hands, may be back at any time: the longest pause then, and between two looks
-whether one that has refused has been unplugged meanwhile."""
+"""… but one that is absent or used by another program may be back at any time. The longest pause for these, and the
+interval of checks whether a camera that refused its settings has been unplugged."""
 _ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
 
 
 @dataclass
 class _Counts:
+    """What the camera has delivered."""
+
     delivered: int = 0
     incomplete: int = 0
     losses: int = 0
@@ -50,22 +53,22 @@ class _Counts:
 
 
 class AravisCamera:
-    """A `CameraDevice` on a `Connection` that comes and goes."""
+    """A `CameraDevice` whose `Connection` may be lost and replaced."""
 
     def __init__(self, number: int, connection: Connection, share: PortShare) -> None:
-        """Take over an open and configured connection, and let the camera wait for its trigger.
+        """Take over an open, configured connection and start the acquisition.
 
         Raises:
-            DeviceError: its clock cannot be read, or its stream cannot be made; the connection is still the caller's.
+            DeviceError: its clock cannot be read, or its stream cannot be made; the caller must close the connection.
         """
         self.number, self.config = number, connection.config
         self._share = share
         self._identity = connection.identity
         self._is_gige = connection.is_gige
         self._epoch_ns = round(connection.read_clock(0).device_s * 1e9)
-        """Seconds of the camera's clock count from here: so a float holds them to the nanosecond."""
+        """Origin of the seconds of the camera's clock. Small numbers of seconds are exact to the ns in a float."""
         self._lock = threading.Lock()
-        """Of the connection, and of the slots that wait for one."""
+        """Guards the connection and the waiting slots."""
         self._connection: Connection | None = connection
         self._waiting: list[Slot] = []
         self._arrivals: SimpleQueue[CameraEvent] = SimpleQueue()
@@ -75,15 +78,15 @@ class AravisCamera:
         self._clock_error: DeviceError | None = None
         self._backoff = Backoff(PACE)
         self._last_reply_s = time.monotonic()
-        """When it last answered."""
+        """When the camera last replied."""
         self._last_controlled_s = self._last_reply_s
-        """When it surely was ours."""
+        """Last moment at which this process certainly controlled the camera."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
         connection.start(self._on_slot, share)
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
-        """Announce what becomes of slots, and losses of the camera."""
+        """Report slots, and losses of the camera, in `arrivals`."""
         self._arrivals = arrivals
         self._thread.start()
 
@@ -96,7 +99,7 @@ class AravisCamera:
                 self._connection.stream.queue(slot)
 
     def take_back(self) -> list[int]:
-        """Withdraw the slots that were not used; none of them is written any more."""
+        """Withdraw the unused slots and return their numbers; none of them is written afterwards."""
         with self._lock:
             unused, self._waiting = self._waiting, []
             if self._connection is not None:
@@ -104,18 +107,20 @@ class AravisCamera:
             return [slot.number for slot in unused]
 
     def read_clock(self) -> ClockReading:
-        """Ask the camera for its time; DeviceError at once while it is lost."""
+        """Compare the camera's clock with the host's; raise DeviceError at once while the camera is lost."""
         connection = self._connection
         if connection is None:
             raise self._fault or absence_error(self.config, self._identity.address, "it was lost")
         try:
             return connection.read_clock(self._epoch_ns)
         except DeviceError as error:
+            # The supervisor, not this thread, decides whether the camera is lost: only it may replace the connection.
             self._clock_error = error
             raise
 
     def health(self) -> CameraHealth:
-        """State, counts, temperature."""
+        """Return state, counts and temperature; never block."""
+        # Read once: the supervisor may drop the connection between two uses.
         connection, counts = self._connection, self._counts
         lost = self._fault if connection is None else None
         counters = connection.counters() if connection is not None else {}
@@ -132,18 +137,20 @@ class AravisCamera:
         )
 
     def close(self) -> None:
-        """End the supervisor, stop the camera, let go of it."""
+        """End the supervisor, stop the camera and release it."""
         self._closing.set()
         if self._thread.ident is not None:
             self._thread.join()
         with self._lock:
             connection, self._connection = self._connection, None
         if connection is not None:
+            # Stopping an absent camera blocks: each access to it takes 2.6 s before it fails (measured, Aravis 0.8.26).
             connection.close(gone=self._is_gige and not gvcp.is_reachable(self._identity.address, tries=1))
 
     def _on_slot(self, result: SlotResult) -> None:
-        """A slot came back with something in it."""
-        with self._counting:  # frames are told of by the pulling thread, and by who takes slots back
+        """Count and report a slot that was used."""
+        # Called by the pulling thread and by any thread that takes slots back.
+        with self._counting:
             if result.whole:
                 self._counts.delivered += 1
                 self._counts.last_frame_s = result.host_time_s
@@ -172,7 +179,7 @@ class AravisCamera:
                 self._on_loss(error)
 
     def _reopen_when_due(self) -> None:
-        """Open it if it is time; what has been unplugged since it refused may be mended when it is back."""
+        """Open the camera if the back-off allows; retry at once a camera that was unplugged after a refusal."""
         if self._backoff.remaining_s() > 0:
             if self._is_gige and not gvcp.is_reachable(self._identity.address):
                 self._backoff.reset()
@@ -187,21 +194,20 @@ class AravisCamera:
         return ABSENT_S if self._fault and self._fault.code in _ABSENT else PACE.longest_s
 
     def _check(self, connection: Connection) -> None:
-        """DeviceError if the camera is gone, or no longer ours.
-
-        The camera is asked itself whether anybody controls it: if this process stood still and a board comes right
-        behind, Aravis does not know yet what was lost meanwhile.
-        """
+        """Raise DeviceError if the camera is absent, or no longer controlled by this process."""
         asked_s = time.monotonic()
+        # The camera itself is asked whether it has a controller. After a stop of this process (SIGSTOP), Aravis' own
+        # state may be a second old, and a board that passes then would be filmed by a camera that does not send.
         control = gvcp.read_control(self._identity.address) if self._is_gige else gvcp.Control.CONTROLLED
         if control is gvcp.Control.ABSENT:
             raise absence_error(self.config, self._identity.address, "it does not answer any more")
         if control is gvcp.Control.FREE or not connection.is_controller():
+            # Frames may be missing since the last moment of certain control, not only since the last reply.
             self._last_reply_s = self._last_controlled_s
             raise DeviceError(
-                f"{self.config.label}: is no longer ours: this computer was silent for too long, or another "
-                "program has taken it.",
-                action="It is opened again by itself, once no other program has it.",
+                f"{self.config.label}: is no longer controlled by this station: this computer sent no heartbeat "
+                "for too long, or another program has taken it.",
+                action="Close other programs that use it; it is opened again automatically.",
                 code="camera-lost",
             )
         clock_error, self._clock_error = self._clock_error, None
@@ -211,11 +217,12 @@ class AravisCamera:
         self._last_controlled_s = max(self._last_controlled_s, asked_s - HEARTBEAT_S)
 
     def _on_loss(self, error: DeviceError) -> None:
-        """Keep the slots, tell everybody, tidy up what is left of the connection."""
+        """Keep the slots, report the loss, and clean up the connection."""
         self._fault = error
         with self._lock:
             connection, self._connection = self._connection, None
             assert connection is not None
+            # Slots of the stream come first: they were queued before those that waited, and are filled in this order.
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
         self._backoff.record_failure(self._longest_pause_s())
@@ -224,7 +231,7 @@ class AravisCamera:
         connection.close(gone=True)
 
     def _reopen(self) -> bool:
-        """One attempt; whether the camera is back."""
+        """Try once to open the camera; return whether it is back."""
         try:
             with OPENING_LOCK:
                 connection, reading = self._connect()
@@ -232,7 +239,8 @@ class AravisCamera:
             self._fault = error
             return False
         with self._lock:
-            self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))  # its clock before its frames
+            # The reading must be in the queue before the first frame, whose time stamp is of the new clock.
+            self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))
             waiting, self._waiting = self._waiting, []
             for slot in waiting:
                 connection.stream.queue(slot)
@@ -241,6 +249,8 @@ class AravisCamera:
         return True
 
     def _connect(self) -> tuple[Connection, ClockReading]:
+        # All objects are built anew: with the old ones `start_acquisition` raises nothing after a reconnection, and no
+        # frame arrives (measured, Aravis 0.8.26; camera_aravis2 #41 and Aravis #735 report failures there).
         connection = Connection(self.config, self._locate())
         try:
             if connection.identity.serial != self._identity.serial:
@@ -254,14 +264,14 @@ class AravisCamera:
             connection.configure(self._share)
             reading = connection.read_clock(self._epoch_ns)
             connection.start(self._on_slot, self._share)
-        except BaseException:  # whatever ended it, tidy up; it is raised again
+        except BaseException:  # also KeyboardInterrupt: release the camera; it is raised on
             connection.close()
             raise
         self._identity = connection.identity
         return connection, reading
 
     def _locate(self) -> str:
-        """Where it was, or where its serial number answers now."""
+        """Return the address it had, or the one at which its serial number replies now."""
         if self._is_gige and gvcp.is_reachable(self._identity.address, tries=1):
             return self._identity.address
         if self.config.serial is None:

@@ -1,8 +1,8 @@
-"""The camera's own clock, which dates its frames, compared with this computer's.
+"""Readings of the camera's own clock, which dates its frames, against the host's.
 
-A camera is asked to latch its time and tells the value afterwards: between question and answer the true moment is known
-to half the round trip. Aravis' fake camera has no latch and dates frames by this computer's wall clock, as a camera
-does that follows a time server on this computer; then both clocks are here, and can be read one after the other.
+The camera latches its time on command and returns the value afterwards. The moment of the latch is known to half the
+round trip. Aravis' fake camera has no latch and dates its frames by this computer's wall clock; both clocks are then
+read here, one after the other.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ LATCHES = (
     ("TimestampLatch", "TimestampLatchValue"),
     ("GevTimestampControlLatch", "GevTimestampValue"),
 )
-"""Command and value of SFNC 2 (in ns), and of GigE Vision 1 (in ticks)."""
+"""Latch command and value of SFNC 2 (in ns), and of GigE Vision 1 (in ticks)."""
 FAKE_VENDOR = "Aravis"
+"""Vendor name of Aravis' fake camera."""
 
 
 @dataclass(frozen=True)
 class CameraClock:
-    """Reads one camera's clock; ns since an epoch that is the camera's affair."""
+    """The clock of one camera, in ns since an epoch that the camera chooses."""
 
     read_ns: Callable[[], int]
     remote: bool = True
-    """Whether a reading goes over the wire, and so has a round trip."""
+    """Whether a reading needs access to the camera, and so has a round trip."""
 
     def read(self, epoch_ns: int) -> ClockReading:
-        """One comparison; `device_s` counts from the epoch. GLib's error if the camera does not answer."""
+        """Compare the clocks once; `device_s` counts from `epoch_ns`. Raise GLib.Error if the camera does not reply."""
         asked_s = time.monotonic()
         device_ns = self.read_ns()
         answered_s = time.monotonic()
@@ -40,10 +41,10 @@ class CameraClock:
 
 
 def find_clock(camera: Any, name: str) -> CameraClock:
-    """How this camera's clock is read.
+    """Find out how this camera's clock is read.
 
     Raises:
-        DeviceError: it has no clock that can be read, so no frame could be proven to be of a pulse.
+        DeviceError: it has no readable clock, so no frame could be assigned to its pulse with proof.
     """
     device = camera.get_device()
     for command, value in LATCHES:
@@ -68,7 +69,7 @@ def _latch(device: Any, command: str, value: str, ns_per_tick: float) -> Callabl
 
 
 def _ns_per_tick(camera: Any, command: str) -> float:
-    """Frames come with nanoseconds, as Aravis knows the tick; so must readings."""
+    """Return the length of a tick: Aravis converts time stamps of frames to ns, so readings must be in ns too."""
     if command != "GevTimestampControlLatch":
         return 1.0
     hertz = camera.get_device().get_timestamp_tick_frequency()

@@ -1,9 +1,8 @@
-"""Questions of GigE Vision's control protocol that anybody may ask: are you there, are you controlled, who is there?
+"""Requests of the GigE Vision control protocol (GVCP) that need no control of the camera, by our own datagrams.
 
-Aravis asks a camera five times half a second before it gives it up, and holds the camera's lock meanwhile; and of two
-cameras that call themselves the same it lists one. So we ask by datagrams of our own: READREG of the protocol's version
-(bootstrap register 0) and of the control channel's privilege needs no control of the camera, DISCOVERY goes to
-everybody.
+Aravis tries an absent camera five times for 0.5 s and holds its lock meanwhile, and of two cameras with the same name
+it lists one. So three requests are sent here directly: READREG of the protocol version (bootstrap register 0), READREG
+of the control channel privilege, and the broadcast DISCOVERY.
 """
 
 from __future__ import annotations
@@ -21,73 +20,76 @@ from typing import cast
 from vaoi_station.acquisition.cameras.aravis.network import CONTROL_PORT, local_addresses
 
 DISCOVERY_S = 1.0
-"""Cameras have so long to answer, by the standard."""
+"""Time to wait for replies to DISCOVERY; the standard allows cameras this long."""
 _KEY, _ACKNOWLEDGE = 0x42, 0x01
 _DISCOVERY, _READ_REGISTER = 0x0002, 0x0080
-"""An answer's number is one more."""
+"""Command numbers; the number of an acknowledgement is one higher."""
 _VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
 _CONTROL_BITS = 0b11
 """Bits of the privilege: exclusive access, control."""
 _HEADER = struct.Struct(">BBHHH")
 _SUCCESS = b"\0\0"
-"""Status, in the first two bytes of an answer; refusals may have content all the same."""
-_ADDRESS_AT, _SERIAL_AT = 8 + 0x24, 8 + 0xD8
-"""In an answer to DISCOVERY, which holds the bootstrap registers from 0 on."""
+"""Status in the first two bytes of a reply; a refusal has another status and may have content too."""
+_ADDRESS_OFFSET, _SERIAL_OFFSET = 8 + 0x24, 8 + 0xD8
+"""Offsets in a reply to DISCOVERY: the header, then the bootstrap registers from 0 on."""
 _DISCOVERY_REPLY_BYTES = 8 + 0xF8
 _ids = count(1)
 
 
 class Control(Enum):
-    """What a camera says of who controls it."""
+    """Whether a camera has a controlling application, by its own report."""
 
     ABSENT = "absent"
-    """It does not answer."""
+    """It does not reply."""
     FREE = "free"
-    """It has heard nothing of its client for too long, and has let go of it."""
+    """It has none; without a heartbeat it releases its client."""
     CONTROLLED = "controlled"
-    """It does not say who."""
+    """It has one; it does not report which."""
 
 
 @dataclass(frozen=True)
 class DiscoveredCamera:
-    """A GigE camera that answered."""
+    """A GigE camera that replied to DISCOVERY."""
 
     address: str
     serial: str
 
 
 def command(number: int, request_id: int, content: bytes = b"") -> bytes:
-    """A datagram that wants an answer."""
+    """Return the datagram of a command that requires an acknowledgement."""
     return _HEADER.pack(_KEY, _ACKNOWLEDGE, number, len(content), request_id) + content
 
 
 def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
-    """Whether it acknowledges that command, be it by a refusal: who refuses is there."""
+    """Return whether a datagram acknowledges this command; a refusal counts, because it proves presence."""
     if len(datagram) < _HEADER.size:
         return False
-    _, _, answered, _, to = _HEADER.unpack_from(datagram)
-    return bool(answered == number + 1 and to == request_id)
+    _, _, acknowledged, _, acknowledged_id = _HEADER.unpack_from(datagram)
+    return bool(acknowledged == number + 1 and acknowledged_id == request_id)
 
 
 def is_reachable(address: str, timeout_s: float = 0.2, tries: int = 3) -> bool:
-    """Whether there is a camera at an address; asks at most `tries` times, `timeout_s` each."""
+    """Return whether a camera replies at an address; at most `tries` requests of `timeout_s` each."""
     return _read_register(address, _VERSION_REGISTER, timeout_s, tries) is not None
 
 
 def read_control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Control:
-    """Whether anybody controls the camera at an address, as it says; one that does not tell strangers is controlled."""
-    answer = _read_register(address, _PRIVILEGE_REGISTER, timeout_s, tries)
-    if answer is None:
+    """Read whether an application controls the camera at an address."""
+    reply = _read_register(address, _PRIVILEGE_REGISTER, timeout_s, tries)
+    if reply is None:
         return Control.ABSENT
-    free = len(answer) >= 4 and not int.from_bytes(answer[:4], "big") & _CONTROL_BITS
+    # A camera may refuse this register to other applications. It is then taken as controlled, so that no loss is
+    # reported that did not occur.
+    free = len(reply) >= 4 and not int.from_bytes(reply[:4], "big") & _CONTROL_BITS
     return Control.FREE if free else Control.CONTROLLED
 
 
 def discover(wait_s: float = DISCOVERY_S) -> tuple[DiscoveredCamera, ...]:
-    """All GigE cameras on the networks of this computer, by address."""
+    """Find all GigE cameras on the networks of this computer, sorted by address."""
     request_id = _next_id()
     with contextlib.ExitStack() as stack:
         selector = stack.enter_context(selectors.DefaultSelector())
+        # One socket per interface: a broadcast leaves by the interface whose address the socket is bound to.
         for local in local_addresses():
             client = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             client.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -105,14 +107,14 @@ def discover(wait_s: float = DISCOVERY_S) -> tuple[DiscoveredCamera, ...]:
 
 
 def parse_discovery(datagram: bytes) -> DiscoveredCamera:
-    """What an answer to DISCOVERY says of its sender; its own address, as the datagram may come from another."""
-    serial = datagram[_SERIAL_AT : _SERIAL_AT + 16].split(b"\0")[0].decode("ascii", "replace")
-    return DiscoveredCamera(socket.inet_ntoa(datagram[_ADDRESS_AT : _ADDRESS_AT + 4]), serial)
+    """Read address and serial number from a reply to DISCOVERY."""
+    serial = datagram[_SERIAL_OFFSET : _SERIAL_OFFSET + 16].split(b"\0")[0].decode("ascii", "replace")
+    return DiscoveredCamera(socket.inet_ntoa(datagram[_ADDRESS_OFFSET : _ADDRESS_OFFSET + 4]), serial)
 
 
 def _received(client: socket.socket, request_id: int) -> list[DiscoveredCamera]:
     received = []
-    with contextlib.suppress(BlockingIOError):  # that was all, for now
+    with contextlib.suppress(BlockingIOError):  # nothing more at present
         while True:
             datagram = client.recv(1024)
             if is_reply(datagram, _DISCOVERY, request_id) and len(datagram) >= _DISCOVERY_REPLY_BYTES:
@@ -121,27 +123,28 @@ def _received(client: socket.socket, request_id: int) -> list[DiscoveredCamera]:
 
 
 def _read_register(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:
-    """What a camera answers; empty where it refuses, None where there is none."""
+    """Read a register; empty if the camera refuses, None if no camera replies."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(timeout_s)
         try:
             client.connect((address, CONTROL_PORT))
         except OSError:
             return None
-        return next((answer for _ in range(tries) if (answer := _request_register(client, register)) is not None), None)
+        return next((reply for _ in range(tries) if (reply := _request_register(client, register)) is not None), None)
 
 
 def _request_register(client: socket.socket, register: int) -> bytes | None:
-    """The same, asked once."""
+    """Send one READREG and wait for its reply."""
     request_id = _next_id()
     try:
         client.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))
-        while not is_reply(answer := client.recv(1024), _READ_REGISTER, request_id):
-            pass  # to an earlier question
-    except OSError:  # no answer in time, or nobody listens there
+        while not is_reply(reply := client.recv(1024), _READ_REGISTER, request_id):
+            pass  # a late reply to an earlier request
+    except OSError:  # no reply in time, or the port is closed there
         return None
-    return answer[_HEADER.size :] if answer.startswith(_SUCCESS) else b""
+    return reply[_HEADER.size :] if reply.startswith(_SUCCESS) else b""
 
 
 def _next_id() -> int:
+    # 0 is not a valid request id.
     return next(_ids) % 0xFFFF + 1

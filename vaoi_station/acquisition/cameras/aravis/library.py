@@ -1,7 +1,8 @@
-"""The Aravis library through PyGObject, which is the distribution's and lies outside virtual environments.
+"""Access to the Aravis library through PyGObject, which the distribution installs outside virtual environments.
 
-Only the package `gi` is taken from there: its neighbours in the same directory (another numpy, another pydantic) stay
-out of sight. PyGObject is compiled for one minor version of Python; under any other everything but this backend works.
+Only the package `gi` is imported from there. Other packages in the same directory (another numpy, another pydantic)
+stay invisible. PyGObject is compiled for one minor version of Python; with any other, everything except this backend
+works.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ PACKAGES = "python3-gi gir1.2-aravis-0.8"
 
 @functools.cache
 def aravis() -> Any:
-    """The module `gi.repository.Aravis`.
+    """Import the module `gi.repository.Aravis`.
 
     Raises:
-        DeviceError: it is not there, or not for this Python; the action names the packages to install.
+        DeviceError: it is not installed, or not for this Python; the action names the packages to install.
     """
     try:
         gi = _gi()
         gi.require_version("Aravis", "0.8")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # PyGObject's overrides of GLib warn of themselves
+            warnings.simplefilter("ignore")  # PyGObject's own overrides of GLib raise deprecation warnings
             from gi.repository import Aravis
     except (ImportError, ValueError, AttributeError) as error:
         raise _absent(error) from error
@@ -42,7 +43,7 @@ def aravis() -> Any:
 
 @functools.cache
 def glib_error() -> type[Exception]:
-    """`GLib.Error`, which Aravis raises; `aravis` has been called before."""
+    """Return `GLib.Error`, which Aravis raises; call `aravis` first."""
     from gi.repository import GLib
 
     kind: type[Exception] = GLib.Error
@@ -51,7 +52,7 @@ def glib_error() -> type[Exception]:
 
 @functools.cache
 def shared_library() -> ctypes.CDLL:
-    """The library itself, for what the introspection leaves out."""
+    """Load the shared library, for functions that the introspection lacks."""
     try:
         return ctypes.CDLL(SHARED_OBJECT)
     except OSError as error:
@@ -59,14 +60,14 @@ def shared_library() -> ctypes.CDLL:
 
 
 def version() -> tuple[int, int, int]:
-    """Of the library in use, which the introspection does not tell."""
+    """Return the version of the library in use, which the introspection lacks."""
     library = shared_library()
     major, minor, micro = (getattr(library, f"arv_get_{part}_version")() for part in ("major", "minor", "micro"))
     return int(major), int(minor), int(micro)
 
 
 def _gi() -> Any:
-    """The package `gi`: this environment's own, or else the distribution's."""
+    """Import the package `gi` of this environment, or else the distribution's."""
     if "gi" in sys.modules or importlib.util.find_spec("gi") is not None:
         import gi
 
@@ -79,6 +80,7 @@ def _gi() -> Any:
     if not any(package.glob(f"{built}-*.so")):
         others = sorted(path.name.split(".")[1] for path in package.glob("_gi.*.so"))
         raise ImportError(f"PyGObject in {SYSTEM_PACKAGES} is for {', '.join(others) or 'no Python'}")
+    # Loaded by its path: a new entry in sys.path would expose all packages of the distribution.
     spec = importlib.util.spec_from_file_location("gi", init, submodule_search_locations=[str(package)])
     assert spec is not None
     assert spec.loader is not None
@@ -86,7 +88,7 @@ def _gi() -> Any:
     sys.modules["gi"] = module
     try:
         spec.loader.exec_module(module)
-    except BaseException:  # whatever ended it, a half-made module must not stay; it is raised again
+    except BaseException:  # also KeyboardInterrupt: a half initialised module must not stay; it is raised on
         del sys.modules["gi"]
         raise
     return module

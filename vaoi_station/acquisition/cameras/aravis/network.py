@@ -1,8 +1,8 @@
-"""Packets on the way: how large they may be, how far apart, and how many the kernel holds while nobody looks.
+"""Packets of cameras: their size, the delay between them, and the kernel's receive buffer.
 
-All cameras of an array expose at the same moment and send at once. Cameras that share a port of this computer share its
-bandwidth: each leaves room after every packet for one packet of every other, so that no switch has to hold or drop
-any. The arithmetic is pure; what it needs to know of the machine is asked for at the end of this module.
+All cameras of an array expose and send at the same time. Cameras on one port of this computer share its bandwidth:
+after every packet, each leaves room for one packet of every other camera, so that no switch must buffer or drop any.
+The arithmetic is pure; the queries of this machine are at the end of the module.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from pathlib import Path
 from vaoi_station.errors import DeviceError, InputError
 
 LARGEST_PACKET = 9000
-"""Jumbo frames; loopback would take more, but no wire does."""
+"""Bytes of a jumbo frame; loopback takes more, Ethernet does not."""
 GVSP_OVERHEAD = 36
-"""Bytes of IP (20), UDP (8) and GVSP (8) headers in every packet of the size a camera is told."""
+"""Bytes of IP (20), UDP (8) and GVSP (8) headers, which the packet size of a camera includes."""
 ETHERNET_OVERHEAD = 38
-"""Bytes a packet costs on the wire beyond that: preamble 8, header 14, check sum 4, gap 12."""
+"""Further bytes of a packet on the wire: preamble 8, header 14, checksum 4, gap 12."""
 CONTROL_PORT = 3956
-"""Of GVCP, the same for every camera."""
+"""UDP port of GVCP, the same for every camera."""
 _IP_MTU = 14
 _SIOCGIFADDR, _SIOCGIFNETMASK = 0x8915, 0x891B
 
 
 @dataclass(frozen=True)
 class PacketLimits:
-    """What a camera permits of its packets' size, in bytes."""
+    """A camera's limits of the packet size, in bytes."""
 
     smallest: int
     largest: int
@@ -41,8 +41,9 @@ class PacketLimits:
 
 
 def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
-    """The largest packet that camera and interface take, headers of IP and UDP included; at most what is wanted."""
+    """Return the largest packet size that camera and interface accept, including headers; at most `wanted`."""
     most = min(wanted or LARGEST_PACKET, mtu, limits.largest)
+    # A size between two steps would be rounded by the camera, and the comparison after the write would fail.
     fitting = limits.smallest + (most - limits.smallest) // limits.step * limits.step
     if fitting < limits.smallest:
         raise InputError.field(
@@ -52,26 +53,26 @@ def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
 
 
 def packets_per_frame(payload_bytes: int, packet: int) -> int:
-    """Packets with pixels; leader and trailer are small."""
+    """Return the number of packets with pixels; leader and trailer are negligible."""
     return math.ceil(payload_bytes / (packet - GVSP_OVERHEAD))
 
 
 def packet_delay_ns(packet: int, cameras: int, link_mbit_s: float | None) -> int:
-    """The gap after each packet that leaves room for one of every other camera of the port; 0 where no wire limits."""
+    """Return the delay after each packet for one packet of every other camera; 0 if the link has no speed."""
     if link_mbit_s is None:
         return 0
     return math.ceil((cameras - 1) * (packet + ETHERNET_OVERHEAD) * 8000 / link_mbit_s)
 
 
 def transfer_s(payload_bytes: int, packet: int, cameras: int, link_mbit_s: float | None) -> float:
-    """How long a frame is on the way when all cameras of a port send at once; 0 where no wire limits."""
+    """Return the time of a frame when all cameras of a port send at once; 0 if the link has no speed."""
     if link_mbit_s is None:
         return 0.0
     return packets_per_frame(payload_bytes, packet) * cameras * (packet + ETHERNET_OVERHEAD) * 8e-6 / link_mbit_s
 
 
 def check_budget(port: str, payloads: list[int], packet: int, link_mbit_s: float | None, period_s: float) -> None:
-    """DeviceError if the cameras of a port cannot have sent a row before the next one is due."""
+    """Raise DeviceError if the cameras of a port cannot send a row before the next one is due."""
     needed_s = transfer_s(max(payloads), packet, len(payloads), link_mbit_s)
     if needed_s > period_s:
         raise DeviceError(
@@ -83,28 +84,28 @@ def check_budget(port: str, payloads: list[int], packet: int, link_mbit_s: float
 
 
 def mtu_to(address: str) -> int:
-    """The largest packet that goes to an address in one piece, by this computer's own word."""
+    """Return the MTU of the route to an address, as this computer knows it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect((address, CONTROL_PORT))
         return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)
 
 
 def local_addresses() -> tuple[str, ...]:
-    """IPv4 addresses of this computer's interfaces, one each."""
+    """Return the IPv4 addresses of this computer's interfaces, one each."""
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
-            with contextlib.suppress(OSError):  # it has none
+            with contextlib.suppress(OSError):  # an interface without an address
                 found.append(socket.inet_ntoa(_interface_query(probe, _SIOCGIFADDR, name)))
     return tuple(found)
 
 
 def interface_of(local_address: str) -> str:
-    """Name of the interface with an address (or, for loopback, its network); the address itself if there is none."""
+    """Return the name of the interface whose network contains an address; the address itself if there is none."""
     wanted = _as_int(socket.inet_aton(local_address))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
-            with contextlib.suppress(OSError):  # it has no address
+            with contextlib.suppress(OSError):  # an interface without an address
                 own = _as_int(_interface_query(probe, _SIOCGIFADDR, name))
                 mask = _as_int(_interface_query(probe, _SIOCGIFNETMASK, name))
                 if wanted & mask == own & mask:
@@ -113,7 +114,7 @@ def interface_of(local_address: str) -> str:
 
 
 def link_mbit_s(interface: str) -> float | None:
-    """Speed of a port; None if it has none, like loopback, or does not tell."""
+    """Return the speed of an interface; None if it reports none, like loopback."""
     try:
         speed = int(Path(f"/sys/class/net/{interface}/speed").read_text())
     except (OSError, ValueError):
@@ -122,20 +123,23 @@ def link_mbit_s(interface: str) -> float | None:
 
 
 def widen_receive_buffer(port: int, wanted_bytes: int) -> int:
-    """Give this process' UDP socket at a port so much room for packets that wait; what the kernel granted, in bytes.
+    """Set the receive buffer of this process' UDP socket at a port; return the size granted, in bytes.
 
-    Aravis would ask when the first packet is there, which is too late for the frame behind it, and would not say that
-    the kernel grants no more than net.core.rmem_max. 0 if this process has no such socket.
+    The kernel grants at most net.core.rmem_max. Returns 0 if this process has no such socket.
     """
+    # Aravis sets the size when the first packet has arrived, which loses the rest of the first frame (decisions/0009),
+    # and does not report what was granted. It gives no access to its socket either, so the socket is searched by its
+    # port.
     for handle in map(int, os.listdir("/proc/self/fd")):  # noqa: PTH208  (numbers, not paths)
-        with contextlib.suppress(OSError):  # it was closed meanwhile
+        with contextlib.suppress(OSError):  # another thread closed it meanwhile
             if not stat.S_ISSOCK(os.fstat(handle).st_mode):
                 continue
             ours = socket.socket(fileno=os.dup(handle))
             with ours:
                 if (ours.family, ours.type) == (socket.AF_INET, socket.SOCK_DGRAM) and ours.getsockname()[1] == port:
                     ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted_bytes)
-                    return ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # the kernel counts it twice
+                    # Linux reports twice the usable size, because it counts its own overhead (man 7 socket).
+                    return ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
     return 0
 
 

@@ -1,4 +1,4 @@
-"""All cameras of a station: found, opened, configured for the ports they share, proven to wait for their trigger."""
+"""Opens all cameras of a station: search, configure for the ports they share, check that they wait for the trigger."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
 
 STALL_S = 1.0
-"""The kernel shall hold what cameras send while this process does not get to run for so long."""
+"""The kernel's buffer holds what a camera sends while this process does not run for this long."""
 
 
 def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
@@ -37,8 +37,10 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
             _check_budgets(config, connections, shares)
             for number, (connection, share) in enumerate(zip(connections, shares, strict=True)):
                 cameras.append(AravisCamera(number, connection, share))
+            # Last, with all cameras started: one that sends now would shift its frames against all others.
             check_silence(connections)
-        except BaseException:  # whatever ended it, tidy up; it is raised again
+        except BaseException:  # also KeyboardInterrupt: release all cameras; it is raised on
+            # A camera object owns its connection; connections without one are closed by themselves.
             for opened in cameras:
                 opened.close()
             for unused in connections[len(cameras) :]:
@@ -48,12 +50,12 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
 
 
 def socket_bytes(camera: CameraConfig, period_s: float) -> int:
-    """What the kernel shall hold of a camera's packets: all of `STALL_S`, two frames at least."""
+    """Return the wanted size of the kernel's buffer: the frames of `STALL_S`, at least two."""
     return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
 
 
 def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
-    """Addresses or device ids, in the order of the cameras; one search for all serial numbers."""
+    """Return addresses or device ids in the order of the cameras, with one search for all serial numbers."""
     found = search() if any(camera.serial for camera in cameras) else ()
     addresses = []
     for camera in cameras:
@@ -66,7 +68,7 @@ def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
 
 
 def _check_distinct(connections: Sequence[Connection]) -> None:
-    """One serial number, one camera: calibrations hang on it."""
+    """Raise InputError if two entries are the same camera: a calibration belongs to one camera."""
     counts = Counter(connection.identity.serial for connection in connections)
     for serial, count in counts.items():
         if count > 1:
@@ -79,7 +81,7 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
 
 
 def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> list[PortShare]:
-    """What each camera may use of its port."""
+    """Return each camera's share of its port."""
     on_port = Counter(connection.identity.interface for connection in connections)
     shares = []
     for connection in connections:
@@ -90,7 +92,7 @@ def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> li
 
 
 def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[PortShare]) -> None:
-    """Every port must carry a row within a period."""
+    """Raise DeviceError if a port cannot carry a row within a period."""
     ports: defaultdict[str, list[int]] = defaultdict(list)
     for k, connection in enumerate(connections):
         if connection.is_gige:

@@ -1,7 +1,7 @@
-"""What a camera is told before it films: every setting is written, read back and compared.
+"""Writes, reads back and compares every setting of a camera before it is used.
 
-A camera that ignores a setting is an error that names camera, feature, what was wanted and what it has; rows filmed
-with another exposure or in another region would be worse than none. Numbers may be rounded to what the sensor can do.
+A camera that ignores a setting is an error that names camera, feature, wanted and actual value: rows with another
+exposure or region would be worse than none. Numbers may be rounded to the steps of the sensor.
 """
 
 from __future__ import annotations
@@ -17,19 +17,20 @@ from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 
 EXPOSURE_TOLERANCE, EXPOSURE_TOLERANCE_US = 0.01, 20.0
-"""Exposures are whole lines of some sensors: off by so much of itself, or so many microseconds."""
+"""Accepted difference of the exposure, relative and in µs: some sensors expose whole lines."""
 GAIN_TOLERANCE_DB = 0.3
+"""Accepted difference of the gain, which has coarse steps."""
 FEATURE_TOLERANCE = 0.01
-"""Of what it is, for a feature set by name."""
+"""Accepted relative difference of a feature that station.toml sets by name."""
 
 Value = bool | int | float | str
 _KINDS = {bool: "boolean", int: "integer", float: "float", str: "string"}
-"""As they are called in the names of Aravis' functions."""
+"""The words for types in the names of Aravis' functions."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A feature, what it shall be, and how to write and read it."""
+    """A feature, its wanted value, and functions to write and read it."""
 
     feature: str
     wanted: Value | tuple[int, ...]
@@ -37,17 +38,17 @@ class Setting:
     read: Callable[[], Any]
     tolerance: float = 0.0
     transient: bool = False
-    """It is only on the way to a later setting of the same feature."""
+    """Whether a later setting of the same feature replaces this one."""
 
     def matches(self, got: object) -> bool:
-        """Whether a value that was read back is what was wanted."""
+        """Return whether a value that was read back is the wanted one, within the tolerance."""
         if isinstance(self.wanted, bool | str | tuple):
             return got == self.wanted
         return isinstance(got, int | float) and math.isclose(got, self.wanted, rel_tol=1e-6, abs_tol=self.tolerance)
 
 
 def apply(camera: Any, config: CameraConfig) -> None:
-    """Write, read back and compare everything that makes the picture and its trigger; the packets' come later.
+    """Write, read back and compare the settings of picture and trigger; those of the packets follow later.
 
     Raises:
         DeviceError: the camera refuses or ignores a setting.
@@ -56,13 +57,14 @@ def apply(camera: Any, config: CameraConfig) -> None:
         settings = list(_with_device_errors(config.label, part(camera, config)))
         for setting in settings:
             write_and_compare(config.label, setting)
-        for setting in settings:  # a later one may have changed an earlier one
+        # Read once more at the end: setting one feature may change another (Aravis #1045).
+        for setting in settings:
             if not setting.transient:
                 compare(config.label, setting)
 
 
 def write_and_compare(name: str, setting: Setting) -> None:
-    """One setting, at once."""
+    """Write a setting and compare it at once."""
     try:
         setting.write()
     except glib_error() as error:
@@ -75,7 +77,7 @@ def write_and_compare(name: str, setting: Setting) -> None:
 
 
 def compare(name: str, setting: Setting) -> None:
-    """What the camera has must be what was wanted."""
+    """Raise DeviceError if the camera's value is not the wanted one."""
     try:
         got = setting.read()
     except glib_error() as error:
@@ -91,20 +93,20 @@ def compare(name: str, setting: Setting) -> None:
 
 
 def error_text(error: Exception) -> str:
-    """GLib's errors in a few words."""
+    """Return the message of a GLib error without its domain."""
     return str(getattr(error, "message", error)).rstrip(".")
 
 
 def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Setting]:
-    """Trouble while asking what a camera has is a DeviceError too."""
+    """Turn GLib errors while settings are generated into DeviceErrors."""
     try:
         yield from settings
     except glib_error() as error:
-        raise DeviceError(f"{name}: does not tell its features ({error_text(error)}).") from error
+        raise DeviceError(f"{name}: does not report its features ({error_text(error)}).") from error
 
 
 def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Format, region, exposure, gain; whatever changes them by itself is off."""
+    """Yield binning, format, region, exposure and gain; everything that changes them automatically is off."""
     x, y = config.offset_px
     region = (x, y, config.width, config.height)
     device = camera.get_device()
@@ -118,6 +120,7 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
         camera.get_pixel_format_as_string,
     )
     yield Setting("Region", region, lambda: camera.set_region(*region), lambda: _region(camera))
+    # Before exposure and gain: while the automatic is on, cameras refuse or overwrite the values.
     for feature in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable"):
         if device.is_feature_available(feature):
             yield feature_setting(device, feature, False if feature == "GammaEnable" else "Off")
@@ -139,14 +142,14 @@ def _region(camera: Any) -> tuple[int, int, int, int]:
 
 
 def _named_features(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """What station.toml asks for by name, in its order."""
+    """Yield the features that station.toml sets by name, in its order."""
     device = camera.get_device()
     for feature, value in config.features.items():
         yield feature_setting(device, feature, value)
 
 
 def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """One frame per pulse on the wire, by the recipe of the make."""
+    """Yield the settings for one frame per trigger pulse, by the recipe of the make."""
     device = camera.get_device()
     recipe = recipe_for(camera.get_vendor_name() or "")
     line = config.trigger_line or recipe.line
@@ -161,6 +164,8 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
             f"{config.label}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
             action="Use a camera with a trigger input.",
         )
+    # Any other active trigger would delay or multiply frames. These settings are transient, because one selector serves
+    # all triggers: read back later, they would show the value of the last one.
     for other in triggers:
         if other != ours:
             yield replace(feature_setting(device, "TriggerSelector", other), transient=True)
@@ -176,7 +181,7 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
 
 
 def feature_setting(device: Any, feature: str, value: Value) -> Setting:
-    """A setting by its GenICam name; the value has the type of the feature, or is whole where that need not be."""
+    """Make a setting by its GenICam name; a whole number is accepted for a float feature."""
     if type(value) is int and isinstance(device.get_feature(feature), aravis().GcFloat):
         value = float(value)
     kind = _KINDS[type(value)]

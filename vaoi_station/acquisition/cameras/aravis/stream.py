@@ -1,10 +1,7 @@
-"""The buffers of a stream are slots of the ring: Aravis' receive thread writes packets where the stitcher reads pixels.
+"""Streams whose buffers are slots of the ring: Aravis' receive thread writes packets where the stitcher reads pixels.
 
-A slot is in one of two hands. `queue` gives its address to the stream; it comes back by `told` when a frame has
-ended in it, whole or not, or by `take_back` unused. Aravis has no call that takes a queued buffer out of a stream, but
-stopping the receive thread and letting go of all buffers does: the thread has ended when the call returns, so no slot
-that came back is ever written again, and each buffer's status says whether it was used. The thread is started anew
-at once; its socket stays open all the while, so that packets wait in the kernel (both calls: 40 µs, measured).
+A slot belongs either to the stream or to the caller. `queue` gives its address to the stream. It comes back through
+`on_slot` when a frame has ended in it, complete or not, or unused from `take_back`.
 """
 
 from __future__ import annotations
@@ -19,57 +16,57 @@ from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.acquisition.cameras.interface import Slot
 
 POP_US = 50_000
-"""The pulling thread looks at least so often whether it is to end."""
+"""Longest wait of the pulling thread before it checks whether to end, in µs."""
 FILLING_S = 0.25
-"""A frame that is being received is given so long to end before buffers are taken back; more than Aravis waits."""
+"""Time that a frame under way has to end before buffers are taken back; longer than Aravis' frame retention."""
 
 FAULTS = {
-    "timeout": "parts of the frame did not come in time",
+    "timeout": "parts of the frame did not arrive in time",
     "missing-packets": "packets of the frame were lost on the way",
     "wrong-packet-id": "packets of the frame were out of order",
     "size-mismatch": "the frame is larger than configured",
     "aborted": "receiving the frame was broken off",
     "filling": "receiving the frame was broken off",
 }
-"""By the nickname of Aravis' status; newer versions may have more."""
+"""Texts by the nickname of Aravis' status; newer versions may have more."""
 
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """What every whole frame must be."""
+    """Size and pixel format of a complete frame."""
 
     width: int
     height: int
     code: int
-    """Number of the pixel format."""
+    """Code of the pixel format (PFNC)."""
 
 
 @dataclass(frozen=True)
 class SlotResult:
-    """What became of one slot. Without `whole`, frame id and time stamp are None: they may be an older frame's."""
+    """The outcome of one slot; frame id and time stamp are None unless `whole`."""
 
     slot: Slot
     whole: bool
     frame_id: int | None
     time_ns: int | None
-    """By the camera's clock."""
+    """Time stamp by the camera's clock."""
     host_time_s: float
     fault: str = ""
 
 
 class SlotStream:
-    """The buffers of one stream, and the thread that pulls them out when they are filled."""
+    """The buffers of one stream, and the thread that pulls filled ones."""
 
     def __init__(self, stream: Any, kind: FrameFormat, on_slot: Callable[[SlotResult], None], name: str) -> None:
-        """Pull at once; `told`, called in the pulling thread and those of `take_back` and `close`, must not wait."""
+        """Start pulling; `on_slot` runs in the pulling thread and in callers of `take_back`, and must not block."""
         self._stream = stream
         self._format, self._on_slot = kind, on_slot
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
         self._buffer_pulled = threading.Condition(self._lock)
-        """Notified of every buffer that has been pulled out."""
+        """Notified of every buffer that was pulled."""
         self._queued: dict[int, tuple[Any, Slot]] = {}
-        """C pointer of a buffer → the buffer, its slot; all that the stream has."""
+        """C pointer of a buffer → the buffer and its slot, for all buffers of the stream."""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._pull, name=f"{name}-frames")
         self._thread.start()
@@ -78,16 +75,20 @@ class SlotStream:
         """Give a slot's memory to the stream; frames fill slots in the order they were queued."""
         buffer = aravis().Buffer.new(slot.memory.nbytes, slot.memory.ctypes.data)
         with self._lock:
-            self._queued[hash(buffer)] = (buffer, slot)  # the hash of a GObject is its C pointer
+            # The hash of a PyGObject is its C pointer, and a popped buffer may have a new Python wrapper.
+            self._queued[hash(buffer)] = (buffer, slot)
             self._stream.push_buffer(buffer)
 
     def take_back(self) -> list[Slot]:
-        """Withdraw what was not used; all other slots have been told of when this returns.
+        """Withdraw and return the unused slots; all others have been passed to `on_slot` when this returns.
 
-        A frame that is being received is waited for a while, then broken off.
+        A frame under way gets `FILLING_S` to end; then its reception is aborted.
         """
         self._wait_for_filling_frames()
         with self._lock:
+            # Aravis cannot remove a queued buffer. Stopping its receive thread and releasing all buffers can: when the
+            # call returns, the thread has ended, so no returned slot is written again. The socket stays open and
+            # packets wait in the kernel; both calls together take 40 µs (measured, decisions/0009).
             self._stream.stop_thread(True)
             out, self._queued = self._queued, {}
             self._stream.start_thread()
@@ -100,37 +101,42 @@ class SlotStream:
         return unused
 
     def close(self) -> list[Slot]:
-        """End the pulling thread and take everything back: nothing is written any more. The slots that were not used.
-
-        The stream itself ends with the last reference; that asks the camera, and is not done here.
-        """
+        """End the pulling thread and return the unused slots; no slot is written afterwards."""
+        # The stream itself ends with its last reference, which the connection drops: that may access the camera.
         if self._ending.is_set():
             return []
-        unused = self.take_back()  # frames under way are pulled meanwhile
+        # Before the thread ends, because it pulls the frames under way meanwhile.
+        unused = self.take_back()
         self._ending.set()
         self._thread.join()
         return unused
 
     def counters(self) -> dict[str, int]:
-        """The stream's own counters by name; what they count is Aravis' affair."""
+        """Return the stream's counters by name."""
+        # For diagnosis only: `n_underruns` counts packets, `n_missing_packets` the whole tail of a frame (measured).
         stream = self._stream
         names = (stream.get_info_name(k) for k in range(stream.get_n_infos()))
         return {name: stream.get_info_uint64_by_name(name) for name in names if name.startswith("n_")}
 
     def _pull(self) -> None:
         while not self._ending.is_set():
-            buffer = self._stream.timeout_pop_buffer(POP_US)  # without the interpreter's lock
+            # Releases the GIL. A signal callback instead would run Python in the receive thread (Aravis #453, #714,
+            # #941).
+            buffer = self._stream.timeout_pop_buffer(POP_US)
             if buffer is None:
                 continue
             with self._buffer_pulled:
                 _, slot = self._queued.pop(hash(buffer), (None, None))
-                if slot is not None:  # else it has just been taken back, and told of
+                # Without a slot: `take_back` has just handled the buffer.
+                if slot is not None:
                     self._on_slot(self._result(buffer, slot))
                 self._buffer_pulled.notify_all()
 
     def _result(self, buffer: Any, slot: Slot) -> SlotResult:
         host_time_s = time.monotonic()
         status = buffer.get_status()
+        # Without SUCCESS id, time stamp and geometry may be those of an older frame: Aravis writes them with the leader
+        # (measured: id 65401 again where 65406 was due).
         if status != aravis().BufferStatus.SUCCESS:
             fault = FAULTS.get(status.value_nick, f"Aravis calls the frame {status.value_nick!r}")
             return SlotResult(slot, False, None, None, host_time_s, fault)

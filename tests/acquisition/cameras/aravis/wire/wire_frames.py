@@ -80,7 +80,7 @@ def test_a_frame_that_lost_packets_is_incomplete_and_says_so(device: Plug, stati
     last = stage.arrival()
     assert [first.complete, torn.complete, last.complete] == [True, False, True]
     assert (torn.frame_id, torn.time_s) == (None, None), "they may be an older frame's"
-    assert torn.fault in ("parts of the frame did not come in time", "packets of the frame were lost on the way")
+    assert torn.fault in ("parts of the frame did not arrive in time", "packets of the frame were lost on the way")
     assert last.frame_id == (first.frame_id or 0) + 2
     health = stage.cameras[0].health()
     assert (health.delivered, health.incomplete) == (2, 1)

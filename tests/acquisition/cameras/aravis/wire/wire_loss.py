@@ -121,7 +121,7 @@ def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: 
     assert connection is not None
     connection._camera.get_device().leave_control()
     del connection
-    assert "no longer ours" in stage.until(CameraLost).error.message
+    assert "no longer controlled by this station" in stage.until(CameraLost).error.message
     stage.until(CameraBack)
     camera.fire()
     assert stage.arrival().complete
@@ -165,7 +165,7 @@ def test_lost_control_is_told_before_aravis_knows_and_dated_from_before(
     connection._camera.get_device().leave_control()
     del connection
     lost = stage.until(CameraLost)
-    assert "no longer ours: this computer was silent for too long" in lost.why
+    assert "no longer controlled by this station: this computer sent no heartbeat for too long" in lost.why
     assert lost.since_s <= left_s, "what was missed until it was noticed has this cause"
     stage.until(CameraBack)
     camera.fire()
