@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.process.messages import (
@@ -23,9 +22,7 @@ from vaoi_station.acquisition.process.messages import (
     Trouble,
 )
 from vaoi_station.acquisition.ring.ring_layout import OK
-from vaoi_station.acquisition.simulated.twin_devices import accept_plan
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError
 from vaoi_station.model import Verdict
 from vaoi_station.simulation import Passage, Twin, calibration_board, read_scenario
 
@@ -321,10 +318,3 @@ def test_a_scenario_of_another_array_is_refused_before_anything_starts(
     trouble = bench.until(Trouble)
     assert "width_px is 80, but must be 96" in trouble.message
     assert trouble.action
-
-
-def test_unknown_lights_are_an_input_error(make_config: Make) -> None:
-    plan = TriggerPlan.of(make_config().line)
-    assert accept_plan(plan, replace(plan, lights=("a",))).lights == ("a",)
-    with pytest.raises(InputError, match="lights"):
-        accept_plan(replace(plan, lights=("b",)), replace(plan, lights=("a",)))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import count
+from typing import Protocol
 
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
@@ -24,32 +25,32 @@ Edge = tuple[float, bool]
 """Time by the controller's clock, and whether the barrier is interrupted from then on."""
 
 
+class DrivenLine(Protocol):
+    """The simulated line as its controller drives it; every method is called from the controller's threads."""
+
+    def accept(self, plan: TriggerPlan) -> TriggerPlan:
+        """Return the plan, completed by what the line adds; raise InputError to refuse it."""
+
+    def fire(self, event: PulseFired) -> None:
+        """Expose all cameras for a pulse of a board."""
+
+    def fire_single(self, event: PulseFired) -> None:
+        """Expose all cameras for a pulse of `fire_one`."""
+
+    def set_armed(self, armed: bool) -> None:
+        """Let boards come, or hold them back."""
+
+    def end_run(self) -> None:
+        """Note that a run has ended."""
+
+
 class SimulatedController:
     """A `Controller` that follows a `TriggerRule` and calls the simulated line instead of setting pins."""
 
-    def __init__(
-        self,
-        clock: DeviceClock,
-        *,
-        accept: Callable[[TriggerPlan], TriggerPlan],
-        fire: Callable[[PulseFired], None],
-        fire_single: Callable[[PulseFired], None],
-        on_armed: Callable[[bool], None],
-        on_run_end: Callable[[], None],
-    ) -> None:
-        """Connect the controller with a simulated line.
-
-        Args:
-            clock: the controller's clock.
-            accept: completes a plan or refuses it with InputError.
-            fire: called with every pulse of a board.
-            fire_single: called with a pulse of `fire_one`.
-            on_armed: called when the controller has been armed or disarmed.
-            on_run_end: called when a run has ended.
-        """
+    def __init__(self, clock: DeviceClock, line: DrivenLine) -> None:
+        """Connect the controller, with its clock, to a simulated line."""
         self.clock = clock
-        self._accept, self._fire, self._on_armed, self._on_run_end = accept, fire, on_armed, on_run_end
-        self._fire_single = fire_single
+        self._line = line
         self._numbers = count()
         self._changed = threading.Condition()
         self._edges: deque[Edge] = deque()
@@ -66,14 +67,14 @@ class SimulatedController:
 
     def arm(self, plan: TriggerPlan) -> None:
         """Film every board that passes the barrier from now on with this plan."""
-        rule = TriggerRule(self._accept(plan), self._numbers)
+        rule = TriggerRule(self._line.accept(plan), self._numbers)
         with self._changed:
             self._rule = rule
             # Edges of a board that entered before belong to no run of this arming.
             self._edges.clear()
             self._changed.notify()
         # Only now may boards enter: edges scheduled before the rule is in place would have been cleared.
-        self._on_armed(True)
+        self._line.set_armed(True)
 
     def disarm(self) -> None:
         """Ignore the barrier from now on and end a run under way."""
@@ -82,8 +83,8 @@ class SimulatedController:
                 self._report(self._rule.stop(self.clock.now_s()))
             self._rule = None
             self._edges.clear()
-        self._on_armed(False)
-        self._on_run_end()
+        self._line.set_armed(False)
+        self._line.end_run()
 
     def fire_one(self) -> None:
         """Fire one pulse now."""
@@ -91,7 +92,7 @@ class SimulatedController:
             if self._rule is not None:
                 raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
             pulse = PulseFired(next(self._numbers), self.clock.now_s(), 0)
-            self._fire_single(pulse)
+            self._line.fire_single(pulse)
             self._events.put(pulse)
             self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))
 
@@ -123,7 +124,7 @@ class SimulatedController:
                 # The lock is held during the whole step, so that `disarm` never meets a half reported run.
                 ended = self._step(self.clock.now_s())
                 if ended:
-                    self._on_run_end()
+                    self._line.end_run()
                 self._changed.wait(self._wait_s())
 
     def _step(self, now_s: float) -> bool:
@@ -144,7 +145,7 @@ class SimulatedController:
         for event in events:
             if isinstance(event, PulseFired):
                 # Cameras are triggered before the host knows of the pulse, as with the real controller.
-                self._fire(event)
+                self._line.fire(event)
             self._runs += isinstance(event, BarrierBlocked)
             self._events.put(event)
 

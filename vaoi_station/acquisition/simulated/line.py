@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from vaoi_station.acquisition.controller.interface import EventQueue, PulseFired
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.simulated.board import SimulatedBoard, to_bytes
-from vaoi_station.errors import InternalError, VaoiError
+from vaoi_station.errors import InputError, InternalError, VaoiError
 from vaoi_station.simulation import Twin, calibration_board
 
 AHEAD = 2
@@ -30,6 +31,22 @@ LEAD_S = 0.02
 """From the decision to let a board pass to the start of its passage, s."""
 SAME_TIME_S = 1e-6
 """Largest difference between a fired and a predicted pulse, s."""
+
+
+def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
+    """Return the requested plan with the scenario's lights.
+
+    Raises:
+        InputError: the plans differ, but frames are rendered for that of the scenario.
+    """
+    for key in ("start_delay_s", "period_s", "tail_s", "debounce_s"):
+        value, must = getattr(asked, key), getattr(expected, key)
+        if not math.isclose(value, must, rel_tol=1e-9, abs_tol=1e-12):
+            raise InputError.field("trigger plan", key, value, f"{must}, as in the scenario", "Adapt [line].")
+    if asked.lights and tuple(asked.lights) != tuple(expected.lights):
+        limit = f"{tuple(expected.lights)}, as in the scenario"
+        raise InputError.field("trigger plan", "lights", tuple(asked.lights), limit)
+    return replace(asked, lights=tuple(expected.lights))
 
 
 class SimulatedLine:
@@ -73,13 +90,17 @@ class SimulatedLine:
         self._thread = threading.Thread(target=self._work, name="line")
         self._thread.start()
 
+    def accept(self, plan: TriggerPlan) -> TriggerPlan:
+        """Return the plan with the scenario's lights; raise InputError if it is not the scenario's."""
+        return accept_plan(plan, self._plan)
+
     def set_armed(self, armed: bool) -> None:
         """Let boards come, or hold them back."""
         with self._change:
             self._armed = armed
             self._change.notify()
 
-    def set_over(self) -> None:
+    def end_run(self) -> None:
         """Note that the run has ended: the next board may come."""
         with self._change:
             self._passing = False

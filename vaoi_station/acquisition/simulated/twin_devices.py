@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
 from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
 from vaoi_station.acquisition.controller.simulated import SimulatedController
-from vaoi_station.acquisition.device_clock import simulated_clock
+from vaoi_station.acquisition.device_clock import DeviceClock, simulated_clock
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.simulated.line import SimulatedLine
+from vaoi_station.acquisition.simulated.line import SimulatedLine, accept_plan
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.simulation import Scenario, Twin, read_scenario
@@ -19,16 +16,18 @@ from vaoi_station.simulation import Scenario, Twin, read_scenario
 class _ControllerWithLine(SimulatedController):
     """A simulated controller that starts and closes the line with itself."""
 
-    line: SimulatedLine
+    def __init__(self, clock: DeviceClock, line: SimulatedLine) -> None:
+        super().__init__(clock, line)
+        self._simulated_line = line
 
     def start(self, events: EventQueue) -> None:
         """Start the controller, then the line."""
         super().start(events)
-        self.line.start(self, events)
+        self._simulated_line.start(self, events)
 
     def close(self) -> None:
         """Close the line, then the controller."""
-        self.line.close()
+        self._simulated_line.close()
         super().close()
 
 
@@ -45,37 +44,12 @@ def open_simulated(config: StationConfig) -> Devices:
     plan = scenario_plan(twin)
     clock = simulated_clock(-1)
     line = SimulatedLine(twin, plan, cameras, clock, config.simulation.boards, config.simulation.interval_s)
-    controller = _ControllerWithLine(
-        clock,
-        accept=lambda asked: accept_plan(asked, plan),
-        fire=line.fire,
-        fire_single=line.fire_single,
-        on_armed=line.set_armed,
-        on_run_end=line.set_over,
-    )
-    controller.line = line
-    return Devices(cameras, controller)
+    return Devices(cameras, _ControllerWithLine(clock, line))
 
 
 def scenario_plan(twin: Twin) -> TriggerPlan:
     """Return the trigger plan of a scenario."""
     return TriggerPlan.of(twin.line, twin.scenario.line.lights)
-
-
-def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
-    """Return the requested plan with the scenario's lights.
-
-    Raises:
-        InputError: the plans differ, but frames are rendered for that of the scenario.
-    """
-    for key in ("start_delay_s", "period_s", "tail_s", "debounce_s"):
-        value, must = getattr(asked, key), getattr(expected, key)
-        if not math.isclose(value, must, rel_tol=1e-9, abs_tol=1e-12):
-            raise InputError.field("trigger plan", key, value, f"{must}, as in the scenario", "Adapt [line].")
-    if asked.lights and tuple(asked.lights) != tuple(expected.lights):
-        limit = f"{tuple(expected.lights)}, as in the scenario"
-        raise InputError.field("trigger plan", "lights", tuple(asked.lights), limit)
-    return replace(asked, lights=tuple(expected.lights))
 
 
 def check_scenario(config: StationConfig) -> None:
