@@ -16,14 +16,14 @@ from vaoi_station.errors import StateError
 from vaoi_station.files import read_calibration
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawned
+from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawn_launcher
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.host.stop_request import StopRequest
 from vaoi_station.runs.host.systemd import alive, notify
-from vaoi_station.runs.run.order import OrderDesk
-from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.run.order import OrderFactory
+from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.workers.pool import WorkerPool
@@ -64,17 +64,17 @@ class Station:
             ring = parts.enter_context(Ring.create(ring_path(config), RingLayout.of(config)))
             events = EventLog(store)
             workers = WorkerPool(config.workers, ring.path)
-            link = AcquisitionLink(self._launch or spawned(config, ring.path))
+            link = AcquisitionLink(self._launch or spawn_launcher(config, ring.path))
             archive = Archive(store, events)
             watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
             cameras = calibration.cameras(camera_heads(config))
-            shelf = ReferenceShelf(config.data / REFERENCES, store, cameras)
+            shelf = ReferenceStore(config.data / REFERENCES, store, cameras)
             shelf.sweep()
             coordinator = StationCoordinator(
                 Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
                 ring,
                 BoardTypeDirectory(config.board_types),
-                OrderDesk(config.line, calibration, camera_heads(config), store, shelf, config.method),
+                OrderFactory(config.line, calibration, camera_heads(config), store, shelf, config.method),
                 shelf,
                 lambda: (link.status(), *workers.status()),
                 alive,

@@ -216,7 +216,7 @@ class HeldStation(StationCoordinator):
 
     def drift(self) -> None:
         """A camera was knocked: the station films on, and says so."""
-        message = "Camera cam1 looks 9.40 px beside where it was calibrated."
+        message = "Camera cam1 is displaced by 9.40 px from its calibration."
         self.warnings = (Reason(code="calibration-drift", message=message, action="Call the engineer."),)
         self.tell("trouble", message, code="calibration-drift")
 
@@ -289,7 +289,7 @@ class HeldStation(StationCoordinator):
         self.holders[run, holder] = lease
         return lease
 
-    def let_go(self, run: str, holder: str) -> None:
+    def end_hold(self, run: str, holder: str) -> None:
         self.holders.pop((run, holder), None)
 
     def stitch(self, run: str) -> Stitch:

@@ -40,8 +40,8 @@ from vaoi_station.runs.control.acquisition_link import AcquisitionLink
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
-from vaoi_station.runs.run.order import OrderDesk
-from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.run.order import OrderFactory
+from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun, Reply
@@ -331,7 +331,7 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         write_board_type(config.board_types / "small.json", a_board_type())
         ring = Ring.create(ring_path(config), RingLayout.of(config))
         ends.append(ring.close)
-        shelf = ReferenceShelf(config.data / "references", store, a_calibration().cameras(camera_heads(config)))
+        shelf = ReferenceStore(config.data / "references", store, a_calibration().cameras(camera_heads(config)))
         events = EventLog(store)
         archive, peer, workers = Archive(store, events), Peer(), ScriptedWorkers()
         link = AcquisitionLink(peer.launch)
@@ -340,7 +340,7 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
             Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
             ring,
             BoardTypeDirectory(config.board_types),
-            OrderDesk(config.line, a_calibration(), camera_heads(config), store, shelf),
+            OrderFactory(config.line, a_calibration(), camera_heads(config), store, shelf),
             shelf,
             lambda: (link.status(),),
         )

@@ -95,7 +95,7 @@ def test_a_full_ring_loses_nothing_that_was_filmed(
         assert records
         after = records[-1].number
     assert all(coordinator.frame(run, 0, 0)[0].any() for run in runs)
-    coordinator.let_go(runs[0], "tester")
+    coordinator.end_hold(runs[0], "tester")
     wait_state(coordinator, "armed")
     assert coordinator.next_run(runs[-1], PATIENCE_S) is not None
 

@@ -67,11 +67,11 @@ def test_a_drift_is_told_while_boards_go_on(page: Page, served: Any) -> None:
     expect(page.locator("#warnings")).to_be_hidden()
     served.station.drift()
     expect(page.locator("#warnings li")).to_have_text(
-        ["Camera cam1 looks 9.40 px beside where it was calibrated. Call the engineer."]
+        ["Camera cam1 is displaced by 9.40 px from its calibration. Call the engineer."]
     )
     expect(page.locator("#what-to-do")).to_have_text("Let the next board in.")
     served.station.warnings = ()
-    served.station.tell("calibration", "Camera cam1 looks where it was calibrated again.")
+    served.station.tell("calibration", "Camera cam1 is back at its calibrated position.")
     expect(page.locator("#warnings")).to_be_hidden()
 
 

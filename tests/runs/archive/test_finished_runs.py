@@ -41,10 +41,10 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     assert dossier.board_type.components[0].ref == "U1"
     assert (
         dossier.cameras[1].image_from_row.matrix.tolist()
-        == rig.coordinator._core.book.filming[0].order.setup.cameras[1].image_from_row.matrix.tolist()
+        == rig.coordinator._core.runs.filming[0].order.setup.cameras[1].image_from_row.matrix.tolist()
     )
     lost = archive.get(half.run)
-    assert (lost.detail.state, lost.detail.verdict, lost.without_components) == ("gone", None, None)
+    assert (lost.detail.state, lost.detail.verdict, lost.stitch) == ("gone", None, None)
     assert lost.detail.reasons[-1].code == "station-restarted"
     latest = archive.latest()
     assert latest is not None
@@ -94,7 +94,7 @@ def test_a_disk_that_is_full_is_told_and_the_result_is_there_all_the_same(
 
 
 def test_runs_that_are_not_remembered_are_read_again(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "REMEMBERED", 1)
+    monkeypatch.setattr(module, "CACHED_RUNS", 1)
     grant, runs = rig.arm(), []
     for _ in range(3):
         rig.board(grant)

@@ -1,20 +1,20 @@
-"""The link to the acquisition process: deaths, silence, restarts."""
+"""The link to the acquisition process: messages, unexpected ends, missing heartbeats, restarts."""
 
 from __future__ import annotations
 
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
 
 from vaoi_station.acquisition.process.messages import Disarm, Ready, Shutdown, Trouble
-from vaoi_station.backoff import BackoffPolicy
+from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.runs.control import acquisition_link as module
-from vaoi_station.runs.control.acquisition_link import AcquisitionLink, longest_s
+from vaoi_station.runs.control.acquisition_link import AcquisitionLink, longest_pause_s
 from vaoi_station.runs.states.schemas import STARTING, WAITING
 
 PATIENCE_S = 20.0
@@ -45,14 +45,19 @@ def events() -> Recorded:
     return Recorded()
 
 
+def end_link(link: AcquisitionLink, peer: Any) -> None:
+    """Stop a link whose scripted process does not read Shutdown: it ends when it is closed."""
+    ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
+    ending.start()
+    peer.close()
+    ending.join()
+
+
 @pytest.fixture
 def unstarted(peer: Any) -> Iterator[AcquisitionLink]:
     made = AcquisitionLink(peer.launch)
     yield made
-    ending = threading.Thread(target=made.stop, args=(PATIENCE_S,))
-    ending.start()
-    peer.close()
-    ending.join()
+    end_link(made, peer)
 
 
 @pytest.fixture
@@ -72,7 +77,7 @@ def test_commands_go_down_and_reports_come_up(link: AcquisitionLink, peer: Any, 
     assert status.heartbeat_age_s is not None
 
 
-def test_before_it_is_begun_it_waits_for_the_workers_and_says_so(
+def test_status_states_that_the_first_start_waits_for_the_workers(
     unstarted: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
     warm = threading.Event()
@@ -87,10 +92,12 @@ def test_before_it_is_begun_it_waits_for_the_workers_and_says_so(
     assert (status.doing, status.alive) == ("", True)
     peer.die()
     events.ends.get(timeout=PATIENCE_S)
-    assert unstarted.status().doing in ("", STARTING), "it waits no longer for them"
+    assert unstarted.status().doing in ("", STARTING), "only the first start waits for them"
 
 
-def test_a_death_is_told_and_followed_by_a_new_life(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
+def test_an_unexpected_end_is_reported_and_followed_by_a_restart(
+    link: AcquisitionLink, peer: Any, events: Recorded
+) -> None:
     peer.say(Ready(3))
     assert events.messages.get(timeout=PATIENCE_S)
     peer.die(-11)
@@ -102,7 +109,7 @@ def test_a_death_is_told_and_followed_by_a_new_life(link: AcquisitionLink, peer:
     assert link.status().restarts == 1
 
 
-def test_last_words_are_heard(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
+def test_messages_sent_before_the_end_are_delivered(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     for n in range(50):
         peer.say(Ready(n))
     peer.die()
@@ -110,59 +117,78 @@ def test_last_words_are_heard(link: AcquisitionLink, peer: Any, events: Recorded
     assert events.messages.qsize() == 50
 
 
-def test_who_cannot_begin_or_dies_as_soon_as_it_is_ready_is_started_again_ever_more_slowly(
-    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
-) -> None:
-    pauses: list[float] = []
-    record_failure = link._backoff.record_failure
+class RecordedBackoff(Backoff):
+    """Records the pauses, and does not wait for them."""
 
-    def fails_briefly(longest_s: float | None = None) -> float:
-        pauses.append(record_failure(longest_s))
-        link._backoff.due_s = None
+    def __init__(self) -> None:
+        super().__init__(module.PACE)
+        self.pauses: list[float] = []
+
+    def record_failure(self, longest_s: float | None = None) -> float:
+        self.pauses.append(super().record_failure(longest_s))
+        self.due_s = None
         return 0.0
 
-    monkeypatch.setattr(link._backoff, "record_failure", fails_briefly)
-    for life in range(1, 7):
-        peer.life(life)
-        peer.say(Ready(3)) if life in (3, 4) else peer.say(Trouble("port-absent", "There is no serial port.", ""))
+
+@pytest.fixture
+def start_link(peer: Any, events: Recorded) -> Iterator[Callable[[Backoff], AcquisitionLink]]:
+    """Starts links with a back-off of their own; they are stopped after the test."""
+    started: list[AcquisitionLink] = []
+
+    def start(backoff: Backoff) -> AcquisitionLink:
+        made = AcquisitionLink(peer.launch, backoff)
+        started.append(made)
+        made.start(events)
+        return made
+
+    yield start
+    for link in started:
+        end_link(link, peer)
+
+
+def test_a_process_that_cannot_start_or_ends_when_ready_is_restarted_ever_more_slowly(
+    start_link: Callable[[Backoff], AcquisitionLink], peer: Any, events: Recorded
+) -> None:
+    backoff = RecordedBackoff()
+    start_link(backoff)
+    for attempt in range(1, 7):
+        peer.life(attempt)
+        ready = attempt in (3, 4)
+        peer.say(Ready(3) if ready else Trouble("port-absent", "There is no serial port.", ""))
         peer.die(0)
-        told = events.ends.get(timeout=PATIENCE_S)
-        assert told == (
-            "the acquisition process ended (code 0)" if life in (3, 4) else "the acquisition process could not begin"
-        )
+        expected = "ended (code 0)" if ready else "could not start"
+        assert events.ends.get(timeout=PATIENCE_S) == f"the acquisition process {expected}"
     peer.life(7)
-    assert pauses == [0.5, 1, 2, 4, 6, 6]
+    assert backoff.pauses == [0.5, 1, 2, 4, 6, 6]
 
 
-def test_a_life_that_has_proven_itself_is_followed_by_another_at_once(
-    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
+def test_a_process_that_ran_for_long_is_restarted_at_once(
+    start_link: Callable[[Backoff], AcquisitionLink], peer: Any, events: Recorded
 ) -> None:
     now_s = time.monotonic()
-    monkeypatch.setattr(link._backoff, "_clock", lambda: now_s)
-    for life in (1, 2):
-        peer.life(life)
+    backoff = Backoff(module.PACE, lambda: now_s)
+    start_link(backoff)
+    for attempt in (1, 2):
+        peer.life(attempt)
         peer.say(Ready(3))
         events.messages.get(timeout=PATIENCE_S)
         now_s += module.PACE.proven_s
         peer.die(-11)
         events.ends.get(timeout=PATIENCE_S)
-        assert link._backoff.due_s in (None, now_s + module.PACE.first_s)
+        assert backoff.due_s in (None, now_s + module.PACE.first_s)
         now_s += module.PACE.first_s
 
 
-def test_when_it_is_started_again_is_told(
-    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
+def test_status_states_when_the_process_is_started_again(
+    start_link: Callable[[Backoff], AcquisitionLink], peer: Any, events: Recorded
 ) -> None:
-    assert link.status().next_try is None
-    peer.die(0)
-    peer.life(2)
-    assert link.status().next_try is None, "it is being started"
-    monkeypatch.setattr(link._backoff, "_pace", BackoffPolicy(first_s=60.0, longest_s=60.0, proven_s=30.0))
+    link = start_link(Backoff(BackoffPolicy(first_s=60.0, longest_s=60.0, proven_s=30.0)))
+    peer.life(1)
+    assert link.status().next_try is None, "it runs"
     before = datetime.now(UTC)
     peer.say(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
     peer.die(0)
-    for _ in range(2):
-        events.ends.get(timeout=PATIENCE_S)
+    events.ends.get(timeout=PATIENCE_S)
     status = link.status()
     assert not status.alive
     assert status.next_try is not None
@@ -170,20 +196,22 @@ def test_when_it_is_started_again_is_told(
     assert before - ROUNDED < failed < datetime.now(UTC) + ROUNDED
 
 
-def test_what_is_plugged_in_is_taken_within_seconds_and_what_was_refused_is_not_hurried() -> None:
-    assert longest_s("port-absent") == longest_s("camera-in-use") == 6
-    assert longest_s("invalid-input") == longest_s("setting-refused") == longest_s("") == 60
+def test_absent_devices_are_retried_within_seconds_and_refused_settings_slowly() -> None:
+    assert longest_pause_s("port-absent") == longest_pause_s("camera-in-use") == 6
+    assert longest_pause_s("invalid-input") == longest_pause_s("setting-refused") == longest_pause_s("") == 60
 
 
-def test_silence_is_death(monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded) -> None:
-    monkeypatch.setattr(module, "SILENCE_S", 0.2)
+def test_a_process_without_heartbeat_is_killed(
+    monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
+) -> None:
+    monkeypatch.setattr(module, "HEARTBEAT_LIMIT_S", 0.2)
     peer.say(Ready(3))
     events.messages.get(timeout=PATIENCE_S)
-    assert "gave no sign of life" in events.ends.get(timeout=PATIENCE_S)
+    assert "sent no heartbeat" in events.ends.get(timeout=PATIENCE_S)
     assert peer.lives[0][0].exitcode == -9
 
 
-def test_the_end_is_asked_for_and_waited_for(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
+def test_stop_sends_shutdown_and_waits(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
     ending.start()
     peer.expect(Shutdown)
@@ -194,7 +222,7 @@ def test_the_end_is_asked_for_and_waited_for(link: AcquisitionLink, peer: Any, e
     assert len(peer.lives) == 1
 
 
-def test_who_does_not_end_is_ended(link: AcquisitionLink, peer: Any) -> None:
+def test_stop_kills_a_process_that_does_not_end(link: AcquisitionLink, peer: Any) -> None:
     link.stop(0.05)
     assert peer.lives[0][0].exitcode == -9
     link.stop()

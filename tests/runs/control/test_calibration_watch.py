@@ -34,7 +34,7 @@ def test_a_knocked_camera_is_told_by_its_second_board(rig: Any, calibration: Any
     film(rig, grant)
     (warning,) = rig.coordinator.snapshot().warnings
     assert warning.code == "calibration-drift"
-    assert f"looks 3.00 px beside where it was calibrated, since run {first}" in warning.message
+    assert f"is displaced by 3.00 px from its calibration since run {first}" in warning.message
     assert "recalibrate" in warning.action
     assert rig.coordinator.snapshot().state == "armed", "boards are filmed all the same"
     still, drifted = rig.coordinator.calibration().cameras

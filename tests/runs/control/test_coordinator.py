@@ -184,7 +184,7 @@ def test_arming_while_the_line_disarms_waits_for_that(rig: Any) -> None:
     rig.peer.expect(messages.Disarm)
     again = threading.Thread(target=rig.coordinator.arm, args=("small", "next"))
     again.start()
-    rig.wait_for(lambda: bool(rig.coordinator._core._after_disarm), "the order to wait")
+    rig.wait_for(lambda: bool(rig.coordinator._core.line._after_disarm), "the order to wait")
     rig.peer.say(messages.Disarmed(()))
     rig.peer.expect(messages.Grant)
     rig.peer.expect(messages.Arm)
@@ -292,7 +292,7 @@ def test_an_armed_line_keeps_its_board_type_when_another_is_taught_and_says_so(r
     grant = rig.arm()
     old = rig.coordinator.board_type("small")
     rig.coordinator.put_board_type(old.model_copy(update={"components": ()}))
-    assert rig.coordinator.events(0)[-1].message.endswith("was replaced. It holds from the next arming on.")
+    assert rig.coordinator.events(0)[-1].message.endswith("was replaced. The change applies from the next arming on.")
     rig.board(grant)
     rig.result_of(grant.run)
     assert [c.address for c in rig.coordinator.components(grant.run)] == ["U1"]

@@ -199,7 +199,7 @@ def test_why_the_devices_cannot_be_opened_is_told_once_and_stays(rig: Any) -> No
     rig.wait_for(lambda: rig.coordinator.snapshot().reasons[0].code == refused.code, "the second cause")
     assert [r.code for r in rig.coordinator.snapshot().reasons] == ["setting-refused", "acquisition-lost"]
     told = [e.message for e in rig.coordinator.events(first) if e.kind == "trouble"]
-    lost = "The acquisition process ended (code -11).", "The acquisition process could not begin."
+    lost = "The acquisition process ended (code -11).", "The acquisition process could not start."
     assert told == [lost[0], absent.message, lost[1], refused.message]
     rig.peer.say(messages.Ready(2))
     rig.until("idle")

@@ -74,7 +74,7 @@ def test_a_full_ring_blocks_arming_names_the_holders_and_loses_nothing(rig: Any)
 
 def test_a_run_that_is_let_go_unblocks_the_line(rig: Any) -> None:
     runs = full(rig)
-    rig.coordinator.let_go(runs[1], "tester 3")
+    rig.coordinator.end_hold(runs[1], "tester 3")
     grant = rig.peer.expect(messages.Grant)
     rig.until("armed")
     assert rig.coordinator.snapshot().reasons == ()

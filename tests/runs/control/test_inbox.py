@@ -51,7 +51,7 @@ def test_our_own_faults_are_told_and_do_not_end_the_thread(inbox: Inbox, caplog:
 
 
 def test_the_coordinator_does_not_wait_for_itself(inbox: Inbox) -> None:
-    with pytest.raises(InternalError, match="waits for itself"):
+    with pytest.raises(InternalError, match="cannot wait for itself"):
         inbox.ask(lambda: inbox.ask(lambda: None))
 
 

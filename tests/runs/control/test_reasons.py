@@ -46,9 +46,9 @@ def test_of_devices_that_are_opened_again_only_the_last_trouble_is_shown() -> No
     reasons = Reasons(Clock())
     absent, refused = Trouble("port-absent", "no port", ""), Trouble("setting-refused", "no gain", "")
     assert reasons.trouble(absent) is not None
-    reasons.begin_anew()
+    reasons.mark_outdated()
     assert reasons.trouble(absent) is None
-    reasons.begin_anew()
+    reasons.mark_outdated()
     assert [reason.message for reason in reasons.all()] == ["No port"], "until another is told, it stays"
     assert reasons.trouble(refused) is not None
     assert [reason.message for reason in reasons.all()] == ["No gain"]

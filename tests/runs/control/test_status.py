@@ -6,7 +6,7 @@ import pytest
 
 from vaoi_station.config import CameraConfig
 from vaoi_station.runs.control.readiness import not_connected
-from vaoi_station.runs.control.status import late
+from vaoi_station.runs.control.status import worker_warnings
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 
 
@@ -28,9 +28,11 @@ def test_workers_that_are_not_there_yet_are_a_warning() -> None:
     def process(name: str, doing: str) -> ProcessStatus:
         return ProcessStatus(name=name, pid=1, alive=True, restarts=0, heartbeat_age_s=None, doing=doing)
 
-    assert late((process("acquisition", STARTING), process("worker 0", "idle"))) == ()
-    [warning] = late((process("worker 0", "rows of (0, 0)"), process("worker 1", STARTING)))
+    assert worker_warnings((process("acquisition", STARTING), process("worker 0", "idle"))) == ()
+    [warning] = worker_warnings((process("worker 0", "rows of (0, 0)"), process("worker 1", STARTING)))
     assert warning.code == "workers-starting"
     assert warning.message == "Results of boards that pass meanwhile come late: 1 of 2 workers is still starting."
-    [warning] = late((process("acquisition", WAITING), process("worker 0", STARTING), process("worker 1", STARTING)))
+    [warning] = worker_warnings(
+        (process("acquisition", WAITING), process("worker 0", STARTING), process("worker 1", STARTING))
+    )
     assert warning.message == "Cameras are not opened yet: 2 of 2 workers are still starting."

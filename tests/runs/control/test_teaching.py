@@ -196,7 +196,7 @@ def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:
 def test_files_that_are_gone_are_told(rig: Any, make_rig: Callable[..., Any], tmp_path: Path) -> None:
     run = taught(rig)
     (rig.config.data / "references" / run / "result.json").write_text("{")
-    rig.coordinator._references._shelf._opened.clear()  # as after a restart
+    rig.coordinator._board_types._references._store._opened.clear()  # as after a restart
     status = rig.coordinator.reference("small")
     assert not status.usable
     assert "result.json" in status.fault.message

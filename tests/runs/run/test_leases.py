@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.errors import BusyError
-from vaoi_station.runs.run.leases import MOST_HOLDERS, OWN, Leases
+from vaoi_station.runs.run.leases import MAX_HOLDERS, OWN, Leases
 
 
 class Clock:
@@ -55,7 +55,7 @@ def test_each_holder_has_its_own_and_a_release_ends_all() -> None:
 
 def test_a_run_has_so_many_holders_and_no_more() -> None:
     leases = Leases(10.0, Clock())
-    for k in range(MOST_HOLDERS):
+    for k in range(MAX_HOLDERS):
         leases.take("r1", f"tester {k}", "")
     leases.take("r1", "tester 3", "again")
     with pytest.raises(BusyError, match="has 32 holders, which is the limit: tester 0") as refused:

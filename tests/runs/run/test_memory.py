@@ -61,9 +61,7 @@ def test_a_full_ring_names_the_holders() -> None:
     memory.grant("r2")
     memory.use("r2", "filming")
     memory.grant("r3")
-    with pytest.raises(
-        BusyError, match=r"r1 is held by tester 3 \(AOI\); run r2 is being filmed; run r3 is being awai"
-    ):
+    with pytest.raises(BusyError, match=r"r1 is held by tester 3 \(AOI\); run r2 is being filmed; run r3 is reserved"):
         memory.grant("r4")
     leases.end("r1", "tester 3")
     assert memory.grant("r4").evicted == "r1"
@@ -77,7 +75,7 @@ def test_memory_that_comes_back_by_itself_is_told_apart() -> None:
     assert not memory.held()
     with pytest.raises(BusyError) as refusal:
         memory.grant("r2")
-    assert "passes as soon as" in refusal.value.action
+    assert "Wait until a run is stitched" in refusal.value.action
     memory.use("r1", "finished")
     assert memory.held()
     with pytest.raises(BusyError) as refusal:

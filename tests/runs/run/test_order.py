@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from vaoi_station.config import StationConfig
 from vaoi_station.model import BoardType, Calibration
-from vaoi_station.runs.run.order import Order, OrderDesk, Orders
-from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.run.order import Order, OrderFactory, Orders
+from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.store import Store
 
 
-def order_of(desk: OrderDesk, board_type: BoardType, board_id: str) -> Order:
+def order_of(desk: OrderFactory, board_type: BoardType, board_id: str) -> Order:
     return desk(board_type, board_id, None)
 
 
-def make_desk(config: StationConfig, calibration: Calibration, store: Store) -> OrderDesk:
+def make_desk(config: StationConfig, calibration: Calibration, store: Store) -> OrderFactory:
     heads = camera_heads(config)
-    shelf = ReferenceShelf(config.data / "references", store, calibration.cameras(heads))
-    return OrderDesk(config.line, calibration, heads, store, shelf)
+    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
+    return OrderFactory(config.line, calibration, heads, store, shelf)
 
 
 def test_a_board_that_was_there_first_belongs_to_the_order_before(

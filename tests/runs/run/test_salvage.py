@@ -8,10 +8,10 @@ from vaoi_station.acquisition.process.messages import FrameSettled, PulseReporte
 from vaoi_station.config import StationConfig
 from vaoi_station.model import BoardType, Calibration, FrameRecord, Pulse, Verdict
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.run.order import OrderDesk
+from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.reference_store import ReferenceShelf
-from vaoi_station.runs.run.salvage import CAUSE, camera_heads, film_from_pieces
+from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.salvage import CAUSE, camera_heads, salvage_recording
 from vaoi_station.runs.workers.jobs import Linked, LinkJob, Reply
 from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.store import Store
@@ -19,8 +19,8 @@ from vaoi_station.store import Store
 
 def progress_of(config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType) -> Progress:
     heads = camera_heads(config)
-    shelf = ReferenceShelf(config.data / "references", store, calibration.cameras(heads))
-    order = OrderDesk(config.line, calibration, heads, store, shelf)(board_type, None, None)
+    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
+    order = OrderFactory(config.line, calibration, heads, store, shelf)(board_type, None, None)
     return Progress.begin(RunStarted("r1", 1, 50.0), Bay(1, "filming", "r1", 7), order)
 
 
@@ -35,7 +35,7 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
     for camera, row, at in ((0, 0, 51.0), (1, 0, 51.5), (0, 1, 52.0), (0, 3, 53.0)):
         record = FrameRecord(camera=camera, row=row, verdict=Verdict.OK, slot=row)
         progress.settle(FrameSettled("r1", record, at))
-    film = film_from_pieces(progress, config)
+    film = salvage_recording(progress, config)
     assert film is not None
     assert film.head.rows == 2
     assert film.head.trigger_times_s == (0.0, 0.1)
@@ -49,18 +49,20 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
     assert film.frames[-1].cause == CAUSE
     assert (film.bay, film.reason) == (1, "acquisition lost")
     progress.filmed(film)
-    for task in progress.needed:
+    for task in progress.canonical_tasks:
         nothing = Linked.of(Links.empty(task, "scripted"), 0.0)
-        progress.answered(LinkJob(progress.context, task.a[0], (task,), {}), Reply((nothing,), None, 0.0), 60.0)
-    conclusion = progress.conclusion()
+        progress.add_evidence(LinkJob(progress.context, task.a[0], (task,), {}), Reply((nothing,), None, 0.0), 60.0)
+    conclusion = progress.conclude_job()
     assert conclusion is not None
-    assert conclusion.excluded == {task for task in progress.asked_s if task.a[1] == 3} != set(), "also unanswered ones"
+    assert conclusion.excluded == {task for task in progress.requested_s if task.a[1] == 3} != set(), (
+        "also unanswered ones"
+    )
 
 
 def test_without_a_pulse_there_is_no_film(
     config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
 ) -> None:
     progress: Any = progress_of(config, calibration, store, board_type)
-    assert film_from_pieces(progress, config) is None
+    assert salvage_recording(progress, config) is None
     progress.pulses[1] = Pulse(index=1, time_s=3.0)
-    assert film_from_pieces(progress, config) is None
+    assert salvage_recording(progress, config) is None

@@ -87,7 +87,7 @@ def router(services: Services) -> APIRouter:
     @routes.delete("/{run}/hold", status_code=204)
     async def let_go_of_run(run: RunId, holder: Holder) -> None:
         """End a hold; harmless if there is none."""
-        await ask(coordinator.let_go, run, holder)
+        await ask(coordinator.end_hold, run, holder)
 
     return routes
 

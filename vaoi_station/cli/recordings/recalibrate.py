@@ -79,7 +79,7 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
     from vaoi_station.config import read_config
     from vaoi_station.drift.checks import RunCheck
     from vaoi_station.files import read_calibration
-    from vaoi_station.runs.control.calibration_watch import FIRST, LATEST
+    from vaoi_station.runs.control.calibration_watch import FIRST_CHECKS, LATEST_CHECKS
     from vaoi_station.station import DATABASE
     from vaoi_station.store import Database, Store
     from vaoi_station.store.documents import digest_of
@@ -91,7 +91,7 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
         raise InputError(f"{path}: is not there; this station has filmed nothing.", action="Let boards pass first.")
     store = Store(Database(path))
     try:
-        kept = store.checks.documents(digest_of(calibration.model_dump_json()), FIRST, LATEST)
+        kept = store.checks.documents(digest_of(calibration.model_dump_json()), FIRST_CHECKS, LATEST_CHECKS)
     finally:
         store.close()
     if not kept:

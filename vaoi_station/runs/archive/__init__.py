@@ -1,1 +1,1 @@
-"""Keep finished runs: results, the event log, the components of a run."""
+"""Keep finished runs: their results, the components they show, and the event log."""

@@ -1,4 +1,4 @@
-"""Components of a finished run: where they were, and which frames show them."""
+"""Components of a finished run: their positions, and the frames that show them."""
 
 from __future__ import annotations
 
@@ -9,45 +9,50 @@ import numpy as np
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, Component, Verdict
 from vaoi_station.rendering import View, ViewCalculator
-from vaoi_station.runs.archive.finished_runs import Dossier
+from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
 
 
-def components_of(dossier: Dossier) -> tuple[ComponentSummary, ...]:
-    """All components of the board type the run was filmed with; places where there is a CAD mapping."""
-    board_type, stitch = dossier.board_type, dossier.without_components
+def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
+    """All components of the board type the run was filmed with; positions only with a CAD mapping."""
+    board_type, stitch = finished.board_type, finished.stitch
     from_cad = stitch.tester_from_cad if stitch else None
-    seen = _times_seen(dossier)
+    views = _view_counts(finished)
     parts = board_type.components
-    places = from_cad(np.array([c.center for c in parts])) if from_cad and parts else [None] * len(parts)
+    positions = from_cad(np.array([c.center for c in parts])) if from_cad and parts else [None] * len(parts)
     return tuple(
-        _summary(part, board_type.mm_per_unit, None if at is None else (float(at[0]), float(at[1])), seen[part.address])
-        for part, at in zip(parts, places, strict=True)
+        _summary(
+            part, board_type.mm_per_unit, None if at is None else (float(at[0]), float(at[1])), views[part.address]
+        )
+        for part, at in zip(parts, positions, strict=True)
     )
 
 
-def views_of_component(dossier: Dossier, ref: str, px_per_mm: float | None, min_coverage: float) -> tuple[View, ...]:
+def views_of_component(
+    finished: FinishedRun, ref: str, px_per_mm: float | None, min_coverage: float
+) -> tuple[View, ...]:
     """The good frames that show a component, best first; `NotFoundError` without such a component."""
-    part = component_of(dossier.board_type, ref)
-    whole = {(f.camera, f.row) for f in dossier.detail.frames if f.verdict is Verdict.OK}
-    views = dossier.view_calculator.compute(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
+    part = component_of(finished.board_type, ref)
+    # Frames with holes have matrices too, but a picture with black packets is no view.
+    whole = {(f.camera, f.row) for f in finished.detail.frames if f.verdict is Verdict.OK}
+    views = finished.view_calculator.compute(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
     return tuple(view for view in views if (view.camera, view.row) in whole)
 
 
-def view_of_component(dossier: Dossier, ref: str, k: int, px_per_mm: float | None, min_coverage: float) -> View:
-    """View k; `NotFoundError` says how many there are."""
-    views = views_of_component(dossier, ref, px_per_mm, min_coverage)
+def view_of_component(finished: FinishedRun, ref: str, k: int, px_per_mm: float | None, min_coverage: float) -> View:
+    """View k of a component; `NotFoundError` states how many there are."""
+    views = views_of_component(finished, ref, px_per_mm, min_coverage)
     if not 0 <= k < len(views):
         raise NotFoundError(
-            f"Component {ref!r} of run {dossier.detail.id} has {len(views)} images, numbered from 0; there is no {k}.",
-            action="Ask for one of the component's list, or for a lower min_coverage.",
+            f"Component {ref!r} of run {finished.detail.id} has {len(views)} images, numbered from 0; there is no {k}.",
+            action="Request an image of the component's list, or lower min_coverage.",
             code="no-such-image",
         )
     return views[k]
 
 
 def component_of(board_type: BoardType, ref: str) -> Component:
-    """The component of an address; `NotFoundError` names the board type."""
+    """The component at an address; `NotFoundError` names the board type."""
     part = board_type.component(ref)
     if part is None:
         raise NotFoundError(
@@ -59,24 +64,24 @@ def component_of(board_type: BoardType, ref: str) -> Component:
 
 
 def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: bool) -> None:
-    """Pixels that are not a whole frame are served only to who asks for them."""
+    """Raise unless a frame is whole, or incomplete and allowed."""
     if verdict is Verdict.MISSING:
         raise NotFoundError(f"{where} never arrived: {cause}.", code="frame-missing")
     if verdict is Verdict.INCOMPLETE and not allow_incomplete:
         raise StateError(
             f"{where} is incomplete: {cause}. Its holes are black.",
-            action="Allow incomplete frames to see what there is.",
+            action="Allow incomplete frames to get it.",
             code="frame-incomplete",
         )
 
 
-def _times_seen(dossier: Dossier) -> Counter[str]:
-    """How many pictures of each component the run offers by default: good frames that show at least half of it."""
-    stitch = dossier.without_components
+def _view_counts(finished: FinishedRun) -> Counter[str]:
+    """Number of views of each component with the default coverage: whole frames that show at least half of it."""
+    stitch = finished.stitch
     if stitch is None or stitch.cad_matrix is None:
         return Counter()
-    whole = {(f.camera, f.row) for f in dossier.detail.frames if f.verdict is Verdict.OK}
-    board = ViewCalculator(dossier.board_type, stitch, dossier.cameras).compute_all(dossier.board_type.components)
+    whole = {(f.camera, f.row) for f in finished.detail.frames if f.verdict is Verdict.OK}
+    board = ViewCalculator(finished.board_type, stitch, finished.cameras).compute_all(finished.board_type.components)
     return Counter({address: sum((v.camera, v.row) in whole for v in views) for address, views in board.items()})
 
 

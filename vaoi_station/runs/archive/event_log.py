@@ -1,4 +1,4 @@
-"""The numbered log of what happened: kept in the store, waited for by many, without gaps."""
+"""The event log: numbered without gaps, kept in the database, awaited by any number of callers."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from vaoi_station.store import EventRow, Store
 _log = logging.getLogger(__name__)
 
 RECENT = 1000
-"""Events served from memory; older ones come from the store."""
-_TROUBLES = frozenset({"trouble", "board-missed", "process"})
+"""Number of events served from memory; older ones are read from the database."""
+_WARNINGS = frozenset({"trouble", "board-missed", "process"})
+"""Kinds that are logged as warnings."""
 
 
 class EventLog:
-    """Appends from one thread, reads and waits from any."""
+    """Usable from any thread."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._news = threading.Condition()
+        self._changed = threading.Condition()
         self._recent: deque[EventRecord] = deque(maxlen=RECENT)
         self._last = store.last_event()
         self._closed = False
@@ -36,33 +37,36 @@ class EventLog:
     def add(
         self, kind: str, message: str, *, state: str = "", run: str | None = None, code: str = "", action: str = ""
     ) -> EventRecord:
-        """Append an event and wake who waits for one."""
-        with self._news:
+        """Append an event and wake all callers that wait for one."""
+        with self._changed:
             event = EventRecord(
                 number=self._last + 1, time=utc(), kind=kind, state=state, run=run,
                 code=code, message=message, action=action,
             )  # fmt: skip
+            # Number and write under one lock: the database gets the events in the order of their numbers.
             self._store.add_event(EventRow(event.number, event.model_dump_json()))
             self._recent.append(event)
             self._last = event.number
-            self._news.notify_all()
-        level = logging.WARNING if kind in _TROUBLES else logging.INFO
+            self._changed.notify_all()
+        # Logged outside the lock: a slow log must not delay readers.
+        level = logging.WARNING if kind in _WARNINGS else logging.INFO
         _log.log(level, "%s%s: %s", kind, f" {run}" if run else "", f"{message} {action}".strip())
         return event
 
     def read(self, after: int, timeout_s: float, limit: int) -> tuple[EventRecord, ...]:
         """Events numbered above `after`, oldest first; waits up to `timeout_s` for one."""
+        # A condition may wake without an event: the remaining time is computed anew in every turn.
         deadline = time.monotonic() + timeout_s
-        with self._news:
+        with self._changed:
             while self._last <= after and not self._closed:
-                if not self._news.wait(deadline - time.monotonic()) and time.monotonic() >= deadline:
+                if not self._changed.wait(deadline - time.monotonic()) and time.monotonic() >= deadline:
                     return ()
             if self._recent and self._recent[0].number <= after + 1:
                 return tuple(e for e in self._recent if e.number > after)[:limit]
         return tuple(EventRecord.model_validate_json(row.document) for row in self._store.events(after, limit))
 
     def close(self) -> None:
-        """Wake everybody who waits; there will be no more events."""
-        with self._news:
+        """Wake all callers that wait; no more events follow."""
+        with self._changed:
             self._closed = True
-            self._news.notify_all()
+            self._changed.notify_all()

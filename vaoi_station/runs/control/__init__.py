@@ -1,1 +1,1 @@
-"""Control the station: one thread decides, every other thread asks it."""
+"""Control the station: one thread decides, the coordinator; every other thread sends it requests or events."""

@@ -1,4 +1,4 @@
-"""The acquisition process, seen from the station: started, listened to, started again when it dies or hangs."""
+"""The link to the acquisition process: start it, pass its messages on, restart it when it ends or hangs."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from vaoi_station.runs.host.process_setup import set_up_process
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 
-SILENCE_S = 10.0
-"""Without a sign of life for so long (it gives two a second) the process is taken for hung and killed."""
-START_S = 60.0
-"""The same before its first word: cameras take their time to open, scenarios to be rendered."""
-WARM_S, LOOK_S = 60.0, 0.1
-"""Workers have so long to warm up before boards are taken all the same, and whether they have is looked at so often."""
-LAST_S = 2.0
-"""Between the end of its pipe and its own."""
+HEARTBEAT_LIMIT_S = 10.0
+"""A process without a heartbeat for this time (it sends two per second) counts as hung and is killed."""
+START_LIMIT_S = 60.0
+"""The same before its first message: cameras take their time to open, scenarios to be rendered."""
+WARM_S, WARM_POLL_S = 60.0, 0.1
+"""Longest wait for warm workers before the devices are opened anyway, and the period of its checks."""
+EXIT_S = 2.0
+"""Time between the end of its pipe and the end of the process."""
 PACE = BackoffPolicy(first_s=0.5, longest_s=60.0, proven_s=30.0)
-"""How soon it is started again."""
+"""Pauses between restarts."""
 PLUGGED_S = 6.0
-"""The longest pause while something is only absent: what is plugged in is taken soon. Settings that a camera refuses,
-wrong input, or a process that dies by itself are not mended by hurry."""
+"""The longest pause while a device is only absent: what is plugged in is used within seconds. Refused settings, wrong
+input and a process that crashes are not cured by faster retries."""
 _ABSENT = frozenset(
     {
         "camera-absent",
@@ -47,19 +47,19 @@ _ABSENT = frozenset(
 
 
 class Process(Protocol):
-    """What the link needs of a process; `multiprocessing` has it."""
+    """What the link needs of a process; `multiprocessing.Process` has it."""
 
     @property
     def pid(self) -> int | None:
-        """Its number."""
+        """Process id."""
 
     @property
     def sentinel(self) -> int:
-        """Becomes ready to read when it ends."""
+        """Handle that becomes ready when the process ends."""
 
     @property
     def exitcode(self) -> int | None:
-        """None while it lives."""
+        """Exit code; None while it runs."""
 
     def kill(self) -> None:
         """End it at once."""
@@ -68,16 +68,17 @@ class Process(Protocol):
         """Wait until it has ended."""
 
     def close(self) -> None:
-        """Give back what it held here."""
+        """Release its resources in this process."""
 
 
 Launch = Callable[[], tuple[Process, "Connection[Any, Any]"]]
 
 
-def spawned(config: StationConfig, ring: Path) -> Launch:
-    """Starts the real acquisition process."""
+def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
+    """Return a function that starts the real acquisition process."""
 
     def launch() -> tuple[Process, Connection[Any, Any]]:
+        # "spawn": a forked child would inherit the station's threads' locks in an unknown state.
         spawn = multiprocessing.get_context("spawn")
         here, there = spawn.Pipe()
         process = spawn.Process(target=acquire, args=(config, str(ring), there), name="vaoi-acquisition", daemon=True)
@@ -89,91 +90,105 @@ def spawned(config: StationConfig, ring: Path) -> Launch:
 
 
 def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) -> None:
-    """The acquisition process."""
+    """Run the acquisition process; target of `multiprocessing.Process`."""
     set_up_process(one_thread=False)
+    # Imported here: camera libraries must not be loaded into the station's own process.
     from vaoi_station.acquisition.process.main_loop import run_acquisition
 
     run_acquisition(config, Path(ring), connection)
 
 
 @dataclass
-class _Life:
-    """One process from start to end."""
+class _Attempt:
+    """One process from its start to its end."""
 
     process: Process
     connection: Connection[Any, Any]
-    heard_s: float
-    spoke: bool = False
+    last_message_s: float
+    has_reported: bool = False
     ready: bool = False
     cause: str = ""
-    """Code of the last trouble it told before it was ready."""
+    """Code of the last trouble reported before the process was ready."""
 
-    def note(self, report: Report) -> None:
-        """It has said something."""
-        self.heard_s, self.spoke = time.monotonic(), True
+    @property
+    def silence_s(self) -> float:
+        """Time since its last message, or since its start."""
+        return time.monotonic() - self.last_message_s
+
+    def record(self, report: Report) -> None:
+        """Record a message and its time."""
+        self.last_message_s, self.has_reported = time.monotonic(), True
         if isinstance(report, Ready):
             self.ready = True
         elif isinstance(report, Trouble) and not self.ready:
             self.cause = report.code
 
-    def ending(self, how: str, code: int | None) -> str:
-        """How it ended; who said before why it cannot begin need not be accused of anything."""
-        return "the acquisition process could not begin" if self.cause and code == 0 else f"{how} (code {code})"
+    def describe_end(self, how: str, code: int | None) -> str:
+        """Describe how it ended; a process that reported its cause and exited in order did not crash."""
+        return "the acquisition process could not start" if self.cause and code == 0 else f"{how} (code {code})"
 
 
-def longest_s(cause: str) -> float:
-    """The longest pause after a life that ended for this reason (the code of its last trouble; empty: none told)."""
+def longest_pause_s(cause: str) -> float:
+    """The longest pause before a restart; `cause`: code of the last trouble, empty if there was none."""
     return PLUGGED_S if cause in _ABSENT else PACE.longest_s
 
 
 class AcquisitionLink:
-    """Reports messages and ends of the process as events, in the link's own thread."""
+    """Reports messages and ends of the process as events; a thread of its own listens to the pipe."""
 
-    def __init__(self, launch: Launch) -> None:
+    def __init__(self, launch: Launch, backoff: Backoff | None = None) -> None:
+        """Prepare a link; nothing runs before `start`.
+
+        Args:
+            launch: starts the process and returns it with our end of its pipe.
+            backoff: pauses between restarts; by default those of `PACE`.
+        """
         self._launch = launch
         self._events: StationEvents | None = None
         self._warm: Callable[[], bool] = lambda: True
         self._lock = threading.Lock()
-        self._life: _Life | None = None
-        self._begun = False
+        self._attempt: _Attempt | None = None
+        self._started = False
         self._restarts = 0
-        self._backoff = Backoff(PACE)
+        self._backoff = backoff or Backoff(PACE)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
 
     def start(self, events: StationEvents, warm: Callable[[], bool] = lambda: True) -> None:
-        """Start the process once the workers are `warm`, or take too long, and report its messages to `events`."""
+        """Start the process once the workers are `warm` or `WARM_S` has passed, and report to `events`."""
         self._events, self._warm = events, warm
-        atexit.register(self.stop, 0.0)  # the process leaves SIGTERM to the station: nobody else would end it
+        # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before
+        # it waits: without this call an interpreter that exits early would hang.
+        atexit.register(self.stop, 0.0)
         self._thread.start()
 
     def send(self, command: Command) -> None:
-        """Tell the process something; if it has just died, its death is reported instead."""
+        """Send a command; if the process has just ended, that end is reported as an event instead."""
         with self._lock:
-            if self._life is not None:
-                _send(self._life.connection, command)
+            if self._attempt is not None:
+                _send(self._attempt.connection, command)
 
     def status(self) -> ProcessStatus:
-        """How the process does."""
+        """State of the process for the status page."""
         with self._lock:
-            life = self._life
+            attempt = self._attempt
             return ProcessStatus(
                 name="acquisition",
-                pid=life.process.pid if life else None,
-                alive=life is not None and life.process.exitcode is None,
+                pid=attempt.process.pid if attempt else None,
+                alive=attempt is not None and attempt.process.exitcode is None,
                 restarts=self._restarts,
-                heartbeat_age_s=time.monotonic() - life.heard_s if life else None,
-                doing=self._doing(),
+                heartbeat_age_s=attempt.silence_s if attempt else None,
+                doing=self._activity(),
                 next_try=None if (due_s := self._backoff.due_s) is None else utc_of_host(due_s),
             )
 
-    def _doing(self) -> str:
-        if self._life is not None:
-            return "" if self._life.spoke else STARTING
-        return "" if self._begun or self._stopping.is_set() else WAITING
+    def _activity(self) -> str:
+        if self._attempt is not None:
+            return "" if self._attempt.has_reported else STARTING
+        return "" if self._started or self._stopping.is_set() else WAITING
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """Have the cameras closed and the process ended; harmless when stopped."""
+        """Have the devices closed and end the process; harmless when stopped."""
         if self._stopping.is_set():
             return
         self._stopping.set()
@@ -183,66 +198,74 @@ class AcquisitionLink:
             return
         self._thread.join(timeout_s)
         with self._lock:
-            life = self._life
-            if life is not None:
-                life.process.kill()
+            attempt = self._attempt
+            if attempt is not None:
+                attempt.process.kill()
         self._thread.join()
 
     def _run(self) -> None:
         assert self._events is not None, "start() sets it before it starts the thread"
         until_s = time.monotonic() + WARM_S
-        while not self._warm() and time.monotonic() < until_s and not self._stopping.wait(LOOK_S):
+        while not self._warm() and time.monotonic() < until_s and not self._stopping.wait(WARM_POLL_S):
             continue
         while not self._stopping.is_set():
-            life = self._begin()
-            sentence = self._listen(life, self._events)
+            attempt = self._launch_process()
+            how = self._listen(attempt, self._events)
             with self._lock:
-                self._life = None
-            life.process.join(LAST_S)
-            if life.process.exitcode is None:
-                life.process.kill()
-                life.process.join()
-            code = life.process.exitcode
-            life.process.close()
-            life.connection.close()
+                self._attempt = None
+            # The pipe closes first; only a process that then stays is killed, so that its exit code is its own.
+            attempt.process.join(EXIT_S)
+            if attempt.process.exitcode is None:
+                attempt.process.kill()
+                attempt.process.join()
+            code = attempt.process.exitcode
+            attempt.process.close()
+            attempt.connection.close()
             if self._stopping.is_set():
                 return
             self._restarts += 1
-            self._backoff.record_failure(longest_s(life.cause))
-            self._events.acquisition_ended(life.ending(sentence, code))
+            self._backoff.record_failure(longest_pause_s(attempt.cause))
+            self._events.acquisition_ended(attempt.describe_end(how, code))
             self._stopping.wait(self._backoff.remaining_s())
 
-    def _begin(self) -> _Life:
+    def _launch_process(self) -> _Attempt:
         self._backoff.start_attempt()
         process, connection = self._launch()
         with self._lock:
-            self._life, self._begun = _Life(process, connection, time.monotonic()), True
+            self._attempt, self._started = _Attempt(process, connection, time.monotonic()), True
+            # stop() may have run between the launch and this lock: its Shutdown found no process.
             if self._stopping.is_set():
                 _send(connection, Shutdown())
-            return self._life
+            return self._attempt
 
-    def _listen(self, life: _Life, events: StationEvents) -> str:
-        """Pass reports on until the process ends; how it ended."""
+    def _listen(self, attempt: _Attempt, events: StationEvents) -> str:
+        """Report messages until the process ends; returns how it ended."""
         while True:
-            ready = wait([life.connection, life.process.sentinel], timeout=0.5)
-            if life.connection in ready:
+            ready = wait([attempt.connection, attempt.process.sentinel], timeout=0.5)
+            # The pipe before the sentinel: last messages of a process that has ended are still delivered.
+            if attempt.connection in ready:
                 try:
-                    report = life.connection.recv()
+                    report = attempt.connection.recv()
                 except (EOFError, ConnectionResetError):
                     return "the acquisition process ended"
-                life.note(report)
-                if life.ready:
+                attempt.record(report)
+                # Every message proves that it still runs; after `proven_s` the next failure counts as the first.
+                if attempt.ready:
                     self._backoff.record_success()
                 events.acquisition_message(report)
-            elif life.process.sentinel in ready:
+            elif attempt.process.sentinel in ready:
                 return "the acquisition process ended"
-            elif time.monotonic() - life.heard_s > (SILENCE_S if life.spoke else START_S):
-                life.process.kill()
-                return f"the acquisition process gave no sign of life for {time.monotonic() - life.heard_s:.0f} s"
+            elif time.monotonic() - attempt.last_message_s > (
+                HEARTBEAT_LIMIT_S if attempt.has_reported else START_LIMIT_S
+            ):
+                attempt.process.kill()
+                return (
+                    f"the acquisition process sent no heartbeat for {time.monotonic() - attempt.last_message_s:.0f} s"
+                )
 
 
 def _send(connection: Connection[Any, Any], command: Command) -> None:
     try:
         connection.send(command)
     except (BrokenPipeError, ConnectionResetError, OSError):
-        return  # the process has died; the listener says so in a moment
+        return  # the process has ended; the listening thread reports it in a moment

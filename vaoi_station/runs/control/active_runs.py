@@ -1,4 +1,4 @@
-"""The runs under way: their tasks go to the workers as soon as frames arrive, their ends to the archive."""
+"""Runs under way: their tasks go to the workers as frames arrive, their results to the archive."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, R
 
 
 class Workers(Protocol):
-    """What a run needs of the pool of workers."""
+    """What a run needs of the worker pool."""
 
     def submit(self, job: Job) -> None:
-        """Have a job done; its answer comes as an event."""
+        """Have a job done; its reply comes as an event."""
 
     def open_run(self, opening: OpenRun) -> None:
-        """Jobs of a run are about to come."""
+        """Announce a run whose jobs follow."""
 
     def close_run(self, run: str) -> None:
-        """Nothing more of a run will be asked for."""
+        """Discard everything prepared for a run."""
 
 
-class RunBook:
-    """Confined to the coordinator's thread. Methods that may end runs return those that have ended, in their order."""
+class ActiveRuns:
+    """The runs that are filmed or stitched, in the order of their boards.
+
+    Confined to the coordinator's thread. Methods that may end runs return those that have ended, oldest first.
+    """
 
     def __init__(self, workers: Workers, archive: Archive, events: EventLog) -> None:
         self._workers, self._archive, self._events = workers, archive, events
@@ -42,69 +45,72 @@ class RunBook:
         return [p for p in self.active.values() if p.state is RunState.FILMING]
 
     def open(self, progress: Progress) -> None:
-        """A board has interrupted the barrier."""
+        """Begin a run: a board has interrupted the barrier."""
         self.active[progress.run] = progress
+        # Workers receive what all jobs of the run need before its first job can reach them.
         self._workers.open_run(progress.opening)
         self._archive.begin(progress)
-        self._tell(progress, f"A board of type {progress.order.board_type.name!r} is being filmed.")
+        self._publish(progress, f"A board of type {progress.order.board_type.name!r} is being filmed.")
 
     def pulse(self, report: PulseReported) -> None:
-        """A row has been fired."""
+        """Record a pulse; frames of rows without one are not linked."""
         if (progress := self.active.get(report.run)) is not None:
             progress.pulses[report.pulse.index] = report.pulse
 
     def settle(self, report: FrameSettled) -> None:
-        """A frame has its verdict: link it to its neighbours."""
+        """Record a frame's verdict and submit the tasks that it makes possible."""
         progress = self.active.get(report.run)
         if progress is not None and progress.state is RunState.FILMING:
             self._submit(progress.settle(report))
 
     def filmed(self, report: RunFinished) -> list[Progress]:
-        """Every frame has its verdict: do what is left, and conclude."""
+        """Submit the remaining tasks of a run whose frames are all settled."""
         progress = self.active.get(report.run)
         if progress is None or progress.state is not RunState.FILMING:
             return []
         jobs = progress.filmed(report)
-        self._tell(progress, f"{report.head.rows} rows were filmed.")
+        self._publish(progress, f"{report.head.rows} rows were filmed.")
         self._submit(jobs)
-        return self._go_on(progress)
+        return self._conclude_if_complete(progress)
 
     def give_up(self, progress: Progress, reason: Reason) -> list[Progress]:
-        """There can be no result."""
-        progress.blame(reason)
-        progress.hopeless = True
-        return self._go_on(progress)
+        """End a run without a result."""
+        progress.add_fault(reason)
+        progress.unstitchable = True
+        return self._conclude_if_complete(progress)
 
-    def linked(self, job: LinkJob, answer: Reply, now_s: float) -> list[Progress]:
-        """Take the evidence that a worker has found."""
+    def linked(self, job: LinkJob, reply: Reply, at_s: float) -> list[Progress]:
+        """Add the evidence that a worker has found."""
+        # A reply may come after its run has ended without a result: it is ignored.
         if (progress := self.active.get(job.run)) is None:
             return []
-        progress.answered(job, answer, now_s)
-        return self._go_on(progress)
+        progress.add_evidence(job, reply, at_s)
+        return self._conclude_if_complete(progress)
 
-    def concluded(self, job: ConcludeJob, answer: Reply, now_s: float) -> list[Progress]:
-        """Take the result of a run."""
+    def concluded(self, job: ConcludeJob, reply: Reply, at_s: float) -> list[Progress]:
+        """Add the result of a run."""
         if (progress := self.active.get(job.run)) is None:
             return []
-        progress.concluded(answer, now_s)
+        progress.add_result(reply, at_s)
         return self._end_in_order(progress)
 
     def _submit(self, jobs: Iterable[LinkJob]) -> None:
         for job in jobs:
             self._workers.submit(job)
 
-    def _go_on(self, progress: Progress) -> list[Progress]:
-        """Conclude if all evidence is there; end without a result if there can be none."""
+    def _conclude_if_complete(self, progress: Progress) -> list[Progress]:
+        """Submit the conclusion if all evidence is there; end the run if there can be no result."""
         if progress.state is not RunState.STITCHING:
             return []
-        if progress.hopeless:
+        if progress.unstitchable:
             return self._end_in_order(progress)
-        if (job := progress.conclusion()) is not None:
+        if (job := progress.conclude_job()) is not None:
             self._workers.submit(job)
         return []
 
     def _end_in_order(self, progress: Progress) -> list[Progress]:
-        """Runs end in the order their boards came: one that is done early waits for those before it."""
+        """End all runs that are done and have no unfinished run before them."""
+        # Callers follow runs/next and expect boards in the order in which they passed.
         progress.done = True
         ended = list(itertools.takewhile(lambda earlier: earlier.done, self.active.values()))
         for earlier in ended:
@@ -112,17 +118,17 @@ class RunBook:
         return ended
 
     def _end(self, progress: Progress) -> None:
-        progress.step(_last_step(progress))
+        progress.advance(_final_step(progress))
         del self.active[progress.run]
         self._workers.close_run(progress.run)
         self._archive.finish(progress)
 
-    def _tell(self, progress: Progress, message: str) -> None:
+    def _publish(self, progress: Progress, message: str) -> None:
         self._events.add("run", message, state=progress.state, run=progress.run)
 
 
-def _last_step(progress: Progress) -> RunStep:
-    stitch = progress.without_components
+def _final_step(progress: Progress) -> RunStep:
+    stitch = progress.stitch
     if stitch is None or stitch.status is Status.FAILED:
         return RunStep.NOT_STITCHED
     sound = stitch.status is Status.OK and not progress.faults

@@ -1,6 +1,6 @@
-"""Watching the calibration: after every run a worker tells how the cameras stood, and a drift becomes a warning.
+"""Watching the calibration: after every run a worker checks the cameras, and a drift becomes a warning.
 
-Nobody waits for it: it is the last and least of a run's jobs, given out when its result has been told.
+The check has the lowest priority of a run's jobs and is submitted after its result: no caller waits for it.
 Confined to the coordinator's thread.
 """
 
@@ -24,24 +24,24 @@ from vaoi_station.runs.workers.jobs import CheckJob, Reply
 from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.documents import digest_of
 
-FIRST, LATEST = 50, 200
-"""Checks that are looked at: of when the calibration was new, and of late."""
-SHOWN = 50
+FIRST_CHECKS, LATEST_CHECKS = 50, 200
+"""Numbers of checks that are evaluated: from when the calibration was new, and the most recent ones."""
+HISTORY_RUNS = 50
 """Runs in the history of a camera."""
-_UNSEEN = 5
-"""Runs in a row that tell nothing of a camera."""
+_UNSEEN_RUNS = 5
+"""Runs in a row without evidence after which a camera's state is `unseen`."""
 CODE = "calibration-drift"
 
 
 class Workers(Protocol):
-    """What the watch needs of the pool of workers."""
+    """What the watch needs of the worker pool."""
 
     def submit(self, job: CheckJob) -> None:
-        """Have a job done; its answer comes as an event."""
+        """Have a job done; its reply comes as an event."""
 
 
 class CalibrationWatch:
-    """The calibration in force and what runs have told of it."""
+    """The calibration in force, and what the runs since show of it."""
 
     def __init__(
         self, checks: CalibrationChecks, events: EventLog, calibration: Calibration, names: Sequence[str]
@@ -51,23 +51,27 @@ class CalibrationWatch:
         self._created = calibration.created
         self._requested: dict[str, str] = {}
         """Digests of the calibrations that runs under check were stitched with, by run."""
-        known = [RunCheck.model_validate_json(text) for text in checks.documents(self.digest, FIRST, LATEST)]
-        self._first, self._latest = known[:FIRST], deque(known[FIRST:], LATEST)
+        known = [
+            RunCheck.model_validate_json(text) for text in checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
+        ]
+        self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
         self._runs = checks.count(self.digest)
         self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
 
     def check(self, progress: Progress, workers: Workers) -> None:
         """Have a finished run's evidence checked by a worker."""
-        stitch, film = progress.without_components, progress.film
-        if stitch is None or film is None or len(self._names) < 2:
+        stitch, recorded = progress.stitch, progress.recorded
+        # A single camera has no neighbour that could show its displacement.
+        if stitch is None or recorded is None or len(self._names) < 2:
             return
-        evidence = tuple(subsample_links(linked.evidence) for linked in progress.canonical.values())
+        # All links would be megabytes per run; a sample suffices for three parameters per camera.
+        evidence = tuple(subsample_links(linked.evidence) for linked in progress.canonical_evidence.values())
         job = CheckJob(
             run=progress.run,
             time=utc(),
             board_type=progress.order.board_type_digest,
             setup=progress.order.setup,
-            times_s=tuple(film.head.row_times_s().tolist()),
+            times_s=tuple(recorded.head.row_times_s().tolist()),
             evidence=evidence,
             stitch=stitch,
         )
@@ -75,12 +79,12 @@ class CalibrationWatch:
         workers.submit(job)
 
     def warnings(self) -> tuple[Reason, ...]:
-        """What the operator should know of the calibration."""
-        drifted = [Reason(code=CODE, message=self._said(d), action=self._advice(d)) for d in self._drifts]
+        """Drifted cameras, and cameras that the latest runs do not show."""
+        drifted = [Reason(code=CODE, message=self._message(d), action=self._action(d)) for d in self._drifts]
         return (*drifted, *(self._unseen(camera) for camera in self._vanished))
 
     def status(self) -> CalibrationStatus:
-        """All there is to say of the calibration in force."""
+        """The calibration in force, and how every camera stands to it."""
         return CalibrationStatus(
             digest=self.digest,
             created=self._created,
@@ -88,75 +92,76 @@ class CalibrationWatch:
             cameras=tuple(self._camera(i) for i in range(len(self._names))),
         )
 
-    def checked(self, job: CheckJob, answer: Reply) -> None:
+    def checked(self, job: CheckJob, reply: Reply) -> None:
         """Keep the outcome of a check, and publish what it changes."""
         run, digest = job.run, self._requested.pop(job.run)
-        if answer.error is not None:
-            if not isinstance(answer.error, StateError):  # a station that stops does no more checks
-                self._events.add("trouble", answer.error.message, run=run, code="calibration-not-checked")
+        if reply.error is not None:
+            if not isinstance(reply.error, StateError):  # a station that stops does no more checks
+                self._events.add("trouble", reply.error.message, run=run, code="calibration-not-checked")
             return
-        check: RunCheck = answer.value
+        check: RunCheck = reply.value
         self._kept.save(run, digest, check.model_dump_json())
         if digest != self.digest:
-            return
+            return  # the run was stitched with another calibration: it says nothing of this one
         self._runs += 1
-        (self._first if len(self._first) < FIRST else self._latest).append(check)
+        (self._first if len(self._first) < FIRST_CHECKS else self._latest).append(check)
         checks = [*self._first, *self._latest]
         before, gone = self._drifts, self._vanished
         self._drifts, self._vanished = find_drifts(checks), find_vanished_cameras(checks)
         for camera in sorted({*self._vanished} - {*gone}):
             reason = self._unseen(camera)
             self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action)
-        self._tell(before, run)
+        self._publish_changes(before, run)
 
-    def _tell(self, before: tuple[Drift, ...], run: str) -> None:
-        """New drifts, and those that are over, as events."""
+    def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
+        """Publish new drifts, and those that are over."""
         known, now = {d.camera for d in before}, {d.camera for d in self._drifts}
         for d in self._drifts:
             if d.camera not in known:
-                self._events.add("trouble", self._said(d), run=run, code=CODE, action=self._advice(d))
+                self._events.add("trouble", self._message(d), run=run, code=CODE, action=self._action(d))
         for camera in sorted(known - now):
             name = self._names[camera]
-            self._events.add("calibration", f"Camera {name} looks where it was calibrated again.", run=run)
+            self._events.add("calibration", f"Camera {name} is back at its calibrated position.", run=run)
 
     def _unseen(self, camera: int) -> Reason:
         name = self._names[camera]
         return Reason(
             code="calibration-unseen",
-            message=f"The last {VANISHED_RUNS} boards tell nothing of where camera {name} looks; it saw what its "
-            "neighbours see, and no longer does.",
-            action=f"Call the engineer: see whether camera {name} was knocked, is covered or out of focus.",
+            message=f"The last {VANISHED_RUNS} boards show nothing of camera {name}'s position: it no longer sees what "
+            "its neighbours see.",
+            action=f"Call the engineer: check whether camera {name} was knocked, is covered or out of focus.",
         )
 
-    def _said(self, d: Drift) -> str:
-        seen = "1 board" if d.runs == 1 else f"{d.runs} boards"
+    def _message(self, d: Drift) -> str:
+        seen = "1 board shows it" if d.runs == 1 else f"{d.runs} boards show it"
+        # Two neighbours that move apart look the same to a board: links show only their relative displacement.
         instead = "".join(f" (or {self._names[i]} the other way)" for i in d.instead)
         return (
-            f"Camera {self._names[d.camera]}{instead} looks {d.size_px:.2f} px beside where it was calibrated, since "
-            f"run {d.since_run} ({d.since_time}); {seen} show it."
+            f"Camera {self._names[d.camera]}{instead} is displaced by {d.size_px:.2f} px from its calibration since "
+            f"run {d.since_run} ({d.since_time}); {seen}."
         )
 
-    def _advice(self, d: Drift) -> str:
+    def _action(self, d: Drift) -> str:
         return (
-            f"Call the engineer: see whether camera {self._names[d.camera]} is loose or was knocked; then calibrate, "
-            "or take over what `vaoi recalibrate` proposes."
+            f"Call the engineer: check whether camera {self._names[d.camera]} is loose or was knocked; then calibrate, "
+            "or adopt what `vaoi recalibrate` proposes."
         )
 
     def _camera(self, i: int) -> CameraCalibration:
-        shown = [*self._first, *self._latest][-SHOWN:]
+        shown = [*self._first, *self._latest][-HISTORY_RUNS:]
         drift = next((d for d in self._drifts if d.camera == i), None)
-        recent = shown[-_UNSEEN:]
+        recent = shown[-_UNSEEN_RUNS:]
         state = "unknown" if not recent else "steady" if any(c.cameras[i].seen for c in recent) else "unseen"
         return CameraCalibration(
             camera=i,
             name=self._names[i],
             state="drifted" if drift is not None else state,
-            drift=None if drift is None else _shown(drift),
+            drift=None if drift is None else _drift_of(drift),
             history=tuple(_moment(check, check.cameras[i]) for check in shown),
         )
 
 
-def _shown(d: Drift) -> CameraDrift:
+def _drift_of(d: Drift) -> CameraDrift:
     x, y, turn = (round(v, 4) for v in d.displacement_px)
     return CameraDrift(
         size_px=round(d.size_px, 4),

@@ -1,4 +1,4 @@
-"""One thread, one inbox: everything that changes the station's state happens here, one thing after another."""
+"""One thread, one inbox: everything that changes the station's state happens here, one message after another."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Inbox:
-    """Carries out what is posted, in order; between messages, `tick` at least every `tick_s`."""
+    """Executes what is posted, in order; between messages it calls `tick` at least every `tick_s`."""
 
     def __init__(self, tick: Callable[[], None], tick_s: float = 0.5) -> None:
         self._tick, self._tick_s = tick, tick_s
@@ -27,15 +27,15 @@ class Inbox:
         self._thread = threading.Thread(target=self._run, name="coordinator", daemon=True)
 
     def start(self) -> None:
-        """Begin to work off messages."""
+        """Start the thread."""
         self._thread.start()
 
     def post(self, work: Callable[P, Any], *args: P.args, **kwargs: P.kwargs) -> None:
-        """Have something done; nobody waits for it."""
+        """Have a function executed; returns at once."""
         self._messages.put(lambda: work(*args, **kwargs))
 
     def ask(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Have something done and wait for its answer; what it raises is raised here."""
+        """Have a function executed and return its result; what it raises is raised here."""
         answer: Future[T] = Future()
 
         def do() -> None:
@@ -43,7 +43,7 @@ class Inbox:
                 answer.set_result(work(*args, **kwargs))
             except VaoiError as refusal:
                 answer.set_exception(refusal)
-            except Exception as fault:  # whoever asked must not wait for ever; it is raised again
+            except Exception as fault:  # the caller must not wait for ever; the fault is raised again for the log
                 answer.set_exception(InternalError(f"{type(fault).__name__}: {fault}."))
                 raise
 
@@ -52,7 +52,7 @@ class Inbox:
     def wait(self, answer: Future[T], do: Callable[[], Any], timeout_s: float | None = None) -> T:
         """Post `do` and wait for an answer that may come later than `do` ends; `TimeoutError` if it does not."""
         if threading.current_thread() is self._thread:
-            raise InternalError("The coordinator waits for itself.")
+            raise InternalError("The coordinator's thread cannot wait for itself.")
         if self._closed.is_set():
             raise _stopping()
         self._messages.put(do)
@@ -60,6 +60,7 @@ class Inbox:
         while True:
             remaining = None if deadline is None else deadline - time.monotonic()
             try:
+                # In steps of a second: close() may race with the put above, and then no message is executed any more.
                 return answer.result(1.0 if remaining is None else min(max(remaining, 0.0), 1.0))
             except TimeoutError:
                 if self._closed.is_set() and not answer.done():
@@ -68,9 +69,10 @@ class Inbox:
                     raise
 
     def close(self) -> None:
-        """Work off what was posted before, then end the thread; later questions are refused."""
+        """Execute what was posted before, then end the thread; later requests are refused."""
         if self._closed.is_set():
             return
+        # The flag is set by a message, so that everything posted earlier is still executed.
         self._messages.put(self._closed.set)
         if self._thread.ident is not None:
             self._thread.join()
@@ -88,7 +90,7 @@ class Inbox:
                 _log.exception("a message to the coordinator failed")
 
     def _next(self, until_s: float) -> Callable[[], Any] | None:
-        """The next message; None when it is time to tick, however many are waiting."""
+        """The next message; None when the tick is due, even if messages are waiting."""
         try:
             left_s = until_s - time.monotonic()
             return self._messages.get(timeout=left_s) if left_s > 0 else None
@@ -97,4 +99,4 @@ class Inbox:
 
 
 def _stopping() -> StateError:
-    return StateError("The station is stopping.", action="Ask again when it is up.")
+    return StateError("The station is stopping.", action="Retry when the station is running again.")

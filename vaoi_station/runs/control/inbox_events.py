@@ -7,7 +7,7 @@ import time
 from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
-from vaoi_station.runs.control.picture_requests import PictureRequests
+from vaoi_station.runs.control.pictures import PictureRequests
 from vaoi_station.runs.workers.jobs import Job, RenderJob, Reply
 
 
@@ -25,13 +25,13 @@ class InboxEvents:
         """Have the coordinator conclude what was filmed before the process ended."""
         self._inbox.post(self._core.acquisition_ended, description)
 
-    def worker_reply(self, job: Job, answer: Reply) -> None:
-        """Have the coordinator process an answer, with the time at which it arrived."""
+    def worker_reply(self, job: Job, reply: Reply) -> None:
+        """Have the coordinator process a reply, with the time at which it arrived."""
         if isinstance(job, RenderJob):
             # The caller waits in its own thread and changes no state: its picture does not queue behind frames.
-            self._pictures.complete(job, answer)
+            self._pictures.complete(job, reply)
         else:
-            self._inbox.post(self._core.worker_reply, job, answer, time.monotonic())
+            self._inbox.post(self._core.worker_reply, job, reply, time.monotonic())
 
     def worker_ended(self, description: str) -> None:
         """Have the coordinator log the end of a worker."""

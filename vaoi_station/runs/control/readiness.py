@@ -1,7 +1,7 @@
-"""Whether every camera is ready: what is said of those that are not, and the refusal to arm without them.
+"""Readiness of the cameras: reasons for those that are not connected, and the refusal to arm without them.
 
-A camera that is not connected has no frames: it is absent, another program has it, or it does not take its settings. A
-board that is filmed all the same has a gap as wide as the camera's view, which nobody should find out from its result.
+A camera that is not connected delivers no frames: it is absent, in use by another program, or refuses its settings. A
+board filmed without it has a gap as wide as the camera's view; the operator learns that before the batch starts.
 """
 
 from __future__ import annotations
@@ -15,43 +15,44 @@ from vaoi_station.runs.control.reasons import sentence
 from vaoi_station.runs.states.schemas import Reason
 
 CODE = "camera-lost"
-_REMEDY = "Check its cable and power; it is opened again by itself."
+_DEFAULT_ACTION = "Check its cable and power; the station reopens it automatically."
 
 
-def lost(health: Health | None) -> tuple[int, ...]:
-    """Cameras that are not ready; none while nothing is known of them."""
+def disconnected(health: Health | None) -> tuple[int, ...]:
+    """Indices of the cameras that are not connected; none before the first health report."""
     return tuple(k for k, camera in enumerate(health.cameras if health else ()) if not camera.connected)
 
 
 def reasons(health: Health | None, cameras: Sequence[CameraConfig]) -> tuple[Reason, ...]:
-    """Of every camera that is not ready, why."""
+    """One reason for every camera that is not connected."""
     if health is None:
         return ()
-    away = ((cameras[k].label, health.cameras[k]) for k in lost(health))
+    away = ((cameras[k].label, health.cameras[k]) for k in disconnected(health))
     return tuple(
-        Reason(code=CODE, message=not_connected(called, camera.message), action=camera.action or _REMEDY)
-        for called, camera in away
+        Reason(code=CODE, message=not_connected(label, camera.message), action=camera.action or _DEFAULT_ACTION)
+        for label, camera in away
     )
 
 
 def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
-    """DeviceError that names every camera that is not ready."""
+    """Raise `DeviceError` that names every camera that is not connected, if there is one."""
     if why := reasons(health, cameras):
         raise DeviceError(
             f"The array is not complete. {' '.join(reason.message for reason in why)}",
-            action=f"{why[0].action} To film boards without it all the same, arm with allow_lost_cameras.",
+            action=f"{why[0].action} To film boards without it, arm with allow_lost_cameras.",
             code=CODE,
         )
 
 
 def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig]) -> tuple[str, ...]:
-    """Sentences for cameras that have been lost, and for those that are back."""
-    were, are = set(lost(before)), set(lost(now))
+    """Sentences for cameras that were lost, and for those that are connected again."""
+    # Before the first report no camera counts as lost: the first report names all that are missing.
+    were, are = set(disconnected(before)), set(disconnected(now))
     gone = (f"{sentence(cameras[k].label)} is lost: boards would be filmed without it." for k in sorted(are - were))
     back = (f"{sentence(cameras[k].label)} is ready again." for k in sorted(were - are))
     return (*gone, *back)
 
 
-def not_connected(called: str, why: str) -> str:
-    """The camera is named once, though its own words may begin with its name."""
-    return f"{sentence(called)} is not connected. {sentence(why.removeprefix(f'{called}: '))}".strip()
+def not_connected(label: str, why: str) -> str:
+    """A sentence that names the camera once, even if the driver's message begins with its name."""
+    return f"{sentence(label)} is not connected. {sentence(why.removeprefix(f'{label}: '))}".strip()

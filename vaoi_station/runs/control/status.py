@@ -1,4 +1,4 @@
-"""The station at one moment, as a status page shows it."""
+"""The snapshot of the station that the status page and `GET station` show."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from vaoi_station.runs.states.schemas import (
 from vaoi_station.runs.states.tables import StationState
 from vaoi_station.store.documents import EVENTS_KEPT
 
-_COMPILING = "After an installation, or an update, they compile for a minute or two."
+_COMPILE_NOTE = "After an installation or an update they compile for a minute or two."
 
 
 def snapshot_of(
@@ -35,15 +35,15 @@ def snapshot_of(
     last_run: str | None,
     last_event: int,
 ) -> StationSnapshot:
-    """Everything a status page shows; `ring` is path and size in bytes. Called in the coordinator's thread."""
-    filming, cameras = core.book.filming, _cameras(core, config)
+    """Build the snapshot; `ring` is path and size in bytes. Call in the coordinator's thread."""
+    filming, cameras = core.runs.filming, _cameras(core, config)
     return StationSnapshot(
         name=config.name,
-        state=core.state,
-        since=core.since,
-        reasons=(*core.reasons.all(), *readiness.reasons(core.health, config.cameras)),
-        warnings=(*core.watch.warnings(), *late(processes)),
-        armed_with=core.orders.shown(),
+        state=core.machine.state,
+        since=core.machine.since,
+        reasons=(*core.machine.reasons.all(), *readiness.reasons(core.health, config.cameras)),
+        warnings=(*core.watch.warnings(), *worker_warnings(processes)),
+        armed_with=core.line.orders.shown(),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),
         controller=core.health.controller if core.health else "",
@@ -66,8 +66,12 @@ def snapshot_of(
     )
 
 
-def late(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
-    """Workers that are not there yet: cameras are opened a while later; then boards are filmed, and stitched later."""
+def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
+    """A warning while workers are starting.
+
+    Cameras are opened when the workers are ready, or after `acquisition_link.WARM_S`; boards filmed from then on are
+    stitched when the workers are ready.
+    """
     workers = [process for process in processes if process.name.startswith("worker ")]
     away = sum(worker.doing == STARTING for worker in workers)
     if not away:
@@ -75,15 +79,16 @@ def late(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
     still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
     unopened = any(process.doing == WAITING for process in processes)
     effect = "Cameras are not opened yet" if unopened else "Results of boards that pass meanwhile come late"
-    return (Reason(code="workers-starting", message=f"{effect}: {still}.", action=_COMPILING),)
+    return (Reason(code="workers-starting", message=f"{effect}: {still}.", action=_COMPILE_NOTE),)
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
+    # No health report yet: the acquisition process is opening the devices, or has ended.
     if core.health is None:
-        waiting = core.state in (StationState.STARTING, StationState.FAULTED)
-        word = "not open yet" if waiting else "no news yet"
+        waiting = core.machine.state in (StationState.STARTING, StationState.FAULTED)
+        message = "not open yet" if waiting else "no report yet"
         return tuple(
-            CameraStatus(camera=k, name=c.name, connected=False, message=word) for k, c in enumerate(config.cameras)
+            CameraStatus(camera=k, name=c.name, connected=False, message=message) for k, c in enumerate(config.cameras)
         )
     return tuple(
         CameraStatus(
@@ -111,7 +116,7 @@ def _retention(config: StationConfig) -> Retention:
         lease_s=config.ring.lease_s,
         frames=(
             f"Frames of at most {runs} runs are in memory. While the line is armed, one place is kept for the next "
-            "board; the oldest finished run nobody holds makes room. A restart of the station loses all frames."
+            "board: the oldest finished run without a hold is evicted. A restart of the station loses all frames."
         ),
         results=f"Results and the records of runs are kept in {config.data}, also over restarts.",
         events=f"The last {EVENTS_KEPT} events are kept, also over restarts.",

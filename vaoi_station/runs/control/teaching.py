@@ -1,4 +1,4 @@
-"""What is taught: board types as they are listed, and finished runs that become the reference of their board type."""
+"""Teaching: board types, finished runs as their references, and the method by which each is stitched."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.images import Image
 from vaoi_station.model import BoardType, Calibration, Status, Verdict
-from vaoi_station.runs.archive.finished_runs import Dossier
-from vaoi_station.runs.run.reference_store import ReferenceShelf
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.control.core import Core
+from vaoi_station.runs.control.inbox import Inbox
+from vaoi_station.runs.control.pictures import FrameAccess
+from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason, ReferenceRecord, ReferenceStatus, StitchingMethod
 from vaoi_station.stitching.recordings.reference_directory import write_reference
 from vaoi_station.stitching.recordings.reference_frames import select_reference_frames
+from vaoi_station.store import BoardTypeDirectory
 
 Pixels = Callable[[int], Image]
 """A copy of the frame in a slot of the ring; raises `GoneError` when its memory goes."""
 
 
-def listed(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> BoardTypeSummary:
-    """One entry of the list of board types; of a file that cannot be used (`board_type` None) its fault."""
+def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> BoardTypeSummary:
+    """Build one entry of the list of board types; a file that cannot be used (`board_type` None) has a fault."""
     if board_type is None:
         assert fault is not None
         return BoardTypeSummary(name=stem, fault=Reason.of(fault))
@@ -35,80 +40,173 @@ def listed(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> 
     )
 
 
-class Teaching:
-    """What the coordinator answers about references and methods."""
+class ReferenceTeaching:
+    """References and methods of board types, as they are stored; usable from any thread."""
 
-    def __init__(self, shelf: ReferenceShelf, method: MethodName) -> None:
-        """`method`: of the station."""
-        self._shelf, self._method = shelf, method
-        self._one_at_a_time = threading.Lock()
+    def __init__(self, store: ReferenceStore, method: MethodName) -> None:
+        """Teach into a store.
+
+        Args:
+            store: of the references.
+            method: of board types without one of their own.
+        """
+        self._store, self._method = store, method
+        self._teaching = threading.Lock()
 
     def status(self, board_type: BoardType) -> ReferenceStatus:
         """The reference of a board type, and whether it can be used; `NotFoundError` if it has none."""
-        record = self._shelf.record(board_type.name)
+        record = self._store.record(board_type.name)
         if record is None:
-            raise _none(board_type.name)
+            raise _no_reference(board_type.name)
         fault = None
         try:
-            self._shelf.open(board_type)
+            self._store.open(board_type)
         except VaoiError as error:
             fault = Reason.of(error)
         return ReferenceStatus(**record.model_dump(), board_type=board_type.name, usable=fault is None, fault=fault)
 
-    def teach(self, board_type: BoardType, dossier: Dossier, calibration: Calibration, pixels: Pixels) -> bool:
+    def teach(self, board_type: BoardType, finished: FinishedRun, calibration: Calibration, pixels: Pixels) -> bool:
         """Make a finished run the reference of its board type; True if it had none.
 
         Args:
-            board_type: as it is taught now.
-            dossier: of the run.
-            calibration: the run was stitched with.
-            pixels: its frames.
+            board_type: the present one.
+            finished: the run.
+            calibration: that of its stitch.
+            pixels: gives its frames.
 
         Raises:
             InputError: the run shows another board type, or the board type has changed since.
-            StateError: its result is not good enough to place others against.
-            DeviceError: the disk refuses it.
+            StateError: its verdict is not ok.
+            DeviceError: the disk refuses the files.
         """
-        _check(board_type.name, dossier)
-        run = dossier.detail.id
-        with self._one_at_a_time:
-            path = self._shelf.path_of(run)
+        _check(board_type.name, finished)
+        run = finished.detail.id
+        # One at a time: two calls for the same run would write the same directory.
+        with self._teaching:
+            path = self._store.path_of(run)
             if not path.exists():
-                _write(path, dossier, calibration, pixels)
-            self._shelf.look_at(run, board_type)
-            new = self._shelf.record(board_type.name) is None
-            self._shelf.keep(board_type.name, _record_of(path, dossier))
-            self._shelf.open(board_type)  # from the disk now, so that arming need not
+                _write(path, finished, calibration, pixels)
+            self._store.load(run, board_type)
+            new = self._store.record(board_type.name) is None
+            self._store.keep(board_type.name, _record_of(path, finished))
+            self._store.open(board_type)  # opened now, so that arming does not wait for the disk
         return new
 
     def forget(self, board_type: str) -> None:
-        """A board type has no reference any more; `NotFoundError` if it had none."""
-        if self._shelf.record(board_type) is None:
-            raise _none(board_type)
-        self._shelf.drop(board_type)
+        """Remove the reference of a board type; `NotFoundError` if it has none."""
+        if self._store.record(board_type) is None:
+            raise _no_reference(board_type)
+        self._store.drop(board_type)
 
     def method(self, board_type: str) -> StitchingMethod:
-        """How runs of a board type are stitched."""
-        own = self._shelf.method(board_type)
+        """The method by which runs of a board type are stitched."""
+        own = self._store.method(board_type)
         return StitchingMethod(method=own or self._method, chosen="board-type" if own else "station")
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
-        """Give a board type a way of its own; None: the station's holds again."""
-        self._shelf.set_method(board_type, method)
+        """Give a board type a method of its own; None: use that of the station."""
+        self._store.set_method(board_type, method)
         return self.method(board_type)
 
-    def board_type_forgotten(self, board_type: str) -> None:
-        """What belongs to a board type goes with it."""
-        self._shelf.drop(board_type)
-        self._shelf.set_method(board_type, None)
+    def forget_board_type(self, board_type: str) -> None:
+        """Remove reference and method of a deleted board type."""
+        self._store.drop(board_type)
+        self._store.set_method(board_type, None)
 
     def sweep(self, in_use: set[str]) -> None:
-        """Remove what no board type names and no run (of these ids) is placed against."""
-        with self._one_at_a_time:
-            self._shelf.sweep(in_use)
+        """Remove references that no board type names; `in_use`: runs that boards may still be placed against."""
+        with self._teaching:
+            self._store.sweep(in_use)
 
 
-def _none(board_type: str) -> NotFoundError:
+class BoardTypeService:
+    """Board types with their references and methods, as callers in any thread change them; changes are published."""
+
+    def __init__(
+        self,
+        directory: BoardTypeDirectory,
+        references: ReferenceTeaching,
+        archive: Archive,
+        events: EventLog,
+        core: Core,
+        inbox: Inbox,
+        frames: FrameAccess,
+    ) -> None:
+        self._directory, self._references = directory, references
+        self._archive, self._events = archive, events
+        self._core, self._inbox, self._frames = core, inbox, frames
+        self._changing = threading.Lock()
+
+    def list(self) -> tuple[BoardTypeSummary, ...]:
+        """All board types, by name."""
+        entries = self._directory.list()
+        return tuple(board_type_summary(entry.path.stem, entry.board_type, entry.fault) for entry in entries)
+
+    def get(self, name: str) -> BoardType:
+        """One board type; `NotFoundError` if there is none of that name."""
+        return self._directory.get(name)
+
+    def put(self, board_type: BoardType) -> bool:
+        """Add or replace a board type; True if it is new."""
+        with self._changing:
+            new = self._directory.put(board_type)
+        armed = self._inbox.ask(self._core.line.orders.shown)
+        # An armed line keeps the board type it was armed with: a product must not change in mid-batch.
+        later = " The change applies from the next arming on." if armed and armed.board_type == board_type.name else ""
+        action = "added" if new else "replaced"
+        self._events.add("board-type", f"Board type {board_type.name!r} was {action}.{later}")
+        return new
+
+    def delete(self, name: str) -> None:
+        """Delete a board type with its reference and method; `StateError` while the line is armed with it."""
+        armed = self._inbox.ask(self._core.line.orders.shown)
+        if armed is not None and armed.board_type == name:
+            raise StateError(f"The line is armed for board type {name!r}.", action="Disarm first.")
+        with self._changing:
+            self._directory.delete(name)
+            self._references.forget_board_type(name)
+        self._sweep()
+        self._events.add("board-type", f"Board type {name!r} was deleted.")
+
+    def reference(self, board_type: str) -> ReferenceStatus:
+        """The reference of a board type."""
+        return self._references.status(self.get(board_type))
+
+    def teach_reference(self, board_type: str, run: str) -> bool:
+        """Make a finished run the reference of its board type; True if it had none."""
+        known, finished = self.get(board_type), self._archive.get(run)
+        calibration = self._archive.calibration_of(finished)
+        with self._frames.lease(run, "taught as the reference") as bay:
+            new = self._references.teach(known, finished, calibration, self._frames.copier(bay))
+        self._sweep()
+        self._events.add("reference", f"Run {run} is now the reference of board type {board_type!r}.", run=run)
+        return new
+
+    def forget_reference(self, board_type: str) -> None:
+        """Remove the reference of a board type."""
+        self._references.forget(self.get(board_type).name)
+        self._sweep()
+        self._events.add("reference", f"The reference of board type {board_type!r} was removed.")
+
+    def method(self, board_type: str) -> StitchingMethod:
+        """The method by which runs of a board type are stitched."""
+        return self._references.method(self.get(board_type).name)
+
+    def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
+        """Give a board type a method of its own; None: use that of the station."""
+        return self._references.set_method(self.get(board_type).name, method)
+
+    def _sweep(self) -> None:
+        """Remove references that are no longer needed, except those of boards under way or still to come."""
+
+        def in_use() -> set[str]:
+            under_way = {p.order.reference.run for p in self._core.runs.active.values() if p.order.reference}
+            return under_way | self._core.line.orders.references
+
+        self._references.sweep(self._inbox.ask(in_use))
+
+
+def _no_reference(board_type: str) -> NotFoundError:
     return NotFoundError(
         f"Board type {board_type!r} has no reference.",
         action="Let a board pass, then teach its run as the reference.",
@@ -116,15 +214,15 @@ def _none(board_type: str) -> NotFoundError:
     )
 
 
-def _check(board_type: str, dossier: Dossier) -> None:
-    detail = dossier.detail
+def _check(board_type: str, finished: FinishedRun) -> None:
+    detail = finished.detail
     if detail.board_type != board_type:
         raise InputError(
             f"Run {detail.id} shows board type {detail.board_type!r}, not {board_type!r}.",
             action="Teach a run of this board type.",
             code="other-board-type",
         )
-    stitch = dossier.result
+    stitch = finished.result
     if stitch.status is not Status.OK or stitch.cad_matrix is None:
         raise StateError(
             f"Run {detail.id} is {stitch.status} and cannot be a reference: {'; '.join(stitch.reasons)}.",
@@ -133,20 +231,22 @@ def _check(board_type: str, dossier: Dossier) -> None:
         )
 
 
-def _write(path: Path, dossier: Dossier, calibration: Calibration, pixels: Pixels) -> None:
-    head = dossier.head
+def _write(path: Path, finished: FinishedRun, calibration: Calibration, pixels: Pixels) -> None:
+    head = finished.head
     assert head is not None, "a run with a result was filmed"
-    slots = {(f.camera, f.row): f.slot for f in dossier.detail.frames if f.verdict is Verdict.OK and f.slot is not None}
-    chosen = select_reference_frames(dossier.result, dossier.cameras, dossier.board_type, slots)
+    slots = {
+        (f.camera, f.row): f.slot for f in finished.detail.frames if f.verdict is Verdict.OK and f.slot is not None
+    }
+    chosen = select_reference_frames(finished.result, finished.cameras, finished.board_type, slots)
     everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
-    kept = head.model_copy(update={"missing": tuple(sorted(everything - chosen)), "x_run": dossier.detail.id})
+    kept = head.model_copy(update={"missing": tuple(sorted(everything - chosen)), "x_run": finished.detail.id})
 
     def frames() -> Iterator[tuple[int, int, Image]]:
         for key in sorted(chosen):
             yield *key, pixels(slots[key])
 
     try:
-        write_reference(path, kept, frames(), calibration, dossier.board_type, dossier.result)
+        write_reference(path, kept, frames(), calibration, finished.board_type, finished.result)
     except OSError as error:
         raise DeviceError(
             f"{path}: the reference cannot be written ({error.strerror}).",
@@ -154,17 +254,17 @@ def _write(path: Path, dossier: Dossier, calibration: Calibration, pixels: Pixel
         ) from error
 
 
-def _record_of(path: Path, dossier: Dossier) -> ReferenceRecord:
-    head = dossier.head
+def _record_of(path: Path, finished: FinishedRun) -> ReferenceRecord:
+    head = finished.head
     assert head is not None
     files = [file for file in path.rglob("*") if file.is_file()]
     return ReferenceRecord(
-        run=dossier.detail.id,
+        run=finished.detail.id,
         taught=utc(),
-        calibration=dossier.detail.calibration,
+        calibration=finished.detail.calibration,
         cameras=len(head.cameras),
         rows=head.rows,
         frames=sum(file.parent.name == "frames" for file in files),
         size_bytes=sum(file.stat().st_size for file in files),
-        cad_sigma_px=dossier.result.quality.get("cad_sigma_px"),
+        cad_sigma_px=finished.result.quality.get("cad_sigma_px"),
     )

@@ -1,1 +1,1 @@
-"""Follow one board: its order, its progress, its memory in the ring, its views for callers."""
+"""Follow one board: its order, its progress, its memory in the ring, and its documents for callers."""

@@ -1,4 +1,4 @@
-"""Who uses which run's frames, for what, and until when: memory in use is not given away."""
+"""Leases: the right of a holder to a run's frames for a limited time; leased memory is not evicted."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 from vaoi_station.errors import BusyError
 
-MOST_HOLDERS = 32
-"""Holders of one run; more are callers that give themselves a new name each time."""
+MAX_HOLDERS = 32
+"""Holders of one run; more mean that a caller uses a new name for every call."""
 OWN = "rest "
-"""How the names begin that the station gives its own short leases; these are not counted."""
+"""Prefix of the holders' names of the station's own short leases, which are not counted."""
 
 
 @dataclass(frozen=True)
 class Lease:
-    """One holder's use of one run; `expires_s` by time.monotonic()."""
+    """One holder's right to one run; `expires_s` by time.monotonic()."""
 
     run: str
     holder: str
@@ -25,7 +25,7 @@ class Lease:
 
 
 class Leases:
-    """The leases in force. A lease nobody renews ends by itself, so that no dead holder blocks the line."""
+    """The leases in force; one that is not renewed expires, so that a crashed holder cannot block the line."""
 
     def __init__(self, lease_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.lease_s = lease_s
@@ -35,13 +35,14 @@ class Leases:
     def take(self, run: str, holder: str, purpose: str) -> Lease:
         """Begin or renew a lease; `BusyError` when a run has too many holders."""
         others = [lease.holder for lease in self.of(run) if lease.holder != holder and not lease.holder.startswith(OWN)]
-        if len(others) >= MOST_HOLDERS and not holder.startswith(OWN):
+        if len(others) >= MAX_HOLDERS and not holder.startswith(OWN):
             raise BusyError(
                 f"Run {run} has {len(others)} holders, which is the limit: {', '.join(others[:3])} …",
                 action="Renew a hold under the name it was taken by, and end those that are not needed.",
                 code="too-many-holders",
             )
         lease = Lease(run, holder, purpose, self._clock() + self.lease_s)
+        # The same holder's earlier lease is replaced: a renewal extends, it does not add.
         self._leases[run, holder] = lease
         return lease
 
@@ -50,7 +51,7 @@ class Leases:
         self._leases.pop((run, holder), None)
 
     def end_all(self, run: str) -> None:
-        """The run's memory is given up whoever holds it: the run was released."""
+        """End all leases of a run whose memory is given up."""
         self._leases = {key: lease for key, lease in self._leases.items() if lease.run != run}
 
     def of(self, run: str) -> tuple[Lease, ...]:
@@ -63,7 +64,7 @@ class Leases:
         return tuple(sorted((le for le in self._leases.values() if le.expires_s > now), key=lambda le: le.run))
 
     def expire(self) -> tuple[Lease, ...]:
-        """Drop the leases whose time is over and return them."""
+        """Remove the leases whose time is over, and return them."""
         now = self._clock()
         over = tuple(lease for lease in self._leases.values() if lease.expires_s <= now)
         for lease in over:
@@ -71,5 +72,5 @@ class Leases:
         return over
 
     def remaining_s(self, lease: Lease) -> float:
-        """Time until a lease ends by itself."""
+        """Time until a lease expires; 0 if it has."""
         return max(0.0, lease.expires_s - self._clock())

@@ -1,7 +1,7 @@
-"""Which run has which bay of the ring, and where room for the next board comes from.
+"""Assignment of the ring's bays to runs, and eviction.
 
-From a free bay; else from the oldest finished run without a lease. A run that is filmed or stitched
-is never given away.
+The next board gets a free bay, else that of the oldest finished run without a lease. The bay of a run that is filmed or
+stitched is never evicted.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from vaoi_station.runs.states.schemas import BayStatus
 Use = Literal["free", "granted", "filming", "stitching", "finished"]
 
 
-class Claims(Protocol):
-    """What memory asks of the ring: `claim` gives a bay to a new run and returns its generation."""
+class BayRing(Protocol):
+    """The ring, as far as bays are assigned in it."""
 
     def claim(self, bay: int) -> int:
-        """Blacken a bay and count its generation up."""
+        """Zero a bay's pixels and return its new generation."""
 
 
 @dataclass(frozen=True)
@@ -32,44 +32,45 @@ class Bay:
     run: str | None = None
     generation: int = 0
     finished: int = 0
-    """Order of finishing; the lowest is the oldest."""
+    """Rank in the order of finishing; the lowest finished first."""
 
 
 @dataclass(frozen=True)
-class Granted:
-    """A bay given to a coming run, and the run that had to go for it."""
+class GrantedBay:
+    """A bay granted to a coming run, and the run that was evicted for it."""
 
     bay: Bay
     evicted: str | None
 
 
 class Memory:
-    """The bays of the ring."""
+    """The bays of the ring and their runs; confined to the coordinator's thread."""
 
-    def __init__(self, ring: Claims, bays: int, leases: Leases) -> None:
+    def __init__(self, ring: BayRing, bays: int, leases: Leases) -> None:
         self._ring = ring
         self._leases = leases
         self._bays = [Bay(k) for k in range(bays)]
         self._finished = 0
 
-    def grant(self, run: str) -> Granted:
-        """Make room for a coming run; `BusyError` names who holds the memory."""
-        bay = self._room()
+    def grant(self, run: str) -> GrantedBay:
+        """Grant a bay to a coming run; `BusyError` names the holders of the memory if there is none."""
+        bay = self._next_bay()
         if bay is None:
             raise BusyError(
-                f"All {len(self._bays)} runs' worth of memory is in use: {self.holders()}.",
-                action="Release a run or end a hold, or give [ring] runs more room."
+                f"The memory for all {len(self._bays)} runs is in use: {self.holders()}.",
+                action="Release a run, end a hold, or increase [ring] runs."
                 if self.held()
-                else "It passes as soon as a run is stitched; more [ring] runs or more workers avoid it.",
+                else "Wait until a run is stitched; increase [ring] runs or workers to avoid this.",
                 code="ring-full",
             )
+        # The claim raises the generation: readers of the evicted run's slots notice that their pixels are gone.
         evicted = bay.run
         granted = Bay(bay.number, "granted", run, self._ring.claim(bay.number))
         self._bays[bay.number] = granted
-        return Granted(granted, evicted)
+        return GrantedBay(granted, evicted)
 
     def use(self, run: str, use: Use) -> Bay:
-        """A run goes on to another use of its bay."""
+        """Change the use of a run's bay."""
         bay = self.bay(run)
         if use == "finished":
             self._finished += 1
@@ -77,20 +78,20 @@ class Memory:
         return self._bays[bay.number]
 
     def free(self, run: str) -> None:
-        """A run gives its bay up; harmless if it has none."""
+        """Free a run's bay and end its leases; harmless if it has none."""
         for bay in self._bays:
             if bay.run == run:
                 self._bays[bay.number] = Bay(bay.number, generation=bay.generation)
                 self._leases.end_all(run)
 
     def bay(self, run: str) -> Bay:
-        """The bay of a run; `GoneError` if its memory went to a later board."""
+        """The bay of a run; `GoneError` if its memory was given to a later board."""
         for bay in self._bays:
             if bay.run == run:
                 return bay
         raise GoneError(
             f"The frames of run {run} are no longer in memory.",
-            action="Fetch pictures while the run is kept, hold it meanwhile, or give [ring] runs more room.",
+            action="Fetch pictures while the run is in memory, hold the run, or increase [ring] runs.",
             code="frames-gone",
         )
 
@@ -99,7 +100,7 @@ class Memory:
         return any(bay.run == run for bay in self._bays)
 
     def held(self) -> bool:
-        """Whether somebody holds a finished run: then memory does not come back by itself."""
+        """Whether a finished run is held: its memory does not become free when a stitch ends."""
         return any(bay.use == "finished" and bay.run and self._leases.of(bay.run) for bay in self._bays)
 
     def bays(self) -> tuple[BayStatus, ...]:
@@ -107,20 +108,26 @@ class Memory:
         return tuple(BayStatus(bay=b.number, use=b.use, run=b.run) for b in self._bays)
 
     def holders(self) -> str:
-        """In words, why no bay can be had."""
+        """A sentence part that names the run and the use of every bay."""
         parts = []
         for bay in self._bays:
             leases = self._leases.of(bay.run) if bay.run else ()
             who = ", ".join(f"{lease.holder} ({lease.purpose})" for lease in leases)
-            parts.append(f"run {bay.run} is {f'held by {who}' if who else 'being ' + _DOING.get(bay.use, bay.use)}")
+            parts.append(f"run {bay.run} is {f'held by {who}' if who else _IN_WORDS.get(bay.use, bay.use)}")
         return "; ".join(parts)
 
-    def _room(self) -> Bay | None:
+    def _next_bay(self) -> Bay | None:
         free = [bay for bay in self._bays if bay.use == "free"]
         if free:
             return free[0]
+        # Finished first, not begun first: a run that waited for late frames is still the younger result.
         idle = [b for b in self._bays if b.use == "finished" and b.run and not self._leases.of(b.run)]
         return min(idle, key=lambda bay: bay.finished, default=None)
 
 
-_DOING = {"granted": "awaited", "filming": "filmed", "stitching": "stitched", "finished": "kept"}
+_IN_WORDS = {
+    "granted": "reserved for the next board",
+    "filming": "being filmed",
+    "stitching": "being stitched",
+    "finished": "being kept",
+}

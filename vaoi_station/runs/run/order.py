@@ -1,4 +1,4 @@
-"""What a board is filmed for: the board type and the caller's ids, fixed from the barrier on."""
+"""Orders: board type and caller's ids for the boards to come; a board keeps its order from the barrier on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from vaoi_station.config import Line, MethodName
 from vaoi_station.errors import StateError, VaoiError
 from vaoi_station.model import BoardType, Calibration, CameraHead
-from vaoi_station.runs.run.reference_store import ReferenceShelf, Shelved
+from vaoi_station.runs.run.reference_store import ReferenceStore, StoredReference
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
 from vaoi_station.stitching.board.expectation import expectation_of
@@ -18,7 +18,7 @@ from vaoi_station.store import Store
 
 @dataclass(frozen=True)
 class Order:
-    """An accepted `arm`."""
+    """One checked request to arm."""
 
     board_type: BoardType
     board_id: str | None
@@ -26,15 +26,15 @@ class Order:
     setup: StitchSetup
     board_type_digest: str
     calibration_digest: str
-    reference: Shelved | None = None
-    """The run that this order's boards are placed against."""
+    reference: StoredReference | None = None
+    """The run against which this order's boards are placed."""
     notes: tuple[Reason, ...] = ()
-    """What is not as one might expect, though boards can be filmed; told with every run."""
+    """Limitations that do not prevent filming; every run of the order reports them."""
     despite_lost_cameras: bool = False
-    """Boards are filmed though a camera is not ready: whoever armed wanted it so."""
+    """Film boards although a camera is not connected, as the caller allowed."""
 
     def shown(self, runs_left: int | None) -> ArmedWith:
-        """As a status page shows it."""
+        """The order as the status page shows it."""
         return ArmedWith(
             board_type=self.board_type.name,
             board_id=self.board_id,
@@ -47,7 +47,7 @@ class Order:
 
 @dataclass
 class Orders:
-    """The order in force, and the one before: a board that was under the barrier first is still the old one's."""
+    """The order in force, and the one before: a board that was at the barrier first keeps the old one."""
 
     order: Order | None = None
     runs_left: int | None = None
@@ -55,12 +55,13 @@ class Orders:
     _before: Order | None = None
 
     def accept(self, order: Order, runs: int | None, now_s: float) -> None:
-        """A new order for the boards that come from now on."""
+        """Put an order in force for the boards that come from now on."""
         self._before, self.order = self.order, order
         self.runs_left, self.since_s = runs, now_s
 
     def take(self, barrier_s: float) -> Order | None:
-        """The order for a board that interrupted the barrier then; counts it."""
+        """Return the order for a board that interrupted the barrier at `barrier_s`, and count the board."""
+        # Compared by time, not by arrival: the report of a board may arrive after the next order was accepted.
         if self.order is None or (barrier_s < self.since_s and self._before is not None):
             return self._before
         if self.runs_left is not None:
@@ -68,13 +69,13 @@ class Orders:
         return self.order
 
     def cancel(self, now_s: float) -> None:
-        """No more boards are wanted; one that is under the barrier already is still the last order's."""
+        """End the order; a board already at the barrier keeps it."""
         if self.order is not None:
             self._before, self.order, self.runs_left, self.since_s = self.order, None, None, now_s
 
     @property
     def references(self) -> set[str]:
-        """Runs that boards may still be placed against."""
+        """Runs against which boards may still be placed."""
         return {order.reference.run for order in (self.order, self._before) if order and order.reference}
 
     @property
@@ -83,12 +84,12 @@ class Orders:
         return self.order is not None and self.runs_left != 0
 
     def shown(self) -> ArmedWith | None:
-        """As a status page shows it; None while nothing is ordered."""
+        """The order in force as the status page shows it; None if there is none."""
         return None if self.order is None else self.order.shown(self.runs_left)
 
 
-class OrderDesk:
-    """Makes orders: everything that can be wrong with a board type on this line is found before a board comes."""
+class OrderFactory:
+    """Makes orders, and refuses what is wrong with a board type on this line before a board comes."""
 
     def __init__(
         self,
@@ -96,17 +97,26 @@ class OrderDesk:
         calibration: Calibration,
         heads: tuple[CameraHead, ...],
         store: Store,
-        shelf: ReferenceShelf,
+        references: ReferenceStore,
         method: MethodName = "auto",
     ) -> None:
-        """`method`: how board types are stitched that have no way of their own."""
-        self._line, self._store, self._shelf, self._method = line, store, shelf, method
+        """Prepare what all orders of a station share.
+
+        Args:
+            line: geometry and speed of the line.
+            calibration: in force.
+            heads: format of every camera.
+            store: keeps the documents that runs refer to.
+            references: of the board types.
+            method: for board types without one of their own.
+        """
+        self._line, self._store, self._references, self._method = line, store, references, method
         self._cameras = calibration.cameras(heads)
         self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
 
     def __call__(self, board_type: BoardType, board_id: str | None, job_id: str | None) -> Order:
-        """The order for boards of a type; `StateError` if its way to stitch needs a reference that cannot be had."""
-        method = self._shelf.method(board_type.name) or self._method
+        """Make the order for a board type; `StateError` if its method needs a reference that is missing or unusable."""
+        method = self._references.method(board_type.name) or self._method
         reference, notes = self._reference(board_type, method)
         setup = StitchSetup(
             cameras=self._cameras,
@@ -117,19 +127,22 @@ class OrderDesk:
             method=method,
             reference=reference.reference if reference else None,
         )
+        # Runs name their documents by digest: a board type that changes later does not change old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
         return Order(board_type, board_id, job_id, setup, digest, self._calibration_digest, reference, notes)
 
-    def _reference(self, board_type: BoardType, method: MethodName) -> tuple[Shelved | None, tuple[Reason, ...]]:
-        """The reference to place boards against; one that does not fit is left out, with a note that says why."""
+    def _reference(
+        self, board_type: BoardType, method: MethodName
+    ) -> tuple[StoredReference | None, tuple[Reason, ...]]:
+        """The reference for a board type; one that does not fit is left out, with a note that names the cause."""
         if not METHODS[method].reference:
             return None, ()
         try:
-            reference = self._shelf.open(board_type)
+            reference = self._references.open(board_type)
         except VaoiError as fault:
             if method == "reference":
                 raise StateError(fault.message, action=fault.action, code="reference-unusable") from fault
-            message = f"Stitched without its reference: {fault.message}"
+            message = f"Stitched without the reference: {fault.message}"
             return None, (Reason(code="reference-unusable", message=message, action=fault.action),)
         if reference is None and method == "reference":
             raise StateError(

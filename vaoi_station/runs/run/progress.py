@@ -1,6 +1,6 @@
-"""One run from the barrier to its result: what has arrived, what is being worked on, what is there.
+"""The progress of one run from the barrier to its result: frames, tasks, evidence, result.
 
-Knows nothing of processes: it says which tasks have become possible and takes their answers.
+It has no access to processes: it returns the jobs that have become possible and takes their replies.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vaoi_station.stitching.work import all_tasks, possible_tasks
 
 @dataclass
 class Progress:
-    """A run under way; host times are time.monotonic()."""
+    """A run that is filmed or stitched; host times are time.monotonic()."""
 
     order: Order
     opening: OpenRun
@@ -32,158 +32,167 @@ class Progress:
     frames: dict[FrameKey, FrameRecord] = field(default_factory=dict)
     settled_s: dict[FrameKey, float] = field(default_factory=dict)
     linkable: set[FrameKey] = field(default_factory=set)
-    """Frames that arrived whole, of pulses that were reported."""
-    asked_s: dict[Task, float] = field(default_factory=dict)
-    """Tasks given to the workers, and when their last frame had settled."""
+    """Whole frames of pulses that were reported."""
+    requested_s: dict[Task, float] = field(default_factory=dict)
+    """Tasks given to the workers, and when the last of their frames was settled."""
     linked: dict[Task, Linked] = field(default_factory=dict)
-    """What the tasks gave."""
-    unanswered: set[Task] = field(default_factory=set)
-    needed: tuple[Task, ...] = ()
-    """The canonical tasks, once everything has been filmed."""
-    awaited: set[Task] = field(default_factory=set)
-    """Those of them that are unanswered."""
+    """Evidence by task."""
+    pending: set[Task] = field(default_factory=set)
+    """Tasks without a reply."""
+    canonical_tasks: tuple[Task, ...] = ()
+    """The tasks whose evidence counts, once all frames are settled."""
+    pending_canonical: set[Task] = field(default_factory=set)
+    """Those of them without a reply."""
     timings: list[TaskTiming] = field(default_factory=list)
-    film: RunFinished | None = None
+    recorded: RunFinished | None = None
+    """The final report of the acquisition process; None while filming."""
     faults: list[Reason] = field(default_factory=list)
-    """What went wrong besides the frames' verdicts."""
-    hopeless: bool = False
-    """Something without which there is no result has failed."""
+    """Faults besides the verdicts of frames."""
+    unstitchable: bool = False
+    """A job without which there is no result has failed."""
     result: Concluded | None = None
     concluding: bool = False
     done: bool = False
-    """Nothing is left to do but to tell it."""
+    """Waits only for earlier runs to end."""
     conclude_ms: float = 0.0
     ready_s: float | None = None
 
     @classmethod
     def begin(cls, report: RunStarted, bay: Bay, order: Order) -> Progress:
-        """A board has interrupted the barrier."""
+        """Begin the run of a board that has interrupted the barrier."""
         reference = order.reference.directory if order.reference else None
         context = RunContext(report.run, bay.number, bay.generation)
         return cls(order, OpenRun(context, order.setup, reference), report.host_time_s)
 
     @property
     def context(self) -> RunContext:
-        """Where its frames are."""
+        """Bay and generation of its frames."""
         return self.opening.context
 
     @property
     def run(self) -> str:
-        """Its id."""
+        """Id of the run."""
         return self.context.run
 
     @property
     def head(self) -> RecordingHead | None:
-        """What was filmed; None while filming."""
-        return self.film.head if self.film else None
+        """Head of its recording; None while filming."""
+        return self.recorded.head if self.recorded else None
 
     @property
     def present(self) -> tuple[FrameKey, ...]:
-        """Frames that arrived whole."""
+        """Frames that arrived whole, in the order of their keys."""
         return tuple(sorted(key for key, frame in self.frames.items() if frame.verdict is Verdict.OK))
 
     @property
-    def without_components(self) -> Stitch | None:
-        """The without_components of the result; None while there is none."""
+    def stitch(self) -> Stitch | None:
+        """The result without its tables of components; None while there is none."""
         return self.result.without_components if self.result else None
 
-    def step(self, event: RunStep) -> None:
-        """Follow the table."""
+    def advance(self, event: RunStep) -> None:
+        """Follow the table of run states; `StateError` if the event is illegal."""
         self.state = RUN.next(self.state, event)
 
     def settle(self, report: FrameSettled) -> list[LinkJob]:
-        """A frame has its verdict; the tasks it makes possible."""
+        """Record a frame's verdict; returns the jobs that it makes possible."""
         key = (report.frame.camera, report.frame.row)
         self.frames[key] = report.frame
         self.settled_s[key] = report.host_time_s
         if report.frame.verdict is not Verdict.OK or key[1] not in self.pulses:
             return []
+        # A frame whose pulse was not reported has no time, so it cannot be linked before the run is finished.
         self.linkable.add(key)
-        return self._ask(key[0], possible_tasks(key, self.linkable, self._times_s(), self.order.setup))
+        return self._jobs_for(key[0], possible_tasks(key, self.linkable, self._times_s(), self.order.setup))
 
     def filmed(self, report: RunFinished) -> list[LinkJob]:
-        """Every frame has its verdict; the canonical tasks that were not asked for yet."""
-        self.step(RunStep.FILMED)
-        self.film = report
+        """Record the final report; returns jobs for the canonical tasks that were not requested yet."""
+        self.advance(RunStep.FILMED)
+        self.recorded = report
         self.frames = {(f.camera, f.row): f for f in report.frames}
-        self.needed = self._canonical_tasks(dict(enumerate(report.head.row_times_s().tolist())))
-        unasked = (task for task in self.needed if task not in self.asked_s)
-        jobs = [job for task in unasked for job in self._ask(task.a[0], (task,))]
-        self.awaited = self.unanswered.intersection(self.needed)
+        self.canonical_tasks = self._select_canonical_tasks(dict(enumerate(report.head.row_times_s().tolist())))
+        missing = (task for task in self.canonical_tasks if task not in self.requested_s)
+        jobs = [job for task in missing for job in self._jobs_for(task.a[0], (task,))]
+        self.pending_canonical = self.pending.intersection(self.canonical_tasks)
         return jobs
 
     def _times_s(self) -> dict[int, float]:
-        """Of the pulses so far, after the first that was reported, to a nanosecond: as the film's head has them."""
+        """Row times after the first reported pulse, rounded to a nanosecond as in the head of the recording."""
         first_s = self.pulses[min(self.pulses)].time_s
         return {row: round(pulse.time_s - first_s, 9) for row, pulse in self.pulses.items()}
 
-    def _canonical_tasks(self, times_s: dict[int, float]) -> tuple[Task, ...]:
-        """All tasks of the run: those asked for while filming, unless something was lost on the way."""
+    def _select_canonical_tasks(self, times_s: dict[int, float]) -> tuple[Task, ...]:
+        """All tasks of the run: those requested while filming, unless a frame or a pulse was lost."""
+        # The requested tasks depend on the order of arrival only if frames are missing; then they are computed anew, so
+        # that a run gives the same result as its recording.
         whole = len(self.linkable) == len(self.frames) == len(self.order.setup.cameras) * len(times_s)
         if whole and self._times_s() == times_s:
-            return tuple(self.asked_s)
+            return tuple(self.requested_s)
         return all_tasks(self.present, times_s, self.order.setup)
 
-    def answered(self, job: LinkJob, answer: Reply, now_s: float) -> None:
-        """Tasks are done, or cannot be done."""
-        self.unanswered.difference_update(job.tasks)
-        self.awaited.difference_update(job.tasks)
-        if answer.error is not None:
-            self._blame(answer.error)
+    def add_evidence(self, job: LinkJob, reply: Reply, at_s: float) -> None:
+        """Add the evidence of a job, or its failure."""
+        self.pending.difference_update(job.tasks)
+        self.pending_canonical.difference_update(job.tasks)
+        if reply.error is not None:
+            self._add_error(reply.error)
             return
-        for task, linked in zip(job.tasks, answer.value, strict=True):
+        for task, linked in zip(job.tasks, reply.value, strict=True):
             self.linked[task] = linked
-            self.timings.append(self._timing(task, linked, now_s))
+            self.timings.append(self._timing(task, linked, at_s))
 
-    def _timing(self, task: Task, linked: Linked, now_s: float) -> TaskTiming:
+    def _timing(self, task: Task, linked: Linked, at_s: float) -> TaskTiming:
         return TaskTiming(
             kind=task.kind,
             camera=task.a[0],
             row=task.a[1],
             other_camera=task.b[0] if task.b else None,
             other_row=task.b[1] if task.b else None,
-            ready_s=self.asked_s[task] - self.barrier_s,
-            done_s=now_s - self.barrier_s,
+            ready_s=self.requested_s[task] - self.barrier_s,
+            done_s=at_s - self.barrier_s,
             worker_ms=linked.worker_s * 1e3,
         )
 
-    def conclusion(self) -> ConcludeJob | None:
-        """The last job, once all evidence is there; None before, and if there can be none."""
-        if self.film is None or self.concluding or self.hopeless or self.awaited:
+    def conclude_job(self) -> ConcludeJob | None:
+        """The last job, once all evidence is there; None before, after, and if there can be no result."""
+        if self.recorded is None or self.concluding or self.unstitchable or self.pending_canonical:
             return None
         self.concluding = True
-        excluded = frozenset(self.asked_s).difference(self.needed)  # those still under way, too
-        return ConcludeJob(self.context, self.film.head, self._slots(self.present), self.canonical, excluded)
+        # Tasks still pending are excluded too: their evidence may reach the concluding worker directly.
+        excluded = frozenset(self.requested_s).difference(self.canonical_tasks)
+        return ConcludeJob(
+            self.context, self.recorded.head, self._slots(self.present), self.canonical_evidence, excluded
+        )
 
     @property
-    def canonical(self) -> dict[Task, Linked]:
-        """What the canonical tasks gave."""
-        return {task: self.linked[task] for task in self.needed if task in self.linked}
+    def canonical_evidence(self) -> dict[Task, Linked]:
+        """Evidence of the canonical tasks."""
+        return {task: self.linked[task] for task in self.canonical_tasks if task in self.linked}
 
-    def concluded(self, answer: Reply, now_s: float) -> None:
-        """The result is there, or cannot be had."""
-        self.conclude_ms = answer.worker_s * 1e3
-        if answer.error is not None:
-            self._blame(answer.error)
-            self.hopeless = True
+    def add_result(self, reply: Reply, at_s: float) -> None:
+        """Add the result, or the failure of the conclusion."""
+        self.conclude_ms = reply.worker_s * 1e3
+        if reply.error is not None:
+            self._add_error(reply.error)
+            self.unstitchable = True
         else:
-            self.result, self.ready_s = answer.value, now_s
+            self.result, self.ready_s = reply.value, at_s
 
-    def blame(self, reason: Reason) -> None:
-        """Something besides the frames went wrong; it is told with the result."""
+    def add_fault(self, reason: Reason) -> None:
+        """Add a fault once; the run's reasons show it."""
         if reason not in self.faults:
             self.faults.append(reason)
 
-    def _blame(self, error: VaoiError) -> None:
-        self.blame(Reason.of(error))
-        self.hopeless = self.hopeless or error.code == "worker-lost"
+    def _add_error(self, error: VaoiError) -> None:
+        self.add_fault(Reason.of(error))
+        # A failed task costs one link. One that killed its workers ends the run: the conclusion reads the same frames.
+        self.unstitchable = self.unstitchable or error.code == "worker-lost"
 
-    def _ask(self, camera: int, tasks: Iterable[Task]) -> list[LinkJob]:
-        """One job for those tasks that were not asked for yet; none if there are none."""
-        new = tuple(task for task in tasks if task not in self.asked_s)
+    def _jobs_for(self, camera: int, tasks: Iterable[Task]) -> list[LinkJob]:
+        """One job for those of the tasks that were not requested yet; none if there are none."""
+        new = tuple(task for task in tasks if task not in self.requested_s)
         for task in new:
-            self.asked_s[task] = max(self.settled_s.get(key, self.barrier_s) for key in _frames_of(task))
-        self.unanswered.update(new)
+            self.requested_s[task] = max(self.settled_s.get(key, self.barrier_s) for key in _frames_of(task))
+        self.pending.update(new)
         frames = dict.fromkeys(key for task in new for key in _frames_of(task))
         return [LinkJob(self.context, camera, new, self._slots(frames))] if new else []
 
@@ -192,5 +201,5 @@ class Progress:
 
 
 def _frames_of(task: Task) -> list[FrameKey]:
-    """The frames of the run that a task looks at; a reference's frame is none of them."""
+    """The frames of this run that a task reads; `b` of a reference task is a frame of the reference."""
     return [task.a] if task.b is None or task.kind == "reference" else [task.a, task.b]

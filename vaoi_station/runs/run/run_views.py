@@ -1,4 +1,4 @@
-"""A run's progress as callers see it: summary, detail, timeline; pure."""
+"""Documents of a run for callers: summary, detail, timeline; pure functions of its progress."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from vaoi_station.version import __version__
 
 @cache
 def versions() -> Versions:
-    """What computes the results."""
+    """Versions of the software that computes the results."""
     return Versions(station=__version__, opencv=cv2.__version__, python=platform.python_version())
 
 
 def detail_of(progress: Progress) -> RunDetail:
-    """Everything about a run but its matrices."""
-    order, film = progress.order, progress.film
+    """Build the document of a run: everything except its matrices."""
+    order, recorded = progress.order, progress.recorded
     frames = tuple(progress.frames[key] for key in sorted(progress.frames))
     verdicts = [frame.verdict for frame in frames]
     finished = progress.state in FINISHED
@@ -50,7 +50,7 @@ def detail_of(progress: Progress) -> RunDetail:
         verdict=_verdict(progress),
         started=utc_of_host(progress.barrier_s),
         finished=utc() if finished else None,
-        rows=film.head.rows if film else 1 + max(progress.pulses, default=-1),
+        rows=recorded.head.rows if recorded else 1 + max(progress.pulses, default=-1),
         cameras=len(order.setup.cameras),
         counts=VerdictCounts(
             ok=verdicts.count(Verdict.OK),
@@ -62,45 +62,45 @@ def detail_of(progress: Progress) -> RunDetail:
         timings=_timings(progress),
         frames_available=progress.state in IN_MEMORY,
         frames=frames,
-        ended=film.reason if film else "",
-        strays=film.unassigned if film else 0,
-        proof=film.proof if film else None,
+        ended=recorded.reason if recorded else "",
+        strays=recorded.unassigned if recorded else 0,
+        proof=recorded.proof if recorded else None,
         software=versions(),
         calibration=order.calibration_digest,
     )
 
 
 def summary_of(detail: RunDetail) -> RunSummary:
-    """A run in a line."""
+    """Reduce a run's document to the fields of its summary."""
     return RunSummary(**{key: getattr(detail, key) for key in RunSummary.model_fields})
 
 
 def timeline_of(progress: Progress) -> Timeline:
-    """When what happened."""
+    """Build the timeline of a run; seconds since the barrier's edge."""
     zero = progress.barrier_s
     return Timeline(
         frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.settled_s.items())),
         tasks=tuple(progress.timings),
-        last_frame_s=(progress.film.last_frame_host_s if progress.film else zero) - zero,
+        last_frame_s=(progress.recorded.last_frame_host_s if progress.recorded else zero) - zero,
         ready_s=None if progress.ready_s is None else progress.ready_s - zero,
     )
 
 
 def reasons_of(progress: Progress) -> tuple[Reason, ...]:
-    """Why a run is not simply ready: the stitch's own reasons, faults, frames that did not arrive whole."""
-    stitch = progress.without_components
+    """Collect the reasons of a run: those of the stitch, frames that are not whole, trigger findings, faults, notes."""
+    stitch = progress.stitch
     words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in stitch.reasons] if stitch else []
     bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
     causes = {(f.verdict, f.cause) for f in bad}
     for verdict, cause in sorted(causes):
         where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
         words.append(Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}."))
-    proof = progress.film.proof if progress.film else None
+    proof = progress.recorded.proof if progress.recorded else None
     return (*words, *trigger_reasons(proof), *progress.faults, *progress.order.notes)
 
 
 def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
-    """What speaks against frames, and frames that nobody asked for; those that are missing are told elsewhere."""
+    """Reasons from findings of the trigger proof; missing frames have reasons of their own."""
     for f in proof.findings if proof else ():
         where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
         if f.kind in QUESTIONING_KINDS:
@@ -115,37 +115,38 @@ def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
 
 
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:
-    """The straight line through the places, row by row, of the board's point that was at `about_mm` first."""
-    places_mm = np.array([apply(m, about_mm) for m in stitch.row_motion])
+    """Fit a constant velocity to the row-by-row positions of the board's point that was at `about_mm` in row 0."""
+    positions_mm = np.array([apply(m, about_mm) for m in stitch.row_motion])
     centred_s = times_s - times_s.mean()
-    vx, vy = centred_s @ places_mm / (centred_s @ centred_s)
+    vx, vy = centred_s @ positions_mm / (centred_s @ centred_s)
     ratio = float(np.hypot(vx, vy) / np.hypot(*nominal_mm_s))
     return BeltSpeed(nominal_mm_s=nominal_mm_s, measured_mm_s=(float(vx), float(vy)), ratio=ratio)
 
 
 def _belt(progress: Progress) -> BeltSpeed | None:
-    """Measured at the board's middle: rotations of the rows are about it, not about the tester's origin."""
-    stitch, film = progress.without_components, progress.film
-    if stitch is None or film is None or len(stitch.row_motion) < 2:
+    """Belt speed at the board's centre; None without a result of at least two rows."""
+    stitch, recorded = progress.stitch, progress.recorded
+    if stitch is None or recorded is None or len(stitch.row_motion) < 2:
         return None
+    # At the centre a rotation of the rows adds no apparent motion; at the tester's origin it would.
     setup, from_cad = progress.order.setup, stitch.tester_from_cad
     if from_cad is None:
         about_mm = np.mean([c.row_from_image(c.center_px) for c in setup.cameras], axis=0)
     else:
         about_mm = from_cad(np.mean(progress.order.board_type.extent(), axis=0))
-    return belt_speed(stitch, film.head.row_times_s(), setup.conveyor_mm_s, about_mm)
+    return belt_speed(stitch, recorded.head.row_times_s(), setup.conveyor_mm_s, about_mm)
 
 
 def _verdict(progress: Progress) -> Status | None:
-    if progress.without_components is not None:
-        return progress.without_components.status
+    if progress.stitch is not None:
+        return progress.stitch.status
     return Status.FAILED if progress.state in FINISHED else None
 
 
 def _timings(progress: Progress) -> Timings | None:
-    if progress.film is None:
+    if progress.recorded is None:
         return None
-    last_s, ready_s = progress.film.last_frame_host_s, progress.ready_s
+    last_s, ready_s = progress.recorded.last_frame_host_s, progress.ready_s
     return Timings(
         filming_s=last_s - progress.barrier_s,
         ready_after_last_frame_ms=None if ready_s is None else (ready_s - last_s) * 1e3,

@@ -1,4 +1,4 @@
-"""Runs whose second half never came: what is said of them, and the film if the acquisition process has died."""
+"""Runs that ended early: their reason, and what can be stitched if the acquisition process has ended."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 
 _AS_PLANNED = frozenset({"clear", "max-rows", "single"})
-"""Ends of pulses that are no accident; see controller.RunEnded."""
+"""Regular ends of the pulses; see controller.RunEnded."""
 CAUSE = "the acquisition process ended before it arrived"
 
 
 def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
-    """What a recording of this station says of its cameras."""
+    """The camera heads of this station's recordings."""
     return tuple(c.head for c in config.cameras)
 
 
-def cut_short(report: RunFinished) -> Reason | None:
-    """What is to be told of a run whose pulses ended while the board may have been passing; None for all others."""
+def early_end_reason(report: RunFinished) -> Reason | None:
+    """The reason for a run whose pulses ended while the board may have been passing; None for a regular end."""
     if report.reason in _AS_PLANNED:
         return None
     return Reason(
@@ -29,10 +29,14 @@ def cut_short(report: RunFinished) -> Reason | None:
     )
 
 
-def film_from_pieces(progress: Progress, config: StationConfig) -> RunFinished | None:
-    """Pulses and frames that were told of, the rest missing; None if not one row was known."""
+def salvage_recording(progress: Progress, config: StationConfig) -> RunFinished | None:
+    """Build the report of a run from the pulses and frames reported so far; None without a single row.
+
+    Frames that were not reported are missing.
+    """
     rows = 0
-    while rows in progress.pulses:  # rows after a gap in the pulses have no certain time
+    # Rows after a gap in the pulses have no certain time: they are left out.
+    while rows in progress.pulses:
         rows += 1
     if not rows:
         return None
@@ -41,6 +45,7 @@ def film_from_pieces(progress: Progress, config: StationConfig) -> RunFinished |
         progress.frames.get(key) or FrameRecord(camera=key[0], row=key[1], verdict=Verdict.MISSING, cause=CAUSE)
         for key in keys
     )
+    # Times count from the first pulse, to a nanosecond, exactly as the acquisition process writes them: the same tasks.
     first_s = progress.pulses[0].time_s
     head = RecordingHead(
         format="vaoi-recording",

@@ -1,1 +1,1 @@
-"""Define states and schemas: the state tables, what the station reports, run ids."""
+"""Define the states of station and run, and the documents that describe them to callers."""

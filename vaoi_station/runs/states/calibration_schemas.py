@@ -1,21 +1,21 @@
-"""What the station says of its calibration: frozen shapes, dumped to JSON as they stand.
+"""Documents about the calibration: frozen schemas, dumped to JSON unchanged.
 
-Displacements are in px of the camera's own frame, against the calibration in force: of the middle of the picture
-(x, y), and of its corner by a turn.
+Displacements are in px of the camera's own frame, relative to the calibration in force: (x, y) of the frame's centre,
+and turn, the displacement of a corner by rotation.
 """
 
 from __future__ import annotations
 
 from typing import Literal
 
-from vaoi_station.runs.states.schemas import Shape
+from vaoi_station.runs.states.schemas import Schema
 
 
-class CameraDrift(Shape):
-    """A camera that no longer looks where it was calibrated."""
+class CameraDrift(Schema):
+    """Displacement of a camera since its calibration."""
 
     size_px: float
-    """Rms over the frame."""
+    """Root mean square over the frame."""
     x_px: float
     y_px: float
     turn_px: float
@@ -25,10 +25,10 @@ class CameraDrift(Shape):
     runs: int
     """Runs that show it."""
     instead: tuple[int, ...] = ()
-    """Cameras that may have moved in its place; pictures of boards do not tell."""
+    """Cameras that may have moved instead; pictures of boards cannot distinguish them."""
 
 
-class CameraMoment(Shape):
+class CameraMoment(Schema):
     """One camera in one run."""
 
     run: str
@@ -44,24 +44,24 @@ class CameraMoment(Shape):
     fiducials: int
 
 
-class CameraCalibration(Shape):
-    """How one camera stands to its calibration."""
+class CameraCalibration(Schema):
+    """State of one camera relative to its calibration."""
 
     camera: int
     name: str
     state: Literal["steady", "drifted", "unseen", "unknown"]
-    """"unseen": the last runs told nothing of it; "unknown": no run has been looked at yet."""
+    """"unseen": the latest runs give no evidence of it; "unknown": no run has been checked yet."""
     drift: CameraDrift | None = None
     history: tuple[CameraMoment, ...] = ()
     """The latest runs, oldest first."""
 
 
-class CalibrationStatus(Shape):
-    """The calibration in force, and how the cameras stand to it."""
+class CalibrationStatus(Schema):
+    """The calibration in force, and the state of every camera."""
 
     digest: str
-    """Its name by its content, as runs carry it."""
+    """Digest of its content, as in the documents of runs."""
     created: str | None = None
     runs: int
-    """Runs that were looked at since it is in force."""
+    """Number of runs checked since it is in force."""
     cameras: tuple[CameraCalibration, ...]

@@ -16,7 +16,7 @@ TABLES: dict[str, Table[Any, Any]] = {"station": STATION, "run": RUN}
 
 
 def mermaid(table: Table[Any, Any]) -> str:
-    """A table as a Mermaid state diagram; events between the same two states share an arrow."""
+    """Draw a table as a Mermaid state diagram; events between the same two states share an arrow."""
     arrows: dict[tuple[str, str], list[str]] = {}
     for (state, event), target in table.steps.items():
         arrows.setdefault((state, target), []).append(event)
@@ -26,7 +26,7 @@ def mermaid(table: Table[Any, Any]) -> str:
 
 
 def redrawn(document: str) -> str:
-    """A document with the diagram behind every `<!-- drawn: NAME -->` drawn anew."""
+    """Return a document in which the diagram after every `<!-- drawn: NAME -->` is current."""
 
     def draw(found: re.Match[str]) -> str:
         return f"<!-- drawn: {found[1]} -->\n```mermaid\n{mermaid(TABLES[found[1]])}\n```"

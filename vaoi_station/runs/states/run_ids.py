@@ -1,4 +1,4 @@
-"""Names and times of runs: ids that sort by time and are never given twice, RFC 3339 in UTC."""
+"""Run ids, which sort by time and are unique, and times as RFC 3339 in UTC."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ _TIME_DIGITS, _RANDOM_DIGITS = 10, 6
 
 
 def utc(moment: datetime | None = None) -> str:
-    """RFC 3339 with milliseconds; without a moment, now."""
+    """Format a moment (now, if None) as RFC 3339 with milliseconds."""
     return (moment or datetime.now(UTC)).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def utc_of_host(host_s: float) -> str:
-    """RFC 3339 of a recent time.monotonic()."""
+    """Format a recent time.monotonic() as RFC 3339."""
     return utc(datetime.now(UTC) - timedelta(seconds=time.monotonic() - host_s))
 
 
 class RunIds:
-    """Makes run ids: milliseconds since 1970 and some chance, in base 32; each above the one before.
+    """Generator of run ids: milliseconds since 1970 and a random part, in base 32; each is above the one before.
 
-    An id is given when memory is granted, which may be long before the board comes; the order of the
-    ids is the order of the boards.
+    An id is assigned when memory is granted, which may be long before the board comes; the order of the ids is the
+    order of the boards.
     """
 
     def __init__(self, last: str | None = None) -> None:
         self._last_ms = _number(last.partition("-")[0]) if last else 0
 
     def next(self) -> str:
-        """A new id; also above the last one if the clock was set back."""
+        """Return a new id, above the last one even if the clock was set back."""
         self._last_ms = max(self._last_ms + 1, time.time_ns() // 1_000_000)
+        # The random part separates the ids of two stations, or of one whose database was replaced.
         chance = _text(secrets.randbelow(32**_RANDOM_DIGITS), _RANDOM_DIGITS)
         return f"{_text(self._last_ms, _TIME_DIGITS)}-{chance}"
 

@@ -1,4 +1,4 @@
-"""What the station says of itself: frozen shapes, dumped to JSON as they stand.
+"""Documents about station and runs: frozen schemas, dumped to JSON unchanged.
 
 Times are RFC 3339 in UTC where they name a moment and seconds or milliseconds where they name a
 span; cameras and rows count from 0.
@@ -19,14 +19,14 @@ from vaoi_station.runs.states.tables import RunState, StationState
 ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 
 
-class Shape(BaseModel):
-    """Frozen, no unknown keys; dumps to JSON as it stands."""
+class Schema(BaseModel):
+    """Base of all documents: frozen, without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Reason(Shape):
-    """Why something is as it is, and what to do about it."""
+class Reason(Schema):
+    """Explanation of a state or verdict, and what to do about it."""
 
     code: str
     message: str
@@ -34,25 +34,25 @@ class Reason(Shape):
 
     @staticmethod
     def of(error: VaoiError) -> Reason:
-        """What an error says."""
+        """Return the reason that an error stands for."""
         return Reason(code=error.code, message=error.message, action=error.action)
 
 
-class ArmedWith(Shape):
-    """What the next boards are taken for; ids are the caller's own and echoed in every result."""
+class ArmedWith(Schema):
+    """The order in force for the next boards; the caller's ids are returned with every result."""
 
     board_type: str
     board_id: str | None
     job_id: str | None
     runs_left: int | None
-    """Runs until the station disarms by itself; None: it stays armed."""
+    """Runs until the station disarms automatically; None: it stays armed."""
     method: MethodName = "auto"
     reference: str | None = None
-    """The run that boards are placed against; None: no reference is used."""
+    """The run against which boards are placed; None: no reference is used."""
 
 
-class CameraStatus(Shape):
-    """One camera as the acquisition process last saw it."""
+class CameraStatus(Schema):
+    """State of one camera at the last heartbeat of the acquisition process."""
 
     camera: int
     name: str
@@ -62,35 +62,35 @@ class CameraStatus(Shape):
     delivered: int = 0
     incomplete: int = 0
     last_frame_age_s: float | None = None
-    """Since its last whole frame, at the last sign of life; None before the first."""
+    """Time since its last whole frame, at the last heartbeat; None before the first."""
     next_try: str | None = None
-    """When it is opened again; None while it is connected, or is being opened."""
+    """Time of the next attempt to open it; None while it is connected or being opened."""
     counters: dict[str, int] = {}
-    """What its driver counts, by the driver's names, for diagnosis."""
+    """Counters of its driver, by the driver's names, for diagnosis."""
 
 
 STARTING = "starting"
-"""What a process does before its first word."""
+"""`doing` of a process before its first message."""
 WAITING = "waiting for the workers"
-"""What the acquisition process does before it is begun for the first time."""
+"""`doing` of the acquisition process before its first start."""
 
 
-class ProcessStatus(Shape):
-    """One of our processes: "acquisition", "worker 0", …"""
+class ProcessStatus(Schema):
+    """State of one process of the station: "acquisition", "worker 0", …"""
 
     name: str
     pid: int | None
     alive: bool
     restarts: int
     heartbeat_age_s: float | None
-    """Since its last sign of life; None before the first."""
+    """Time since its last message; None before the first."""
     doing: str = ""
     next_try: str | None = None
-    """When it is started again; None while it lives, or is being started."""
+    """Time of the next start; None while it runs or is being started."""
 
 
-class LeaseStatus(Shape):
-    """Somebody uses a run's frames; its memory is not given away meanwhile."""
+class LeaseStatus(Schema):
+    """A holder's time-limited right to a run's frames; they are not evicted meanwhile."""
 
     run: str
     holder: str
@@ -98,16 +98,16 @@ class LeaseStatus(Shape):
     expires_in_s: float
 
 
-class BayStatus(Shape):
-    """Memory for one run."""
+class BayStatus(Schema):
+    """Memory for the frames of one run."""
 
     bay: int
     use: Literal["free", "granted", "filming", "stitching", "finished"]
     run: str | None
 
 
-class RingStatus(Shape):
-    """The shared memory for frames: where, how large, who uses it."""
+class RingStatus(Schema):
+    """The shared memory for frames: path, size, use."""
 
     path: str
     size_bytes: int
@@ -115,8 +115,8 @@ class RingStatus(Shape):
     leases: tuple[LeaseStatus, ...]
 
 
-class Retention(Shape):
-    """What is kept how long."""
+class Retention(Schema):
+    """What is kept, and for how long."""
 
     runs_in_memory: int
     """Bays of the ring; one of them is filmed into, one is ready for the next board."""
@@ -126,28 +126,28 @@ class Retention(Shape):
     events: str
 
 
-class Versions(Shape):
-    """What computed the results."""
+class Versions(Schema):
+    """Versions of the software that computed the results."""
 
     station: str
     opencv: str
     python: str
 
 
-class StationSnapshot(Shape):
-    """The station at one moment."""
+class StationSnapshot(Schema):
+    """State of the station at one moment."""
 
     name: str
     state: StationState
     since: str
     reasons: tuple[Reason, ...]
-    """Why it is in this state."""
+    """Reasons for this state."""
     warnings: tuple[Reason, ...] = ()
-    """What does not keep it from filming, but should be seen to."""
+    """Conditions that do not prevent filming but need attention."""
     armed_with: ArmedWith | None
     cameras: tuple[CameraStatus, ...]
     all_cameras_ready: bool
-    """False: a board that came now would be filmed with gaps, if at all."""
+    """False: the next board would be filmed with gaps, if at all."""
     controller: str
     processes: tuple[ProcessStatus, ...]
     ring: RingStatus
@@ -162,8 +162,8 @@ class StationSnapshot(Shape):
     boards_missed: int
 
 
-class BoardTypeSummary(Shape):
-    """One entry of the list of board types; `fault` says why its file cannot be used."""
+class BoardTypeSummary(Schema):
+    """One entry of the list of board types; `fault` is set if its file cannot be used."""
 
     name: str
     side: str = "top"
@@ -173,8 +173,8 @@ class BoardTypeSummary(Shape):
     fault: Reason | None = None
 
 
-class ReferenceRecord(Shape):
-    """A run that was taught as the reference of its board type."""
+class ReferenceRecord(Schema):
+    """A run that is kept as the reference of its board type."""
 
     run: str
     taught: str
@@ -183,39 +183,39 @@ class ReferenceRecord(Shape):
     cameras: int
     rows: int
     frames: int
-    """How many were kept: a small set of each row."""
+    """Number of frames kept: a small set of each row."""
     size_bytes: int
     cad_sigma_px: float | None
-    """How well its own positions are known: of one standard deviation, at the worst corner of the board."""
+    """Standard deviation of its CAD positions at the worst corner of the board."""
 
 
 class ReferenceStatus(ReferenceRecord):
-    """The same, and whether boards can be placed against it now."""
+    """A reference, and whether boards can be placed against it now."""
 
     board_type: str
     usable: bool
     fault: Reason | None = None
-    """Why not."""
+    """Reason why it is not usable."""
 
 
-class StitchingMethod(Shape):
-    """How runs of a board type are stitched."""
+class StitchingMethod(Schema):
+    """Method by which runs of a board type are stitched."""
 
     method: MethodName
     chosen: Literal["board-type", "station"]
-    """Whether the board type has a way of its own, or the station's holds."""
+    """Whether it is the board type's own method or that of the station."""
 
 
-class VerdictCounts(Shape):
-    """How the frames of a run ended."""
+class VerdictCounts(Schema):
+    """Numbers of frames of a run by verdict."""
 
     ok: int
     incomplete: int
     missing: int
 
 
-class BeltSpeed(Shape):
-    """The belt as this board saw it, in tester coordinates."""
+class BeltSpeed(Schema):
+    """Belt speed measured from this board, in tester coordinates."""
 
     nominal_mm_s: tuple[float, float]
     measured_mm_s: tuple[float, float]
@@ -223,24 +223,24 @@ class BeltSpeed(Shape):
     """Measured over nominal speed."""
 
 
-class Timings(Shape):
-    """Where the time went; host clock."""
+class Timings(Schema):
+    """Durations of the steps of a run; host clock."""
 
     filming_s: float
     """From the barrier to the last frame."""
     ready_after_last_frame_ms: float | None
     """From the last frame's arrival to the finished matrices."""
     links_ms: float
-    """Workers' time spent on links, summed."""
+    """Sum of the workers' time for links."""
     conclude_ms: float
-    """Worker's time for adjustment and CAD mapping."""
+    """Worker's time for the adjustment and the CAD mapping."""
     links: int
     links_while_filming: int
-    """Links that existed before the last frame arrived."""
+    """Links that were computed before the last frame arrived."""
 
 
-class RunSummary(Shape):
-    """One board's passage, in a line."""
+class RunSummary(Schema):
+    """One run, without its frames."""
 
     id: str
     board_type: str
@@ -248,7 +248,7 @@ class RunSummary(Shape):
     job_id: str | None
     state: RunState
     verdict: Status | None
-    """The stitch's; None while there is none. Outlives the frames."""
+    """Verdict of the stitch; None while there is none. Kept when the frames are gone."""
     started: str
     finished: str | None
     rows: int
@@ -261,22 +261,22 @@ class RunSummary(Shape):
 
 
 class RunDetail(RunSummary):
-    """One board's passage with the verdict of every (camera, row)."""
+    """One run with the verdict of every (camera, row)."""
 
     frames: tuple[FrameRecord, ...]
     ended: str
-    """Why the pulses ended: "clear" (the board left), "max-rows", …; "" while filming."""
+    """Cause of the end of the pulses: "clear" (the board left), "max-rows", …; "" while filming."""
     strays: int
-    """Frames that belonged to no pulse."""
+    """Number of frames that belong to no pulse."""
     proof: TriggerProof | None = None
-    """That every frame belongs to its pulse, or what speaks against it; None while filming."""
+    """Evidence that every frame belongs to its pulse, with findings against it; None while filming."""
     software: Versions
     calibration: str
-    """Digest of the calibration it was stitched with."""
+    """Digest of the calibration with which it was stitched."""
 
 
-class TaskTiming(Shape):
-    """One piece of work of a run; seconds since the barrier's edge, host clock."""
+class TaskTiming(Schema):
+    """One task of a run; seconds since the barrier's edge, host clock."""
 
     kind: str
     camera: int
@@ -284,40 +284,40 @@ class TaskTiming(Shape):
     other_camera: int | None
     other_row: int | None
     ready_s: float
-    """When its last frame had settled."""
+    """When its last frame was settled."""
     done_s: float
     worker_ms: float
 
 
-class Timeline(Shape):
-    """When what happened in a run; seconds since the barrier's edge, host clock."""
+class Timeline(Schema):
+    """Times of the steps of a run; seconds since the barrier's edge, host clock."""
 
     frames_settled_s: tuple[tuple[int, int, float], ...]
-    """(camera, row, when)."""
+    """(camera, row, time)."""
     tasks: tuple[TaskTiming, ...]
     last_frame_s: float
     ready_s: float | None
 
 
-class ComponentSummary(Shape):
-    """One component of a run's board type, and where it was."""
+class ComponentSummary(Schema):
+    """One component of a run's board type, and its position."""
 
     address: str
     ref: str
     panel: str | int | None
     center_mm: tuple[float, float]
-    """CAD, in mm."""
+    """CAD position in mm."""
     width_mm: float
     height_mm: float
     rotation_deg: float
     tester_mm: tuple[float, float] | None
-    """Place at the first row, tester coordinates; None without a CAD mapping."""
+    """Position at the first row in tester coordinates; None without a CAD mapping."""
     views: int
-    """Frames in which its middle lies."""
+    """Number of frames that show at least half of it."""
 
 
-class EventRecord(Shape):
-    """Something that happened, numbered from 1 without gaps; kept over restarts."""
+class EventRecord(Schema):
+    """One entry of the event log, numbered from 1 without gaps; kept over restarts."""
 
     number: int
     time: str

@@ -1,7 +1,7 @@
-"""Two tables, states × events: what the station does, and what becomes of one board's run.
+"""Two state tables, states × events: the station, and one board's run.
 
-Pure: a table maps (state, event) to the next state; what is not in the table is illegal, raises
-`StateError` and changes nothing. The diagrams of `docs/internals/runs.md` are drawn from these tables.
+A table maps (state, event) to the next state; an event that is not in the table is illegal, raises `StateError` and
+changes nothing. The diagrams of `docs/internals/runs.md` are drawn from these tables.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from vaoi_station.errors import StateError
 
 
 class StationState(StrEnum):
-    """What the station as a whole is doing."""
+    """State of the station as a whole."""
 
     STARTING = "starting"
-    """Processes are being started, cameras and controller opened."""
+    """Processes are starting; cameras and controller are being opened."""
     IDLE = "idle"
-    """Everything is open; the light barrier is ignored."""
+    """Devices are open; the light barrier is ignored."""
     ARMING = "arming"
-    """Cameras are given memory, the controller is told to watch the barrier."""
+    """Cameras receive memory, the controller is being armed."""
     ARMED = "armed"
     """The next board that interrupts the barrier is filmed."""
     FILMING = "filming"
     """A board is passing."""
     BLOCKED = "blocked"
-    """Armed, but no memory is free: a board that came now would be missed."""
+    """Armed, but no memory is free: the next board would be missed."""
     FAULTED = "faulted"
-    """The acquisition process or a device is lost; it is being restarted."""
+    """The acquisition process is lost; it is being restarted."""
     STOPPING = "stopping"
-    """The station is going down."""
+    """The station is shutting down."""
 
 
 class StationStep(StrEnum):
-    """What happens to the station."""
+    """Event that may change the state of the station."""
 
     READY = "ready"
     ARM = "arm"
@@ -51,26 +51,26 @@ class StationStep(StrEnum):
 
 
 class RunState(StrEnum):
-    """Where a run is in its life. Its verdict (ok, degraded, failed) outlives the last two."""
+    """State of a run. Its verdict (ok, degraded, failed) stays valid in the last two states."""
 
     FILMING = "filming"
-    """Pulses are fired, frames arrive, links are found meanwhile."""
+    """Pulses are fired, frames arrive, links are computed."""
     STITCHING = "stitching"
-    """Every frame has its verdict; the matrices are being computed."""
+    """Every frame is settled; the matrices are being computed."""
     READY = "ready"
-    """The matrices are there and sound; frames are in memory."""
+    """The matrices are available and sound; frames are in memory."""
     DEGRADED = "degraded"
-    """The matrices are there with reservations; see the reasons. Frames are in memory."""
+    """The matrices are available with reservations; see the reasons. Frames are in memory."""
     FAILED = "failed"
     """There are no usable matrices; frames are in memory."""
     RELEASED = "released"
-    """The caller gave the frames up; the result is kept."""
+    """A caller released the frames; the result is kept."""
     GONE = "gone"
-    """The frames' memory went to a later board, or the station was restarted; the result is kept."""
+    """The frames were evicted for a later board, or the station was restarted; the result is kept."""
 
 
 class RunStep(StrEnum):
-    """What happens to a run."""
+    """Event that changes the state of a run."""
 
     FILMED = "filmed"
     STITCHED = "stitched"
@@ -87,14 +87,14 @@ E = TypeVar("E", bound=StrEnum)
 
 @dataclass(frozen=True)
 class Table(Generic[S, E]):
-    """A state machine as data: `next` is all it can do."""
+    """A state machine as data."""
 
     what: str
     start: S
     steps: Mapping[tuple[S, E], S]
 
     def next(self, state: S, event: E, action: str = "") -> S:
-        """The state after an event; `StateError` names both if the event is illegal there."""
+        """Return the state after an event; `StateError` names both if the event is illegal."""
         try:
             return self.steps[state, event]
         except KeyError:
@@ -121,12 +121,14 @@ STATION: Table[StationState, StationStep] = Table(
         (_S.ARMING, _E.DISARMED): _S.IDLE,
         (_S.ARMING, _E.FAULT): _S.FAULTED,
         (_S.ARMING, _E.STOP): _S.STOPPING,
+        # A new order while armed applies to the boards that come from then on.
         (_S.ARMED, _E.ARM): _S.ARMED,
         (_S.ARMED, _E.BOARD_ARRIVED): _S.FILMING,
         (_S.ARMED, _E.RING_FULL): _S.BLOCKED,
         (_S.ARMED, _E.DISARMED): _S.IDLE,
         (_S.ARMED, _E.FAULT): _S.FAULTED,
         (_S.ARMED, _E.STOP): _S.STOPPING,
+        # Boards may follow closely: the next one arrives while late frames of the last are awaited.
         (_S.FILMING, _E.BOARD_ARRIVED): _S.FILMING,
         (_S.FILMING, _E.BOARD_FILMED): _S.ARMED,
         (_S.FILMING, _E.DISARMED): _S.IDLE,
@@ -145,12 +147,12 @@ STATION: Table[StationState, StationStep] = Table(
 ADVICE = {
     _S.STARTING: "Wait: workers start first, then cameras and controller are opened.",
     _S.ARMING: "Wait until the line is armed.",
-    _S.FILMING: "Wait until the board has passed; every finished run is told by runs/next.",
+    _S.FILMING: "Wait until the board has passed; runs/next reports every finished run.",
     _S.BLOCKED: "Release a run.",
-    _S.FAULTED: "See the reasons of the station; it tries again by itself.",
-    _S.STOPPING: "Start it again.",
+    _S.FAULTED: "Check the station's reasons; it retries automatically.",
+    _S.STOPPING: "Start the station again.",
 }
-"""What to do in a state in which what was asked for is not possible."""
+"""Action for the caller when a request is not possible in a state."""
 
 _R, _H = RunState, RunStep
 
@@ -170,12 +172,13 @@ RUN: Table[RunState, RunStep] = Table(
         (_R.DEGRADED, _H.MEMORY_TAKEN): _R.GONE,
         (_R.FAILED, _H.RELEASE): _R.RELEASED,
         (_R.FAILED, _H.MEMORY_TAKEN): _R.GONE,
+        # Releasing twice is harmless, so that a caller may retry after a lost answer.
         (_R.RELEASED, _H.RELEASE): _R.RELEASED,
         (_R.GONE, _H.RELEASE): _R.GONE,
     },
 )
 
 FINISHED = frozenset({_R.READY, _R.DEGRADED, _R.FAILED, _R.RELEASED, _R.GONE})
-"""States in which a run no longer changes but for its memory."""
+"""States in which only the memory of a run can still change."""
 IN_MEMORY = frozenset({_R.READY, _R.DEGRADED, _R.FAILED})
-"""Finished states in which the frames can be had."""
+"""Finished states in which the frames are available."""

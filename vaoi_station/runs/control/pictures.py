@@ -1,0 +1,163 @@
+"""Pixels of a run, for callers in any thread: copies of frames, and temporary images rendered by a worker.
+
+Both read the ring, whose memory may go to the next board at any moment: they hold a lease while they read.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.errors import DeviceError, NotFoundError, StateError
+from vaoi_station.model import FrameRecord
+from vaoi_station.rendering import View
+from vaoi_station.runs.archive import component_views
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control.active_runs import Workers
+from vaoi_station.runs.control.core import Core
+from vaoi_station.runs.control.inbox import Inbox
+from vaoi_station.runs.run.leases import OWN, Lease
+from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
+from vaoi_station.runs.states.tables import FINISHED
+from vaoi_station.runs.workers.jobs import RenderJob, Reply
+
+RENDER_LIMIT_S = 60.0
+"""Time after which a caller no longer waits for its picture."""
+
+
+class ViewRequest(NamedTuple):
+    """One temporary image: component, index among its views, and how views are chosen."""
+
+    ref: str
+    k: int
+    px_per_mm: float | None
+    min_coverage: float
+
+
+class PictureRequests:
+    """Requests for pictures, matched with the workers' replies by their number; usable from any thread."""
+
+    def __init__(self, workers: Workers) -> None:
+        self._workers = workers
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+        self._pending: dict[int, Future[Reply]] = {}
+
+    def render(self, job: RenderJob, name: str) -> bytes:
+        """Submit a job and wait for the encoded picture.
+
+        Args:
+            job: without a request number.
+            name: of the picture in a refusal.
+
+        Raises:
+            DeviceError: no worker rendered it in time.
+            VaoiError: the worker's refusal.
+        """
+        # Two callers may want the same picture: only the number distinguishes their jobs.
+        numbered = replace(job, request=next(self._numbers))
+        pending: Future[Reply] = Future()
+        with self._lock:
+            self._pending[numbered.request] = pending
+        try:
+            self._workers.submit(numbered)
+            reply = pending.result(RENDER_LIMIT_S)
+        except TimeoutError:
+            raise DeviceError(
+                f"No worker rendered image {name} within {RENDER_LIMIT_S:.0f} s.",
+                action="Check the state of the workers.",
+            ) from None
+        finally:
+            with self._lock:
+                del self._pending[numbered.request]
+        if reply.error is not None:
+            raise reply.error
+        content: bytes = reply.value
+        return content
+
+    def complete(self, job: RenderJob, reply: Reply) -> None:
+        """Pass a reply to the caller that waits for it; ignored if the caller has given up."""
+        with self._lock:
+            pending = self._pending.get(job.request)
+            if pending is not None:
+                pending.set_result(reply)
+
+
+class FrameAccess:
+    """Frames and temporary images of runs, each read under a lease of its own; usable from any thread."""
+
+    def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, requests: PictureRequests) -> None:
+        self._inbox, self._core, self._ring = inbox, core, ring
+        self._archive, self._requests = archive, requests
+        self._uses = itertools.count(1)
+
+    def frame(
+        self, detail: RunDetail, camera: int, row: int, allow_incomplete: bool
+    ) -> tuple[NDArray[Any], FrameRecord]:
+        """Copy one frame out of the ring."""
+        record = frame_record(detail, camera, row)
+        where = f"Frame (camera {camera}, row {row}) of run {detail.id}"
+        component_views.refuse_holes(record.verdict, record.cause, where, allow_incomplete)
+        assert record.slot is not None, "only missing frames have no slot"
+        with self.lease(detail.id, f"frame {camera}/{row}") as bay:
+            return self._ring.snapshot(record.slot, bay.generation), record
+
+    def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
+        """Render and encode one temporary image in a worker."""
+        finished = self._archive.get(detail.id)
+        view: View = component_views.view_of_component(
+            finished, wanted.ref, wanted.k, wanted.px_per_mm, wanted.min_coverage
+        )
+        record = frame_record(detail, view.camera, view.row)
+        assert record.slot is not None, "views are of whole frames"
+        name = f"{wanted.ref}/{wanted.k}"
+        with self.lease(detail.id, f"image {name}") as bay:
+            job = RenderJob(detail.id, bay.number, bay.generation, record.slot, view, format)
+            return self._requests.render(job, name)
+
+    def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
+        """Return a function that copies the frame in a slot of a leased bay."""
+        return lambda slot: self._ring.snapshot(slot, bay.generation)
+
+    @contextmanager
+    def lease(self, run: str, purpose: str) -> Iterator[Bay]:
+        """Keep a run's memory while its pixels are read; `GoneError` if it is gone already."""
+        holder = f"{OWN}{next(self._uses)}"
+        bay, _ = self.take_lease(run, holder, purpose)
+        try:
+            yield bay
+        finally:
+            self._inbox.post(self._core.end_lease, run, holder)
+
+    def take_lease(self, run: str, holder: str, purpose: str) -> tuple[Bay, Lease]:
+        """Begin or renew a lease; `NotFoundError` for an unknown run, `GoneError` for one without frames."""
+
+        def take() -> tuple[Bay, Lease]:
+            if not self._core.memory.has(run) and run not in self._core.runs.active:
+                self._archive.get(run)  # raises NotFoundError: an unknown run must not be reported as gone
+            return self._core.memory.bay(run), self._core.leases.take(run, holder, purpose)
+
+        return self._inbox.ask(take)
+
+
+def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:
+    """The record of one frame; `StateError` if it may still arrive, `NotFoundError` if there is no such frame."""
+    for frame in detail.frames:
+        if (frame.camera, frame.row) == (camera, row):
+            return frame
+    if detail.state not in FINISHED and 0 <= camera < detail.cameras and row >= 0:
+        raise StateError(f"Camera {camera}, row {row} of run {detail.id} has not arrived yet.", action="Retry.")
+    raise NotFoundError(
+        f"Run {detail.id} has {detail.cameras} cameras and {detail.rows} rows, numbered from 0; "
+        f"there is no camera {camera}, row {row}.",
+        code="no-such-frame",
+    )
