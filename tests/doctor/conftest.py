@@ -1,4 +1,4 @@
-"""A station that could start, and ways to look at it as somebody else."""
+"""A complete station on the small scenario, and helpers to judge findings."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.config import StationConfig, read_config
+from vaoi_station.config import ApiConfig, CameraConfig, StationConfig, read_config
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 
-NOBODY = 65534
+UNPRIVILEGED = 65534
 STATION = """
 name = "doctor-test"
 calibration = "calibration.json"
@@ -63,7 +63,7 @@ def twin() -> Twin:
 
 @pytest.fixture
 def station_toml(twin: Twin, tmp_path: Path, free_port: int) -> Path:
-    """station.toml of a station on the small scenario, with all it names."""
+    """A station.toml on the small scenario, with all files that it names."""
     (tmp_path / "shm").mkdir()
     write_calibration(tmp_path / "calibration.json", twin.calibration)
     write_board_type(tmp_path / "board-types" / "small.json", twin.board_type)
@@ -94,20 +94,20 @@ def context(config: StationConfig) -> CheckContext:
 
 
 def changed(config: StationConfig, section: str, **fields: Any) -> StationConfig:
-    """The same configuration with other values in one table."""
+    """Return the configuration with other values in one table."""
     part = getattr(config, section).model_copy(update=fields)
     return config.model_copy(update={section: part})
 
 
 def only(findings: Any) -> Finding:
-    """The one finding of a check."""
+    """Return the only finding of a check."""
     (finding,) = findings
     assert isinstance(finding, Finding)
     return finding
 
 
 def assert_problem(finding: Finding, level: Level, *words: str) -> None:
-    """It has this level, says these words, and what to do."""
+    """Assert a finding's level, the words of its message, and that it proposes an action."""
     assert finding.level is level, finding
     for word in words:
         assert word in finding.message, finding
@@ -116,17 +116,40 @@ def assert_problem(finding: Finding, level: Level, *words: str) -> None:
 
 @contextmanager
 def without_privileges() -> Iterator[None]:
-    """Be somebody without any rights for a while; makes a difference for root only."""
+    """Drop all privileges inside the block; this changes something only for root."""
     if os.geteuid() != 0:
         yield
         return
     groups = os.getgroups()
     os.setgroups([])
-    os.setegid(NOBODY)
-    os.seteuid(NOBODY)
+    os.setegid(UNPRIVILEGED)
+    os.seteuid(UNPRIVILEGED)
     try:
         yield
     finally:
         os.seteuid(0)
         os.setegid(0)
         os.setgroups(groups)
+
+
+def with_config(context: CheckContext, config: StationConfig) -> CheckContext:
+    """Return the context with another configuration."""
+    return CheckContext(config, context.machine, context.running)
+
+
+def at_port(config: StationConfig, port: int) -> StationConfig:
+    """Return the configuration with another REST port."""
+    return config.model_copy(update={"api": ApiConfig(port=port)})
+
+
+def with_aravis(config: StationConfig, *, serials: bool = False) -> StationConfig:
+    """Return the configuration with cameras of the aravis backend, named by address or by serial number."""
+    cameras = [
+        CameraConfig.model_validate(
+            camera.model_dump()
+            | {"backend": "aravis", "width": 1392, "height": 1040}
+            | ({"serial": f"S{k}"} if serials else {"address": f"10.0.0.{k}"})
+        )
+        for k, camera in enumerate(config.cameras)
+    ]
+    return config.model_copy(update={"cameras": tuple(cameras)})

@@ -1,9 +1,9 @@
-"""A station on the virtual rig, looked at before it starts, while it runs, and when it has stopped.
+"""Run the doctor on a virtual rig: before a station starts, while it runs, and after it has stopped.
 
     python -m tests.doctor.rig_session DIRECTORY
 
-In a network of its own. Prints one JSON object: the three reports, and the processes of the station before and after
-the look.
+Runs in its own network name space. Prints one JSON object: the three reports, and the station's processes before and
+after the check beside it.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from vaoi_station.config import StationConfig, read_config
 from vaoi_station.doctor import run_checks
 from vaoi_station.doctor.checks.running_station import ask
 
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 
 
 @contextmanager
 def ended_by(number: signal.Signals, process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
-    """A process that is asked to end, and waited for."""
+    """Send a signal to a process at the end of the block, and wait until it has ended."""
     try:
         yield process
     finally:
         process.send_signal(number)
-        process.communicate(timeout=PATIENCE_S)
+        process.communicate(timeout=TIMEOUT_S)
 
 
 def rig(directory: Path) -> subprocess.Popen[str]:
-    """Devices, once they are there."""
+    """Start the emulated devices and wait until they are ready."""
     command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--out", str(directory)]
     command += ["--scenario", "small", "--different", "1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -48,23 +48,23 @@ def rig(directory: Path) -> subprocess.Popen[str]:
 
 
 def service(path: Path, config: StationConfig) -> subprocess.Popen[str]:
-    """A station, once it is idle."""
+    """Start a station and wait until it is idle."""
     address = path.with_name("notify")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as told:
-        told.bind(str(address))
-        told.settimeout(PATIENCE_S)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:
+        notify.bind(str(address))
+        notify.settimeout(TIMEOUT_S)
         command = [sys.executable, "-m", "vaoi_station", "serve", "--config", str(path)]
         environment = os.environ | {"NOTIFY_SOCKET": str(address)}
         process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, text=True)
-        while b"READY=1" not in told.recv(4096):
+        while b"READY=1" not in notify.recv(4096):
             pass
     wait_until_idle(config)
     return process
 
 
 def wait_until_idle(config: StationConfig) -> None:
-    """The stream of events says its state every two seconds."""
-    connection = http.client.HTTPConnection(config.api.host, config.api.port, timeout=PATIENCE_S)
+    """Wait until the station is idle; the event stream wakes the loop at least every two seconds."""
+    connection = http.client.HTTPConnection(config.api.host, config.api.port, timeout=TIMEOUT_S)
     connection.request("GET", "/api/v1/events")
     stream = connection.getresponse()
     while ask(config.api)["state"] != "idle":
@@ -73,7 +73,7 @@ def wait_until_idle(config: StationConfig) -> None:
 
 
 def processes(config: StationConfig) -> list[Any]:
-    """Of the station: those that were started again have another pid."""
+    """Return the station's processes; a restarted process has another pid."""
     return [(process["name"], process["pid"], process["restarts"]) for process in ask(config.api)["processes"]]
 
 

@@ -1,4 +1,4 @@
-"""`vaoi doctor` and a station with real backends: cameras and controller are looked at, or left to who has them."""
+"""Run `vaoi doctor` on a station with real backends: free devices are checked, a running station's are left alone."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What `on_the_rig` saw."""
+def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The output of `rig_session`."""
     need_emulator()
     directory = tmp_path_factory.mktemp("doctor") / "rig"
     command = [*isolation_command(), sys.executable, "-m", "tests.doctor.rig_session", str(directory)]
@@ -43,8 +43,8 @@ def found(report: dict[str, Any], check: str) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.aravis
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_devices_that_nobody_uses_are_asked(told: dict[str, Any], when: str) -> None:
-    report = told[when]
+def test_free_devices_are_checked(reports: dict[str, Any], when: str) -> None:
+    report = reports[when]
     assert report["running"] is None
     assert report["counts"]["fault"] == 0, report
     assert list(found(report, "cameras")) == ["camera 0", "camera 1", "lo"]
@@ -53,8 +53,8 @@ def test_devices_that_nobody_uses_are_asked(told: dict[str, Any], when: str) -> 
 
 
 @pytest.mark.aravis
-def test_devices_of_a_running_station_are_left_to_it(told: dict[str, Any]) -> None:
-    report = told["beside"]
+def test_devices_of_a_running_station_are_not_opened(reports: dict[str, Any]) -> None:
+    report = reports["beside"]
     assert report["running"] is not None
     assert report["counts"]["fault"] == 0, report
     assert found(report, "station")[""]["figures"] == {"state": "idle"}
@@ -62,5 +62,5 @@ def test_devices_of_a_running_station_are_left_to_it(told: dict[str, Any]) -> No
     assert list(cameras) == ["camera 0", "camera 1"]
     assert all(camera["message"].startswith("connected") for camera in cameras.values())
     assert list(found(report, "controller")) == [""]
-    untouched, touched = told["processes"]
+    untouched, touched = reports["processes"]
     assert touched == untouched

@@ -1,4 +1,4 @@
-"""The whole command: as text, as JSON, beside a station that runs; and that it changes nothing."""
+"""Run all checks: as text, as JSON, beside a running station, and without changing anything."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KEYS = (
     "findings",
 )  # fmt: skip
 FINDING_KEYS = ("check", "subject", "level", "message", "action", "figures")
-"""Programs rely on these: add to them, take none away."""
+"""Keys that programs rely on: keys may be added, never removed."""
 
 
 @pytest.fixture
@@ -38,23 +38,23 @@ def vaoi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     return run
 
 
-def everything(directory: Path) -> dict[str, tuple[int, bytes]]:
-    """All files with their times and contents."""
+def all_files(directory: Path) -> dict[str, tuple[int, bytes]]:
+    """Return all files with their times and contents."""
     files = (path for path in sorted(directory.rglob("*")) if path.is_file())
     return {str(path): (path.stat().st_mtime_ns, path.read_bytes()) for path in files}
 
 
 def test_the_report_names_every_check_and_changes_nothing(vaoi: Any, station_toml: Path) -> None:
-    before = everything(station_toml.parent)
+    before = all_files(station_toml.parent)
     code, text = vaoi("doctor", "--config", station_toml)
-    assert everything(station_toml.parent) == before
+    assert all_files(station_toml.parent) == before
     for name, _ in (*runner.MACHINE_CHECKS, *runner.STATION_CHECKS):
         assert f" {name} " in text
     assert "station 'doctor-test': 0 faults" in text
     assert code in (0, 1)
 
 
-def test_the_document_is_that_of_the_page(vaoi: Any, station_toml: Path) -> None:
+def test_the_document_has_the_keys_of_its_description(vaoi: Any, station_toml: Path) -> None:
     (station_toml.parent / "calibration.json").unlink()
     code, text = vaoi("doctor", "--config", station_toml, "--json")
     document = json.loads(text)
@@ -67,19 +67,19 @@ def test_the_document_is_that_of_the_page(vaoi: Any, station_toml: Path) -> None
     assert {f["level"] for f in document["findings"]} <= {str(level) for level in Level}
 
 
-def test_every_check_is_explained_on_the_page() -> None:
+def test_every_check_is_described() -> None:
     for name, _ in (*runner.MACHINE_CHECKS, *runner.STATION_CHECKS):
         assert f"| {name} |" in PAGE
 
 
-def test_without_a_configuration_the_machine_is_looked_at(vaoi: Any, tmp_path: Path) -> None:
+def test_the_machine_is_checked_without_a_configuration(vaoi: Any, tmp_path: Path) -> None:
     code, text = vaoi("doctor", "--config", tmp_path / "none.toml")
     assert code == 2
     assert "none.toml: there is no such file" in text
     assert "Python" in text
 
 
-def test_a_check_that_breaks_hides_no_other(station_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_check_that_raises_does_not_stop_the_others(station_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(_: CheckContext) -> list[Finding]:
         raise RuntimeError("boom")
 
@@ -90,8 +90,8 @@ def test_a_check_that_breaks_hides_no_other(station_toml: Path, monkeypatch: pyt
     assert set(findings) >= {name for name, _ in runner.STATION_CHECKS}
 
 
-def test_beside_a_station_that_runs(station_toml: Path) -> None:
-    """It is found by its ring, asked over REST, and not disturbed."""
+def test_checks_beside_a_running_station(station_toml: Path) -> None:
+    """The station is found by its ring, its state is read by REST, and no process restarts."""
     import socket
     import threading
 

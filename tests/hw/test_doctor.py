@@ -88,7 +88,7 @@ def test_a_light_beyond_the_firmwares_limits(paced: PacedChip) -> None:
 
 def test_a_controller_that_made_itself_safe(paced: PacedChip) -> None:
     asked(paced.link, Type.SAFE)
-    assert_problem(by_subject(controller(patient_of(paced.link)))["state"], Level.WARNING, "safe (commanded)")
+    assert_problem(by_subject(controller(patient_of(paced.link)))["state"], Level.WARNING, "safe state (commanded)")
 
 
 def test_no_port(tmp_path: Path) -> None:
@@ -184,5 +184,5 @@ def test_a_clock_that_is_known_badly() -> None:
         return judge_clock([ClockReading(float(k), 100.0 + k, bound_s) for k in range(10)], period_s)
 
     assert judged(1e-3, 0.125).level is Level.OK
-    assert_problem(judged(3e-3, 0.125), Level.FAULT, "± 3.00 ms", "must be to ± 2 ms")
-    assert_problem(judged(1e-3, 0.006), Level.FAULT, "must be to ± 0.6 ms")
+    assert_problem(judged(3e-3, 0.125), Level.FAULT, "± 3.00 ms", "known to ± 2 ms")
+    assert_problem(judged(1e-3, 0.006), Level.FAULT, "known to ± 0.6 ms")

@@ -1,7 +1,7 @@
-"""`vaoi doctor`: whether this machine and its devices are fit for a station, and what to do where they are not.
+"""Check whether this machine and its devices can run a station (`vaoi doctor`), and propose an action for each problem.
 
-It looks and changes nothing: no setting of a camera, no file, no parameter of the kernel. Where the station runs,
-cameras and controller are the station's; it is asked over REST instead.
+The checks change nothing: no camera setting, no file, no kernel parameter. While a station runs, it owns cameras and
+controller; the checks then read their state from its REST service.
 """
 
 from vaoi_station.doctor.finding import Finding, Level, Report

@@ -1,4 +1,4 @@
-"""What a check may look at."""
+"""The input of every check: configuration, machine, and the station process that runs now."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from vaoi_station.doctor.machine import Machine
 
 @dataclass(frozen=True)
 class RunningProcess:
-    """The process that owns the station's memory now: the station, or `vaoi record` or `view` in its place."""
+    """The process that owns the station's ring now: `vaoi serve`, `vaoi record` or `vaoi view`."""
 
     pid: int | None
-    """None: it is another user's, and may not be looked at."""
+    """None if the process belongs to another user and cannot be inspected."""
     snapshot: dict[str, Any] = field(default_factory=dict)
-    """Its answer to GET station; empty where it gave none."""
+    """Its reply to GET station; empty without a reply."""
     no_reply_reason: str = ""
-    """Why it gave none."""
+    """Why there is no reply; empty with a reply."""
 
     @property
     def description(self) -> str:
-        """In a sentence."""
+        """The process as the subject of a sentence."""
         return "a process of another user" if self.pid is None else f"process {self.pid}"
 
     @property
     def inspect_command(self) -> str:
-        """How to find out what it is."""
+        """A command that identifies the process."""
         return "sudo vaoi doctor …" if self.pid is None else f"ps -fp {self.pid}"
 
 
 @dataclass(frozen=True)
 class CheckContext:
-    """A configuration, the machine it is to run on, and whether it does."""
+    """A configuration, the machine it is meant for, and the process that runs it now, if any."""
 
     config: StationConfig
     machine: Machine
@@ -43,10 +43,10 @@ class CheckContext:
 
     @property
     def layout(self) -> RingLayout:
-        """The ring it needs."""
+        """The layout of the ring that this configuration needs."""
         return RingLayout.of(self.config)
 
     @cached_property
     def real_cameras(self) -> tuple[CameraConfig, ...]:
-        """Those that are no stand-ins."""
+        """The cameras that are real devices, not simulated or replayed ones."""
         return tuple(camera for camera in self.config.cameras if camera.backend == "aravis")

@@ -1,4 +1,4 @@
-"""What a check found, and the report of all of them."""
+"""Findings of the checks, and the report that collects them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 FORMAT, VERSION = "vaoi-doctor", 1
 Figures = Mapping[str, float | int | str | bool | None]
-"""What was measured, with units in the names; for programs."""
+"""Measured values for programs, with units in the names."""
 
 
 class Level(StrEnum):
-    """How bad it is; the order is that of the exit code."""
+    """The severity of a finding."""
 
     NOT_APPLICABLE = "not-applicable"
     OK = "ok"
@@ -21,6 +21,7 @@ class Level(StrEnum):
     FAULT = "fault"
 
 
+# "not applicable" counts as "ok": a station without USB cameras must not end with a warning.
 EXIT_CODES = {Level.NOT_APPLICABLE: 0, Level.OK: 0, Level.WARNING: 1, Level.FAULT: 2}
 
 
@@ -31,65 +32,65 @@ class Finding:
     level: Level
     message: str
     action: str = ""
-    """What to do: one concrete step; empty where there is nothing to do."""
+    """The concrete step that solves the problem; empty without a problem."""
     subject: str = ""
-    """Which camera, file or port, where a check looks at several."""
+    """The camera, file or port, for checks that examine several."""
     figures: Figures = field(default_factory=dict)
     check: str = ""
 
 
 def ok(message: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
-    """Nothing to do."""
+    """Make a finding without a problem."""
     return Finding(Level.OK, message, subject=subject, figures=figures or {})
 
 
 def warning(message: str, action: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
-    """It works, but not on a bad day."""
+    """Make a finding of a problem that the station survives in normal operation."""
     return Finding(Level.WARNING, message, action, subject, figures or {})
 
 
 def fault(message: str, action: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
-    """The station will not film like this."""
+    """Make a finding of a problem that prevents filming."""
     return Finding(Level.FAULT, message, action, subject, figures or {})
 
 
 def not_applicable(message: str) -> Finding:
-    """There is nothing to look at."""
+    """Make the finding of a check that does not apply to this station."""
     return Finding(Level.NOT_APPLICABLE, message)
 
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that was found, in the order of the checks."""
+    """All findings, in the order of the checks."""
 
     station: str
-    """Name of the station; empty where its configuration could not be read."""
+    """Name of the station; empty if its configuration could not be read."""
     config: str
     created: str
     """UTC, RFC 3339."""
     host: str
     version: str
     running: int | None
-    """Process that owns the station's memory while it runs."""
+    """Id of the process that owns the station's ring; None if none does or its id is hidden."""
     findings: tuple[Finding, ...]
 
     @property
     def worst(self) -> Level:
-        """The level that counts."""
+        """The highest level of all findings."""
         return max((f.level for f in self.findings), key=lambda level: EXIT_CODES[level], default=Level.OK)
 
     @property
     def exit_code(self) -> int:
-        """0: nothing to do, 1: warnings, 2: faults."""
+        """The exit code of the command: 0 without problems, 1 with warnings, 2 with faults."""
         return EXIT_CODES[self.worst]
 
     @property
     def counts(self) -> dict[Level, int]:
-        """Findings per level."""
+        """The number of findings per level."""
         return {level: sum(f.level is level for f in self.findings) for level in Level}
 
     def document(self) -> dict[str, Any]:
-        """The report as JSON data; described in docs/engineering/doctor.md."""
+        """Return the report as JSON data, as docs/engineering/doctor.md describes it."""
         return {
             "format": FORMAT,
             "version": VERSION,

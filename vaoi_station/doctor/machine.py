@@ -1,4 +1,4 @@
-"""What the kernel says of this machine; `root` may be another one, so that every answer can be put to the test."""
+"""Read the state of this machine from the kernel's files; `root` can point to a copy for tests."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 
 CAP_IPC_LOCK = 14
 PSEUDO_TERMINALS = range(136, 144)
-"""Major numbers; they are not in /sys."""
+"""Major device numbers of pseudo-terminals, which have no entry in /sys."""
 
 
 @dataclass(frozen=True)
 class Holder:
-    """A process that has a file open."""
+    """A process that holds a file open."""
 
     pid: int
     name: str
@@ -23,63 +23,67 @@ class Holder:
 
 @dataclass(frozen=True)
 class Machine:
-    """Reads /proc, /sys and /run below `root`; what is not there is None."""
+    """Reader of /proc and /sys below `root`; every value that is absent is None."""
 
     root: Path = Path("/")
 
     def text(self, path: str) -> str | None:
-        """Content of a file, stripped."""
+        """Read a file as stripped text."""
         try:
             return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
             return None
 
     def number(self, path: str) -> int | None:
-        """A file that holds one whole number."""
+        """Read a file that holds one whole number."""
         try:
             return int(self.text(path) or "")
         except ValueError:
             return None
 
     def sysctl(self, name: str) -> int | None:
-        """A kernel parameter such as net.core.rmem_max."""
+        """Read a kernel parameter such as net.core.rmem_max."""
         return self.number(f"proc/sys/{name.replace('.', '/')}")
 
     def available_memory(self) -> int | None:
-        """Bytes that programs could still get."""
+        """Read how many bytes programs can still allocate."""
+        # MemFree would be too low: the kernel gives its page cache back on demand, and MemAvailable counts that.
         return self._kibibytes("proc/meminfo", "MemAvailable")
 
     def filesystem_of(self, path: Path) -> str | None:
-        """Type of the file system that a path is on, such as tmpfs."""
+        """Return the type of the file system that holds a path, such as tmpfs."""
         best, kind = "", None
         for line in (self.text("proc/mounts") or "").splitlines():
             words = line.split()
+            # The kernel writes a space inside a mount point as \\040.
             mount = words[1].replace("\\040", " ") if len(words) > 2 else ""
+            # The longest matching mount point wins; of two mounts on one point the later one covers the earlier.
             if mount and len(mount) >= len(best) and path.resolve().is_relative_to(mount):
                 best, kind = mount, words[2]
         return kind
 
     def may_lock_anything(self) -> bool:
-        """Whether this process has the capability that no memory limit binds."""
+        """Return whether this process may lock memory without limit (CAP_IPC_LOCK)."""
         status = self.text("proc/self/status") or ""
         held = next((line.split()[1] for line in status.splitlines() if line.startswith("CapEff:")), "0")
         return bool(int(held, 16) >> CAP_IPC_LOCK & 1)
 
     def locked_bytes(self, pid: int) -> int | None:
-        """Memory that a process has locked."""
+        """Read how many bytes a process has locked in memory."""
         return self._kibibytes(f"proc/{pid}/status", "VmLck")
 
-    def terminal(self, device: int) -> bool:
-        """Whether a device number is that of a serial port, as far as the kernel tells; nothing is opened for that."""
+    def is_terminal(self, device: int) -> bool:
+        """Return whether a device number belongs to a serial port; True if /sys does not know the device."""
+        # The device is not opened: opening a serial port resets some controller boards.
         if os.major(device) in PSEUDO_TERMINALS:
             return True
         entry = self.root / "sys/dev/char" / f"{os.major(device)}:{os.minor(device)}"
         return not entry.exists() or (entry / "subsystem").resolve().name == "tty"
 
     def holders(self, device: Path) -> Iterator[Holder]:
-        """Processes that have a file open, as far as they may be seen."""
+        """Yield the processes that hold a file open, as far as this user may see them."""
         for entry in sorted((self.root / "proc").glob("[0-9]*")):
-            with contextlib.suppress(OSError):  # it has ended, or is somebody else's
+            with contextlib.suppress(OSError):  # the process has ended, or belongs to another user
                 if any(_leads_to(handle, device) for handle in (entry / "fd").iterdir()):
                     yield Holder(int(entry.name), self.text(f"proc/{entry.name}/comm") or "")
 
@@ -98,30 +102,30 @@ def _leads_to(handle: Path, device: Path) -> bool:
 
 
 def nearest(path: Path) -> Path:
-    """The path, or the first of its parents that is there and may be seen."""
+    """Return the path, or its first parent that exists and is visible to this user."""
     return next(p for p in (path, *path.parents) if _seen(p))
 
 
 def writable(path: Path) -> bool:
-    """Whether files can be made in a directory, or the directory itself made, by this user."""
+    """Return whether this user can create files in a directory, or create the directory itself."""
     there = nearest(path)
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK, effective_ids=True)
 
 
 def is_directory(path: Path) -> bool:
-    """Whether it is one that this user may see."""
+    """Return whether a path is a directory that this user can see."""
     return nearest(path) == path and path.is_dir()
 
 
 def _seen(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # in a directory of somebody else
+    except OSError:  # inside a directory that this user may not search
         return False
 
 
 def format_bytes(count: float) -> str:
-    """Bytes for people: 2.1 GB, 348 MB, 64 kB."""
+    """Format a number of bytes with three digits: 2.1 GB, 348 MB, 64 kB."""
     for unit, size in (("GB", 1e9), ("MB", 1e6)):
         if count >= size:
             return f"{count / size:.3g} {unit}"

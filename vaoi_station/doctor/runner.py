@@ -1,4 +1,4 @@
-"""The checks in their order. One that goes wrong itself is told as a fault, and the others go on."""
+"""Run all checks in order. A check that raises is reported as a fault; the others still run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MACHINE_CHECKS: tuple[tuple[str, Callable[[Machine], Iterable[Finding]]], ...] =
     ("time", machine_clocks.wall_clock),
     ("monotonic clock", machine_clocks.monotonic_clock),
 )
-"""What can be looked at without a configuration."""
+"""Checks that need no configuration: name in the report, and function."""
 STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], ...] = (
     ("station", running_station.station),
     ("calibration", configured_files.calibration),
@@ -52,22 +52,22 @@ STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], .
     ("cameras", cameras.cameras),
     ("controller", controller.controller),
 )
-"""The others."""
+"""Checks that need a configuration. The running station comes first, because the later checks depend on it."""
 
 
 def run_checks(path: Path, machine: Machine | None = None) -> Report:
-    """Carry out all checks for the station of a station.toml."""
+    """Run all checks for the station that a station.toml describes."""
     machine = machine or Machine()
-    config, findings = _configuration(path)
-    for name, look in MACHINE_CHECKS:
-        findings += _carried_out(name, look, machine)
+    config, findings = _read_configuration(path)
+    for name, machine_check in MACHINE_CHECKS:
+        findings += _run_check(name, machine_check, machine)
     context = None
     if config is None:
-        findings.append(replace(not_applicable("all others need a station.toml that can be read"), check="others"))
+        findings.append(replace(not_applicable("all other checks need a readable station.toml"), check="others"))
     else:
         context = CheckContext(config, machine, running_station.find(config))
         for name, check in STATION_CHECKS:
-            findings += _carried_out(name, check, context)
+            findings += _run_check(name, check, context)
     return Report(
         station=config.name if config else "",
         config=str(path),
@@ -79,21 +79,22 @@ def run_checks(path: Path, machine: Machine | None = None) -> Report:
     )
 
 
-def _carried_out(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -> list[Finding]:
-    """What a check finds, under its name; if it goes wrong, that is a finding too."""
+def _run_check(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -> list[Finding]:
+    """Run one check and label its findings with its name; turn an exception into a finding."""
     try:
         return [replace(finding, check=name) for finding in check(subject)]
     except Exception as error:  # noqa: BLE001  (one broken check must not hide what the others find)
-        told = f"the check itself failed: {type(error).__name__}: {error}"
-        return [replace(fault(told, "Please report it, with vaoi doctor --json."), check=name)]
+        message = f"the check itself failed: {type(error).__name__}: {error}"
+        return [replace(fault(message, "Report this with the output of vaoi doctor --json."), check=name)]
 
 
-def _configuration(path: Path) -> tuple[StationConfig | None, list[Finding]]:
+def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]]:
+    """Read station.toml; return no configuration and a fault if that fails."""
     try:
         config = read_config(path)
     except VaoiError as error:
-        action = error.action or "Correct the file; docs/configuration.md says every key."
+        action = error.action or "Correct the file; docs/configuration.md describes every key."
         return None, [replace(fault(error.message, action), check="configuration")]
     backends = sorted({config.controller.backend, *(c.backend for c in config.cameras)})
-    told = f"{path}: {len(config.cameras)} cameras, {' and '.join(backends)}"
-    return config, [replace(ok(told, figures={"cameras": len(config.cameras)}), check="configuration")]
+    message = f"{path}: {len(config.cameras)} cameras, {' and '.join(backends)}"
+    return config, [replace(ok(message, figures={"cameras": len(config.cameras)}), check="configuration")]

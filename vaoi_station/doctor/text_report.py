@@ -1,4 +1,4 @@
-"""The report for people: a line per finding, its remedy below it."""
+"""The report as text: one line per finding, its action below it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _SIGNS = {Level.OK: "ok", Level.WARNING: "WARNING", Level.FAULT: "FAULT", Level.
 
 
 def as_text(report: Report) -> str:
-    """The report as text."""
+    """Format the report as text."""
     width = max(len(finding.check) for finding in report.findings)
     lines = [line for finding in report.findings for line in _lines(finding, width)]
     return "\n".join([*lines, "", _summary(report)]) + "\n"

@@ -1,1 +1,1 @@
-"""Check one subject per module; a check changes nothing."""
+"""The checks, one subject per module; a check changes nothing."""

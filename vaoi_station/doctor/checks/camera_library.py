@@ -1,4 +1,4 @@
-"""The library that drives the cameras, and what binds Python to it."""
+"""Check the camera library Aravis and PyGObject, which binds it to Python."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from vaoi_station.errors import DeviceError
 
 
 def aravis(context: CheckContext) -> Iterator[Finding]:
-    """PyGObject for this Python, and Aravis by it."""
+    """Check that PyGObject and Aravis can be imported, and their versions."""
     if not context.real_cameras:
-        yield not_applicable("no camera needs it")
+        yield not_applicable("no camera uses Aravis")
         return
     try:
         library.aravis()
@@ -28,14 +28,16 @@ def aravis(context: CheckContext) -> Iterator[Finding]:
 
 
 def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Finding:
-    """Good for GigE in every version, for USB from 0.8.30 on."""
+    """Judge the version of Aravis: every version supports GigE; USB3 needs 0.8.30."""
     shown = ".".join(map(str, found))
     figures: Figures = {"aravis": shown, "pygobject": gi}
-    told = f"Aravis {shown}, PyGObject {gi}"
+    message = f"Aravis {shown}, PyGObject {gi}"
+    # Aravis 0.8.28 made USB transfers asynchronous, 0.8.29 corrected their callbacks and underruns, and 0.8.30 sets
+    # the status of a buffer before it is pushed. Only a camera named by its serial number can be on USB.
     if perhaps_usb and found < USB3_MIN_VERSION:
         return warning(
-            f"{told}: unreliable with USB3 cameras; {perhaps_usb} of the cameras may be on USB.",
+            f"{message}: unreliable with USB3 cameras; {perhaps_usb} of the cameras may be on USB.",
             "Name GigE cameras by their address; for USB3 use a distribution with Aravis 0.8.30 or later (Debian 13).",
             figures=figures,
         )
-    return ok(told, figures=figures)
+    return ok(message, figures=figures)

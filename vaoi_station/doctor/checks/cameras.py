@@ -1,7 +1,8 @@
-"""Every camera: is it there and free, can it be triggered, does its port carry it? Of a running station, its own word.
+"""Check every camera: reachable, free, triggerable, and within the bandwidth of its network port.
 
-Cameras are opened and read, and nothing is written to them but the privilege to be their only master, which is given
-back. What the station will set (trigger, exposure, packets) is compared with what the camera offers.
+Without a running station, cameras are opened and read. The only value written is the control privilege, which is
+released again. The settings that the station will write (trigger, exposure, packets) are compared with what the
+camera offers. With a running station, the state is read from its REST service instead.
 """
 
 from __future__ import annotations
@@ -29,54 +30,54 @@ from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable,
 from vaoi_station.errors import VaoiError
 
 JUMBO = 8000
-"""Ports of smaller packets than this make four times as many of them."""
+"""Packets below this size, in bytes, are reported: MTU 1500 needs six times as many of them as MTU 9000."""
 
 
 @dataclass(frozen=True)
 class Offered:
-    """What a camera says it is and can; nothing of it was set by us."""
+    """Identity and capabilities of a camera, as read from it."""
 
     vendor: str
     model: str
     serial: str
     triggers: tuple[str, ...]
     sources: tuple[str, ...]
-    """Inputs a trigger can come from."""
+    """Inputs that can be a trigger source."""
     formats: tuple[str, ...]
     exposure_us: tuple[float, float]
     sensor: tuple[int, int]
     trigger_mode: str
-    """As it happens to be; the station sets it."""
+    """The present mode; the station sets it when it starts."""
     port: str = ""
-    """Of this computer; empty on USB."""
+    """The network interface of this computer; empty on USB."""
     address: str = ""
     packets: network.PacketLimits | None = None
 
 
 def cameras(context: CheckContext) -> Iterator[Finding]:
-    """One finding per camera, more where something is wrong, and one per network port."""
+    """Report at least one finding per camera, and one per network port."""
     if context.running is not None:
         yield from of_running_station(context)
     elif not context.real_cameras:
-        yield not_applicable(f"backend {context.config.controller.backend!r}: there is nothing to reach")
+        yield not_applicable(f"backend {context.config.controller.backend!r}: there are no real cameras")
     else:
         yield from of_real_cameras(context)
 
 
 def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
-    """Asked one after the other; ports are looked at with the cameras that answered."""
+    """Check the cameras one after the other, then the ports of those that replied."""
     ports: defaultdict[str, list[tuple[CameraConfig, Offered]]] = defaultdict(list)
     serials: defaultdict[str, list[str]] = defaultdict(list)
     for camera in context.real_cameras:
         try:
             offered = ask(camera)
         except VaoiError as error:
-            told = error.message.removeprefix(f"{camera.label}: ")
-            yield fault(told, f"{error.action} {_look_for(camera, error)}".strip(), subject=camera.name)
+            message = error.message.removeprefix(f"{camera.label}: ")
+            yield fault(message, f"{error.action} {_search_hint(camera, error)}".strip(), subject=camera.name)
             continue
         except glib_error() as error:
             action = "Check its cable and power; switch it off and on."
-            yield fault(f"stopped answering while it was asked: {error}", action, subject=camera.name)
+            yield fault(f"stopped replying during the check: {error}", action, subject=camera.name)
             continue
         yield from judge_camera(camera, offered)
         serials[offered.serial].append(camera.name)
@@ -84,21 +85,21 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
             ports[offered.port].append((camera, offered))
     for serial, names in serials.items():
         if len(names) > 1:
-            told = f"{', '.join(names)} have the same serial number {serial!r}."
-            yield fault(told, "Correct their addresses in station.toml.", subject=names[0])
+            message = f"{', '.join(names)} have the same serial number {serial!r}."
+            yield fault(message, "Correct their addresses in station.toml.", subject=names[0])
     for port, members in ports.items():
         yield judge_port(port, members, context.config.line.trigger_period_s)
 
 
-def _look_for(camera: CameraConfig, error: VaoiError) -> str:
-    """A command that shows more of a camera that is absent."""
+def _search_hint(camera: CameraConfig, error: VaoiError) -> str:
+    """Return a command that searches for an absent camera; empty for other errors."""
     if error.code != "camera-absent":
         return ""
     return f"Try: ping -c 1 {camera.address}" if camera.address else "Try: arv-tool-0.8"
 
 
 def ask(camera: CameraConfig) -> Offered:
-    """Open it, look, close it; DeviceError or InputError if that cannot be done."""
+    """Open a camera, read its capabilities and close it; DeviceError or InputError if that fails."""
     with OPENING_LOCK, _opened(camera) as opened:
         device = opened.get_device()
         port = address = ""
@@ -139,45 +140,55 @@ def _opened(camera: CameraConfig) -> Iterator[Any]:
         yield opened
     finally:
         del opened
-        gc.collect()  # Aravis gives the camera back with the last reference
+        # Aravis releases the control privilege with the last reference; without the collection a cycle could keep it.
+        gc.collect()
 
 
 def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
-    """Can it do what station.toml asks of it?"""
+    """Compare a camera's capabilities with what station.toml requires."""
     wrong = list(_shortcomings(camera, offered))
-    yield from (fault(told, action, subject=camera.name) for told, action in wrong)
+    yield from (fault(message, action, subject=camera.name) for message, action in wrong)
     if not wrong:
         named = f"{offered.vendor} {offered.model} {offered.serial}".strip()
         mode = "on" if offered.trigger_mode == "On" else f"{offered.trigger_mode.lower()} now, the station turns it on"
         figures: Figures = {"serial": offered.serial, "trigger_mode": offered.trigger_mode, "port": offered.port}
-        yield ok(f"{named} answers and is free; trigger is {mode}", subject=camera.name, figures=figures)
+        yield ok(f"{named} replies and is free; the trigger is {mode}", subject=camera.name, figures=figures)
 
 
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[tuple[str, str]]:
-    """What is wrong, and what to do."""
+    """Yield message and action for every requirement that the camera does not meet."""
     line = camera.trigger_line or recipe_for(offered.vendor).line
     if not set(FRAME_TRIGGERS) & set(offered.triggers):
         shown = ", ".join(offered.triggers) or "nothing"
-        yield f"can be triggered by {shown} only, not by a wire.", "Use a camera with a trigger input."
+        yield (
+            f"offers the triggers {shown} only, but a frame trigger by wire is needed.",
+            "Use a camera with a trigger input.",
+        )
     elif line not in offered.sources:
         shown = ", ".join(offered.sources)
-        yield f"has no trigger input {line}, but {shown}.", 'Set trigger_line = "…" to one of these in station.toml.'
+        yield f"has no trigger input {line}; it has {shown}.", 'Set trigger_line = "…" in station.toml to one of these.'
     if camera.pixel_format not in offered.formats:
         yield (
-            f"has no pixel format {camera.pixel_format}, but {', '.join(offered.formats)}.",
-            "Set pixel_format to one of these.",
+            f"has no pixel format {camera.pixel_format}; it has {', '.join(offered.formats)}.",
+            "Set pixel_format in station.toml to one of these.",
         )
     low, high = offered.exposure_us
     if not low <= camera.exposure_us <= high:
-        yield f"cannot expose {camera.exposure_us:g} µs, only {low:g} … {high:g}.", "Set exposure_us within these."
+        yield (
+            f"cannot expose for {camera.exposure_us:g} µs; its range is {low:g} … {high:g} µs.",
+            "Set exposure_us in station.toml within this range.",
+        )
     needed = (camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height)
     if needed[0] > offered.sensor[0] or needed[1] > offered.sensor[1]:
         has = "{}×{} px".format(*offered.sensor)
-        yield f"has {has}, the frame ends at {needed[0]}, {needed[1]}.", "Correct width, height and offset_px."
+        yield (
+            f"has a sensor of {has}, but the configured frame ends at column {needed[0]}, row {needed[1]}.",
+            "Correct width, height and offset_px in station.toml.",
+        )
 
 
 def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s: float) -> Finding:
-    """Packets and bandwidth of one network port."""
+    """Judge packet size and bandwidth of one network port with all its cameras."""
     mtu = min(network.mtu_to(offered.address) for _, offered in members)
     try:
         packet = min(network.packet_bytes(c.packet_bytes, mtu, o.packets) for c, o in members if o.packets)
@@ -186,39 +197,44 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
     except VaoiError as error:
         return fault(error.message, error.action, subject=port, figures={"mtu": mtu})
     figures: Figures = {"mtu": mtu, "packet_bytes": packet, "link_mbit_s": link, "cameras": len(members)}
-    speed = f"{link:g} Mbit/s" if link else "a link without a speed"
-    told = f"{len(members)} camera{'s' if len(members) > 1 else ''}, MTU {mtu}, packets of {packet} bytes, {speed}"
+    speed = f"{link:g} Mbit/s" if link else "link speed unknown"
+    message = f"{len(members)} camera{'s' if len(members) > 1 else ''}, MTU {mtu}, packets of {packet} bytes, {speed}"
     if wished := [c for c, _ in members if c.packet_bytes and c.packet_bytes > packet]:
         wish = wished[0].packet_bytes or 0
-        allowed = f"Set packet_bytes to {packet}: a camera of this port sends no larger ones."
+        # A larger MTU helps only up to the size that the camera itself can send.
+        allowed = f"Set packet_bytes to {packet}: the cameras of this port send no larger packets."
         action = f"ip link set dev {port} mtu {wish}" if wish > mtu else allowed
-        return warning(f"{told}; {wished[0].name} is to have {wish}.", action, subject=port, figures=figures)
+        return warning(f"{message}; {wished[0].name} is configured for {wish}.", action, subject=port, figures=figures)
     if packet < JUMBO:
         return warning(
-            f"{told}; larger ones cost less time.", f"ip link set dev {port} mtu 9000", subject=port, figures=figures
+            f"{message}; larger packets cost less processor time.",
+            f"ip link set dev {port} mtu 9000",
+            subject=port,
+            figures=figures,
         )
-    return ok(told, subject=port, figures=figures)
+    return ok(message, subject=port, figures=figures)
 
 
 def of_running_station(context: CheckContext) -> Iterator[Finding]:
-    """What the station says of its cameras."""
+    """Report the state of the cameras as the running station gives it."""
     assert context.running is not None
-    told = context.running.snapshot.get("cameras", ())
-    if not told:
+    states = context.running.snapshot.get("cameras", ())
+    if not states:
         yield warning(
-            "a process uses them that does not say how they are; they are left alone.",
+            "another process uses the cameras and does not report their state; they were not opened.",
             f"{context.running.inspect_command}; end it, and run vaoi doctor again",
         )
-    yield from (_of_camera(camera) for camera in told)
+    yield from (_judge_reported(state) for state in states)
 
 
-def _of_camera(told: dict[str, Any]) -> Finding:
-    name, message = str(told.get("name")), str(told.get("message") or "")
+def _judge_reported(state: dict[str, Any]) -> Finding:
+    """Judge one camera by the state that the station reports."""
+    name, message = str(state.get("name")), str(state.get("message") or "")
     for called in (name, f"camera {name}"):
         message = message.removeprefix(f"{called}: ")
-    figures: Figures = {key: told.get(key) for key in ("delivered", "incomplete", "temperature_c")}
-    if not told.get("connected"):
-        action = "Check its power and cable; the station opens it by itself when it is back."
+    figures: Figures = {key: state.get(key) for key in ("delivered", "incomplete", "temperature_c")}
+    if not state.get("connected"):
+        action = "Check its power and cable; the station opens it again by itself."
         return fault(f"is not connected: {message or 'no reason given'}", action, subject=name, figures=figures)
     if message:
         return warning(message, "See docs/internals/acquisition.md.", subject=name, figures=figures)

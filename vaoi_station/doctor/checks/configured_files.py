@@ -1,4 +1,4 @@
-"""Files the configuration names: calibration, board types, and what stands in for devices."""
+"""Check the files that the configuration names: calibration, board types, scenario and recordings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station.store import BoardTypeDirectory
 
 
 def calibration(context: CheckContext) -> Iterator[Finding]:
-    """Can it be read, and is it one of this array?"""
+    """Check that the calibration can be read and fits the configured cameras."""
     path = context.config.calibration
     try:
         read = read_calibration(path, [c.head for c in context.config.cameras])
@@ -30,11 +30,11 @@ def calibration(context: CheckContext) -> Iterator[Finding]:
 
 
 def board_types(context: CheckContext) -> Iterator[Finding]:
-    """Can every file of the directory be read, and new ones be written?"""
+    """Check that every board type can be read and that new ones can be written."""
     directory = context.config.board_types
     if not is_directory(directory):
         yield fault(
-            f"there is no directory {directory}, or this user may not see it.", f"install -d -o $USER {directory}"
+            f"there is no directory {directory}, or this user cannot see it.", f"install -d -o $USER {directory}"
         )
         return
     files = BoardTypeDirectory(directory).list()
@@ -45,16 +45,19 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
     sound = [file.board_type.name for file in files if file.board_type is not None]
     if not files:
         yield warning(
-            f"{directory} is empty: there is nothing to arm with.", "Put a board.json there: docs/formats.md."
+            f"{directory} is empty: the station cannot be armed without a board type.",
+            "Put a board type there, NAME.json: docs/formats.md.",
         )
     elif not writable(directory):
-        yield warning(f"{directory} cannot be written to; types cannot be taught by REST.", f"chown vaoi {directory}")
+        yield warning(
+            f"{directory} cannot be written to: board types cannot be stored by REST.", f"chown vaoi {directory}"
+        )
     elif sound:
-        yield ok(f"{directory}: {len(sound)} can be read", figures={"board_types": len(sound)})
+        yield ok(f"{directory}: {len(sound)} board types can be read", figures={"board_types": len(sound)})
 
 
 def stand_ins(context: CheckContext) -> Iterator[Finding]:
-    """Scenario or recordings of a station without devices."""
+    """Check the scenario or the recordings of a station without real devices."""
     backend = context.config.controller.backend
     if backend not in {"simulated", "replay"}:
         yield not_applicable("cameras and controller are real")
@@ -64,4 +67,6 @@ def stand_ins(context: CheckContext) -> Iterator[Finding]:
     except VaoiError as error:
         yield fault(error.message, error.action or "Correct the tables [simulation] or [replay] of station.toml.")
         return
-    yield ok("the twin's scenario fits" if backend == "simulated" else "the recordings fit")
+    yield ok(
+        "the scenario fits the configuration" if backend == "simulated" else "the recordings fit the configuration"
+    )

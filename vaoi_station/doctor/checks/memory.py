@@ -1,4 +1,4 @@
-"""Room for the ring, and leave to lock it."""
+"""Check that the ring fits in memory and may be locked there."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable,
 from vaoi_station.doctor.machine import format_bytes, is_directory, writable
 
 _SMALLER = "Lower [ring] runs or [line] longest_board_mm in station.toml"
-_LOCK = "LimitMEMLOCK=infinity in the service, as in deploy/vaoi-station.service; in root's shell: ulimit -l unlimited"
+_LOCK = (
+    "Set LimitMEMLOCK=infinity for the service, as in deploy/vaoi-station.service; in a root shell: ulimit -l unlimited"
+)
 
 
 def ring_space(context: CheckContext) -> Iterator[Finding]:
-    """Does the ring of this configuration fit?"""
+    """Check that the ring of this configuration fits its directory and the machine's memory."""
     directory, needed = context.config.ring.directory, context.layout.file_bytes
     if not is_directory(directory):
         yield fault(
@@ -24,7 +26,7 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
         return
     if context.running is not None:
         yield ok(
-            f"{context.running.description} has its ring of {format_bytes(needed)}", figures={"ring_bytes": needed}
+            f"{context.running.description} holds the ring of {format_bytes(needed)}", figures={"ring_bytes": needed}
         )
         return
     if not writable(directory):
@@ -32,65 +34,75 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
         return
     space = os.statvfs(directory)
     free, available = space.f_bavail * space.f_frsize, context.machine.available_memory()
-    yield _judge_room(context, needed, free, available)
+    yield _judge_space(context, needed, free, available)
+    # Not a fault: a station on the twin works from a disk too, and containers often have a small /dev/shm.
     kind = context.machine.filesystem_of(directory)
     if kind not in {"tmpfs", "ramfs", "hugetlbfs", None}:
         yield warning(
-            f"{directory} is on {kind}, not in memory: frames would wait for a disk.",
+            f"{directory} is on {kind}, not in memory: writing frames would wait for a disk.",
             "Set [ring] directory to /dev/shm.",
         )
 
 
-def _judge_room(context: CheckContext, needed: int, free: int, available: int | None) -> Finding:
+def _judge_space(context: CheckContext, needed: int, free: int, available: int | None) -> Finding:
+    """Judge the space on the file system and the memory that is left."""
     layout, directory = context.layout, context.config.ring.directory
     figures: Figures = {"ring_bytes": needed, "free_bytes": free, "available_bytes": available}
-    told = (
+    message = (
         f"the ring needs {format_bytes(needed)} ({layout.bays} runs × {layout.cameras} cameras × "
         f"{layout.slots_per_camera} rows × {format_bytes(layout.slot_bytes)})"
     )
     if free < needed:
-        room = f"mount -o remount,size={round(needed * 1.1 / 2**20) + 1}M {directory}"
-        return fault(f"{told}, {directory} has {format_bytes(free)}.", f"{room}; or: {_SMALLER}.", figures=figures)
+        # The ring's pages count against the tmpfs limit; a tenth more leaves space for other programs' files.
+        remount = f"mount -o remount,size={round(needed * 1.1 / 2**20) + 1}M {directory}"
+        return fault(
+            f"{message}; {directory} has {format_bytes(free)} free.", f"{remount}; or: {_SMALLER}.", figures=figures
+        )
     if available is not None and available < needed:
         return fault(
-            f"{told}, the machine has {format_bytes(available)} of memory left.", f"{_SMALLER}.", figures=figures
+            f"{message}; the machine has {format_bytes(available)} of memory left.", f"{_SMALLER}.", figures=figures
         )
     if available is not None and available < 1.5 * needed:
         left = format_bytes(available - needed)
-        return warning(f"{told}; only {left} are left for everything else.", f"{_SMALLER}.", figures=figures)
-    return ok(f"{told}, {directory} has {format_bytes(free)}", figures=figures)
+        return warning(
+            f"{message}; only {left} of memory remain for all other programs.", f"{_SMALLER}.", figures=figures
+        )
+    return ok(f"{message}; {directory} has {format_bytes(free)} free", figures=figures)
 
 
 def lock_limit(context: CheckContext) -> Iterator[Finding]:
-    """Is the ring locked in memory, if the station runs; may this user's programs lock one, if not?"""
+    """Check that the running station has locked its ring, or that this user's programs may lock one."""
     needed = context.layout.file_bytes
     if context.running is not None and context.running.pid is None:
-        yield not_applicable(f"{context.running.description} has the ring, and does not show whether it is locked")
+        yield not_applicable(f"{context.running.description} holds the ring; whether it is locked cannot be read")
     elif context.running is not None and context.running.pid is not None:
         yield judge_locked(context.machine.locked_bytes(context.running.pid), needed, context.running.pid)
     elif context.machine.may_lock_anything():
-        yield ok("this user may lock as much as it wants (CAP_IPC_LOCK)")
+        yield ok("this user may lock memory without limit (CAP_IPC_LOCK)")
     else:
         yield judge_lock(resource.getrlimit(resource.RLIMIT_MEMLOCK)[0], needed)
 
 
 def judge_locked(locked: int | None, needed: int, pid: int) -> Finding:
-    """What a running station has locked."""
+    """Judge how much memory a running station has locked."""
     figures: Figures = {"locked_bytes": locked, "ring_bytes": needed}
     if locked is not None and locked >= needed:
         return ok(f"process {pid} has locked its ring, {format_bytes(locked)}", figures=figures)
-    return warning(f"process {pid} has not locked its ring: short of memory, frames are late.", _LOCK, figures=figures)
+    return warning(
+        f"process {pid} has not locked its ring: frames are late when memory is short.", _LOCK, figures=figures
+    )
 
 
 def judge_lock(limit: int, needed: int) -> Finding:
-    """RLIMIT_MEMLOCK of this user."""
+    """Judge the limit of this user for locked memory (RLIMIT_MEMLOCK)."""
     figures: Figures = {"limit_bytes": limit, "ring_bytes": needed}
     if limit == resource.RLIM_INFINITY:
-        return ok("this user may lock as much as it wants", figures=figures)
+        return ok("this user may lock memory without limit", figures=figures)
     if limit >= needed:
-        return ok(f"this user may lock {format_bytes(limit)}", figures=figures)
+        return ok(f"this user may lock {format_bytes(limit)} of memory", figures=figures)
     return warning(
-        f"this user may lock {format_bytes(limit)} of {format_bytes(needed)}: short of memory, frames are late.",
+        f"this user may lock {format_bytes(limit)} of memory, the ring has {format_bytes(needed)}: "
+        "frames are late when memory is short.",
         _LOCK,
         figures=figures,
     )

@@ -1,4 +1,4 @@
-"""What the kernel holds of the cameras' packets while nobody looks."""
+"""Check the kernel's socket buffers, which hold camera packets until the acquisition process reads them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from vaoi_station.doctor.machine import format_bytes
 
 
 def socket_buffers(context: CheckContext) -> Iterator[Finding]:
-    """net.core.rmem_max, which silently cuts what a socket asks for."""
+    """Check net.core.rmem_max, the upper limit of a socket's receive buffer."""
     if not context.real_cameras:
         yield not_applicable("no camera is on the network")
         return
+    # The kernel cuts a larger request down to this limit and reports no error to the socket.
     yield judge_buffers(
         context.machine.sysctl("net.core.rmem_max"),
         max(socket_bytes(camera, context.config.line.trigger_period_s) for camera in context.real_cameras),
@@ -23,15 +24,19 @@ def socket_buffers(context: CheckContext) -> Iterator[Finding]:
 
 
 def judge_buffers(granted: int | None, needed: int) -> Finding:
-    """Enough for a second of stall?"""
+    """Judge whether the limit holds what a camera sends in one second."""
     figures: Figures = {"rmem_max_bytes": granted, "needed_bytes": needed}
     if granted is None:
-        return fault("net.core.rmem_max cannot be read.", "sysctl net.core.rmem_max", figures=figures)
+        return fault(
+            "net.core.rmem_max cannot be read.",
+            "Run sysctl net.core.rmem_max and correct what it reports.",
+            figures=figures,
+        )
     if granted < needed:
         return warning(
             f"net.core.rmem_max is {format_bytes(granted)}, but a camera sends {format_bytes(needed)} in a second: "
-            "a stall of the machine loses frames.",
-            f"sysctl -w net.core.rmem_max={2 ** math.ceil(math.log2(needed))}; for good: "
+            "frames are lost when the machine stalls.",
+            f"sysctl -w net.core.rmem_max={2 ** math.ceil(math.log2(needed))}; permanently: "
             "install -m 644 deploy/60-vaoi.conf /etc/sysctl.d/",
             figures=figures,
         )

@@ -1,4 +1,4 @@
-"""Does the station run? Then cameras and controller are its own, and it is asked what it thinks of them."""
+"""Find the running station and read its state by REST; without one, check that its port is free."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from vaoi_station.doctor.finding import Finding, fault, ok, warning
 from vaoi_station.doctor.machine import nearest
 
 TIMEOUT_S = 3.0
-LARGEST_ANSWER = 4_000_000
-_EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}  # noqa: S104  (to be asked, not listened on)
+LARGEST_REPLY = 4_000_000
+_EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}  # noqa: S104  (an address to connect to, not to listen on)
 
 
 def find(config: StationConfig) -> RunningProcess | None:
-    """The owner of the station's ring, if it lives, and what it says."""
+    """Return the process that owns the station's ring, with its state; None if there is none."""
     path = ring_path(config)
     owner = read_owner(path)
     hidden = owner is None and nearest(path) == path and not os.access(path, os.R_OK, effective_ids=True)
     if not hidden and (owner is None or not owner[1]):
         return None
+    # A ring that exists but cannot be read belongs to another user: its process may live, so the port is asked.
     pid = owner[0] if owner else None
     try:
         return RunningProcess(pid, snapshot=ask(config.api))
@@ -36,57 +37,59 @@ def find(config: StationConfig) -> RunningProcess | None:
 
 
 def ask(api: ApiConfig) -> dict[str, Any]:
-    """GET station; OSError, HTTPException or ValueError where no station answers."""
+    """Request GET station; OSError, HTTPException or ValueError if no station replies."""
     connection = http.client.HTTPConnection(_EVERYWHERE.get(api.host, api.host), api.port, timeout=TIMEOUT_S)
     try:
         connection.request("GET", "/api/v1/station")
-        answer = connection.getresponse()
-        document = json.loads(answer.read(LARGEST_ANSWER))
+        reply = connection.getresponse()
+        # Any program may listen at this port: the length that is read is bounded.
+        document = json.loads(reply.read(LARGEST_REPLY))
     finally:
         connection.close()
-    if answer.status != http.client.OK or not isinstance(document, dict) or "state" not in document:
-        raise ValueError(f"answer {answer.status} is not that of a station")
+    if reply.status != http.client.OK or not isinstance(document, dict) or "state" not in document:
+        raise ValueError(f"reply {reply.status} is not that of a station")
     return document
 
 
 def station(context: CheckContext) -> Iterator[Finding]:
-    """Its state and what it complains of; or whether its port is free."""
+    """Report state, reasons and warnings of the running station; or whether its port is free."""
     api, running = context.config.api, context.running
     if running is None:
         yield _port(api)
         return
     if running.no_reply_reason:
         yield warning(
-            f"{running.description} uses the station's memory, but no station answers at port {api.port} "
-            f"({running.no_reply_reason}); it may be starting, or be vaoi record or vaoi view.",
+            f"{running.description} uses the station's ring, but no station replies at port {api.port} "
+            f"({running.no_reply_reason}); it is starting, or it is vaoi record or vaoi view.",
             running.inspect_command,
         )
         return
-    told = running.snapshot
+    snapshot = running.snapshot
     yield ok(
-        f"runs as {running.description}, state {told['state']!r}; it is asked and left alone",
-        figures={"state": str(told["state"])},
+        f"runs as {running.description}, state {snapshot['state']!r}; its devices are not opened",
+        figures={"state": str(snapshot["state"])},
     )
-    grave = fault if told["state"] == "faulted" else warning
-    yield from (_complaint(grave, reason) for reason in told.get("reasons", ()))
-    yield from (_complaint(warning, reason) for reason in told.get("warnings", ()))
+    level = fault if snapshot["state"] == "faulted" else warning
+    yield from (_from_reason(level, reason) for reason in snapshot.get("reasons", ()))
+    yield from (_from_reason(warning, reason) for reason in snapshot.get("warnings", ()))
 
 
-def _complaint(level: Callable[..., Finding], reason: dict[str, Any]) -> Finding:
-    """A reason of the station's, in its own words."""
+def _from_reason(level: Callable[..., Finding], reason: dict[str, Any]) -> Finding:
+    """Turn a reason or warning of the station into a finding with the same message and action."""
     return level(str(reason.get("message")), str(reason.get("action") or ""), subject=str(reason.get("code")))
 
 
 def _port(api: ApiConfig) -> Finding:
-    """Nobody but a station may have its port; found out by asking, not by taking it."""
+    """Check that no other program listens at the station's port."""
+    # Connect instead of bind: to bind the port would take it from a station that starts at this moment.
     address = (_EVERYWHERE.get(api.host, api.host), api.port)
     try:
         with socket.create_connection(address, timeout=TIMEOUT_S):
             pass
     except OSError:
-        return ok(f"does not run; port {api.port} is free", figures={"port": api.port})
+        return ok(f"is not running; port {api.port} is free", figures={"port": api.port})
     return fault(
-        f"does not run, but another program listens at {address[0]}:{api.port}.",
-        f"ss -ltnp 'sport = :{api.port}' names it; end it, or set [api] port.",
+        f"is not running, but another program listens at {address[0]}:{api.port}.",
+        f"Find it by ss -ltnp 'sport = :{api.port}' and end it, or set [api] port in station.toml.",
         figures={"port": api.port},
     )

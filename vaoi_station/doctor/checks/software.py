@@ -1,4 +1,4 @@
-"""Interpreter, libraries, and the place for compiled code."""
+"""Check the Python interpreter, the libraries, and the cache for compiled code."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ PACKAGE = Path(version.__file__).parent
 
 
 def python(_: Machine) -> Iterator[Finding]:
-    """The interpreter that runs this, which is the one the station would run on."""
+    """Check the interpreter of this process, which is also the station's."""
     yield judge_python(sys.version_info[:2], 8 * struct.calcsize("P"), platform.python_version(), sys.executable)
 
 
 def judge_python(version: tuple[int, int], bits: int, shown: str, where: str) -> Finding:
-    """Whether a Python will do."""
-    told = f"Python {shown}, {bits} bit, {where}"
+    """Judge version and word size of a Python interpreter."""
+    message = f"Python {shown}, {bits} bit, {where}"
     if bits < 64:
-        return fault(f"{told}: the ring needs more address space than 32 bit have.", "Install a 64-bit system.")
+        return fault(f"{message}: the ring needs more address space than 32 bit offer.", "Install a 64-bit system.")
     if not OLDEST <= version < FIRST_UNTRIED:
         return fault(
-            f"{told}: vaoi_station runs on 3.11 to 3.13.", "python3.11 -m venv .venv && .venv/bin/pip install ."
+            f"{message}: vaoi_station needs Python 3.11 to 3.13.", "python3.11 -m venv .venv && .venv/bin/pip install ."
         )
-    return ok(told, figures={"python": shown})
+    return ok(message, figures={"python": shown})
 
 
 def libraries(_: Machine) -> Iterator[Finding]:
-    """What the station cannot do without."""
+    """Check that the required libraries can be imported."""
     versions = {}
     for name, package in LIBRARIES.items():
         try:
@@ -49,24 +49,25 @@ def libraries(_: Machine) -> Iterator[Finding]:
 
 
 def compiled_code_cache(_: Machine) -> Iterator[Finding]:
-    """Where compiled inner loops are kept: in NUMBA_CACHE_DIR, else beside the package, else in the user's cache."""
+    """Check that compiled inner loops can be stored, in one of the places where Numba looks for them."""
     yield judge_cache(os.environ.get("NUMBA_CACHE_DIR"), PACKAGE, Path.home())
 
 
 def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
-    """Whether one of the places takes files."""
+    """Judge whether NUMBA_CACHE_DIR, else the package's or the user's cache folder, can be written to."""
     if given:
         if writable(Path(given)):
-            return ok(f"is kept in {given}")
-        told = f"NUMBA_CACHE_DIR={given} cannot be written to"
+            return ok(f"is stored in {given}")
         return warning(
-            f"{told}: every start compiles for half a minute.", f"install -d -o $USER {given}, or unset NUMBA_CACHE_DIR"
+            f"NUMBA_CACHE_DIR={given} cannot be written to: every start compiles for half a minute.",
+            f"install -d -o $USER {given}, or unset NUMBA_CACHE_DIR",
         )
+    # Without NUMBA_CACHE_DIR Numba tries these two in this order.
     places = (package / "__pycache__", Path(os.environ.get("XDG_CACHE_HOME", home / ".cache")) / "numba")
     for place in places:
         if writable(place):
-            return ok(f"is kept in {place}")
+            return ok(f"is stored in {place}")
     return warning(
         f"neither {places[0]} nor {places[1]} can be written to: every start compiles for half a minute.",
-        "export NUMBA_CACHE_DIR=DIRECTORY, one of this user; deploy/vaoi-station.service has it",
+        "Set NUMBA_CACHE_DIR to a directory of this user, as deploy/vaoi-station.service does.",
     )

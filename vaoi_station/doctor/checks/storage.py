@@ -1,4 +1,4 @@
-"""The directory for database, results and kept recordings."""
+"""Check the directory for the database, results and kept recordings."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from vaoi_station.doctor.finding import Figures, Finding, fault, ok, warning
 from vaoi_station.doctor.machine import format_bytes, nearest, writable
 
 SCANT_BYTES, LITTLE_BYTES = 200e6, 2e9
-"""Below the first a day's results may not fit; below the second no recordings."""
+"""Limits of the free space: below the first it is a fault, below the second a warning."""
 
 
 def data(context: CheckContext) -> Iterator[Finding]:
-    """Can it be written to, and is there room?"""
+    """Check that the data directory can be written to and has free space."""
     directory = context.config.data
     there = nearest(directory)
     if not there.is_dir():
-        yield fault(f"{there} is not a directory.", "Name another one as `data` in station.toml.")
+        yield fault(f"{there} is not a directory.", "Name another directory as `data` in station.toml.")
         return
     if not writable(directory):
         yield fault(
@@ -30,16 +30,27 @@ def data(context: CheckContext) -> Iterator[Finding]:
 
 
 def judge_space(space: os.statvfs_result, where: str) -> Finding:
-    """Bytes and files that are left."""
+    """Judge free bytes and free inodes of a file system."""
     free = space.f_bavail * space.f_frsize
     figures: Figures = {"free_bytes": free}
+    # Some file systems, such as btrfs, report no inodes at all (f_files is 0): they have no such limit.
     if space.f_files and not space.f_favail:
-        return fault(f"{where}: no file can be made, all inodes are in use.", f"df -i {where}", figures=figures)
-    told = f"{where}: {format_bytes(free)} free"
+        return fault(
+            f"{where}: no file can be created, because all inodes are in use.",
+            f"Delete files; df -i {where} shows the inodes in use.",
+            figures=figures,
+        )
+    message = f"{where}: {format_bytes(free)} free"
     if free < SCANT_BYTES:
         return fault(
-            f"{told}, {format_bytes(SCANT_BYTES)} are needed.", f"du -xh -d 2 {where} | sort -h", figures=figures
+            f"{message}, {format_bytes(SCANT_BYTES)} are needed.",
+            f"Delete files; du -xh -d 2 {where} | sort -h lists the largest directories.",
+            figures=figures,
         )
     if free < LITTLE_BYTES:
-        return warning(f"{told}; kept recordings need more.", f"du -xh -d 2 {where} | sort -h", figures=figures)
-    return ok(told, figures=figures)
+        return warning(
+            f"{message}, less than {format_bytes(LITTLE_BYTES)}; kept recordings need more.",
+            f"Delete files; du -xh -d 2 {where} | sort -h lists the largest directories.",
+            figures=figures,
+        )
+    return ok(message, figures=figures)

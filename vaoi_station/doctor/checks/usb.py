@@ -1,4 +1,4 @@
-"""What the kernel lets USB cameras have under way."""
+"""Check the kernel's memory limit for USB transfers."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok
 
 PER_CAMERA_MB = 8
-"""Aravis submits so much at a time for each USB camera (ARV_UV_STREAM_MAXIMUM_SUBMIT_TOTAL)."""
+"""Memory that Aravis submits at a time for each USB camera (ARV_UV_STREAM_MAXIMUM_SUBMIT_TOTAL)."""
 PARAMETER = "sys/module/usbcore/parameters/usbfs_memory_mb"
 
 
 def memory(context: CheckContext) -> Iterator[Finding]:
-    """usbfs_memory_mb, for all cameras that may be USB ones: those that are named by serial number."""
+    """Check usbfs_memory_mb for all cameras that may be on USB."""
+    # Only a camera named by its serial number can be on USB: an address is always that of a GigE camera.
     named = sum(camera.serial is not None for camera in context.real_cameras)
     if not named:
-        yield not_applicable("no camera is named by a serial number, as those on USB are")
+        yield not_applicable("no camera is named by a serial number, as USB cameras are")
         return
     yield judge_memory(context.machine.number(PARAMETER), named)
 
 
 def judge_memory(granted_mb: int | None, cameras: int) -> Finding:
-    """Enough for so many cameras? 0 means no limit."""
+    """Judge the limit for a number of cameras; 0 means no limit."""
     needed_mb = PER_CAMERA_MB * cameras
     figures: Figures = {"usbfs_memory_mb": granted_mb, "needed_mb": needed_mb}
     if granted_mb is None:
         return not_applicable("this machine has no USB")
     if 0 < granted_mb < needed_mb:
         return fault(
-            f"usbfs_memory_mb is {granted_mb}, {cameras} cameras on USB need {needed_mb}: the last ones fail.",
-            "echo 256 > /sys/module/usbcore/parameters/usbfs_memory_mb; for good: "
+            f"usbfs_memory_mb is {granted_mb}, {cameras} cameras on USB need {needed_mb}: the last ones do not start.",
+            "echo 256 > /sys/module/usbcore/parameters/usbfs_memory_mb; permanently: "
             "install -m 644 deploy/vaoi-usb-memory.conf /etc/tmpfiles.d/",
             figures=figures,
         )

@@ -109,10 +109,10 @@ def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"trigger_line": "Line7"}, "has no trigger input Line7, but "),
-        ({"pixel_format": "Mono14"}, "has no pixel format Mono14, but "),
-        ({"exposure_us": 99_000_000.0, "readout_us": 0.0}, "cannot expose 9.9e+07 µs, only "),
-        ({"width": 4096, "height": 64}, "has 2048×2048 px, the frame ends at 4096, 64"),
+        ({"trigger_line": "Line7"}, "has no trigger input Line7; it has "),
+        ({"pixel_format": "Mono14"}, "has no pixel format Mono14; it has "),
+        ({"exposure_us": 99_000_000.0, "readout_us": 0.0}, "cannot expose for 9.9e+07 µs; its range is "),
+        ({"width": 4096, "height": 64}, "a sensor of 2048×2048 px, but the configured frame ends at column 4096, row 64"),
     ],
 )
 def test_what_a_camera_cannot_do(device: Plug, station: Make, changes: dict[str, object], said: str) -> None:
@@ -127,7 +127,7 @@ def test_small_packets_are_told(device: Plug, station: Make) -> None:
     *_, port = cameras(patient(station(device(0))))
     assert_problem(port, Level.WARNING, "MTU 1500", "packets of 1500 bytes")
     *_, port = cameras(patient(station(device(0), packet_bytes=8000)))
-    assert_problem(port, Level.WARNING, "c0 is to have 8000")
+    assert_problem(port, Level.WARNING, "c0 is configured for 8000")
     assert port.action == "ip link set dev lo mtu 8000"
 
 

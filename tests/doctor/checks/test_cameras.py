@@ -1,0 +1,96 @@
+"""Judge what cameras offer, network ports, and the state that a running station reports."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.doctor.conftest import assert_problem, only
+from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
+from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.doctor.check_context import CheckContext, RunningProcess
+from vaoi_station.doctor.checks import cameras
+from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.machine import Machine
+
+OFFERED = cameras.Offered(
+    vendor="Maker", model="M", serial="1", triggers=("FrameStart",), sources=("Line0", "Line1"),
+    formats=("Mono8", "Mono12"), exposure_us=(10.0, 1e6), sensor=(2048, 1536), trigger_mode="Off", port="lo",
+    address="127.0.0.1", packets=PacketLimits(smallest=200, largest=16000, step=4),
+)  # fmt: skip
+
+
+def configured(**fields: Any) -> CameraConfig:
+    """Return the configuration of one small camera."""
+    given = {"name": "a", "backend": "aravis", "address": "127.0.0.1", "exposure_us": 100.0, "trigger_line": "Line1"}
+    return CameraConfig.model_validate({**given, "width": 64, "height": 64, **fields})
+
+
+def test_suitable_camera_is_ok() -> None:
+    finding = only(cameras.judge_camera(configured(), OFFERED))
+    assert finding.level is Level.OK
+    assert finding.message == "Maker M 1 replies and is free; the trigger is off now, the station turns it on"
+    assert finding.figures == {"serial": "1", "trigger_mode": "Off", "port": "lo"}
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"trigger_line": "Line7"}, "has no trigger input Line7; it has Line0, Line1"),
+        ({"pixel_format": "Mono16"}, "has no pixel format Mono16; it has Mono8, Mono12"),
+        ({"exposure_us": 5.0}, "cannot expose for 5 µs; its range is 10 … 1e+06 µs"),
+        (
+            {"width": 2000, "offset_px": (100, 0)},
+            "a sensor of 2048×1536 px, but the configured frame ends at column 2100",
+        ),
+        ({"height": 1536, "offset_px": (0, 1)}, "row 1537"),
+    ],
+)
+def test_every_unmet_requirement_is_a_fault(fields: dict[str, Any], words: str) -> None:
+    assert_problem(only(cameras.judge_camera(configured(**fields), OFFERED)), Level.FAULT, words)
+
+
+def test_camera_without_a_frame_trigger_is_a_fault() -> None:
+    for triggers, words in (((), "nothing"), (("ExposureEnd",), "ExposureEnd only")):
+        finding = only(cameras.judge_camera(configured(), replace(OFFERED, triggers=triggers)))
+        assert_problem(finding, Level.FAULT, words)
+
+
+def test_packets_larger_than_the_camera_sends_are_a_warning() -> None:
+    """The interface takes such packets; a larger MTU would not help."""
+    finding = cameras.judge_port("lo", [(configured(packet_bytes=40000), OFFERED)], 0.1)
+    assert_problem(finding, Level.WARNING, "a is configured for 40000")
+    assert finding.action.startswith("Set packet_bytes to 16000")
+
+
+def test_small_packets_are_a_warning() -> None:
+    offered = replace(OFFERED, packets=PacketLimits(smallest=200, largest=1500, step=4))
+    finding = cameras.judge_port("lo", [(configured(), offered)], 0.1)
+    assert_problem(finding, Level.WARNING, "packets of 1500 bytes", "larger packets")
+    assert finding.action == "ip link set dev lo mtu 9000"
+
+
+def test_port_that_is_too_slow_is_a_fault() -> None:
+    camera = configured(width=2048, height=1536, link_mbit_s=100.0)
+    finding = cameras.judge_port("lo", [(camera, OFFERED), (camera, OFFERED)], 0.01)
+    assert_problem(finding, Level.FAULT, "2 cameras on port lo")
+
+
+def test_simulated_cameras_are_not_checked(context: CheckContext) -> None:
+    assert only(cameras.cameras(context)).level is Level.NOT_APPLICABLE
+
+
+def test_state_of_cameras_of_a_running_station(config: StationConfig) -> None:
+    snapshot = {
+        "cameras": [
+            {"name": "left", "connected": False, "message": "camera left: not open yet"},
+            {"name": "right", "connected": True, "message": "", "delivered": 7, "incomplete": 1},
+            {"name": "third", "connected": True, "message": "is hot"},
+        ],
+    }
+    left, right, third = cameras.cameras(CheckContext(config, Machine(), RunningProcess(4711, snapshot)))
+    assert_problem(left, Level.FAULT, "is not connected: not open yet")
+    assert (right.level, right.figures["delivered"]) == (Level.OK, 7)
+    assert_problem(third, Level.WARNING, "is hot")

@@ -1,0 +1,74 @@
+"""Check calibration, board types, scenario and recordings; every fault is made for real."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from tests.doctor.conftest import assert_problem, changed, only, with_config, without_privileges
+from vaoi_station.config import ReplayConfig
+from vaoi_station.doctor.check_context import CheckContext
+from vaoi_station.doctor.checks import configured_files
+from vaoi_station.doctor.finding import Level
+
+
+def test_complete_files_are_ok(context: CheckContext) -> None:
+    for check in (configured_files.calibration, configured_files.board_types, configured_files.stand_ins):
+        assert {finding.level for finding in check(context)} == {Level.OK}, check
+
+
+def test_calibration_of_another_array_is_a_fault(context: CheckContext) -> None:
+    cameras = (*context.config.cameras, context.config.cameras[0].model_copy(update={"name": "third"}))
+    three = with_config(context, context.config.model_copy(update={"cameras": cameras}))
+    assert_problem(only(configured_files.calibration(three)), Level.FAULT, "calibration.json", "3")
+
+
+def test_absent_calibration_is_a_fault(context: CheckContext) -> None:
+    context.config.calibration.unlink()
+    finding = only(configured_files.calibration(context))
+    assert_problem(finding, Level.FAULT, "calibration.json")
+    assert "vaoi calibrate" in finding.action
+
+
+def test_unreadable_board_types_are_named_one_by_one(context: CheckContext) -> None:
+    directory = context.config.board_types
+    (directory / "broken.json").write_text('{"format": "vaoi-board",')
+    (directory / "foreign.json").write_text('{"format": "something"}')
+    bad = [f for f in configured_files.board_types(context) if f.level is Level.FAULT]
+    assert [f.subject for f in bad] == ["broken.json", "foreign.json"]
+    assert all(f.action for f in bad)
+
+
+def test_absent_and_empty_directory_of_board_types(context: CheckContext) -> None:
+    shutil.rmtree(context.config.board_types)
+    assert_problem(only(configured_files.board_types(context)), Level.FAULT, "there is no directory")
+    context.config.board_types.mkdir()
+    assert_problem(only(configured_files.board_types(context)), Level.WARNING, "is empty", "cannot be armed")
+
+
+def test_read_only_directory_of_board_types_is_a_warning(context: CheckContext) -> None:
+    for directory in (context.config.board_types, *context.config.board_types.parents):
+        if directory.is_relative_to(Path("/tmp")) and os.access(directory, os.W_OK):
+            directory.chmod(directory.stat().st_mode | 0o055)
+    context.config.board_types.chmod(0o555)
+    with without_privileges():
+        finding = only(configured_files.board_types(context))
+    assert_problem(finding, Level.WARNING, "cannot be written to")
+
+
+def test_scenario_with_another_period_is_a_fault(context: CheckContext) -> None:
+    slower = with_config(context, changed(context.config, "line", trigger_period_s=0.2))
+    assert_problem(only(configured_files.stand_ins(slower)), Level.FAULT, "period_s is 0.2")
+
+
+def test_absent_recordings_are_a_fault(context: CheckContext, tmp_path: Path) -> None:
+    config = changed(context.config, "controller", backend="replay")
+    config = config.model_copy(update={"replay": ReplayConfig(recordings=(tmp_path / "gone",))})
+    assert_problem(only(configured_files.stand_ins(with_config(context, config))), Level.FAULT, "gone")
+
+
+def test_real_devices_need_no_stand_ins(context: CheckContext) -> None:
+    config = changed(context.config, "controller", backend="serial")
+    finding = only(configured_files.stand_ins(with_config(context, config)))
+    assert finding.level is Level.NOT_APPLICABLE

@@ -1,0 +1,101 @@
+"""Check the data directory, and full file systems that are mounted for the test."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from tests.doctor.conftest import assert_problem, only, with_config, without_privileges
+from tests.needs import lacking
+from vaoi_station.doctor.check_context import CheckContext
+from vaoi_station.doctor.checks import storage
+from vaoi_station.doctor.finding import Level
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def test_data_directory_without_write_permission_is_a_fault(context: CheckContext) -> None:
+    locked = context.config.data.parent / "locked"
+    locked.mkdir(mode=0o500)
+    config = context.config.model_copy(update={"data": locked / "data"})
+    with without_privileges():
+        finding = only(storage.data(with_config(context, config)))
+    assert_problem(finding, Level.FAULT, "locked/data cannot be written to by this user")
+
+
+def test_file_in_place_of_the_data_directory_is_a_fault(context: CheckContext) -> None:
+    context.config.data.write_text("")
+    assert_problem(only(storage.data(context)), Level.FAULT, "is not a directory")
+
+
+def test_absent_data_directory_is_ok_and_is_not_created(context: CheckContext) -> None:
+    assert only(storage.data(context)).level is Level.OK
+    assert not context.config.data.exists()
+
+
+def space(free_bytes: float, *, inodes: int = 1000, free_inodes: int = 1000) -> Any:
+    """Return the figures of a file system as os.statvfs gives them."""
+    return cast(
+        "os.statvfs_result",
+        SimpleNamespace(f_bavail=free_bytes / 4096, f_frsize=4096, f_files=inodes, f_favail=free_inodes),
+    )
+
+
+@pytest.mark.parametrize(
+    ("free", "level"), [(199e6, Level.FAULT), (201e6, Level.WARNING), (1.99e9, Level.WARNING), (2.01e9, Level.OK)]
+)
+def test_limits_of_the_free_space(free: float, level: Level) -> None:
+    finding = storage.judge_space(space(free), "/data")
+    assert finding.level is level
+    assert finding.figures == {"free_bytes": pytest.approx(free)}
+    assert bool(finding.action) == (level is not Level.OK)
+
+
+def test_file_system_without_free_inodes_is_a_fault() -> None:
+    assert_problem(storage.judge_space(space(1e12, free_inodes=0), "/data"), Level.FAULT, "inodes")
+    assert storage.judge_space(space(1e12, inodes=0, free_inodes=0), "/data").level is Level.OK
+
+
+def mount_prefix() -> list[str]:
+    """Return the command prefix that allows mounting; report why the kernel does not permit it."""
+    for way in (["unshare", "-m"], ["unshare", "-rm"]):
+        if subprocess.run([*way, "true"], capture_output=True, check=False).returncode == 0:
+            return way
+    return lacking("no mount name space may be made here (CAP_SYS_ADMIN, or user name spaces)")
+
+
+DOCTOR_ON_A_SMALL_DISK = """
+mount -t tmpfs -o size={size} tmpfs "$1/{directory}" && cd "$1" && exec "$2" -m vaoi_station doctor --json
+"""
+
+
+@pytest.mark.parametrize(
+    ("directory", "size", "check", "level", "words"),
+    [
+        ("data", "1M", "disk", "fault", "200 MB are needed"),
+        ("data", "1G", "disk", "warning", "kept recordings need more"),
+        ("shm", "4M", "shared memory", "fault", "the ring needs 18.4 MB (3 runs × 2 cameras × 10 rows × 307 kB)"),
+    ],
+)
+def test_full_file_systems_are_reported(
+    station_toml: Path, directory: str, size: str, check: str, level: str, words: str
+) -> None:
+    """The small file system is mounted in a name space of its own."""
+    (station_toml.parent / directory).mkdir(exist_ok=True)
+    script = DOCTOR_ON_A_SMALL_DISK.format(directory=directory, size=size)
+    command = [*mount_prefix(), "sh", "-c", script, "sh", str(station_toml.parent), sys.executable]
+    done = subprocess.run(
+        command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    found = [f for f in json.loads(done.stdout)["findings"] if f["check"] == check]
+    assert [f["level"] for f in found] == [level]
+    assert words in found[0]["message"]
+    assert found[0]["action"]

@@ -1,0 +1,50 @@
+"""Findings, levels and the report."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.doctor.finding import EXIT_CODES, Finding, Level, Report, fault, not_applicable, ok, warning
+
+
+def report(*findings: Finding) -> Report:
+    """Return a report with these findings."""
+    return Report("s", "station.toml", "2026-01-01T00:00:00+00:00", "host", "1.0", None, findings)
+
+
+@pytest.mark.parametrize(
+    ("findings", "worst", "code"),
+    [
+        ((), Level.OK, 0),
+        ((not_applicable("none"),), Level.NOT_APPLICABLE, 0),
+        ((ok("fine"), not_applicable("none")), Level.OK, 0),
+        ((ok("fine"), warning("slow", "hurry")), Level.WARNING, 1),
+        ((fault("broken", "repair"), warning("slow", "hurry"), ok("fine")), Level.FAULT, 2),
+    ],
+)
+def test_the_worst_level_decides_the_exit_code(findings: tuple[Finding, ...], worst: Level, code: int) -> None:
+    made = report(*findings)
+    assert (made.worst, made.exit_code) == (worst, code)
+    assert made.document()["worst"] == ("ok" if code == 0 else str(worst))
+
+
+@given(st.lists(st.sampled_from(Level)))
+def test_counts_add_up_and_no_finding_is_below_the_exit_code(levels: list[Level]) -> None:
+    made = report(*(Finding(level, "m") for level in levels))
+    assert sum(made.counts.values()) == len(levels)
+    assert made.exit_code == max((EXIT_CODES[level] for level in levels), default=0)
+    assert sum(made.document()["counts"].values()) == len(levels)
+
+
+def test_the_document_is_json_with_the_values_of_the_findings() -> None:
+    made = report(fault("broken", "repair", subject="left", figures={"limit_px": 1.5}))
+    document = json.loads(json.dumps(made.document()))
+    assert document["findings"] == [
+        {"check": "", "subject": "left", "level": "fault", "message": "broken", "action": "repair",
+         "figures": {"limit_px": 1.5}},
+    ]  # fmt: skip
+    assert (document["format"], document["version"], document["running"]) == ("vaoi-doctor", 1, None)
