@@ -1,4 +1,4 @@
-"""The client, against a station that answers as told."""
+"""The REST client against a scripted station."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from vaoi_station.files.images import encode_png
 PICTURE = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
-class ServiceReplies(BaseHTTPRequestHandler):
-    """`/refuse/STATUS`, `/picture`, `/events`, `/nothing`; everything else is answered by itself."""
+class ScriptedStation(BaseHTTPRequestHandler):
+    """Serves `/refuse/STATUS`, `/picture`, `/events`, `/nothing`; replies to every other request with the request."""
 
     def do_GET(self) -> None:
         path = self.path.removeprefix("/api/v1")
@@ -70,7 +70,7 @@ class ServiceReplies(BaseHTTPRequestHandler):
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), ServiceReplies)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), ScriptedStation)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     yield f"http://127.0.0.1:{server.server_address[1]}"
@@ -97,7 +97,7 @@ def test_pictures(client: Client) -> None:
     content, pixels = client.picture("/picture")
     assert content.startswith(b"\x89PNG")
     assert np.array_equal(pixels, PICTURE)
-    with pytest.raises(InternalError, match="no picture"):
+    with pytest.raises(InternalError, match="not a picture"):
         client.picture("/page")
 
 
@@ -116,19 +116,19 @@ def test_events(client: Client) -> None:
         (500, InternalError),
     ],
 )
-def test_refusals_are_the_errors_of_the_station(client: Client, status: int, kind: type[VaoiError]) -> None:
+def test_refusals_are_raised_as_the_errors_of_the_station(client: Client, status: int, kind: type[VaoiError]) -> None:
     with pytest.raises(kind) as refusal:
         client.get(f"/refuse/{status}")
     assert (refusal.value.message, refusal.value.action, refusal.value.code) == ("No.", "Wait.", "because")
 
 
-def test_an_answer_that_is_no_problem(client: Client) -> None:
-    with pytest.raises(InternalError, match=r"answered 500: b'<html>'"):
+def test_reply_without_problem_details_is_an_internal_error(client: Client) -> None:
+    with pytest.raises(InternalError, match=r"replied 500: b'<html>'"):
         client.get("/broken")
 
 
-def test_nobody_there() -> None:
+def test_absent_station_is_a_device_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"http://127.0.0.1:{free.getsockname()[1]}"
-    with pytest.raises(DeviceError, match="does not answer"):
+    with pytest.raises(DeviceError, match="does not reply"):
         Client(address).get("/station")

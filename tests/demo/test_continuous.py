@@ -1,4 +1,4 @@
-"""What is told of boards that keep coming."""
+"""Describe boards, and choose the port."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.demo import continuous
 from vaoi_station.demo.continuous import default_port, describe_run
 
 
-def test_a_line_for_every_board() -> None:
+def test_run_is_described_in_one_line() -> None:
     run = {
         "verdict": "ok", "rows": 6, "cameras": 2, "counts": {"ok": 12}, "reasons": [],
         "belt": {"ratio": 1.00704}, "timings": {"ready_after_last_frame_ms": 61.05},
@@ -21,7 +21,7 @@ def test_a_line_for_every_board() -> None:
     assert describe_run(4, failed) == "board 4: failed, 12 of 12 frames, It lies turned round."
 
 
-def test_the_usual_port_unless_somebody_listens_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_default_port_is_used_unless_a_program_listens_there(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         taken = ApiConfig(port=other.getsockname()[1])
         monkeypatch.setattr(continuous, "ApiConfig", lambda: taken)

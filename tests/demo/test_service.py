@@ -1,37 +1,71 @@
-"""The service's process: its start, its failures, its end."""
+"""Start and end a process that stands in for the service."""
 
 from __future__ import annotations
 
-import signal
+import sys
 from pathlib import Path
 
 import pytest
 
+from vaoi_station.demo import service as service_module
 from vaoi_station.demo.service import Service
-from vaoi_station.demo.signal_handling import interruptible
-from vaoi_station.errors import DeviceError
+from vaoi_station.errors import DeviceError, InternalError
+
+PYTHON = sys.executable
+LISTENING = """
+import signal, sys
+signal.signal(signal.SIGTERM, lambda *_: sys.exit({code!r}))
+print("listening on http://127.0.0.1:1", flush=True)
+while True:
+    signal.pause()
+"""
 
 
-def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:
-    service = Service(tmp_path / "station.toml")
-    with pytest.raises(DeviceError, match=r"did not start: .*station.toml: there is no such file"), service:
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A program that is started in place of Python; the test writes its text."""
+    path = tmp_path / "program"
+    monkeypatch.setattr(sys, "executable", str(path))
+    return path
+
+
+def write(script: Path, text: str) -> Path:
+    """Make the script an executable Python program."""
+    script.write_text(f"#!{PYTHON}\n{text}\n")
+    script.chmod(0o755)
+    return script
+
+
+def test_address_comes_from_the_log_and_the_process_ends_with_the_block(script: Path) -> None:
+    write(script, LISTENING.format(code=0))
+    with Service(script.with_name("station.toml")) as running:
+        assert running.address == "http://127.0.0.1:1"
+        pid = running.pid
+        assert Path(f"/proc/{pid}").exists()
+    assert not Path(f"/proc/{pid}").exists()
+    assert "listening on" in running.log
+
+
+def test_exit_code_of_the_service_is_an_error(script: Path) -> None:
+    write(script, LISTENING.format(code="broken pipe"))
+    service = Service(script.with_name("station.toml"))
+    with pytest.raises(InternalError, match="ended with code 1; its last log line: broken pipe"), service:
         pass
-    assert not Path(f"/proc/{service.pid}").exists()
 
 
-def test_the_first_signal_interrupts_and_later_ones_do_not() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    told: list[str] = []
+def test_service_that_ends_before_it_listens_is_an_error(script: Path) -> None:
+    write(script, "raise SystemExit('no such file')")
+    started = Service(script.with_name("station.toml"))
+    with pytest.raises(DeviceError, match="did not start; its last log line: no such file"), started:
+        pass
+    assert not Path(f"/proc/{started.pid}").exists()
 
-    def work() -> None:
-        try:
-            signal.raise_signal(signal.SIGTERM)
-        finally:
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGTERM)
-            told.append("put away")
 
-    with pytest.raises(KeyboardInterrupt, match="SIGTERM"), interruptible():
-        work()
-    assert told == ["put away"]
-    assert signal.getsignal(signal.SIGTERM) is before
+def test_service_that_does_not_listen_in_time_is_killed(script: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_module, "START_S", 0.05)
+    monkeypatch.setattr(service_module, "END_S", 0.05)
+    write(script, "import signal; signal.signal(15, signal.SIG_IGN); signal.pause()")
+    started = Service(script.with_name("station.toml"))
+    with pytest.raises(DeviceError, match="does not listen after 0 s"), started:
+        pass
+    assert not Path(f"/proc/{started.pid}").exists()

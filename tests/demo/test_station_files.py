@@ -1,4 +1,4 @@
-"""The files of a demo station: what is written is what is read."""
+"""Write the files of a demo station and read them back."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.simulation import Twin, scenario_path
 
 
-def test_a_site_is_complete(tmp_path: Path) -> None:
+def test_written_files_describe_a_complete_station(tmp_path: Path) -> None:
     path, twin = station_files.write_station_files(scenario_path("small"), tmp_path, boards=1)
     config = read_config(path)
     assert config == station_files.station_config(twin, scenario_path("small"), tmp_path, 1)
@@ -23,7 +23,7 @@ def test_a_site_is_complete(tmp_path: Path) -> None:
     assert read_board_type(config.board_types / "small.json") == twin.board_type
 
 
-def test_every_table_survives_toml(twin: Twin, tmp_path: Path) -> None:
+def test_every_table_survives_a_round_trip_through_toml(twin: Twin, tmp_path: Path) -> None:
     plain = station_files.station_config(twin, scenario_path("small"), tmp_path, 0)
     full = plain.model_copy(
         update={
@@ -44,7 +44,7 @@ def test_defaults_are_not_written(twin: Twin, tmp_path: Path) -> None:
     assert text.count("[[cameras]]") == 2
 
 
-def test_a_ring_goes_where_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ring_directory_needs_enough_free_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(station_files, "SHARED_MEMORY", tmp_path)
     assert station_files.ring_directory(1, tmp_path / "files") == tmp_path
     assert station_files.ring_directory(2**62, tmp_path / "files") == tmp_path / "files"
@@ -52,7 +52,7 @@ def test_a_ring_goes_where_there_is_room(tmp_path: Path, monkeypatch: pytest.Mon
     assert station_files.ring_directory(1, tmp_path / "files") == tmp_path / "files"
 
 
-def test_scenarios_by_name_and_by_file(tmp_path: Path) -> None:
+def test_scenarios_are_found_by_name_and_by_file(tmp_path: Path) -> None:
     own = tmp_path / "own.toml"
     own.write_text("[board]\nname = 'own'\n")
     assert station_files.resolve_scenario("small") == scenario_path("small")

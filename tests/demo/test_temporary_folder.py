@@ -1,4 +1,4 @@
-"""Folders for as long as a program runs."""
+"""Temporary folders are removed by their program, or by the next one."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ def _temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", None)
 
 
-def owner() -> tuple[subprocess.Popen[str], Path]:
-    """A program with a folder."""
+def start_owner() -> tuple[subprocess.Popen[str], Path]:
+    """Start a program that owns a folder."""
     program = subprocess.Popen([sys.executable, "-c", OWNER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert program.stdout is not None
     return program, Path(program.stdout.readline().strip())
 
 
-def made_long_ago(folder: Path) -> None:
+def age(folder: Path) -> None:
     os.utime(folder, times=(time.time() - 3600,) * 2)
 
 
-def test_what_a_killed_program_has_left_is_put_away_by_the_next_and_nothing_else(tmp_path: Path) -> None:
-    lives, its = owner()
-    killed, left = owner()
+def test_only_the_folder_of_a_killed_program_is_removed_by_the_next(tmp_path: Path) -> None:
+    lives, its = start_owner()
+    killed, left = start_owner()
     other = tmp_path / "vaoi-other-1"
     link = tmp_path / "vaoi-test-link"
     other.mkdir()
     link.symlink_to(other)
     for folder in (its, left, other):
-        made_long_ago(folder)
+        age(folder)
     os.kill(killed.pid, signal.SIGKILL)
     killed.communicate()
     with temporary_folder("test") as mine:
@@ -58,11 +58,11 @@ def test_what_a_killed_program_has_left_is_put_away_by_the_next_and_nothing_else
     assert sorted(tmp_path.iterdir()) == [other, link]
 
 
-def test_a_folder_that_is_just_being_made_is_let_be(tmp_path: Path) -> None:
+def test_new_folder_without_a_lock_is_not_removed(tmp_path: Path) -> None:
     fresh = tmp_path / "vaoi-test-fresh"
     fresh.mkdir()
     assert remove_abandoned("test") == []
-    made_long_ago(fresh)
+    age(fresh)
     assert remove_abandoned("test") == [fresh]
     assert not fresh.exists()
 
@@ -73,7 +73,7 @@ def fail_inside() -> None:
         raise KeyboardInterrupt
 
 
-def test_a_folder_is_gone_whatever_happens_in_it(tmp_path: Path) -> None:
+def test_folder_is_removed_after_an_exception(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         fail_inside()
     assert list(tmp_path.iterdir()) == []

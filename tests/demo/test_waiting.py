@@ -1,4 +1,4 @@
-"""Waiting for a station that is slow, faulted, or quicker than we are."""
+"""Wait for a station that is slow, faulted, or faster than the caller."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FAULT = {"state": "faulted", "reasons": [{"message": "Camera 0 is lost.", "actio
 
 
 class Station(Client):
-    """ServiceReplies every address from a list, the last answer again and again."""
+    """Client with a list of scripted replies per path; the last reply is repeated."""
 
     def __init__(self, **answers: list[Any]) -> None:
         super().__init__("http://station")
@@ -35,37 +35,37 @@ class Station(Client):
             yield {}
 
 
-def test_until_the_station_can_be_armed() -> None:
+def test_waits_until_the_station_can_be_armed() -> None:
     station = Station(station=[{"state": "starting"}, {"state": "starting"}, {"state": "idle"}])
     waiting.wait_until_idle(station)
     assert len(station.asked) == 3
 
 
-def test_a_faulted_station_says_why() -> None:
+def test_faulted_station_is_an_error_with_its_reasons() -> None:
     with pytest.raises(DeviceError, match=r"faulted. Camera 0 is lost. Check its cable."):
         waiting.wait_until_idle(Station(station=[FAULT]))
 
 
-def test_a_station_that_never_gets_ready(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_station_that_is_never_ready_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(waiting, "START_S", -1.0)
     with pytest.raises(DeviceError, match="not ready"):
         waiting.wait_until_idle(Station(station=[{"state": "starting"}]))
 
 
-def test_the_next_run_is_waited_for() -> None:
+def test_waits_for_the_next_run() -> None:
     station = Station(runs_next=[None, {"id": "r2"}], station=[{"state": "armed"}])
     assert waiting.wait_for_run(station, "r1") == {"id": "r2"}
     assert station.asked[0] == ("/runs/next", {"after": "r1", "timeout": waiting.POLL_S})
 
 
-def test_a_first_run_that_was_quicker_than_the_poll() -> None:
+def test_first_run_may_finish_before_the_first_poll() -> None:
     station = Station(
         runs_next=[None], station=[{"state": "armed"}], runs_latest=[NotFoundError("none yet"), {"id": "r1"}]
     )
     assert waiting.wait_for_run(station, None) == {"id": "r1"}
 
 
-def test_no_board_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_board_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DeviceError, match="Camera 0 is lost"):
         waiting.wait_for_run(Station(runs_next=[None], station=[FAULT]), "r1")
     monkeypatch.setattr(waiting, "BOARD_S", -1.0)

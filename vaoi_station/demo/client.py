@@ -1,4 +1,4 @@
-"""The REST interface as tester software uses it: standard library only, one connection per request."""
+"""A REST client such as tester software contains: standard library only, one connection per request."""
 
 from __future__ import annotations
 
@@ -26,52 +26,54 @@ from vaoi_station.errors import (
     VaoiError,
 )
 
-PATIENCE_S = 90.0
-"""For an answer; longer than the longest poll."""
-SILENCE_S = 15.0
-"""The event stream says something every two seconds."""
+REPLY_TIMEOUT_S = 90.0
+"""Limit for a reply; longer than the longest poll."""
+EVENT_TIMEOUT_S = 15.0
+"""Limit between two lines of the event stream, which sends a heartbeat every two seconds."""
 _ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 422: InputError}
 
 
 class Client:
-    """Talks to one station; every refusal becomes the error the station itself raised."""
+    """Client of one station; every refusal is raised as the error that the station raised."""
 
     def __init__(self, address: str) -> None:
-        """`address` is `http://HOST:PORT`; proxies of the environment are not asked."""
+        """Take `address` as `http://HOST:PORT`."""
         self.address = address
         self._base = f"{address}/api/v1"
+        # Proxies of the environment are ignored: the service listens on loopback, where a proxy cannot reach it.
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
     def get(self, path: str, **query: Any) -> Any:
-        """The JSON of an answer; None if it is empty."""
+        """Request a JSON document; None if the reply is empty."""
         content = self.content(path, **query)
         return json.loads(content) if content else None
 
     def post(self, path: str, **fields: Any) -> Any:
-        """Command the station; `fields` are the JSON body."""
+        """Send a command with `fields` as its JSON body."""
         return json.loads(self._exchange(self._command("POST", path, json.dumps(fields).encode())))
 
     def put(self, path: str, **query: Any) -> Any:
-        """The same, where the query says everything."""
+        """Send a PUT request without a body; `query` holds all parameters."""
         return json.loads(self._exchange(self._command("PUT", _with_query(path, query))))
 
     def content(self, path: str, **query: Any) -> bytes:
-        """The body of an answer; `path` is below `/api/v1`, or an absolute one the station gave."""
+        """Request the body of a reply; `path` is below `/api/v1`, or an absolute path from an earlier reply."""
         url = (self.address if path.startswith("/api/") else self._base) + path
         return self._exchange(urllib.request.Request(_with_query(url, query)))
 
     def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
-        """A PNG as it came, and its pixels."""
+        """Request a PNG; return its bytes and its pixels."""
         content = self.content(path)
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        # OpenCV returns None instead of raising for bytes that it cannot decode.
         if pixels is None:
-            raise InternalError(f"{path}: the station answered {len(content)} bytes that are no picture.")
+            raise InternalError(f"{path}: the station replied with {len(content)} bytes that are not a picture.")
         return content, np.asarray(pixels)
 
     def messages(self, after: int = 0) -> Iterator[dict[str, Any]]:
-        """Events behind number `after` as they happen, heartbeats among them, until the station ends."""
+        """Yield events after number `after` as they happen, heartbeats included, until the station ends."""
         request = urllib.request.Request(f"{self._base}/events?after={after}")
-        with _answered(), self._opener.open(request, timeout=SILENCE_S) as stream:
+        with _translated_errors(), self._opener.open(request, timeout=EVENT_TIMEOUT_S) as stream:
             for line in stream:
                 if line.startswith(b"data:"):
                     yield json.loads(line[5:])
@@ -81,20 +83,20 @@ class Client:
         return urllib.request.Request(self._base + path, body, headers, method=method)
 
     def _exchange(self, request: urllib.request.Request) -> bytes:
-        with _answered(), self._opener.open(request, timeout=PATIENCE_S) as answer:
-            return bytes(answer.read())
+        with _translated_errors(), self._opener.open(request, timeout=REPLY_TIMEOUT_S) as reply:
+            return bytes(reply.read())
 
 
 @contextmanager
-def _answered() -> Iterator[None]:
-    """Refusals become errors; so does a station that does not answer."""
+def _translated_errors() -> Iterator[None]:
+    """Turn refusals, and connections that fail, into the errors of this package."""
     try:
         yield
     except urllib.error.HTTPError as refusal:
         with refusal:
             raise _error(refusal.code, refusal.read()) from None
     except (OSError, HTTPException) as error:
-        raise DeviceError(f"the station does not answer ({error}).", action="See whether it still runs.") from error
+        raise DeviceError(f"the station does not reply ({error}).", action="Check whether it still runs.") from error
 
 
 def _with_query(path: str, query: dict[str, Any]) -> str:
@@ -103,10 +105,10 @@ def _with_query(path: str, query: dict[str, Any]) -> str:
 
 
 def _error(status: int, body: bytes) -> VaoiError:
-    """The error behind problem details (RFC 9457)."""
+    """Return the error that problem details describe (RFC 9457)."""
     kind = _ERRORS.get(status, BusyError if status == BusyError.status else InternalError)
     try:
         problem = json.loads(body)
         return kind(problem["detail"], action=problem.get("action", ""), code=problem["code"])
     except (ValueError, KeyError, TypeError):
-        return InternalError(f"the station answered {status}: {body[:200]!r}")
+        return InternalError(f"the station replied {status}: {body[:200]!r}")

@@ -1,4 +1,4 @@
-"""Component pictures of a run, fetched over REST: files in folders, and tiles for a contact sheet."""
+"""Fetch the component images of a run by REST: files in folders, and tiles for a contact sheet."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from vaoi_station.files.documents import write_json
 from vaoi_station.rendering.contact_sheet import Tile
 
 NOT_SEEN = "not seen"
-AT_ONCE = 4
-"""Components asked for at the same time; the workers render them side by side."""
+PARALLEL_REQUESTS = 4
+"""Components that are requested at the same time, so that all workers render."""
 
 
 @dataclass(frozen=True)
 class ComponentImages:
-    """What was fetched."""
+    """The component images of one run."""
 
     components: int
     pictures: int
     tiles: tuple[Tile, ...]
-    """The best picture of every component, in the order of the board type."""
+    """The best image of every component, in the order of the board type."""
 
 
 def fetch_component_images(client: Client, run: str, folder: Path) -> ComponentImages:
-    """Write every picture of every component to `folder`/REF/NN_cCC_rRRR.png, with its matrices in REF/views.json."""
+    """Write every image of every component to `folder`/REF/NN_cCC_rRRR.png, and its matrices to REF/views.json."""
     components = _components(client, run)
-    pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="pictures")
+    pool = ThreadPoolExecutor(PARALLEL_REQUESTS, thread_name_prefix="pictures")
     try:
         fetched = list(pool.map(lambda component: _fetch(client, component, folder), components))
     finally:
+        # After an error or Ctrl-C the remaining components are not requested.
         pool.shutdown(cancel_futures=True)
     return ComponentImages(len(components), sum(count for count, _ in fetched), tuple(tile for _, tile in fetched))
 
 
 def list_unseen_components(client: Client, run: str) -> ComponentImages:
-    """The same of a run without places: names only."""
+    """List the components of a run without positions: names only, no images."""
     components = _components(client, run)
     return ComponentImages(len(components), 0, tuple(Tile(None, c["address"], NOT_SEEN) for c in components))
 
@@ -48,15 +49,17 @@ def _components(client: Client, run: str) -> list[dict[str, Any]]:
 
 
 def _fetch(client: Client, component: dict[str, Any], folder: Path) -> tuple[int, Tile]:
-    """All pictures of one component, and the best one as a tile."""
+    """Fetch all images of one component; return their count and the best one as a tile."""
     address = component["address"]
     views = client.get(component["url"])["views"]
+    # The address of a component on a panel is panel/ref, and a slash would make a folder.
     place = folder / address.replace("/", "_")
     place.mkdir(parents=True, exist_ok=True)
     tile = Tile(None, address, NOT_SEEN)
     for view in views:
         content, pixels = client.picture(view["url"])
         (place / f"{view['k']:02d}_c{view['camera']:02d}_r{view['row']:03d}.png").write_bytes(content)
+        # Views are sorted by quality: number 0 is the best.
         if view["k"] == 0:
             tile = Tile(pixels, address, f"c{view['camera']} r{view['row']}")
     write_json(place / "views.json", views)

@@ -1,4 +1,4 @@
-"""Boards keep coming, the page shows them, until somebody has seen enough."""
+"""Run the station on the twin, board after board, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from vaoi_station.demo.waiting import poll, wait_until_idle
 HOST = ApiConfig().host
 
 
-def show(scenario: Path, port: int | None, tell: Callable[[str], None]) -> NoReturn:
-    """Run the station and tell of every board; ends by KeyboardInterrupt, with everything put away.
+def run_continuously(scenario: Path, port: int | None, report: Callable[[str], None]) -> NoReturn:
+    """Run the station and report every board; KeyboardInterrupt ends it, and everything is cleaned up.
 
     Args:
-        scenario: of the twin.
-        port: of the service; None: the usual one if that is free, else any.
-        tell: takes one line.
+        scenario: file of the twin's scenario.
+        port: port of the service; None for the default one if it is free, else any.
+        report: is called with one line per board.
     """
-    tell("Drawing the board …")
+    report("Drawing the board …")
     with temporary_folder("demo") as folder:
         config, twin = write_station_files(scenario, folder)
         with Service(config, default_port() if port is None else port) as service:
             client = Client(service.address)
-            tell(f"The station's page: {service.address}/  (REST: {service.address}/docs). Ctrl-C ends it.")
+            report(f"The station's page: {service.address}/  (REST: {service.address}/docs). Ctrl-C ends it.")
             wait_until_idle(client)
             client.post("/station/arm", board_type=twin.board_type.name, job_id="demo")
             number, after = 0, None
             while True:
                 run = poll(client, after)
-                if run is not None:  # else somebody has disarmed the station, by its page or by REST
+                if run is not None:  # None if the station was disarmed meanwhile, from its page or by REST
                     number, after = number + 1, run["id"]
-                    tell(describe_run(number, run))
+                    report(describe_run(number, run))
 
 
 def describe_run(number: int, run: dict[str, Any]) -> str:
-    """What is told of one board."""
+    """Describe one run in a line."""
     counts, timings, belt = run["counts"], run.get("timings"), run.get("belt")
     words = [f"board {number}: {run['verdict']}", f"{counts['ok']} of {run['rows'] * run['cameras']} frames"]
     if belt:
@@ -53,6 +53,7 @@ def describe_run(number: int, run: dict[str, Any]) -> str:
 
 
 def default_port() -> int:
-    """The port a station usually has, if nobody listens there; else 0."""
-    with socket.socket() as trial:
-        return 0 if trial.connect_ex((HOST, ApiConfig().port)) == 0 else ApiConfig().port
+    """Return the station's default port if no program listens there; else 0."""
+    # Another station may already run here; a demo beside it must not fail for that reason.
+    with socket.socket() as probe:
+        return 0 if probe.connect_ex((HOST, ApiConfig().port)) == 0 else ApiConfig().port

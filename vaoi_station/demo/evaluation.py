@@ -1,4 +1,4 @@
-"""From what the service answered, and the twin's truth, to the report."""
+"""Build the demo report from the service's replies and the twin's truth."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from vaoi_station.simulation import Passage
 
 @dataclass(frozen=True, eq=False)
 class ServiceReplies:
-    """What was asked of the service: JSON of `runs/{id}` and of its matrices ({} where there are none)."""
+    """JSON of `runs/{id}` and of its matrices; the matrices are {} if the run has none."""
 
     run: dict[str, Any]
     matrices: dict[str, Any]
 
     @property
     def quality(self) -> dict[str, Any]:
-        """The numbers behind the verdict."""
+        """The figures on which the verdict is based."""
         return dict(self.matrices.get("quality", {}))
 
 
 @dataclass(frozen=True)
 class Output:
-    """What was written, and how long it took."""
+    """The files that were written, and the time that took."""
 
     directory: str
     contact_sheet: str
@@ -39,16 +39,17 @@ class Output:
 
 
 def evaluate(scenario: str, answers: ServiceReplies, passage: Passage, output: Output) -> DemoReport:
-    """The report on one board of the twin."""
+    """Compare the result of one board with the truth and collect all figures."""
     run = answers.run
     status = Status(run["verdict"])
+    # A failed run has no matrices: then every view of the truth counts as unplaced.
     found = compare_with_truth(
         passage.truth()["views"],
         answers.matrices.get("components") or {},
         [camera.px_per_mm for camera in passage.twin.cameras],
     )
     return DemoReport(
-        ok=status is Status.OK and agrees(found),
+        ok=status is Status.OK and within_limit(found),
         scenario=scenario,
         board_type=run["board_type"],
         run=run["id"],
@@ -69,18 +70,18 @@ def evaluate(scenario: str, answers: ServiceReplies, passage: Passage, output: O
     )
 
 
-def agrees(found: Deviation) -> bool:
-    """Whether a result is as near to the truth as one that says ok must be."""
+def within_limit(found: Deviation) -> bool:
+    """Return whether a result is as near to the truth as the verdict ok requires."""
     return found.unplaced == 0 and found.max_px <= LIMIT_PX
 
 
 def _residuals(quality: dict[str, Any]) -> Residuals:
-    misfit = quality.get("residual_px", {})
+    residual = quality.get("residual_px", {})
     fiducials = {f["name"]: f["residual_px"] for f in quality.get("fiducials", [])}
     return Residuals(
         links={kind: LinkCount(**count) for kind, count in quality.get("links", {}).items()},
-        link_median_px=misfit.get("median"),
-        link_scatter_px=misfit.get("scatter"),
+        link_median_px=residual.get("median"),
+        link_scatter_px=residual.get("scatter"),
         fiducials_px={name: None if off is None else round(math.hypot(*off), 4) for name, off in fiducials.items()},
     )
 

@@ -1,4 +1,4 @@
-"""The service in a process of its own: started, found by the address it tells, ended in order."""
+"""Run the service in a process of its own: start it, read its address from its log, end it."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from typing import IO
 from vaoi_station.errors import DeviceError, InternalError
 
 START_S = 60.0
-"""Until it listens, on a busy machine."""
+"""Limit until the service listens, on a busy machine."""
 END_S = 30.0
-"""A service that has not ended in order by then is killed; its children end with it."""
+"""Limit until the service has ended after SIGTERM; then it is killed, and its child processes end with it."""
 _LOG_LINES = 200
 _LISTENING = re.compile(r"listening on (http://\S+)")
 
 
 class Service:
-    """A context manager; `address` and `pid` are there inside it.
+    """Context manager of a service process; `address` and `pid` are valid inside the block.
 
     Attributes:
         address: `http://HOST:PORT` where it listens.
     """
 
     def __init__(self, config: Path, port: int = 0) -> None:
-        """`config` is a station.toml; port 0: any that is free."""
+        """Take the path of a station.toml, and a port; 0 for any free one."""
         self._command = [sys.executable, "-m", "vaoi_station.demo.service_process", str(config), str(port)]
         self._log: deque[str] = deque(maxlen=_LOG_LINES)
         self._found: queue.SimpleQueue[str | None] = queue.SimpleQueue()
@@ -41,19 +41,19 @@ class Service:
 
     @property
     def pid(self) -> int:
-        """Of the station process; its children are listed by `GET station`."""
+        """Process id of the station; `GET station` lists its child processes."""
         assert self._process is not None
         return self._process.pid
 
     @property
     def log(self) -> str:
-        """The last lines it wrote."""
+        """The last lines that the service wrote."""
         return "".join(self._log)
 
     def __enter__(self) -> Service:
         try:
             self._start()
-        except BaseException:  # whatever it was, also Ctrl-C: no process is left behind
+        except BaseException:  # also on Ctrl-C: no process may stay behind
             self._end()
             raise
         return self
@@ -61,10 +61,12 @@ class Service:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         code = self._end()
         if code and kind is None:
-            raise InternalError(f"the service ended with code {code}; its last words: {self._last_words()}")
+            raise InternalError(f"the service ended with code {code}; its last log line: {self._last_line()}")
 
     def _start(self) -> None:
-        """A session of its own, so that Ctrl-C at the terminal reaches only us, and it ends when we say so."""
+        """Start the process and wait until it listens."""
+        # In a session of its own: Ctrl-C at the terminal then reaches this process only, which ends the service.
+        # Unbuffered: the line with the address must arrive at once, not when a block is full.
         environment = os.environ | {"PYTHONUNBUFFERED": "1"}
         self._process = subprocess.Popen(
             self._command,
@@ -81,13 +83,15 @@ class Service:
         try:
             address = self._found.get(timeout=START_S)
         except queue.Empty:
-            raise DeviceError(f"the service does not listen after {START_S:.0f} s: {self._last_words()}") from None
+            raise DeviceError(
+                f"the service does not listen after {START_S:.0f} s; its last log line: {self._last_line()}"
+            ) from None
         if address is None:
-            raise DeviceError(f"the service did not start: {self._last_words()}")
+            raise DeviceError(f"the service did not start; its last log line: {self._last_line()}")
         self.address = address
 
     def _read(self, lines: IO[str]) -> None:
-        """Keep its pipe empty to the end."""
+        """Read the log until it ends; a full pipe would block the service."""
         with lines:
             for line in lines:
                 self._log.append(line)
@@ -96,7 +100,7 @@ class Service:
         self._found.put(None)
 
     def _end(self) -> int:
-        """Ask it to end, wait, and only then make it."""
+        """Send SIGTERM, wait, and kill the process only if it does not end in time; return its exit code."""
         process = self._process
         if process is None:
             return 0
@@ -112,5 +116,5 @@ class Service:
             self._reader.join()
         return process.returncode
 
-    def _last_words(self) -> str:
-        return (list(self._log) or ["it said nothing"])[-1].strip()
+    def _last_line(self) -> str:
+        return (list(self._log) or ["none"])[-1].strip()

@@ -1,7 +1,7 @@
-"""The service's process: `python -m vaoi_station.demo.service_process station.toml PORT`.
+"""The process of the demo's service: `python -m vaoi_station.demo.service_process station.toml PORT`.
 
-The service as `vaoi serve` runs it, but that it ends when whoever started it is gone: its standard input
-is a pipe that ends then.
+It runs the same service as `vaoi serve`, and also ends when its parent process ends: its standard input is a pipe that
+the kernel then closes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from vaoi_station.station import serve
 
 def main(config: str, port: str) -> int:
     """Serve until SIGTERM, or until standard input ends."""
-    threading.Thread(target=_end_with_the_other, name="lifeline", daemon=True).start()
+    threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     configure_logging(as_json=False)
     try:
         serve(read_config(Path(config)), int(port))
@@ -30,8 +30,10 @@ def main(config: str, port: str) -> int:
     return 0
 
 
-def _end_with_the_other() -> None:
-    """Reads of a file descriptor, not of `sys.stdin`, whose lock would be held when the interpreter ends."""
+def _end_with_parent() -> None:
+    """Send SIGTERM to this process when standard input ends."""
+    # Read the descriptor, not `sys.stdin`: this thread would still hold the lock of that object when the interpreter
+    # ends, and the end would block on it.
     while os.read(0, 1024):
         continue
     os.kill(os.getpid(), signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""One board through the whole service: filmed, stitched, cut, compared with the truth, put on a contact sheet."""
+"""Film one board with the whole service, compare the result with the truth, and write the output files."""
 
 from __future__ import annotations
 
@@ -24,58 +24,59 @@ REPORT, SHEET, PICTURES, MATRICES = "report.json", "contact-sheet.png", "compone
 
 
 def film_single_board(scenario: Path, out: Path, port: int = 0) -> DemoReport:
-    """Film one board and leave report, matrices, component pictures and contact sheet in `out`.
+    """Film one board and write report, matrices, component images and contact sheet to `out`.
 
     Args:
-        scenario: of the twin.
-        out: a new or empty directory, or one an earlier demo has written.
-        port: of the service; 0: any that is free.
+        scenario: file of the twin's scenario.
+        out: a new or empty directory, or the output of an earlier demo.
+        port: port of the service; 0 for any free one.
 
     Raises:
-        InputError: `out` holds something else.
-        DeviceError: the service does not come up, or films nothing.
+        InputError: `out` holds other files.
+        DeviceError: the service does not start, or films nothing.
     """
-    began_s = time.monotonic()
-    clear(out)
+    started_s = time.monotonic()
+    prepare_output(out)
     with temporary_folder("demo") as folder:
         config, twin = write_station_files(scenario, folder, boards=1)
         with Service(config, port) as service:
             client = Client(service.address)
             wait_until_idle(client)
             client.post("/station/arm", board_type=twin.board_type.name, board_id="1", job_id="demo", runs=1)
-            answers = _ask(client)
-            asked_s = time.monotonic()
-            gallery = _gallery(client, answers, out)
-            pictures_s = time.monotonic() - asked_s
-    took_s = time.monotonic() - began_s
-    output = Output(str(out), str(out / SHEET), gallery.components, gallery.pictures, pictures_s, took_s)
-    report = evaluate(scenario.stem, answers, twin.passage(0), output)
-    sheet = contact_sheet(gallery.tiles, f"Board type {report.board_type}", report.status, headline(report))
+            replies = _request_results(client)
+            concluded_s = time.monotonic()
+            images = _component_images(client, replies, out)
+            pictures_s = time.monotonic() - concluded_s
+    took_s = time.monotonic() - started_s
+    output = Output(str(out), str(out / SHEET), images.components, images.pictures, pictures_s, took_s)
+    report = evaluate(scenario.stem, replies, twin.passage(0), output)
+    sheet = contact_sheet(images.tiles, f"Board type {report.board_type}", report.status, headline(report))
     write_image(out / SHEET, sheet, level=9)
-    write_json(out / MATRICES, answers.matrices)
+    write_json(out / MATRICES, replies.matrices)
+    # The report comes last: `prepare_output` takes it as the sign that a demo wrote this directory completely.
     write_json(out / REPORT, report.model_dump(mode="json"))
     return report
 
 
-def clear(out: Path) -> None:
-    """Make room for a demo's output; what no demo has written is not touched.
+def prepare_output(out: Path) -> None:
+    """Delete the output of an earlier demo; other files stay.
 
     Raises:
-        InputError: there is something else.
+        InputError: `out` is a file, or a directory that no demo has written.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file, must be a directory.", action="Give another --out.")
     if not out.exists() or not any(out.iterdir()):
         return
     if not (out / REPORT).is_file():
-        raise InputError(f"{out}: holds something no demo has written.", action="Give another --out, or remove it.")
+        raise InputError(f"{out}: holds files that no demo has written.", action="Give another --out, or remove it.")
     shutil.rmtree(out / PICTURES, ignore_errors=True)
     for name in (SHEET, MATRICES, REPORT):
         (out / name).unlink(missing_ok=True)
 
 
-def _ask(client: Client) -> ServiceReplies:
-    """Wait for the board, and ask for its matrices; a run may have failed before there were any."""
+def _request_results(client: Client) -> ServiceReplies:
+    """Wait for the board and request its matrices; a run that failed early has none."""
     run = wait_for_run(client, None)
     try:
         return ServiceReplies(run, client.get(f"/runs/{run['id']}/matrices"))
@@ -83,8 +84,8 @@ def _ask(client: Client) -> ServiceReplies:
         return ServiceReplies(run, {})
 
 
-def _gallery(client: Client, answers: ServiceReplies, out: Path) -> ComponentImages:
-    """Nothing can be cut out of a run that has failed."""
-    if answers.run["verdict"] == Status.FAILED:
-        return list_unseen_components(client, answers.run["id"])
-    return fetch_component_images(client, answers.run["id"], out / PICTURES)
+def _component_images(client: Client, replies: ServiceReplies, out: Path) -> ComponentImages:
+    """Fetch the component images; a failed run has none, because it has no positions."""
+    if replies.run["verdict"] == Status.FAILED:
+        return list_unseen_components(client, replies.run["id"])
+    return fetch_component_images(client, replies.run["id"], out / PICTURES)

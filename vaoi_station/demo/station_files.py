@@ -1,4 +1,4 @@
-"""A station for the twin, as files: station.toml, calibration and board type, made from a scenario."""
+"""Write the files of a station on the twin: station.toml, calibration and board type, all from a scenario."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ _WITHOUT_TABLES = (str, int, float, bool, list, tuple)
 
 
 def resolve_scenario(name: str) -> Path:
-    """A scenario that comes with the software by its name, or a file.
+    """Return the path of a scenario: of a shipped one by its name, or of a file.
 
     Raises:
-        NotFoundError: there is neither.
+        NotFoundError: there is no such shipped scenario.
     """
     given = Path(name)
     return given.resolve() if given.suffix or given.exists() else scenario_path(name)
 
 
 def write_station_files(scenario: Path, folder: Path, *, boards: int = 0) -> tuple[Path, Twin]:
-    """Write everything a station needs into an empty folder.
+    """Write all files of a station into an empty folder.
 
     Args:
-        scenario: of the twin.
-        folder: where the files and the station's data are to be.
-        boards: how many boards pass; 0: they keep coming.
+        scenario: file of the twin's scenario.
+        folder: directory for the files and the station's data.
+        boards: number of boards that pass; 0 for no end.
 
     Returns:
-        station.toml, and the twin it is made from.
+        The path of station.toml, and the twin.
     """
     twin = Twin(read_scenario(scenario))
     write_calibration(folder / "calibration.json", twin.calibration)
@@ -48,7 +48,7 @@ def write_station_files(scenario: Path, folder: Path, *, boards: int = 0) -> tup
 
 
 def station_config(twin: Twin, scenario: Path, folder: Path, boards: int) -> StationConfig:
-    """The configuration of a station that stands at the twin's line."""
+    """Return the configuration of a station at the twin's line."""
     array = twin.scenario.array
     cameras = tuple(
         CameraConfig(
@@ -60,6 +60,7 @@ def station_config(twin: Twin, scenario: Path, folder: Path, boards: int) -> Sta
         )
         for n in range(array.cameras)
     )
+    # The process id keeps the rings of two demos on one machine apart: the ring's file is named after the station.
     config = StationConfig(
         name=f"demo-{os.getpid()}",
         calibration=folder / "calibration.json",
@@ -69,24 +70,25 @@ def station_config(twin: Twin, scenario: Path, folder: Path, boards: int) -> Sta
         cameras=cameras,
         simulation=SimulationConfig(scenario=scenario, boards=boards, interval_s=twin.scenario.line.interval_s),
     )
-    room = ring_directory(RingLayout.of(config).file_bytes, folder)
-    return config.model_copy(update={"ring": RingConfig(directory=room)})
+    directory = ring_directory(RingLayout.of(config).file_bytes, folder)
+    return config.model_copy(update={"ring": RingConfig(directory=directory)})
 
 
 def ring_directory(size_bytes: int, folder: Path) -> Path:
-    """Shared memory, where there is enough of it; in containers there often is not, and a file has to do."""
+    """Return /dev/shm if it has enough space, else `folder`: containers often have a small /dev/shm."""
     if SHARED_MEMORY.is_dir() and shutil.disk_usage(SHARED_MEMORY).free > size_bytes:
         return SHARED_MEMORY
     return folder
 
 
 def to_toml(config: StationConfig) -> str:
-    """A configuration as `station.toml`, without what is the default anyway."""
+    """Format a configuration as the text of `station.toml`; values that are the default are left out."""
     return "\n".join(_table((), config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))) + "\n"
 
 
 def _table(path: tuple[str, ...], content: dict[str, Any]) -> list[str]:
-    """Lines of a table: its own keys first, then the tables inside it."""
+    """Return the lines of a table."""
+    # Plain keys come first: in TOML every key after a table header belongs to that table.
     inner = {k: v for k, v in content.items() if isinstance(v, dict)}
     many = {k: v for k, v in content.items() if isinstance(v, list) and v and isinstance(v[0], dict)}
     lines = [f"{k} = {_value(v)}" for k, v in content.items() if k not in inner and k not in many]
@@ -99,6 +101,6 @@ def _table(path: tuple[str, ...], content: dict[str, Any]) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    """JSON's texts, numbers, truth values and lists are TOML's too."""
+    """Format a value; JSON's strings, numbers, booleans and lists are valid TOML too."""
     assert isinstance(value, _WITHOUT_TABLES)
     return json.dumps(value, ensure_ascii=False)

@@ -1,6 +1,6 @@
-"""A folder for as long as a program runs; those whose program was killed are put away by the next one.
+"""A temporary folder that is removed when its program ends; the next program removes those of killed programs.
 
-A folder is locked by its owner, and the kernel takes the lock away when that process ends, however it ends.
+The owner locks its folder. The kernel releases the lock when the process ends, in whatever way it ends.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+# A program locks its folder right after it has made it; ten seconds are ample.
 _NEW_S = 10.0
-"""A folder that is younger may not have been locked yet."""
+"""A younger folder is not removed: its owner may not have locked it yet."""
 
 
 @contextmanager
 def temporary_folder(purpose: str) -> Iterator[Path]:
-    """A new folder `vaoi-PURPOSE-…` among the temporary files; gone at the end, as are those of owners that died."""
+    """Create a folder `vaoi-PURPOSE-…` in the temporary directory, and remove it at the end of the block."""
     remove_abandoned(purpose)
     folder = Path(tempfile.mkdtemp(prefix=_prefix(purpose)))
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -33,26 +34,26 @@ def temporary_folder(purpose: str) -> Iterator[Path]:
 
 
 def remove_abandoned(purpose: str) -> list[Path]:
-    """Put the folders away that this user's dead programs have left; returns them."""
+    """Remove the folders that killed programs of this user have left; return them."""
     found = sorted(Path(tempfile.gettempdir()).glob(f"{_prefix(purpose)}*"))
-    left = [folder for folder in found if _is_left(folder)]
+    left = [folder for folder in found if _is_abandoned(folder)]
     for folder in left:
-        shutil.rmtree(
-            folder, ignore_errors=True
-        )  # what its orphans still write is put away by the next remove_abandoned
+        # Child processes of a killed program may still write files; the next call removes those.
+        shutil.rmtree(folder, ignore_errors=True)
     return left
 
 
-def _is_left(folder: Path) -> bool:
-    """Whether it is ours to put away: made by this user, not just now, and its owner is dead."""
+def _is_abandoned(folder: Path) -> bool:
+    """Return whether a folder belongs to this user, is not new, and has lost its owner."""
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError:  # no folder, a link, somebody else's, or gone meanwhile
+    except OSError:  # not a folder, a symbolic link, another user's folder, or removed meanwhile
         return False
     try:
         found = os.fstat(handle)
         if found.st_uid != os.geteuid() or time.time() - found.st_mtime < _NEW_S:
             return False
+        # The lock is free exactly if no process of the owner is left, killed or not.
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False

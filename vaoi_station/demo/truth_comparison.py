@@ -1,4 +1,4 @@
-"""How far a result is from the twin's truth."""
+"""Compare a result with the twin's truth."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from vaoi_station.model import Strict
 from vaoi_station.simulation import Passage
 
 View = Sequence[float]
-"""camera, row, x, y: where the middle of a footprint is, in raw pixels."""
+"""camera, row, x, y: the centre of a footprint in raw pixels."""
 
 
 class Deviation(Strict):
-    """Result against truth, over all views of all components: distances in the image, and on the board."""
+    """Distances between result and truth over all views of all components, in the image and on the board."""
 
     views: int
-    """Views of the truth that have been compared."""
+    """Views of the truth that the result places."""
     unplaced: int
-    """Views of the truth the result says nothing about."""
+    """Views of the truth that the result does not place."""
     rms_px: float
     max_px: float
     rms_mm: float
     max_mm: float
     worst: str | None
-    """Component, camera and row of the largest one."""
+    """Component, camera and row of the largest distance."""
 
 
 def compare_with_truth(
     truth: Mapping[str, Iterable[View]], found: Mapping[str, Iterable[View]], px_per_mm: Sequence[float]
 ) -> Deviation:
-    """Compare places of components in raw images.
+    """Compare positions of components in raw images.
 
     Args:
-        truth: where every footprint's middle really is, by component.
-        found: where the result says it is; views the truth does not have are left aside.
+        truth: true views of every component.
+        found: views of the result; views that the truth does not have are ignored.
         px_per_mm: resolution of each camera.
     """
     errors: list[tuple[float, float, str]] = []
@@ -63,7 +63,7 @@ def compare_with_truth(
 
 
 def true_speed_mm_s(passage: Passage) -> float:
-    """Speed of the board's middle: the straight line through its places at the pulses."""
+    """Return the true speed of the board's centre: the least-squares line through its positions at the pulses."""
     board = passage.twin.scenario.board
     middle = np.array([board.width_mm / 2, board.length_mm / 2, 1.0])
     places_mm = np.array([(passage.pose(t) @ middle)[:2] for t in passage.pulse_times_s])

@@ -1,4 +1,4 @@
-"""Waiting for the station: until it is ready, until a board has been filmed."""
+"""Wait until the station is ready, and until a board has been filmed."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from vaoi_station.errors import DeviceError, NotFoundError
 
 POLL_S = 10.0
 START_S = 180.0
-"""For workers to compile, when they are first started, and for the twin to open: it draws its board first."""
+"""Limit until the station is ready: workers may have to compile first, and the twin draws its board."""
 BOARD_S = 180.0
-"""For a board to come and pass: its frames are rendered first."""
+"""Limit until a board has passed: the twin renders its frames first."""
 
 
 def wait_until_idle(client: Client) -> None:
     """Wait on the event stream until the station can be armed.
 
     Raises:
-        DeviceError: it is faulted, or takes too long.
+        DeviceError: the station is faulted, or is not ready in time.
     """
     deadline = time.monotonic() + START_S
+    # Every event wakes the loop, heartbeats too, so no timer is needed.
     for _ in client.messages():
         station = client.get("/station")
         _refuse_fault(station)
@@ -33,10 +34,10 @@ def wait_until_idle(client: Client) -> None:
 
 
 def wait_for_run(client: Client, after: str | None) -> dict[str, Any]:
-    """The first run that finished after `after` (None: the first of all), by long poll.
+    """Wait for the first run that finishes after the run `after` (None: for the first of all), by long poll.
 
     Raises:
-        DeviceError: the station is faulted, or no board comes.
+        DeviceError: the station is faulted, or no board passes in time.
     """
     deadline = time.monotonic() + BOARD_S
     while time.monotonic() < deadline:
@@ -47,7 +48,7 @@ def wait_for_run(client: Client, after: str | None) -> dict[str, Any]:
 
 
 def poll(client: Client, after: str | None) -> dict[str, Any] | None:
-    """The same, with patience for one poll: None if no run has finished meanwhile."""
+    """Wait for the next run during one long poll; None if no run has finished meanwhile."""
     run = client.get("/runs/next", after=after, timeout=POLL_S)
     if run is None and after is None:
         run = _latest(client)
@@ -55,7 +56,7 @@ def poll(client: Client, after: str | None) -> dict[str, Any] | None:
 
 
 def _latest(client: Client) -> Any:
-    """A first run that ended before anybody waited for it."""
+    """Return the latest run; it may have finished before the first poll began."""
     try:
         return client.get("/runs/latest")
     except NotFoundError:

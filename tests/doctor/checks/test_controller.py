@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -84,7 +85,7 @@ def test_firmware_is_described() -> None:
 
 
 def test_lights_within_the_limits_are_ok_and_others_are_a_fault(config: StationConfig) -> None:
-    limits = {"led_longest_0": 2000, "led_shortest": 2, "led_bucket": 60000, "led_duty_shift": 4}
+    limits: dict[str, Any] = {"led_longest_0": 2000, "led_shortest": 2, "led_bucket": 60000, "led_duty_shift": 4}
     ident = replace(IDENT, channels=1, program_steps=8, tick_ns=500, **limits)
     assert "no lights are configured" in controller.judge_limits(ident, config).message
     long = changed(config, "controller", lights={"flash": LightConfig(channels=(0,), on_us=1001.0)})

@@ -35,9 +35,9 @@ def demo(
             if once:
                 code = _once(path, out or Path("vaoi-demo"), port, as_json)
             else:
-                from vaoi_station.demo.continuous import show
+                from vaoi_station.demo.continuous import run_continuously
 
-                show(path, port, lambda line: print(line, flush=True))
+                run_continuously(path, port, lambda line: print(line, flush=True))
     except KeyboardInterrupt:
         code = INTERRUPTED if once else 0
     raise typer.Exit(code)

@@ -112,7 +112,7 @@ def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
         ({"trigger_line": "Line7"}, "has no trigger input Line7; it has "),
         ({"pixel_format": "Mono14"}, "has no pixel format Mono14; it has "),
         ({"exposure_us": 99_000_000.0, "readout_us": 0.0}, "cannot expose for 9.9e+07 µs; its range is "),
-        ({"width": 4096, "height": 64}, "a sensor of 2048×2048 px, but the configured frame ends at column 4096, row 64"),
+        ({"width": 4096, "height": 64}, "2048×2048 px, but the configured frame ends at column 4096, row 64"),
     ],
 )
 def test_what_a_camera_cannot_do(device: Plug, station: Make, changes: dict[str, object], said: str) -> None:
