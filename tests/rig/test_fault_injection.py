@@ -50,13 +50,13 @@ def test_a_station_that_was_stopped_is_no_excuse(victim: subprocess.Popen[bytes]
     assert victim.wait(10) == -signal.SIGTERM
 
 
-def test_what_never_happened_is_station_verdicts() -> None:
+def test_a_fault_that_never_happened_is_reported() -> None:
     with FaultInjector([parse_fault("reset:board=2,row=99"), parse_fault("loss")]) as injector:
         injector.finish()
     assert injector.failed == ["reset did not happen: board 2 had no row 99"]
 
 
-def test_a_process_that_is_not_there_is_station_verdicts() -> None:
+def test_a_missing_process_is_reported() -> None:
     with FaultInjector([parse_fault("stall:who=worker 7,board=0,row=0")]) as injector:
         injector.on_row(0, 0)
     assert injector.failed == ["the station has no process 'worker 7' to stop"]

@@ -27,9 +27,9 @@ def test_only_bodies_far_off_are_left_out_beforehand(make: Make, monkeypatch: py
     board = {"width_mm": 90.0, "length_mm": 70.0, "density": 2.0, "height_scale": 2.0, "lift_mm": 3.0, "turned_deg": 90}
     twin = make(array={"cameras": 2, "tilt_deg": 3.0}, board=board)
     some = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
-    near = twin.scene._about(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[2]))
+    near = twin.scene._nearby_bodies(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[2]))
     assert 0 < len(near) < len(twin.artwork.bodies)
-    monkeypatch.setattr(Scene, "_about", lambda scene, camera, pose: list(range(len(scene.artwork.bodies))))
+    monkeypatch.setattr(Scene, "_nearby_bodies", lambda scene, camera, pose: list(range(len(scene.artwork.bodies))))
     looked_at_all = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
     assert all(np.array_equal(a, b) for a, b in zip(some, looked_at_all, strict=True))
 
@@ -37,7 +37,7 @@ def test_only_bodies_far_off_are_left_out_beforehand(make: Make, monkeypatch: py
 def test_a_board_too_long_for_one_texture_looks_like_any(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     twin = make(board={"density": 2.0}, array={"cameras": 2, "tilt_deg": 1.0})
     whole = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
-    monkeypatch.setattr("vaoi_station.simulation.imaging.scene._MOST_PX", 16)
+    monkeypatch.setattr("vaoi_station.simulation.imaging.scene._MAX_REMAP_PX", 16)
     parts = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
     for a, b in zip(whole, parts, strict=True):
         assert np.abs(a - b).mean() < 0.02, "but for the rounding of large coordinates"

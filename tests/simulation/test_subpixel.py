@@ -13,7 +13,7 @@ from vaoi_station.simulation import Passage, Twin
 from vaoi_station.simulation.board.artwork import Artwork
 from vaoi_station.simulation.board.bodies import Body
 from vaoi_station.simulation.board.canvas import Canvas, to_bytes
-from vaoi_station.simulation.imaging.scene import Paint, Placement, Scene
+from vaoi_station.simulation.imaging.scene import LitTextures, Placement, Scene
 from vaoi_station.simulation.imaging.sensor import expose
 from vaoi_station.simulation.scenario import LightSection
 
@@ -84,13 +84,13 @@ def test_parallax_of_a_top_is_its_height_s(make: Make, height_mm: float) -> None
     outline = np.column_stack([np.cos(a), np.sin(a)]) * 1.2 + middle
     top = np.full_like(to_bytes(cover.grey), 200)
     body = Body(
-        ref="C1", outline_mm=outline, height_mm=height_mm, side_grey=50.0, middle_mm=middle, top=top,
+        ref="C1", outline_mm=outline, height_mm=height_mm, side_grey=50.0, center_mm=middle, top=top,
         metal=np.zeros_like(top), cover=to_bytes(cover.grey), origin_mm=cover.origin_mm, px_per_mm=scale,
     )  # fmt: skip
     art = Artwork((), (body,), to_bytes(ground.grey), to_bytes(ground.metal), scale, ground.origin_mm)
     light = LightSection()
     samples = Scene(twin.scenario.board, art, 50.0).view(
-        camera, np.eye(3), paint=Paint(art, light), light=light, placements={"C1": Placement((0.0, 0.0), 0.0)}
+        camera, np.eye(3), paint=LitTextures(art, light), light=light, placements={"C1": Placement((0.0, 0.0), 0.0)}
     )
     shade = np.ones((camera.height_px, camera.width_px), np.float32)
     image = expose(samples, twin.scenario.array, motion_px=np.zeros(2), brightness=1.0, shade=shade, noise=None)

@@ -116,7 +116,7 @@ class FaultInjector:
         name = "worker 0" if fault.who == "worker" else fault.who
         pid = self._processes().get(name)
         if pid is None:
-            # A worker may be missing because the scenario has fewer; the run fails, as the fault was not tested.
+            # The station may have fewer workers; the run fails, because the fault was not tested.
             self.failed.append(f"the station has no process {name!r} to stop")
             return
         began_ns = time.monotonic_ns()

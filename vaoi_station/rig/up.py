@@ -34,7 +34,7 @@ def run_until_interrupted(
 
     Args:
         scenario: the twin's.
-        faults: faults of one board are injected once, the others last.
+        faults: those of a row are injected once, those of the belt recur with their board, the others last.
         folder: new or empty; takes station.toml, the controller's port and the station's data.
         cache: where rendered boards are kept.
         different: number of boards that are rendered; they pass in turn.

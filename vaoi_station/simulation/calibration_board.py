@@ -1,7 +1,7 @@
-"""A recording of the calibration board: one row of crosses at rest, its layout, and the truth.
+"""Record the calibration board: one row of crosses at rest, with its layout and the truth.
 
-The board lies so that its coordinates are the tester's; the array hangs a little off its nominal
-places, which is all a calibration has to find out.
+The board's coordinates are the tester's. The cameras hang a little off their nominal places, which is what a
+calibration has to determine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import RecordingHead
 from vaoi_station.simulation.board.artwork import Artwork
 from vaoi_station.simulation.board.canvas import Canvas, to_bytes
-from vaoi_station.simulation.imaging.scene import Paint, Scene
+from vaoi_station.simulation.imaging.scene import LitTextures, Scene
 from vaoi_station.simulation.imaging.sensor import expose, generator
 from vaoi_station.simulation.scenario import BoardSection, LightSection
 from vaoi_station.simulation.twin import Twin
@@ -25,11 +25,11 @@ from vaoi_station.simulation.world import TEXTURE_PER_PIXEL
 
 _BORDER_MM = 5.0
 _ARM = 0.25
-"""Width of an arm over the size of a cross."""
+"""Width of an arm divided by the size of a cross."""
 
 
 def mark_places_mm(twin: Twin) -> Floats:
-    """Tester places (k, 2) of the crosses: a grid under every camera's nominal view."""
+    """Return tester places (k, 2) of the crosses: a grid under every camera's nominal view."""
     array, n = twin.scenario.array, twin.scenario.calibration_board.marks_per_axis
     w, h = array.view_mm
     x, y = (np.linspace(0.2, 0.8, n) - 0.5) * w, (np.linspace(0.18, 0.82, n) - 0.5) * h
@@ -37,7 +37,7 @@ def mark_places_mm(twin: Twin) -> Floats:
 
 
 def layout(twin: Twin) -> dict[str, Any]:
-    """layout.json: what the board shows."""
+    """Return layout.json: the marks of the board."""
     size = twin.scenario.calibration_board.mark_mm
     return {
         "unit": "mm",
@@ -47,7 +47,7 @@ def layout(twin: Twin) -> dict[str, Any]:
 
 
 def truth(twin: Twin) -> dict[str, Any]:
-    """truth.json of a calibration recording: N_i, and every lens (an ideal one as coefficient 0)."""
+    """Return truth.json of a calibration recording: N_i, and every lens (an ideal one with coefficient 0)."""
     lenses = [p.lens for p in twin.pinholes]
     return {
         "camera_matrices": [p.plane().tolist() for p in twin.pinholes],
@@ -58,9 +58,9 @@ def truth(twin: Twin) -> dict[str, Any]:
 
 
 def frames(twin: Twin) -> list[tuple[int, int, Any]]:
-    """(camera, 0, pixels) of every camera."""
+    """Return (camera, 0, pixels) of every camera."""
     scene, light, array = _scene(twin), LightSection(), twin.scenario.array
-    paint, result = Paint(scene.artwork, light), []
+    paint, result = LitTextures(scene.artwork, light), []
     for i, pinhole in enumerate(twin.pinholes):
         samples = scene.view(pinhole, np.eye(3), paint=paint, light=light, placements={})
         image = expose(
@@ -76,7 +76,7 @@ def frames(twin: Twin) -> list[tuple[int, int, Any]]:
 
 
 def write_calibration_recording(twin: Twin, directory: Path, *, with_truth: bool = True) -> Recording:
-    """Write the recording, `layout.json` beside it, and the truth if wanted."""
+    """Write the recording with `layout.json`, and the truth if wanted."""
     head = RecordingHead(
         format="vaoi-recording",
         version=1,
@@ -97,7 +97,7 @@ def _polarity(twin: Twin) -> str:
 
 
 def _scene(twin: Twin) -> Scene:
-    """The calibration board as a scene; its corner is the texture's origin in tester coordinates."""
+    """Return the calibration board as a scene; the texture's origin is its corner in tester coordinates."""
     array, board = twin.scenario.array, twin.scenario.calibration_board
     w, h = array.view_mm
     corner = (-w / 2 - _BORDER_MM, -h / 2 - _BORDER_MM)
@@ -107,4 +107,5 @@ def _scene(twin: Twin) -> Scene:
         canvas.cross((x, y), board.mark_mm, board.mark_mm * _ARM, board.mark_grey)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal)
     artwork = Artwork((), (), surface, metal, canvas.px_per_mm, canvas.origin_mm)
+    # The pose is the identity, so board coordinates are tester coordinates here.
     return Scene(BoardSection(fiducials=()), artwork, twin.scenario.belt.grey)

@@ -1,7 +1,6 @@
 """One board's passage: its frames, its times, its faults, and the truth about it.
 
-Frames are pure functions of scenario, board number, camera and row: whatever was asked before,
-the same pixels come.
+A frame is a pure function of scenario, board number, camera and row: earlier requests do not change its pixels.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from vaoi_station.model import RecordingHead
 from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.imaging.scene import Placement
 from vaoi_station.simulation.imaging.sensor import expose, generator
-from vaoi_station.simulation.motion.faults import PassageFaults, as_knocked
+from vaoi_station.simulation.motion.faults import PassageFaults, knocked_pinholes
 from vaoi_station.simulation.motion.timetable import Timetable, timetable
 from vaoi_station.simulation.truth import passage_truth
 from vaoi_station.simulation.world import World
@@ -30,7 +29,7 @@ _SLOPE_S = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """Board `board_number` under the cameras; times are seconds since the passage's start."""
+    """Board `board_number` under the cameras; times are seconds since the start of the passage."""
 
     twin: World
     board_number: int
@@ -41,22 +40,22 @@ class Passage:
 
     @property
     def start_s(self) -> float:
-        """The passage's start since the scenario's."""
-        return self._times.course.start_s
+        """Start of the passage since the start of the scenario."""
+        return self._times.motion.start_s
 
     @property
     def blocked_s(self) -> float:
-        """When the board interrupts the barrier."""
+        """Time at which the board interrupts the barrier."""
         return self._times.blocked_s
 
     @property
     def clear_s(self) -> float:
-        """When the board leaves the barrier; infinite if it sticks there."""
+        """Time at which the board leaves the barrier; infinite if it sticks there."""
         return self._times.clear_s
 
     @property
     def pulse_times_s(self) -> tuple[float, ...]:
-        """The pulses a controller fires: a delay after the interruption, then every period, until the tail ends."""
+        """The pulses of a controller: a delay after the interruption, then every period, until the tail ends."""
         return self._times.pulse_times_s
 
     @property
@@ -66,7 +65,7 @@ class Passage:
 
     @property
     def turned_deg(self) -> int:
-        """Quarter turns by which the board lies turned on the belt."""
+        """Quarter turns by which the board lies turned on the belt, in degrees."""
         return self._times.turned_deg
 
     @property
@@ -77,38 +76,39 @@ class Passage:
 
     @cached_property
     def faults(self) -> PassageFaults:
-        """What goes wrong with this board."""
+        """The faults of this board."""
         return PassageFaults(self.twin.scenario.faults, self.board_number, self.blocked_s, self._times.stuck)
 
     @cached_property
     def pinholes(self) -> tuple[Pinhole, ...]:
-        """The cameras as they hang now; the calibration may be of a time before somebody knocked one."""
-        return as_knocked(self.twin.scenario.faults, self.twin.pinholes, self.board_number)
+        """The cameras during this passage; a camera may have been knocked after its calibration."""
+        return knocked_pinholes(self.twin.scenario.faults, self.twin.pinholes, self.board_number)
 
     @cached_property
     def placements(self) -> dict[str, Placement | None]:
-        """How every part of this board was set; None for one that is absent."""
+        """How every part of this board was placed; None for one that is absent."""
         self._check_absent()
         sigma = self.twin.scenario.board.placement_sigma_mm
         g = np.random.default_rng([self.twin.scenario.board.seed, 7040, self.board_number])
         result: dict[str, Placement | None] = {}
         for part in self.twin.parts:
+            # Drawn for an absent part too, so that a missing part does not move the others.
             x, y, turn = g.normal(0, 1, 3) * (sigma, sigma, sigma / 3)
             placed = Placement((float(x), float(y)), float(turn))
             result[part.ref] = None if self.faults.absent(part.ref) else placed
         return result
 
     def pose(self, t_s: float) -> Floats:
-        """tester_from_board at a time, (3, 3): board mm (origin top left as seen, y down) to tester mm."""
+        """Return tester_from_board at a time, (3, 3): board mm (origin top left as seen, y down) to tester mm."""
         board = self.twin.scenario.board
-        return self._times.course.pose(t_s, (board.width_mm / 2, board.length_mm / 2))
+        return self._times.motion.pose(t_s, (board.width_mm / 2, board.length_mm / 2))
 
     def frame(self, camera: int, row: int) -> NDArray[Any]:
-        """The whole frame (h, w) of a camera at a pulse, even where a fault keeps it from arriving."""
+        """Return the whole frame (h, w) of a camera at a pulse, even if a fault keeps it from arriving."""
         return self.frame_at(camera, self.pulse_times_s[row], self.lights[row], row)
 
     def frame_at(self, camera: int, t_s: float, light_name: str, noise_key: int) -> NDArray[Any]:
-        """The frame of a camera exposed about a time under a light; `noise_key` chooses the noise."""
+        """Return the frame of a camera exposed about a time under a light; `noise_key` selects the noise."""
         twin, array = self.twin, self.twin.scenario.array
         light = twin.scenario.lights[light_name]
         samples = twin.scene.view(
@@ -131,18 +131,18 @@ class Passage:
         )
 
     def frames(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
-        """Every frame that arrives whole: camera, row, pixels; row by row."""
+        """Yield every frame that arrives whole: camera, row, pixels; row by row."""
         for row in range(self.rows):
             for camera in range(len(self.twin.pinholes)):
                 if self.faults.received_share(camera, row) == 1:
                     yield camera, row, self.frame(camera, row)
 
     def render_all(self) -> dict[tuple[int, int], NDArray[Any]]:
-        """Every frame by (camera, row), also those that faults will hold back."""
+        """Return every frame by (camera, row), also those that faults hold back."""
         return {(c, r): self.frame(c, r) for r in range(self.rows) for c in range(len(self.twin.pinholes))}
 
     def head(self) -> RecordingHead:
-        """recording.json of this passage; frames that do not arrive whole are missing."""
+        """Return recording.json of this passage; frames that do not arrive whole are missing."""
         cells = [(c, r) for c in range(len(self.twin.pinholes)) for r in range(self.rows)]
         line = self.twin.line
         return RecordingHead(
@@ -158,25 +158,28 @@ class Passage:
         )
 
     def truth(self) -> dict[str, Any]:
-        """The truth in the format of truth.json."""
+        """Return the truth in the format of truth.json."""
         return passage_truth(self.twin, self.pinholes, [self.pose(t) for t in self.pulse_times_s])
 
     def _check_absent(self) -> None:
+        """Refuse absent parts that the board does not have."""
         known = {p.ref for p in self.twin.parts}
         for n, fault in enumerate(self.twin.scenario.faults.absent_parts):
             if fault.ref not in known:
                 raise InputError.field("scenario", f"faults.absent_parts.{n}.ref", fault.ref, "a part of this board")
 
     def _flicker(self, row: int) -> float:
+        """Return the brightness of a row relative to the mean, the same for all cameras."""
         array = self.twin.scenario.array
         return 1 + array.flicker * float(generator(array.seed, 7006, self.board_number, row).standard_normal())
 
     def _motion_px(self, camera: int, t_s: float) -> Floats:
-        """Way of the board's picture across the middle of a frame during the exposure, (2,) px."""
-        if t_s >= self._times.course.stop_s:
+        """Return the motion of the board's image in the centre of a frame during the exposure, (2,) px."""
+        if t_s >= self._times.motion.stop_s:
             return np.zeros(2)
         pinhole, seconds = self.pinholes[camera], self.twin.scenario.array.exposure_us(camera) * 1e-6
         middle = np.array([[(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2]])
         place = apply(np.linalg.inv(self.pose(t_s)), pinhole.ground(middle, 0.0))
+        # A central difference over 0.2 ms: short against any variation of the speed, long against rounding.
         before, after = (pinhole.project(apply(self.pose(t_s + d), place), 0.0)[0] for d in (-_SLOPE_S, _SLOPE_S))
         return np.asarray((after - before) / (2 * _SLOPE_S) * seconds)

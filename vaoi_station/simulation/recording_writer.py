@@ -1,4 +1,4 @@
-"""A passage as a recording on disk: frames, calibration, board type and truth."""
+"""Write a passage as a recording on disk: frames, calibration, board type and truth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vaoi_station.simulation.passage import Passage
 
 
 def write_passage(passage: Passage, directory: Path, *, with_truth: bool = True) -> Recording:
-    """Film a board into a directory; frames that faults keep from arriving whole are listed as missing."""
+    """Write a passage into a directory; frames that faults keep from arriving whole are listed as missing."""
     twin = passage.twin
     write_calibration(directory / "calibration.json", twin.calibration)
     write_board_type(directory / "board.json", twin.board_type)

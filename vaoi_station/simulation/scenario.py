@@ -1,8 +1,7 @@
-"""A scenario file (TOML) → one frozen `Scenario`: what the twin films and what goes wrong with it.
+"""Read a scenario file (TOML) into one frozen `Scenario`: what the twin simulates, and what goes wrong.
 
-Unknown keys and impossible values are refused with file, key, value and limit. `docs/engineering/twin.md`
-describes every key; all of them have defaults, so that an empty file is a scenario too. Random
-numbers are pure functions of the seeds given here.
+Unknown keys and impossible values are refused with file, key, value and limit. `docs/engineering/twin.md` describes
+every key. All keys have defaults, so an empty file is a scenario. Random numbers are pure functions of the seeds.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ class ArraySection(Section):
         return self.width_px / self.px_per_mm, self.height_px / self.px_per_mm
 
     def exposure_us(self, camera: int) -> float:
-        """Exposure of one camera; a short list is used in turn."""
+        """Return the exposure of one camera; a short list is used in turn."""
         return self.exposures_us[camera % len(self.exposures_us)]
 
 
@@ -132,12 +131,13 @@ class BoardSection(Section):
 
     @property
     def marks(self) -> tuple[FiducialMark, ...]:
-        """The fiducials given, or three in an arrangement no turn maps onto itself."""
+        """The given fiducials, or three in an arrangement that no rotation maps onto itself."""
         if self.fiducials is not None:
             return self.fiducials
         w, h = self.width_mm, self.length_mm
         d = 1.0 if min(w, h) >= 30 else 0.8
         inset = min(4.0, min(w, h) / 8)
+        # The third mark is off the corner: three corners of a square would allow a quarter turn.
         places = [(inset, inset), (w - inset, h - 1.4 * inset), (w - 1.6 * inset, 1.1 * inset)]
         return tuple(FiducialMark(x_mm=round(x, 3), y_mm=round(y, 3), diameter_mm=d) for x, y in places)
 
@@ -157,7 +157,7 @@ class LineSection(Section):
 
 
 class CalibrationBoardSection(Section):
-    """The board of crosses that calibrates the array; its own coordinates are the tester's."""
+    """The board of crosses that calibrates the array; its coordinates are the tester's."""
 
     marks_per_axis: Annotated[int, Field(ge=2, le=40)] = 2
     mark_mm: Positive = 2.0
@@ -176,7 +176,7 @@ class LightSection(Section):
     elevation_deg: Annotated[float, Field(gt=5, lt=90)] = 45.0
 
     def camera_gain(self, camera: int) -> float:
-        """Brightness for one camera; a short list is used in turn."""
+        """Return the brightness for one camera; a short list is used in turn."""
         return self.gain[camera % len(self.gain)]
 
     @property
@@ -187,12 +187,12 @@ class LightSection(Section):
 
 
 class OnBoard(Section):
-    """A fault of one board; without a number it befalls every board."""
+    """A fault of one board; without a board number it applies to every board."""
 
     board: Index | None = None
 
-    def befalls(self, board_number: int) -> bool:
-        """Whether this board suffers it."""
+    def applies_to(self, board_number: int) -> bool:
+        """Whether this board has the fault."""
         return self.board is None or self.board == board_number
 
 
@@ -222,7 +222,7 @@ class IncompleteFrame(LostFrame):
 
 
 class IgnoredTrigger(LostFrame):
-    """A pulse that a camera does not answer; it does not count it either."""
+    """A pulse that a camera ignores; the camera does not count it either."""
 
 
 class ExtraFrame(LostFrame):
@@ -232,31 +232,31 @@ class ExtraFrame(LostFrame):
 
 
 class ExchangedFrames(LostFrame):
-    """The frames of a row and the next carry each other's id and time stamp."""
+    """The frames of a row and the next have each other's id and time stamp."""
 
 
 class FreeRunning(OnBoard):
-    """A camera that ignores the trigger and sends a frame every so often while the board passes."""
+    """A camera that ignores the trigger and sends frames at a fixed interval while the board passes."""
 
     camera: Index
     interval_s: Positive
 
 
 class Bounce(OnBoard):
-    """The barrier shows the opposite of the truth for a moment, so long after the board interrupts it."""
+    """The barrier shows the opposite of the truth for `duration_s`, starting `at_s` after the board interrupts it."""
 
     at_s: Finite
     duration_s: Positive
 
 
 class StuckBoard(OnBoard):
-    """The board stops dead with the pulse of a row, until the pulses end."""
+    """The board stops with the pulse of a row, until the pulses end."""
 
     row: Index
 
 
 class TurnedBoard(OnBoard):
-    """Somebody laid the board on the belt turned by quarter turns more."""
+    """The board was laid on the belt with further quarter turns."""
 
     turned_deg: Literal[90, 180, 270]
 
@@ -268,7 +268,7 @@ class AbsentPart(OnBoard):
 
 
 class KnockedCamera(Section):
-    """A camera that somebody knocked: from a board on it looks elsewhere than it was calibrated."""
+    """A camera that was knocked: from one board on it looks in another direction than when it was calibrated."""
 
     camera: Index
     from_board: Index = 0
@@ -277,7 +277,7 @@ class KnockedCamera(Section):
 
 
 class FaultSection(Section):
-    """What goes wrong."""
+    """The faults."""
 
     lost_frames: tuple[LostFrame, ...] = ()
     lost_rows: tuple[LostRow, ...] = ()
@@ -295,7 +295,7 @@ class FaultSection(Section):
 
 
 class Scenario(Section):
-    """Everything the twin is told."""
+    """All inputs of the twin."""
 
     array: ArraySection = ArraySection()
     belt: BeltSection = BeltSection()
@@ -310,6 +310,7 @@ class Scenario(Section):
         unknown = [name for name in self.line.lights if name not in self.lights]
         if unknown:
             raise ValueError(f"line.lights names {unknown}, but [lights] has only {sorted(self.lights)}")
+        # An exposure that outlasts the period would overlap the next pulse.
         longest_us = max(self.array.exposures_us)
         if longest_us * 1e-6 >= self.line.period_s:
             raise ValueError(f"array.exposures_us has {longest_us} us, but pulses follow every {self.line.period_s} s")
@@ -324,6 +325,7 @@ class Scenario(Section):
             *faults.exchanged_frames,
             *faults.free_running,
         )
+        # A fault of a camera that does not exist would silently have no effect.
         named = [f.camera for f in of_one_row] + [f.camera for f in of_trigger] + [f.camera for f in faults.knocked]
         for camera in named:
             if camera >= self.array.cameras:
@@ -341,7 +343,7 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def scenario_path(name: str) -> Path:
-    """The file of a scenario that comes with the software: "demo", "paper" or "small"."""
+    """Return the file of a scenario that comes with the software: "demo", "paper" or "small"."""
     folder = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
     path = folder / f"{name}.toml"
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""The truth about a passage in the format of truth.json: it scores results and never helps one."""
+"""The truth about a passage in the format of truth.json; it only scores results and is never an input."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from vaoi_station.simulation.world import World
 
 
 def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, Any]:
-    """M_ij = N_i·D_j, C = E_0·(board from CAD), D_j = E_j·E_0⁻¹, heights, and where every footprint is seen.
+    """Return M_ij = N_i·D_j, C = E_0·(board from CAD), D_j = E_j·E_0⁻¹, heights, and where every footprint is seen.
 
     Args:
         twin: the board.
-        pinholes: the cameras as they hang.
+        pinholes: the cameras as they really hang.
         poses: E_j, tester from board, one per row.
     """
     planes = [p.plane() for p in pinholes]
@@ -34,7 +34,7 @@ def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats
 
 
 def views(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, list[list[float]]]:
-    """Raw pixels of the middle of every footprint, on the board's surface, in every image that shows it."""
+    """Return the raw pixels of every footprint's centre, on the board's surface, in every frame that shows it."""
     if not twin.parts:
         return {}
     places = np.array([p.place for p in twin.parts])
@@ -43,6 +43,7 @@ def views(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> di
         limit = (pinhole.width_px - 1, pinhole.height_px - 1)
         for j, pose in enumerate(poses):
             pixels = pinhole.project(apply(pose, places), twin.scene.surface_z(places))
+            # Bodies may hide a footprint; the truth is about geometry and ignores that.
             inside = ((pixels > 0) & (pixels < limit)).all(1)
             for k in np.flatnonzero(inside):
                 u, v = pixels[k]

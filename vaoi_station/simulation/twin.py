@@ -1,4 +1,4 @@
-"""The digital twin: the world of a scenario, and the boards that pass through it."""
+"""The digital twin: the world of a scenario, and the boards that pass."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ class Twin(World):
     """What camera k sees at time t, for every board of a scenario."""
 
     def passage(self, board_number: int) -> Passage:
-        """The passage of board `board_number`, counted from 0."""
+        """Return the passage of board `board_number`, counted from 0."""
         return Passage(self, board_number)

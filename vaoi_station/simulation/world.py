@@ -12,33 +12,33 @@ from vaoi_station.model import BoardType, Calibration, CameraHead, Distortion
 from vaoi_station.simulation.board.artwork import Artwork, draw
 from vaoi_station.simulation.board.canvas import Plane
 from vaoi_station.simulation.board.layout import Part, board_type
-from vaoi_station.simulation.imaging.pinholes import Pinhole, mount
-from vaoi_station.simulation.imaging.scene import Paint, Scene
+from vaoi_station.simulation.imaging.pinholes import Pinhole, mount_cameras
+from vaoi_station.simulation.imaging.scene import LitTextures, Scene
 from vaoi_station.simulation.imaging.sensor import vignette
 from vaoi_station.simulation.motion.timetable import line_of
 from vaoi_station.simulation.scenario import BoardSection, Scenario
 
 TEXTURE_PER_PIXEL = 1.1
-"""Texture resolution over image resolution: less would blur, much more would alias."""
+"""Texture resolution divided by image resolution: less would blur, much more would alias."""
 
 
 class World:
-    """Everything a station could see; a pure function of its scenario.
+    """Everything that a station could see; a pure function of its scenario.
 
     Attributes:
-        scenario: what it was made from.
+        scenario: the scenario.
         pinholes: the cameras as they really are.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.pinholes: tuple[Pinhole, ...] = mount(scenario.array)
-        self._paints: dict[str, Paint] = {}
+        self.pinholes: tuple[Pinhole, ...] = mount_cameras(scenario.array)
+        self._paints: dict[str, LitTextures] = {}
         self._shades: dict[tuple[int, str], Plane] = {}
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The perfect calibration of the array; distortion only where the lenses distort."""
+        """The perfect calibration of the array; with distortion only if the lenses distort."""
         array = self.scenario.array
         lenses = tuple(
             Distortion(center=p.lens.center_px, radius=p.lens.radius_px, radial=p.lens.radial) for p in self.pinholes
@@ -59,7 +59,7 @@ class World:
 
     @cached_property
     def heads(self) -> tuple[CameraHead, ...]:
-        """What a recording says of the cameras: size, exposure, where they are meant to look."""
+        """The cameras in a recording's head: size, exposure, nominal view."""
         array = self.scenario.array
         return tuple(
             CameraHead(
@@ -79,7 +79,7 @@ class World:
 
     @cached_property
     def artwork(self) -> Artwork:
-        """What the boards look like; shared by twins of equal board and resolution."""
+        """The artwork of the boards; twins with equal board and resolution share it."""
         s = self.scenario
         return _artwork(s.board, TEXTURE_PER_PIXEL * s.array.px_per_mm, s.belt.grey)
 
@@ -98,18 +98,18 @@ class World:
         """The board under the cameras."""
         return Scene(self.scenario.board, self.artwork, self.scenario.belt.grey)
 
-    def paint(self, light_name: str) -> Paint:
-        """The board's textures under a light."""
+    def paint(self, light_name: str) -> LitTextures:
+        """Return the board's textures under a light."""
         if light_name not in self._paints:
-            self._paints[light_name] = Paint(self.artwork, self.scenario.lights[light_name])
+            self._paints[light_name] = LitTextures(self.artwork, self.scenario.lights[light_name])
         return self._paints[light_name]
 
     def vignetting(self, camera: int) -> Plane:
-        """Brightness of a camera's frame under even light, (h, w)."""
+        """Return the brightness of a camera's frame under even light, (h, w)."""
         return vignette(self.scenario.array, camera)
 
     def shade(self, camera: int, light_name: str) -> Plane:
-        """Vignetting of a camera and the slope of a light over its frame, (h, w)."""
+        """Return vignetting of a camera and slope of a light over its frame, (h, w)."""
         key = (camera, light_name)
         if key not in self._shades:
             array, light = self.scenario.array, self.scenario.lights[light_name]
@@ -119,6 +119,7 @@ class World:
         return self._shades[key]
 
 
+# Drawing a large board takes a minute and gigabytes; tests and benchmarks share the few boards they use.
 @lru_cache(maxsize=4)
 def _artwork(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
     return draw(section, px_per_mm, belt_grey)

@@ -38,7 +38,7 @@ def test_between_boards_the_calibration_board_lies_still(renderer: FrameRenderer
     assert renderer.render(FrameRequest(None)) == path
 
 
-def test_a_darkroom_that_has_died_is_station_verdicts(small: Scenario, tmp_path: Path) -> None:
+def test_a_renderer_that_has_ended_is_reported(small: Scenario, tmp_path: Path) -> None:
     room = FrameRenderer(small, tmp_path / "late")
     with pytest.raises(InternalError, match="renders frames on demand has ended"):
         room.render(FrameRequest(0, 0.3, "no such light"))

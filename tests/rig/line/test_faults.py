@@ -43,7 +43,7 @@ def test_keys_change_what_they_name() -> None:
         ("kill:camera=1,camera=2", "is 'kill:camera=1,camera=2', but must be written with camera once"),
     ],
 )
-def test_what_is_wrong_is_station_verdicts(text: str, words: str) -> None:
+def test_an_invalid_fault_is_refused(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         parse_fault(text)
 

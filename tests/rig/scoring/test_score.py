@@ -103,7 +103,7 @@ def test_rows_with_one_story_are_told_together(filmed: tuple[RenderedBoard, ...]
     assert "board 0, camera 1, row 1–3, 5: missing, 'it was lost' (the camera was dead)" in as_text(report_of(board))
 
 
-def test_a_frame_lost_without_a_reason_is_station_verdicts(filmed: tuple[RenderedBoard, ...]) -> None:
+def test_a_frame_lost_without_a_fault_is_reported(filmed: tuple[RenderedBoard, ...]) -> None:
     board = scored(filmed[0], None, {(0, 1): ("missing", "lost"), (1, 1): ("missing", "")})
     assert board.innocent == ((0, 1), (1, 1))
     assert board.unnamed == ((1, 1),)
@@ -131,7 +131,7 @@ def test_a_whole_board_has_nothing_to_say(filmed: tuple[RenderedBoard, ...]) -> 
     assert failings(report_of(board), [], 1) == ("board 0 is ok, but has reasons: Camera 0: it runs freely.",)
 
 
-def test_pixels_of_another_row_are_station_verdicts(filmed: tuple[RenderedBoard, ...]) -> None:
+def test_pixels_of_another_row_are_reported(filmed: tuple[RenderedBoard, ...]) -> None:
     board = scored(filmed[0], wrong={(0, 3): "it is the frame of camera 0, row 2"})
     words = failings(report_of(board), [], 1)
     assert "board 0: camera 0, row 3: it is the frame of camera 0, row 2" in words

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.simulation.imaging.pinholes import mount
+from vaoi_station.simulation.imaging.pinholes import mount_cameras
 from vaoi_station.simulation.scenario import ArraySection
 
 ARRAY = ArraySection(distortion_px=2.0, tilt_deg=0.3)
@@ -12,13 +12,13 @@ ARRAY = ArraySection(distortion_px=2.0, tilt_deg=0.3)
 
 @given(st.floats(-15, 15), st.floats(-12, 12), st.floats(-2, 10), st.integers(0, 2))
 def test_projection_and_ground_are_inverse(x: float, y: float, z: float, camera: int) -> None:
-    pinhole = mount(ARRAY)[camera]
+    pinhole = mount_cameras(ARRAY)[camera]
     place = np.array([[x + pinhole.foot_mm[0], y + pinhole.foot_mm[1]]])
     assert np.allclose(pinhole.ground(pinhole.project(place, z), z), place, atol=1e-9)
 
 
 def test_the_station_s_formulas_for_heights_agree_with_the_projection() -> None:
-    for pinhole in mount(ARRAY):
+    for pinhole in mount_cameras(ARRAY):
         known = pinhole.calibrated(ARRAY.working_distance_mm)
         place = np.random.default_rng(1).uniform(-12, 12, (50, 2)) + pinhole.foot_mm
         for z in (0.0, 0.5, 6.0):
@@ -28,7 +28,7 @@ def test_the_station_s_formulas_for_heights_agree_with_the_projection() -> None:
 
 def test_design_values_without_imperfections() -> None:
     array = ArraySection(tilt_deg=0, roll_deg=0, position_mm=0, focal_length=0)
-    for i, pinhole in enumerate(mount(array)):
+    for i, pinhole in enumerate(mount_cameras(array)):
         middle = pinhole.project(np.array([[i * array.pitch_mm, 0.0]]), 0.0)[0]
         assert np.allclose(middle, [(array.width_px - 1) / 2, (array.height_px - 1) / 2])
         beside = pinhole.project(np.array([[i * array.pitch_mm + 1, 1.0]]), 0.0)[0]
@@ -36,7 +36,7 @@ def test_design_values_without_imperfections() -> None:
 
 
 def test_distortion_at_the_corner_is_as_large_as_stated() -> None:
-    for pinhole in mount(ARRAY):
+    for pinhole in mount_cameras(ARRAY):
         corner = np.array([[-0.5, -0.5]])
         shift = float(np.hypot(*(pinhole.lens.undistort(corner) - corner)[0]))
         assert 0.59 * ARRAY.distortion_px < shift < 1.41 * ARRAY.distortion_px

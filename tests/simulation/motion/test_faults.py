@@ -23,7 +23,7 @@ def test_faults_befall_whom_they_are_meant_for(make: Make) -> None:
     hit, other = twin.passage(1).faults, twin.passage(0).faults
     assert [hit.lost(0, r) for r in range(5)] == [False, False, True, True, False]
     assert [other.lost(0, r) for r in range(5)] == [False, False, False, True, False]
-    assert (hit.late_s(0, 0), hit.late_s(0, 1), other.late_s(0, 0)) == (0.2, 0.0, 0.0)
+    assert (hit.delay_s(0, 0), hit.delay_s(0, 1), other.delay_s(0, 0)) == (0.2, 0.0, 0.0)
     assert (hit.received_share(0, 1), hit.received_share(0, 2), other.received_share(0, 1)) == (0.4, 0.0, 1.0)
     assert hit.stuck is None
 
@@ -40,10 +40,10 @@ def test_faults_of_the_trigger(make: Make) -> None:
     hit, other = twin.passage(1).faults, twin.passage(0).faults
     assert [hit.ignored(0, r) for r in range(4)] == [False, False, True, False]
     assert (hit.received_share(0, 2), other.received_share(0, 2)) == (0.0, 1.0)
-    assert (hit.extra_s(0, 1), hit.extra_s(0, 2), other.extra_s(0, 1)) == ((0.02,), (), ())
-    assert [hit.carries(0, r) for r in range(6)] == [0, 1, 2, 4, 3, 5]
-    assert [other.carries(0, r) for r in range(6)] == [0, 1, 2, 3, 4, 5]
-    assert (hit.runs_freely_s(0), twin.passage(2).faults.runs_freely_s(0)) == (None, 0.03)
+    assert (hit.extra_delays_s(0, 1), hit.extra_delays_s(0, 2), other.extra_delays_s(0, 1)) == ((0.02,), (), ())
+    assert [hit.metadata_row(0, r) for r in range(6)] == [0, 1, 2, 4, 3, 5]
+    assert [other.metadata_row(0, r) for r in range(6)] == [0, 1, 2, 3, 4, 5]
+    assert (hit.free_running_interval_s(0), twin.passage(2).faults.free_running_interval_s(0)) == (None, 0.03)
 
 
 def test_bounces_count_from_the_interruption_in_order(make: Make) -> None:

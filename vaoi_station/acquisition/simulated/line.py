@@ -127,13 +127,13 @@ class SimulatedLine:
     def _expose(self, board: SimulatedBoard, n: int, row: int, host_s: float) -> None:
         """Expose one camera for a row, with the faults of the scenario."""
         camera, faults = self._cameras[n], board.passage.faults
-        if (interval_s := faults.runs_freely_s(n)) is not None:
+        if (interval_s := faults.free_running_interval_s(n)) is not None:
             if row == 0:
                 self._run_freely(board, n, host_s, interval_s)
             return
         if faults.ignored(n, row):
             return
-        other = faults.carries(n, row)
+        other = faults.metadata_row(n, row)
         last = len(board.pulses) - 1
         # An exchanged frame carries the time stamp and the id of the other row.
         stamp_error_s = board.pulses[min(other, last)].time_s - board.pulses[min(row, last)].time_s
@@ -141,12 +141,12 @@ class SimulatedLine:
             host_s,
             board.pixels(n, row),
             lost=faults.lost(n, row),
-            late_s=faults.late_s(n, row),
+            late_s=faults.delay_s(n, row),
             share=faults.received_share(n, row),
             stamp_error_s=stamp_error_s,
             id_error=other - row,
         )
-        for after_s in faults.extra_s(n, row):
+        for after_s in faults.extra_delays_s(n, row):
             camera.trigger(host_s + after_s, board.pixels(n, row))
 
     def _run_freely(self, board: SimulatedBoard, n: int, host_s: float, interval_s: float) -> None:

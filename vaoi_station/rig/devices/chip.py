@@ -93,7 +93,7 @@ class Chip:
 
     def __enter__(self) -> Chip:
         self._process = subprocess.Popen(
-            # In a session of its own the emulator does not get Ctrl-C: boards and cameras are stopped before it.
+            # In a session of its own the emulator does not get Ctrl-C: the rig stops its processes in order.
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

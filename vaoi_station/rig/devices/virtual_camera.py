@@ -166,7 +166,7 @@ def apply_brightness(pixels: NDArray[np.uint8], brightness: float, pixel_format:
     scale = 256 if pixel_format == _MONO_16 else 1
     values = np.arange(256 * scale, dtype=np.float32)
     black = np.float32(BLACK_LEVEL * scale)
-    # A table is faster than arithmetic on every pixel: twelve cameras share two cores with the station.
+    # A table is faster than arithmetic on every pixel, and all cameras share the cores with the station.
     table = np.clip(np.rint(black + (values - black) * np.float32(brightness)), 0, 256 * scale - 1)
     kind = np.dtype("<u2") if scale > 1 else np.dtype("u1")
     return np.asarray(table.astype(kind)[pixels.view(kind)]).view(np.uint8)

@@ -52,5 +52,5 @@ def lighting_of(scenario: Scenario) -> Lighting:
 
 def min_interval_s(scenario: Scenario, boards: Sequence[RenderedBoard]) -> float:
     """Return the shortest interval between boards: one must have passed and left its bay before the next."""
-    # 0.8 s for the tail and the feeder's margin, rounded up to a tenth of a second.
+    # 0.8 s for the result and for the release of the bay; rounded up to a tenth of a second.
     return max(scenario.line.interval_s, math.ceil(10 * (max(b.duration_s for b in boards) + 0.8)) / 10)

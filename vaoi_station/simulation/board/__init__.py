@@ -1,1 +1,1 @@
-"""Generate a board: its parts, copper and artwork."""
+"""Generate a board: its parts, its copper and its artwork."""

@@ -1,7 +1,7 @@
-"""What a generated board looks like: its surface as one texture, and one small texture per body.
+"""Paint a generated board: its surface as one texture, and one small texture for each body.
 
-Greys are those of a red solder mask under red light, at gain 1. The surface texture has a rim of belt,
-so that the board ends where it should.
+Grey values are those of a red solder mask under red light, at gain 1. The surface texture has a margin of belt around
+the board, so that the board's edge lies at its exact place.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation.board.bodies import Body, build_bodies
 from vaoi_station.simulation.board.canvas import Bytes, Canvas, bands, to_bytes
 from vaoi_station.simulation.board.layout import Part, mounting_holes, place_parts
-from vaoi_station.simulation.board.packages import Look
+from vaoi_station.simulation.board.packages import Finish
 from vaoi_station.simulation.board.routing import Copper, route
 from vaoi_station.simulation.scenario import BoardSection, FiducialMark
 
 RIM_PX = 2
+"""Width of the margin of belt."""
 MASK, MASK_ON_COPPER, GAP = 62.0, 70.0, 50.0
 TRACE, SILK, GOLD, TIN, COPPER, LAMINATE, HOLE = 88.0, 205.0, 172.0, 186.0, 222.0, 46.0, 12.0
 
 
 @dataclass(frozen=True, eq=False)
 class Artwork:
-    """The board type's looks; shared by all boards of the type."""
+    """The textures of a board type; all boards of the type share them."""
 
     parts: tuple[Part, ...]
     bodies: tuple[Body, ...]
     surface: Bytes
-    """(h, w) grey at gain 1."""
+    """(h, w) grey values at gain 1."""
     metal: Bytes
-    """(h, w) how metallic, 0 to 255."""
+    """(h, w) share of metal, 0 to 255."""
     px_per_mm: float
     origin_mm: tuple[float, float]
 
     def to_px(self, places_mm: Floats) -> Floats:
-        """Texture pixels (..., 2) of board places (..., 2) mm."""
+        """Convert board places (..., 2) mm to texture pixels (..., 2)."""
         return np.asarray((places_mm - self.origin_mm) * self.px_per_mm - 0.5)
 
 
@@ -50,12 +51,14 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
     rim = RIM_PX / px_per_mm
     size = (section.width_mm + 2 * rim, section.length_mm + 2 * rim)
     canvas = Canvas.blank((-rim, -rim), size, px_per_mm, MASK)
+    # Fiducials are painted on a photograph too: their places must be known exactly.
     if section.photograph is None:
         _paint_surface(canvas, section, parts)
     else:
         _paint_photograph(canvas, section)
     for mark in section.marks:
         _paint_fiducial(canvas, mark)
+    # The belt comes last: it cuts off what reaches over the board's edge.
     _paint_belt(canvas, section, belt_grey)
     bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal, 255)
@@ -63,9 +66,10 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
 
 
 def _paint_surface(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
+    """Paint copper, solder mask, silkscreen, vias, holes and pads, in the order in which they are made."""
     copper = route(section, parts)
     _paint_copper(canvas, section, parts, copper)
-    _weave(canvas, section.seed)
+    _paint_mask_texture(canvas, section.seed)
     _paint_silk(canvas, section, parts)
     for place in copper.vias:
         canvas.disc(place, 0.62, GOLD, metal=1.0)
@@ -78,8 +82,10 @@ def _paint_surface(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...
 
 
 def _paint_copper(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...], copper: Copper) -> None:
+    """Paint copper areas, the clearance around traces and pads, and the traces."""
     w, h = section.width_mm, section.length_mm
     canvas.box((w / 2, h / 2), (w - 1.0, h - 1.0), MASK_ON_COPPER)
+    # Clearance is painted for all traces before any trace: it must not cut a trace that runs nearby.
     canvas.strokes(list(copper.traces), 0.6, GAP)
     for part in parts:
         for u, v, pw, ph in part.package.pads:
@@ -89,17 +95,19 @@ def _paint_copper(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]
     canvas.strokes(list(copper.traces), 0.24, TRACE)
 
 
-def _weave(canvas: Canvas, seed: int) -> None:
-    """Solder mask is not quite even: blotches of a millimetre and a fine grain."""
+def _paint_mask_texture(canvas: Canvas, seed: int) -> None:
+    """Add the unevenness of solder mask: blotches of a millimetre and a fine grain."""
     g, (h, w), k = np.random.default_rng([seed, 7030]), canvas.grey.shape, canvas.px_per_mm
     coarse = g.standard_normal((int(h / k) + 3, int(w / k) + 3), dtype=np.float32)
     fine = cv2.GaussianBlur(g.standard_normal((h, w), dtype=np.float32), (0, 0), max(0.035 * k, 0.6))
     blotches, scatter = cv2.resize(coarse, (w, h), interpolation=cv2.INTER_LINEAR), fine.std()
+    # In bands: on a large board each temporary array of the whole size would take a gigabyte.
     for band in bands(h):
         canvas.grey[band] += 1.6 * blotches[band] + 1.3 * fine[band] / scatter
 
 
 def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
+    """Paint outlines, names and marks of pin 1."""
     outlines = []
     for part in parts:
         w, h = part.package.body
@@ -111,18 +119,19 @@ def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) 
             local = np.array([[-x, -y], [x, -y], [x, y], [-x, y], [-x, -y]])
         outlines.append(part.to_board(local))
         _paint_ref(canvas, part)
-        if part.package.look is Look.EPOXY and part.package.size[0] > 4:
+        if part.package.finish is Finish.EPOXY and part.package.size[0] > 4:
             u, v, *_ = part.package.pads[0]
             canvas.disc(part.to_board_point(u, v - 0.9), 0.35, SILK)
     canvas.strokes(outlines, 0.13, SILK)
     w, h = section.width_mm, section.length_mm
     if w >= 30:
         canvas.text(section.name.upper(), (w * 0.5, h - 2.2), min(1.6, h / 25), SILK)
+        # This lettering is artwork, not language: another letter would change every simulated frame.
         canvas.text("REV B  MADE BY NOBODY", (w * 0.5 + 0.25 * w, h - 2.0), min(0.9, h / 40), SILK)
 
 
 def _paint_ref(canvas: Canvas, part: Part) -> None:
-    """The name beside the part: for chips, which stand side by side in groups, on the side that is free."""
+    """Paint the name beside the part; for chips, which stand side by side in groups, on the free side."""
     half_w, half_h = part.half_extent
     x, y = part.place
     tall = 1.0 if min(part.package.size) > 1.5 else 0.65
@@ -141,6 +150,8 @@ def _paint_ref(canvas: Canvas, part: Part) -> None:
 
 
 def _paint_pads(canvas: Canvas, part: Part) -> None:
+    # The seed is the name: another part more or less does not change the others' pads.
+    """Paint pads and leads, each pad with its own brightness."""
     g = np.random.default_rng([len(part.ref), *part.ref.encode()])
     for u, v, w, h in part.package.pads:
         x, y = part.to_board(np.array([u, v]))
@@ -155,7 +166,7 @@ def _paint_pads(canvas: Canvas, part: Part) -> None:
 
 
 def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
-    """Bare copper inside a ring without mask; drawn last, on even ground, at its exact place."""
+    """Paint bare copper inside a ring without mask, at its exact place and on an even ground."""
     place, d = (mark.x_mm, mark.y_mm), mark.diameter_mm
     canvas.disc(place, 2.2 * d, LAMINATE)
     if mark.shape == "circle":
@@ -168,7 +179,7 @@ def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
 
 
 def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
-    """Everything off the board, with its edge at its exact place."""
+    """Paint everything off the board in the belt's grey, with the edge at its exact place."""
     mask = Canvas(np.zeros_like(canvas.grey), np.zeros_like(canvas.metal), canvas.origin_mm, canvas.px_per_mm)
     w, h = section.width_mm, section.length_mm
     mask.box((w / 2, h / 2), (w, h), 1.0)
@@ -179,7 +190,7 @@ def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
 
 
 def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:
-    """A photograph of a board, stretched over the board's outline."""
+    """Stretch a photograph of a board over the board's outline."""
     assert section.photograph is not None
     image = read_image(section.photograph)
     if min(image.shape[:2]) < 16:
@@ -193,6 +204,7 @@ def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:
     )
     h, w = canvas.grey.shape
     shrink = min(k / to_photo[0, 0], 1.0)
+    # A photograph with more pixels than the texture is blurred first, or it would alias.
     soft = cv2.GaussianBlur(grey, (0, 0), 0.4 / shrink) if shrink < 1 else grey
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     canvas.grey[:] = cv2.warpAffine(soft, to_photo @ from_px, (w, h), flags=flags, borderMode=cv2.BORDER_REPLICATE)

@@ -1,4 +1,4 @@
-"""Bodies of parts: prisms and cylinders that stand above the board, each with a texture of its top."""
+"""Bodies of parts: prisms and cylinders above the board, each with a texture of its top."""
 
 from __future__ import annotations
 
@@ -9,57 +9,58 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation.board.canvas import Bytes, Canvas, to_bytes
 from vaoi_station.simulation.board.layout import Part
-from vaoi_station.simulation.board.packages import Look
+from vaoi_station.simulation.board.packages import Finish
 
 _MARGIN_PX = 3
 _TOP = {
-    Look.EPOXY: 40.0,
-    Look.RESISTOR: 32.0,
-    Look.CERAMIC: 112.0,
-    Look.CAN: 176.0,
-    Look.COIL: 48.0,
-    Look.CRYSTAL: 178.0,
-    Look.SOCKET: 158.0,
-    Look.HEADER: 26.0,
+    Finish.EPOXY: 40.0,
+    Finish.RESISTOR: 32.0,
+    Finish.CERAMIC: 112.0,
+    Finish.CAN: 176.0,
+    Finish.COIL: 48.0,
+    Finish.CRYSTAL: 178.0,
+    Finish.SOCKET: 158.0,
+    Finish.HEADER: 26.0,
 }
-_METALLIC = {Look.CAN: 0.8, Look.CRYSTAL: 1.0, Look.SOCKET: 0.8}
+_METALLIC = {Finish.CAN: 0.8, Finish.CRYSTAL: 1.0, Finish.SOCKET: 0.8}
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One body; its outline (k, 2) and its texture's origin are in board mm where the CAD data put it."""
+    """One body; its outline (k, 2) and its texture's origin are in board mm at the part's CAD position."""
 
     ref: str
     outline_mm: Floats
     height_mm: float
     side_grey: float
-    middle_mm: tuple[float, float]
+    center_mm: tuple[float, float]
     top: Bytes
     metal: Bytes
     cover: Bytes
-    """Share of each texture pixel the top covers, 0 to 255."""
+    """Share of each texture pixel that the top covers, 0 to 255."""
     origin_mm: tuple[float, float]
     px_per_mm: float
 
     def to_px(self, places_mm: Floats) -> Floats:
-        """Texture pixels (..., 2) of board places (..., 2)."""
+        """Convert board places (..., 2) to texture pixels (..., 2)."""
         return np.asarray((places_mm - self.origin_mm) * self.px_per_mm - 0.5)
 
 
 def build_bodies(parts: tuple[Part, ...], px_per_mm: float, photograph: Canvas | None) -> tuple[Body, ...]:
-    """All bodies that stand above the board; with a photograph it paints their tops too."""
+    """Build all bodies that stand above the board; with a photograph, their tops show its pixels."""
     return tuple(_build(part, px_per_mm, photograph) for part in parts if part.body_height_mm > 0)
 
 
 def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
     outline = part.to_board(_outline(part))
     margin = _MARGIN_PX / px_per_mm
+    # The origin lies on the grid of whole texture pixels, so that all bodies are sampled alike.
     low = np.floor((outline.min(0) - margin) * px_per_mm) / px_per_mm
     size = outline.max(0) + margin - low
     origin = (float(low[0]), float(low[1]))
-    grey = _TOP[part.package.look]
+    grey = _TOP[part.package.finish]
     canvas = Canvas.blank(origin, (float(size[0]), float(size[1])), px_per_mm, grey)
-    canvas.metal[:] = _METALLIC.get(part.package.look, 0.0)
+    canvas.metal[:] = _METALLIC.get(part.package.finish, 0.0)
     if photograph is None:
         _paint_top(canvas, part)
     else:
@@ -74,7 +75,7 @@ def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
         outline_mm=outline,
         height_mm=part.body_height_mm,
         side_grey=grey * 0.75,
-        middle_mm=part.place,
+        center_mm=part.place,
         top=to_bytes(canvas.grey),
         metal=to_bytes(canvas.metal, 255),
         cover=to_bytes(cover.grey),
@@ -84,6 +85,7 @@ def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
 
 
 def _outline(part: Part) -> Floats:
+    """Return the outline of a body in local coordinates, (k, 2) mm."""
     w, h = part.package.body
     if part.package.round:
         a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
@@ -92,11 +94,11 @@ def _outline(part: Part) -> Floats:
 
 
 def _paint_top(canvas: Canvas, part: Part) -> None:
-    _PAINTERS[part.package.look](canvas, part)
+    _PAINTERS[part.package.finish](canvas, part)
 
 
 def _copy(canvas: Canvas, photograph: Canvas) -> None:
-    """The photograph's pixels at this place; both canvases share scale but not the sub-pixel origin."""
+    """Copy the photograph's pixels at this place; both canvases have the same scale but another sub-pixel origin."""
     x, y = np.rint(photograph.to_px(np.array(canvas.origin_mm) + 0.5 / canvas.px_per_mm)).astype(int)
     h, w = canvas.grey.shape
     rows = np.clip(np.arange(y, y + h), 0, photograph.grey.shape[0] - 1)
@@ -106,6 +108,7 @@ def _copy(canvas: Canvas, photograph: Canvas) -> None:
 
 def _epoxy(canvas: Canvas, part: Part) -> None:
     w, h = part.package.body
+    # A body this small has room for two letters only.
     if min(w, h) < 2:
         canvas.text(_code(part, 2), part.place, 0.7, 120.0, part.turned_deg)
         return
@@ -130,6 +133,7 @@ def _ceramic(canvas: Canvas, part: Part) -> None:
 
 
 def _caps(canvas: Canvas, part: Part, share: float) -> None:
+    """Paint the two metal end caps of a chip."""
     w, h = part.package.body
     for side in (-1, 1):
         canvas.box(
@@ -177,23 +181,26 @@ def _header(canvas: Canvas, part: Part) -> None:
 
 
 GOLD_PIN = 182.0
+# A table in place of branches: every finish must have its painter, or the lookup fails at once.
 _PAINTERS = {
-    Look.EPOXY: _epoxy,
-    Look.RESISTOR: _resistor,
-    Look.CERAMIC: _ceramic,
-    Look.CAN: _can,
-    Look.COIL: _coil,
-    Look.CRYSTAL: _crystal,
-    Look.SOCKET: _socket,
-    Look.HEADER: _header,
+    Finish.EPOXY: _epoxy,
+    Finish.RESISTOR: _resistor,
+    Finish.CERAMIC: _ceramic,
+    Finish.CAN: _can,
+    Finish.COIL: _coil,
+    Finish.CRYSTAL: _crystal,
+    Finish.SOCKET: _socket,
+    Finish.HEADER: _header,
 }
 
 
 def _code(part: Part, length: int, line: int = 0) -> str:
+    """Return random lettering for a part; it depends on the part's name and the line only."""
     g = np.random.default_rng([line, *part.ref.encode()])
     return "".join(g.choice(list("ABCDEFGHKLMNPRSTUVXZ0123456789"), length))
 
 
 def _digits(part: Part) -> str:
+    """Return a random value code for a part."""
     g = np.random.default_rng([9, *part.ref.encode()])
     return f"{g.integers(10, 99)}{g.integers(0, 5)}"

@@ -1,11 +1,11 @@
-"""Painting in millimetres without rounding to pixels: OpenCV's own shapes round to 1/16 px.
+"""Paint shapes in millimetres without rounding them to pixels; OpenCV's own shapes round to 1/16 px.
 
-A pixel takes the share of a shape under a hat two pixels wide about its middle, not the area inside its
-square: hats keep a shape's area and middle exactly at any sub-pixel place, squares shift a box of 12 px by
-up to 0.01 px.
+A pixel takes the share of a shape under a hat function two pixels wide, centred on the pixel, instead of the area
+inside the pixel's square. Hats keep the area and the centroid of a shape exact at any sub-pixel place; squares move
+the centroid of a box of 12 px by up to 0.01 px.
 
-A canvas covers a rectangle of the board; pixel (0, 0)'s outer corner is at `origin_mm`. Besides the
-grey value it keeps how metallic a pixel is, since LED patterns light metal differently.
+A canvas covers a rectangle of the board; the outer corner of pixel (0, 0) is at `origin_mm`. Besides the grey value it
+holds the share of metal of each pixel, because LED patterns light metal differently.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ Plane = NDArray[np.floating[Any]]
 Bytes = NDArray[np.uint8]
 
 _FINE = 4
-"""Finer steps per pixel and axis where a turned edge meets the pixels at an angle."""
+"""Subdivisions per pixel and axis where a rotated edge crosses the pixels at an angle."""
 _BAND_PX = 64
 _LARGE_PX = 64
-"""Half diagonal from which a turned box is painted on the pixels themselves: long edges even out."""
+"""Half diagonal from which a rotated box is painted without subdivision: along long edges the errors average out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """Grey values and metal share being painted; (h, w) float32 each."""
+    """Grey values and share of metal, (h, w) float32 each, while they are painted."""
 
     grey: Plane
     metal: Plane
@@ -45,12 +45,12 @@ class Canvas:
     def blank(
         cls, origin_mm: tuple[float, float], size_mm: tuple[float, float], px_per_mm: float, grey: float
     ) -> Canvas:
-        """A canvas of one grey that covers at least the given rectangle."""
+        """Return a canvas of one grey value that covers at least the given rectangle."""
         w, h = (math.ceil(s * px_per_mm) for s in size_mm)
         return cls(np.full((h, w), grey, np.float32), np.zeros((h, w), np.float32), origin_mm, px_per_mm)
 
     def to_px(self, places_mm: Floats) -> Floats:
-        """Pixel coordinates (..., 2) of board places (..., 2); pixel centres are integers."""
+        """Convert board places (..., 2) to pixel coordinates (..., 2); pixel centres are integers."""
         return np.asarray((np.asarray(places_mm) - self.origin_mm) * self.px_per_mm - 0.5)
 
     def box(
@@ -62,31 +62,33 @@ class Canvas:
         metal: float = 0.0,
         turned_deg: float = 0.0,
     ) -> None:
-        """A rectangle of size (w, h) mm about its middle, turned counter-clockwise as seen."""
+        """Paint a rectangle of size (w, h) mm about its centre, rotated counter-clockwise as seen."""
         window, coverage = self._box_coverage(place, size, turned_deg)
         self._blend(window, coverage, grey, metal)
 
     def disc(self, place: tuple[float, float], diameter: float, grey: float, *, metal: float = 0.0) -> None:
-        """A disc about its middle."""
+        """Paint a disc about its centre."""
         (x, y), r = self.to_px(np.array(place)), diameter / 2 * self.px_per_mm
         window, u, v = self._window(x, y, r, r)
         if u.size and v.size:
             self._blend(window, _step(r - np.hypot(u[None], v[:, None])), grey, metal)
 
     def cross(self, place: tuple[float, float], size: float, width: float, grey: float, *, metal: float = 0.0) -> None:
-        """An upright cross: arms `size` long from tip to tip and `width` wide."""
+        """Paint an upright cross: arms `size` long from tip to tip and `width` wide."""
         window, across = self._box_coverage(place, (size, width), 0.0, reach=size)
         _, along = self._box_coverage(place, (width, size), 0.0, reach=size)
         _, shared = self._box_coverage(place, (width, width), 0.0, reach=size)
+        # The square in the middle belongs to both arms and must be counted once.
         self._blend(window, across + along - shared, grey, metal)
 
     def strokes(
         self, lines_mm: list[Floats], width_mm: float, grey: float, *, metal: float = 0.0, closed: bool = False
     ) -> None:
-        """Polylines of one width with round ends; their edges are good to 1/16 px."""
+        """Paint polylines of one width with round ends; their edges are exact to 1/16 px."""
         if not lines_mm:
             return
         mask = np.zeros(self.grey.shape, np.uint8)
+        # The last argument of polylines (4) is the number of fractional bits: 1/16 px.
         points = [np.round(self.to_px(line) * 16).astype(np.int32) for line in lines_mm]
         thickness = max(round(width_mm * self.px_per_mm), 1)
         cv2.polylines(mask, points, closed, 255, thickness, cv2.LINE_AA, 4)
@@ -95,8 +97,8 @@ class Canvas:
     def text(
         self, text: str, place: tuple[float, float], height_mm: float, grey: float, turned_deg: float = 0.0
     ) -> None:
-        """Text about its middle, turned counter-clockwise; capitals are `height_mm` tall."""
-        mask = _lettering(text, max(round(height_mm * self.px_per_mm), 5))
+        """Paint text about its centre, rotated counter-clockwise; capitals are `height_mm` tall."""
+        mask = _text_mask(text, max(round(height_mm * self.px_per_mm), 5))
         x, y = self.to_px(np.array(place))
         reach = math.hypot(*mask.shape) / 2 + 1
         window, u, v = self._window(x, y, reach, reach)
@@ -113,6 +115,7 @@ class Canvas:
     def _box_coverage(
         self, place: tuple[float, float], size: tuple[float, float], turned_deg: float, reach: float | None = None
     ) -> tuple[tuple[slice, slice], Plane]:
+        """Return the pixels that a box can touch, and the share of each that it covers."""
         w, h = size
         quarter = turned_deg % 90 == 0
         if quarter and turned_deg % 180 == 90:
@@ -127,16 +130,17 @@ class Canvas:
         window, u, v = self._window(x, y, radius, radius)
         a = math.radians(turned_deg)
         c, s = math.cos(a), math.sin(a)
+        # Without this branch a large rotated box would need 16 times the memory of its window.
         if radius > _LARGE_PX:
             along, across = c * u[None] - s * v[:, None], s * u[None] + c * v[:, None]
             return window, np.asarray(_span(along, w) * _span(across, h))
-        (fine_u, hats_u), (fine_v, hats_v) = _finely(u), _finely(v)
+        (fine_u, hats_u), (fine_v, hats_v) = _supersample(u), _supersample(v)
         along, across = c * fine_u[None] - s * fine_v[:, None], s * fine_u[None] + c * fine_v[:, None]
         inside = _span(along * _FINE, w * _FINE) * _span(across * _FINE, h * _FINE)
         return window, np.asarray(hats_v @ inside @ hats_u.T)
 
     def _window(self, x: float, y: float, half_w: float, half_h: float) -> tuple[tuple[slice, slice], Plane, Plane]:
-        """The pixels a shape can touch, and their offsets from its middle along x and along y."""
+        """Return the pixels that a shape can touch, and their offsets from its centre along x and along y."""
         h, w = self.grey.shape
         x0, x1 = max(math.floor(x - half_w - 1), 0), min(math.ceil(x + half_w + 2), w)
         y0, y1 = max(math.floor(y - half_h - 1), 0), min(math.ceil(y + half_h + 2), h)
@@ -144,7 +148,7 @@ class Canvas:
         return np.s_[y0 : max(y1, y0), x0 : max(x1, x0)], u.astype(np.float32), v.astype(np.float32)
 
     def _blend(self, window: tuple[slice, slice], coverage: Plane | Bytes, grey: float, metal: float) -> None:
-        """Coverage as a share, or as bytes of 255 to the whole."""
+        """Blend a value in; the coverage is a share, or bytes with 255 for the whole."""
         for band in bands(len(coverage)):
             share = coverage[band]
             if share.dtype == np.uint8:
@@ -154,8 +158,8 @@ class Canvas:
                 part += (np.float32(value) - part) * share
 
 
-def _finely(offset: Plane) -> tuple[Plane, Plane]:
-    """Offsets (n,) → finer ones (k,), and the hats (n, k) about the given ones that sum them up."""
+def _supersample(offset: Plane) -> tuple[Plane, Plane]:
+    """Convert offsets (n,) to finer ones (k,), and return the hats (n, k) that sum them up at the given offsets."""
     if not offset.size:
         return offset, np.zeros((0, 0), np.float32)
     fine = np.arange((len(offset) + 1) * _FINE + 1, dtype=np.float32) / _FINE - 1
@@ -164,33 +168,35 @@ def _finely(offset: Plane) -> tuple[Plane, Plane]:
 
 
 def bands(rows: int) -> Iterator[slice]:
-    """An image's rows, a few at a time: what lies between stays in the cache, and large boards fit into memory."""
+    """Split an image's rows into bands: temporary arrays then fit into the cache, and large boards into memory."""
     return (slice(k, k + _BAND_PX) for k in range(0, rows, _BAND_PX))
 
 
 def to_bytes(plane: Plane, gain: float = 1.0) -> Bytes:
-    """Times a gain, rounded and clipped to 8 bit, read-only."""
+    """Multiply by a gain, round and clip to 8 bit; the result is read-only."""
     result = np.empty(plane.shape, np.uint8)
     for band in bands(len(plane)):
         result[band] = np.clip(np.rint(plane[band] * np.float32(gain)), 0, 255)
+    # Textures are shared by threads that render frames; a write would change other frames.
     result.setflags(write=False)
     return result
 
 
 def _step(depth: Plane) -> Plane:
-    """Integral of a hat of half width 1 from minus infinity to `depth`."""
+    """Integrate a hat of half width 1 from minus infinity to `depth`."""
     t = np.clip(depth, -1, 1)
     return np.asarray(np.where(t < 0, (t + 1) ** 2 / 2, 1 - (1 - t) ** 2 / 2), np.float32)
 
 
 def _span(offset: Plane, width: float) -> Plane:
-    """Share of an interval of `width` about 0 under the hats at these offsets."""
+    """Return the share of an interval of `width` about 0 under the hats at these offsets."""
     return np.asarray(_step(offset + width / 2) - _step(offset - width / 2))
 
 
 @lru_cache(maxsize=2048)
-def _lettering(text: str, height_px: int) -> Bytes:
-    """A mask of text whose capitals are `height_px` tall."""
+def _text_mask(text: str, height_px: int) -> Bytes:
+    """Return a mask of text whose capitals are `height_px` tall."""
+    # OpenCV scales a font, it does not take a height: measure a capital at a trial scale.
     font, trial = cv2.FONT_HERSHEY_SIMPLEX, 2.0
     (_, tall), _ = cv2.getTextSize("H", font, trial, 1)
     scale = trial * height_px / max(tall, 1)

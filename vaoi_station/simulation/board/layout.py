@@ -1,4 +1,4 @@
-"""Where the parts of a generated board stand, and its board type.
+"""Place the parts of a generated board, and describe the board as CAD data.
 
 Board coordinates: mm, origin in the top left corner as the camera sees the board, x right, y down.
 """
@@ -23,7 +23,7 @@ _TRIES = 60
 
 @dataclass(frozen=True)
 class Part:
-    """One placed part; `turned_deg` counts counter-clockwise as the camera sees it."""
+    """One placed part; `turned_deg` is counter-clockwise as the camera sees it."""
 
     ref: str
     package: Package
@@ -32,24 +32,24 @@ class Part:
     body_height_mm: float
 
     def to_board(self, local: Floats) -> Floats:
-        """Board places (..., 2) of local ones (..., 2)."""
+        """Convert local coordinates (..., 2) to board places (..., 2)."""
         a = math.radians(self.turned_deg)
         c, s = math.cos(a), math.sin(a)
         return np.asarray(local @ np.array([[c, -s], [s, c]]) + self.place)
 
     def to_board_point(self, u: float, v: float) -> tuple[float, float]:
-        """The same for one point."""
+        """Convert one local point to a board place."""
         x, y = self.to_board(np.array([u, v]))
         return float(x), float(y)
 
     @property
     def half_extent(self) -> tuple[float, float]:
-        """Half width and height of its footprint's upright bounding box."""
+        """Half width and height of the footprint's upright bounding box."""
         return _half_extent(self.package, self.turned_deg)
 
 
 def board_from_cad(section: BoardSection) -> Floats:
-    """CAD coordinates to board coordinates, (3, 3): unit, y axis and side as the scenario says."""
+    """Return the matrix CAD to board coordinates, (3, 3): unit, y axis and side as the scenario states."""
     k = MM_PER_UNIT[section.unit]
     flip_x, flip_y = section.side == "bottom", section.y_axis == "up"
     return np.array(
@@ -62,13 +62,15 @@ def board_from_cad(section: BoardSection) -> Floats:
 
 
 def board_type(section: BoardSection, parts: tuple[Part, ...]) -> BoardType:
-    """The CAD description of the board."""
+    """Describe the board as CAD data."""
     k = MM_PER_UNIT[section.unit]
     back = np.linalg.inv(board_from_cad(section))
+    # CAD data describe a board as seen from its top, so the bottom side turns the other way.
     spin = -1.0 if section.side == "bottom" else 1.0
 
     def cad(x: float, y: float) -> tuple[float, float]:
         u, v = apply(back, (x, y))
+        # Rounded to a millionth of a millimetre: the inverse leaves digits like 12.299999999999999.
         return round(float(u), 9), round(float(v), 9)
 
     fiducials = [
@@ -104,17 +106,17 @@ def board_type(section: BoardSection, parts: tuple[Part, ...]) -> BoardType:
 
 
 def place_parts(section: BoardSection) -> tuple[Part, ...]:
-    """Parts of decreasing size at random free places, small ones in aligned groups."""
-    return _Floor(section).fill()
+    """Place parts of decreasing size at random free places, small ones in aligned groups."""
+    return _PartPlacer(section).fill()
 
 
-class _Floor:
-    """The board while parts are being set on it."""
+class _PartPlacer:
+    """The parts and occupied rectangles of a board while parts are placed."""
 
     def __init__(self, section: BoardSection) -> None:
         self.section = section
         self.size = (section.width_mm, section.length_mm)
-        self.g = np.random.default_rng([section.seed, 7010])
+        self.random = np.random.default_rng([section.seed, 7010])
         self.parts: list[Part] = []
         self.numbers: Counter[str] = Counter()
         self.taken = [(m.x_mm, m.y_mm, 1.6 * m.diameter_mm + 0.4, 1.6 * m.diameter_mm + 0.4) for m in section.marks] + [
@@ -122,46 +124,52 @@ class _Floor:
         ]
 
     def fill(self) -> tuple[Part, ...]:
+        """Place all parts and return them."""
         area_cm2 = self.section.width_mm * self.section.length_mm / 100
         wanted = round(self.section.density * area_cm2)
         for n in range(round(wanted * 0.09)):
-            self._set(BIG[n % len(BIG)](), 1)
+            self._place_group(BIG[n % len(BIG)](), 1)
         for n in range(round(wanted * 0.14)):
-            self._set(MIDDLE[n % len(MIDDLE)](), 1)
+            self._place_group(MIDDLE[n % len(MIDDLE)](), 1)
+        # A dense board has room for fewer parts than wanted: give up after 40 misses.
         misses = 0
         while len(self.parts) < wanted and misses < 40:
-            package = SMALL[int(self.g.integers(len(SMALL)))]()
-            misses += not self._set(package, min(int(self.g.integers(2, 7)), wanted - len(self.parts)))
+            package = SMALL[int(self.random.integers(len(SMALL)))]()
+            misses += not self._place_group(package, min(int(self.random.integers(2, 7)), wanted - len(self.parts)))
         return tuple(self.parts)
 
-    def _set(self, package: Package, count: int) -> bool:
-        """Set a group of equal parts side by side; False where no place was found."""
+    def _place_group(self, package: Package, count: int) -> bool:
+        """Place a group of equal parts side by side; False if no place was found."""
         for _ in range(_TRIES):
-            turned = 90.0 * int(self.g.integers(4))
+            turned = 90.0 * int(self.random.integers(4))
+            # A QFP that is not the first integrated circuit stands at 45°: its leads run diagonally.
             if package.name == "QFP-64" and self.numbers["U"] > 0:
                 turned += 45.0
             half = _half_extent(package, turned)
             step = (0.0, 2 * half[1] + 0.5) if turned % 180 == 0 else (2 * half[0] + 0.5, 0.0)
-            x, y = (self._anywhere(h, s) for h, s in zip(half, self.size, strict=True))
+            x, y = (self._random_coordinate(h, s) for h, s in zip(half, self.size, strict=True))
             places = [(round(x + n * step[0], 3), round(y + n * step[1], 3)) for n in range(count)]
             if all(self._free(place, half) for place in places):
                 for place in places:
-                    self._put(package, place, turned, half)
+                    self._add_part(package, place, turned, half)
                 return True
         return False
 
-    def _anywhere(self, half: float, size: float) -> float:
+    def _random_coordinate(self, half: float, size: float) -> float:
+        """Draw a coordinate that keeps a part on the board."""
         least = half + _EDGE_MM
-        return float(self.g.uniform(least, max(size - least, least)))
+        return float(self.random.uniform(least, max(size - least, least)))
 
     def _free(self, place: tuple[float, float], half: tuple[float, float]) -> bool:
+        """Whether a part fits at a place, with clearance to the others and to the board's edge."""
         x, y = place
         inside = all(h + _EDGE_MM <= p <= s - h - _EDGE_MM for p, h, s in zip(place, half, self.size, strict=True))
         return inside and not any(
             abs(x - u) < half[0] + w + _GAP_MM and abs(y - v) < half[1] + h + _GAP_MM for u, v, w, h in self.taken
         )
 
-    def _put(self, package: Package, place: tuple[float, float], turned: float, half: tuple[float, float]) -> None:
+    def _add_part(self, package: Package, place: tuple[float, float], turned: float, half: tuple[float, float]) -> None:
+        """Add a part with the next number of its prefix."""
         self.numbers[package.prefix] += 1
         ref = f"{package.prefix}{self.numbers[package.prefix]}"
         height = round(package.body_height * self.section.height_scale, 4)
@@ -170,13 +178,14 @@ class _Floor:
 
 
 def mounting_holes(section: BoardSection) -> tuple[tuple[float, float], ...]:
-    """Two holes on large boards, in the corners the default fiducials leave free."""
+    """Return two holes on large boards, in the corners that the default fiducials leave free."""
     if min(section.width_mm, section.length_mm) < 45:
         return ()
     return (4.5, section.length_mm - 4.5), (section.width_mm / 2, 4.5)
 
 
 def _half_extent(package: Package, turned_deg: float) -> tuple[float, float]:
+    """Return half width and height of the upright bounding box of a rotated footprint."""
     a = math.radians(turned_deg)
     c, s = abs(math.cos(a)), abs(math.sin(a))
     w, h = package.size

@@ -1,6 +1,6 @@
-"""The packages of the parts: footprints, leads and bodies in millimetres, before rotation.
+"""Packages of the parts: footprints, leads and bodies in millimetres, before rotation.
 
-Local coordinates: origin in the middle of the footprint, u to the right, v down as the camera sees it.
+Local coordinates: origin in the centre of the footprint, u to the right, v down as the camera sees it.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 Box = tuple[float, float, float, float]
-"""Middle u, v and size w, h."""
+"""Centre u, v and size w, h."""
 
 
-class Look(StrEnum):
+class Finish(StrEnum):
     """How the top of a body is painted."""
 
     EPOXY = "epoxy"
@@ -33,82 +33,84 @@ class Package:
     name: str
     prefix: str
     size: tuple[float, float]
-    """Footprint, pads included: what the CAD data call width and height."""
+    """Footprint with its pads: width and height in the CAD data."""
     body: tuple[float, float]
     body_height: float
-    look: Look
+    finish: Finish
     pads: tuple[Box, ...]
     leads: tuple[Box, ...] = ()
 
     @property
     def small(self) -> bool:
-        """Whether it is a chip that stands in groups."""
-        return self.look in (Look.RESISTOR, Look.CERAMIC)
+        """Whether it is a chip that is placed in groups."""
+        return self.finish in (Finish.RESISTOR, Finish.CERAMIC)
 
     @property
     def round(self) -> bool:
         """Whether the body is a cylinder."""
-        return self.look is Look.CAN
+        return self.finish is Finish.CAN
 
 
-def chip(name: str, prefix: str, size: tuple[float, float], height: float, look: Look) -> Package:
-    """Two-pole chip: resistor, capacitor."""
+def chip(name: str, prefix: str, size: tuple[float, float], height: float, finish: Finish) -> Package:
+    """Return a chip with two terminals: resistor or capacitor."""
     length, width = size
     pad = max(0.35 * length, 0.35)
     offset, tall = length / 2, width * 1.1
+    # Pads are 10 % wider than the chip, so that solder is visible beside it.
     pads = ((-offset, 0.0, pad, tall), (offset, 0.0, pad, tall))
-    return Package(name, prefix, (length + pad, tall), size, height, look, pads)
+    return Package(name, prefix, (length + pad, tall), size, height, finish, pads)
 
 
 def small_outline(name: str, *, pins: int, pitch: float, body: tuple[float, float], height: float) -> Package:
-    """Gull-wing leads on the left and right (SOIC, TSSOP)."""
+    """Return a package with gull-wing leads on the left and right (SOIC, TSSOP)."""
     reach, wide = 0.9, pitch * 0.4
     pads, leads = _row_pair(pins // 2, pitch, body[0], reach, wide)
-    return Package(name, "U", (body[0] + 2 * reach + 0.4, body[1]), body, height, Look.EPOXY, pads, leads)
+    return Package(name, "U", (body[0] + 2 * reach + 0.4, body[1]), body, height, Finish.EPOXY, pads, leads)
 
 
 def quad_flat(name: str, *, pins: int, pitch: float, body: float, height: float) -> Package:
-    """Leads on all four sides."""
+    """Return a package with leads on all four sides."""
     reach, wide = 1.0, pitch * 0.5
     pads, leads = _row_pair(pins // 4, pitch, body, reach, wide)
     turned = tuple((v, u, h, w) for u, v, w, h in pads)
     turned_leads = tuple((v, u, h, w) for u, v, w, h in leads)
     size = body + 2 * reach + 0.4
-    return Package(name, "U", (size, size), (body, body), height, Look.EPOXY, pads + turned, leads + turned_leads)
+    return Package(name, "U", (size, size), (body, body), height, Finish.EPOXY, pads + turned, leads + turned_leads)
 
 
 def sot23() -> Package:
-    """Transistor with three leads."""
+    """Return a transistor with three leads."""
     pads = ((-0.95, 1.1, 0.7, 0.9), (0.95, 1.1, 0.7, 0.9), (0.0, -1.1, 0.7, 0.9))
     leads = ((-0.95, 1.0, 0.4, 0.7), (0.95, 1.0, 0.4, 0.7), (0.0, -1.0, 0.4, 0.7))
-    return Package("SOT-23", "Q", (2.9, 3.1), (2.9, 1.3), 1.0, Look.EPOXY, pads, leads)
+    return Package("SOT-23", "Q", (2.9, 3.1), (2.9, 1.3), 1.0, Finish.EPOXY, pads, leads)
 
 
 def can_capacitor(diameter: float, height: float) -> Package:
-    """Electrolytic capacitor: a cylinder on two pads."""
+    """Return an electrolytic capacitor: a cylinder on two pads."""
     pad = ((-diameter * 0.45, 0.0, diameter * 0.35, 1.2), (diameter * 0.45, 0.0, diameter * 0.35, 1.2))
     name = f"CAN-{diameter:g}"
-    return Package(name, "C", (diameter * 1.25, diameter), (diameter, diameter), height, Look.CAN, pad)
+    return Package(name, "C", (diameter * 1.25, diameter), (diameter, diameter), height, Finish.CAN, pad)
 
 
 def header(columns: int, rows: int) -> Package:
-    """Pin header, 2.54 mm."""
+    """Return a pin header with a pitch of 2.54 mm."""
     at = [((i - (columns - 1) / 2) * 2.54, (j - (rows - 1) / 2) * 2.54) for j in range(rows) for i in range(columns)]
     pads = tuple((u, v, 1.6, 1.6) for u, v in at)
     size = (columns * 2.54, rows * 2.54)
-    return Package(f"HDR-{columns}x{rows}", "J", size, size, 2.5, Look.HEADER, pads)
+    return Package(f"HDR-{columns}x{rows}", "J", size, size, 2.5, Finish.HEADER, pads)
 
 
 def socket(width: float, depth: float, height: float) -> Package:
-    """A shielded connector with two rows of pads."""
+    """Return a shielded connector with one row of pads."""
     n = max(int(width / 1.6), 2)
     pads = tuple(((i - (n - 1) / 2) * 1.3, -depth / 2 - 0.3, 0.7, 1.2) for i in range(n))
-    return Package(f"SOCKET-{width:g}", "J", (width, depth + 1.8), (width, depth), height, Look.SOCKET, pads)
+    return Package(f"SOCKET-{width:g}", "J", (width, depth + 1.8), (width, depth), height, Finish.SOCKET, pads)
 
 
 def _row_pair(
     count: int, pitch: float, body_w: float, reach: float, wide: float
 ) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+    """Return the pads and the leads of two opposite rows."""
     at = [(i - (count - 1) / 2) * pitch for i in range(count)]
     pad_at, lead_at = body_w / 2 + reach * 0.65, body_w / 2 + reach * 0.45
     pads = tuple((side * pad_at, v, reach * 1.1, wide * 1.3) for side in (-1, 1) for v in at)
@@ -116,34 +118,37 @@ def _row_pair(
     return pads, leads
 
 
+# Functions, not packages: they are built when a board needs them, not on import.
 BIG: tuple[Callable[[], Package], ...] = (
     lambda: quad_flat("QFP-64", pins=64, pitch=0.65, body=12.0, height=1.4),
     lambda: header(8, 2),
     lambda: socket(9.0, 7.0, 3.2),
     lambda: can_capacitor(6.3, 5.4),
     lambda: small_outline("SOIC-16", pins=16, pitch=1.27, body=(3.9, 9.9), height=1.5),
-    lambda: Package("COIL", "L", (7.4, 6.6), (6.6, 6.6), 3.0, Look.COIL, ((-3.0, 0.0, 1.4, 3.0), (3.0, 0.0, 1.4, 3.0))),
+    lambda: Package(
+        "COIL", "L", (7.4, 6.6), (6.6, 6.6), 3.0, Finish.COIL, ((-3.0, 0.0, 1.4, 3.0), (3.0, 0.0, 1.4, 3.0))
+    ),
     lambda: small_outline("TSSOP-20", pins=20, pitch=0.65, body=(4.4, 6.5), height=1.1),
     lambda: can_capacitor(8.0, 6.2),
 )
-"""One of each in turn, while there is room for them."""
+"""Large packages, placed in turn while there is room."""
 
 MIDDLE: tuple[Callable[[], Package], ...] = (
     lambda: small_outline("SOIC-8", pins=8, pitch=1.27, body=(3.9, 4.9), height=1.5),
     sot23,
     lambda: Package(
-        "XTAL", "Y", (5.8, 3.2), (5.0, 3.2), 0.9, Look.CRYSTAL, ((-2.2, 0.0, 1.4, 2.4), (2.2, 0.0, 1.4, 2.4))
+        "XTAL", "Y", (5.8, 3.2), (5.0, 3.2), 0.9, Finish.CRYSTAL, ((-2.2, 0.0, 1.4, 2.4), (2.2, 0.0, 1.4, 2.4))
     ),
     sot23,
-    lambda: chip("1206", "C", (3.2, 1.6), 1.2, Look.CERAMIC),
-    lambda: chip("1210", "R", (3.2, 2.5), 0.6, Look.RESISTOR),
+    lambda: chip("1206", "C", (3.2, 1.6), 1.2, Finish.CERAMIC),
+    lambda: chip("1210", "R", (3.2, 2.5), 0.6, Finish.RESISTOR),
 )
 
 SMALL: tuple[Callable[[], Package], ...] = (
-    lambda: chip("0603", "R", (1.6, 0.8), 0.45, Look.RESISTOR),
-    lambda: chip("0402", "C", (1.0, 0.5), 0.5, Look.CERAMIC),
-    lambda: chip("0603", "C", (1.6, 0.8), 0.8, Look.CERAMIC),
-    lambda: chip("0402", "R", (1.0, 0.5), 0.35, Look.RESISTOR),
-    lambda: chip("0805", "C", (2.0, 1.25), 1.0, Look.CERAMIC),
-    lambda: chip("0805", "R", (2.0, 1.25), 0.5, Look.RESISTOR),
+    lambda: chip("0603", "R", (1.6, 0.8), 0.45, Finish.RESISTOR),
+    lambda: chip("0402", "C", (1.0, 0.5), 0.5, Finish.CERAMIC),
+    lambda: chip("0603", "C", (1.6, 0.8), 0.8, Finish.CERAMIC),
+    lambda: chip("0402", "R", (1.0, 0.5), 0.35, Finish.RESISTOR),
+    lambda: chip("0805", "C", (2.0, 1.25), 1.0, Finish.CERAMIC),
+    lambda: chip("0805", "R", (2.0, 1.25), 0.5, Finish.RESISTOR),
 )

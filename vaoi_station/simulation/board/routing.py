@@ -1,6 +1,6 @@
-"""Copper of a generated board: short traces from pads to vias, bundles across free places.
+"""Route the copper of a generated board: short traces from pads to vias, bundles across free places.
 
-A raster of what is taken keeps traces from crossing; its cells are coarse, since nobody measures them.
+A raster of occupied cells keeps traces from crossing. Its cells are coarse, because no measurement depends on traces.
 """
 
 from __future__ import annotations
@@ -23,29 +23,31 @@ _DIRECTIONS = np.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, 
 
 @dataclass(frozen=True)
 class Copper:
-    """Traces (polylines, mm), and vias (middles, mm)."""
+    """Traces (polylines, mm) and vias (centres, mm)."""
 
     traces: tuple[Floats, ...]
     vias: tuple[tuple[float, float], ...]
 
 
 def route(section: BoardSection, parts: tuple[Part, ...]) -> Copper:
-    """Draw copper where there is room for it."""
+    """Route copper where there is room."""
     router = _Router(section)
     for part in parts:
-        router.keep_off(part)
+        router.reserve_pads(part)
     for part in parts:
         router.fan_out(part)
-    router.bundles(round(section.density * section.width_mm * section.length_mm / 400))
+    router.route_bundles(round(section.density * section.width_mm * section.length_mm / 400))
     for part in parts:
-        router.keep_vias_off(part)
-    router.stitching_vias(round(section.density * section.width_mm * section.length_mm / 60))
+        router.reserve_body(part)
+    router.place_stitching_vias(round(section.density * section.width_mm * section.length_mm / 60))
     return Copper(tuple(router.traces), tuple(router.vias))
 
 
 class _Router:
+    """The occupied cells, traces and vias while copper is routed."""
+
     def __init__(self, section: BoardSection) -> None:
-        self.g = np.random.default_rng([section.seed, 7020])
+        self.random = np.random.default_rng([section.seed, 7020])
         self.size = np.array([section.width_mm, section.length_mm])
         w, h = (int(s * _CELLS_PER_MM) + 1 for s in self.size)
         self.taken: NDArray[np.uint8] = np.zeros((h, w), np.uint8)
@@ -56,22 +58,22 @@ class _Router:
         for hole in mounting_holes(section):
             self._take_disc(hole, 2.6)
 
-    def keep_off(self, part: Part) -> None:
-        """Pads are taken."""
+    def reserve_pads(self, part: Part) -> None:
+        """Mark the cells of a part's pads as occupied."""
         for u, v, w, h in part.package.pads:
             corners = np.array([[-w, -h], [w, -h], [w, h], [-w, h]]) / 2 + (u, v)
             cv2.fillConvexPoly(self.taken, self._cells(part.to_board(corners)), 1)
 
-    def keep_vias_off(self, part: Part) -> None:
-        """No stitching vias under a part or its name."""
+    def reserve_body(self, part: Part) -> None:
+        """Keep stitching vias away from a part and its printed name."""
         (x, y), (w, h) = part.place, part.half_extent
         box = np.array([[x - w - 1.6, y - h - 1.6], [x + w, y - h - 1.6], [x + w, y + h], [x - w - 1.6, y + h]])
         cv2.fillConvexPoly(self.taken, self._cells(box), 1)
 
     def fan_out(self, part: Part) -> None:
-        """From most pads a trace goes out, bends, and ends in a via."""
+        """Route a trace with a bend from most pads to a via."""
         for u, v, w, h in part.package.pads:
-            if self.g.random() < 0.15:
+            if self.random.random() < 0.15:
                 continue
             outward = (
                 np.array([u, 0.0])
@@ -83,47 +85,52 @@ class _Router:
             start = part.to_board(np.array([u, v]))
             heading = part.to_board(np.array([u, v]) + outward / np.abs(outward).max()) - start
             k = int(np.argmax(_DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True) @ heading))
+            # A few attempts bound the time; a pad without a trace is normal.
             for _ in range(3):
-                if self._try(start, k, skip_mm=max(w, h) / 2 + 0.3, via=True):
+                if self._try_trace(start, k, skip_mm=max(w, h) / 2 + 0.3, via=True):
                     break
 
-    def bundles(self, count: int) -> None:
-        """Parallel traces across free places."""
+    def route_bundles(self, count: int) -> None:
+        """Route parallel traces across free places."""
         for _ in range(count):
-            start, k = self.g.uniform(2, self.size - 2), int(self.g.integers(8))
-            lengths, bends = self.g.uniform([3, 1, 3], [14, 6, 14]), self.g.choice([-1, 1], 2)
+            start, k = self.random.uniform(2, self.size - 2), int(self.random.integers(8))
+            lengths, bends = self.random.uniform([3, 1, 3], [14, 6, 14]), self.random.choice([-1, 1], 2)
             side = _DIRECTIONS[(k + 2) % 8] / np.linalg.norm(_DIRECTIONS[k])
-            for n in range(int(self.g.integers(3, 9))):
+            for n in range(int(self.random.integers(3, 9))):
                 path = _path(start + n * 0.45 * side, k, lengths, bends)
                 if self._is_free(path, 0.0):
-                    self._lay(path, via=True)
+                    self._add_trace(path, via=True)
 
-    def stitching_vias(self, count: int) -> None:
-        """Vias that tie copper areas together, scattered."""
+    def place_stitching_vias(self, count: int) -> None:
+        """Scatter the vias that connect copper areas."""
         for _ in range(count):
-            place = self.g.uniform(1, self.size - 1)
+            place = self.random.uniform(1, self.size - 1)
             if self._is_free(np.array([place, place + 0.01]), 0.0):
                 self.vias.append((float(place[0]), float(place[1])))
                 self._take_disc(self.vias[-1], 0.7)
 
-    def _try(self, start: Floats, k: int, skip_mm: float, *, via: bool) -> bool:
-        lengths = self.g.uniform([0.6, 0.5, 0.5], [3, 4, 9])
-        path = _path(start, k, lengths[: int(self.g.integers(1, 4))], self.g.choice([-1, 1], 2))
+    def _try_trace(self, start: Floats, k: int, skip_mm: float, *, via: bool) -> bool:
+        """Route one random trace from a pad; False if it is not free."""
+        lengths = self.random.uniform([0.6, 0.5, 0.5], [3, 4, 9])
+        path = _path(start, k, lengths[: int(self.random.integers(1, 4))], self.random.choice([-1, 1], 2))
         if not self._is_free(path, skip_mm):
             return False
-        self._lay(path, via=via)
+        self._add_trace(path, via=via)
         return True
 
     def _is_free(self, path: Floats, skip_mm: float) -> bool:
+        """Whether a path stays on the board and crosses no occupied cell, beyond `skip_mm` from its start."""
         steps = [np.linspace(a, b, max(int(np.hypot(*(b - a)) * _CELLS_PER_MM * 1.4), 2)) for a, b in pairwise(path)]
         points = np.vstack(steps)
         if (points < 0.8).any() or (points > self.size - 0.8).any():
             return False
+        # The start lies on the pad itself, whose cells are occupied.
         points = points[np.hypot(*(points - path[0]).T) >= skip_mm]
         x, y = (points * _CELLS_PER_MM).astype(int).T
         return not self.taken[y, x].any()
 
-    def _lay(self, path: Floats, *, via: bool) -> None:
+    def _add_trace(self, path: Floats, *, via: bool) -> None:
+        """Add a trace and mark its cells and its clearance as occupied."""
         self.traces.append(path)
         width = max(round(2 * _CLEARANCE_MM * _CELLS_PER_MM), 2) + 1
         cv2.polylines(self.taken, [self._cells(path)], False, 1, width)
@@ -140,7 +147,7 @@ class _Router:
 
 
 def _path(start: Floats, k: int, lengths: Floats, bends: NDArray[np.int64]) -> Floats:
-    """A polyline that bends by 45° and back."""
+    """Return a polyline that bends by 45° and back."""
     turns = [k, k + int(bends[0]), k + int(bends[0]) + (int(bends[1]) if bends[0] != bends[1] else -int(bends[0]))]
     points = [start]
     for length, turn in zip(lengths, turns, strict=False):

@@ -1,1 +1,1 @@
-"""Render what a camera sees: rays, light, optics, sensor."""
+"""Render what a camera sees: geometry, light, optics, sensor."""

@@ -1,7 +1,7 @@
-"""Smooth functions of the pixel, known at coarse nodes and spread over the supersampled image.
+"""Interpolate smooth functions of the pixel from coarse nodes to the supersampled image.
 
-Nodes sit in the middles of blocks of 8 px. Between nodes h apart, linear interpolation of a distortion that
-reaches e at the corner, R from the middle, errs by ¾·e·(h / R)²: 0.0006 px for 10 px in a frame of 1392 × 1040.
+Nodes lie in the centres of blocks of 8 px. For nodes h apart and a distortion of e at the corner, R from the centre,
+linear interpolation errs by ¾·e·(h / R)²: 0.0006 px for 10 px in a frame of 1392 × 1040.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from vaoi_station.geometry.transforms import Floats
 
 BLOCK_PX = 8
 OVERSAMPLING = 2
-"""Samples per pixel and axis; a frame's pixel is the mean of its samples."""
+"""Samples per pixel and axis; a pixel of a frame is the mean of its samples."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Blocks x0…x1 − 1 by y0…y1 − 1 of a frame; block k covers pixels 8 k … 8 k + 7."""
+    """Blocks x0 … x1 − 1 by y0 … y1 − 1 of a frame; block k covers pixels 8 k … 8 k + 7."""
 
     x0: int
     y0: int
@@ -31,7 +31,8 @@ class Lattice:
 
     @classmethod
     def over(cls, low_px: Floats, high_px: Floats, width_px: int, height_px: int) -> Lattice | None:
-        """The blocks that cover a box of pixels inside a frame; None where there are none."""
+        """Return the blocks that cover a box of pixels inside a frame; None if there are none."""
+        # Rounded up: the last block may reach over the frame's edge, and `spread` cuts it.
         limit = -(-np.array([width_px, height_px]) // BLOCK_PX)
         x0, y0 = np.clip(np.floor((low_px + 0.5) / BLOCK_PX), 0, limit).astype(int)
         x1, y1 = np.clip(np.ceil((high_px + 0.5) / BLOCK_PX), 0, limit).astype(int)
@@ -46,14 +47,15 @@ class Lattice:
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """The samples covered, as rows and columns of the supersampled frame."""
+        """The covered samples, as rows and columns of the supersampled frame."""
         k = BLOCK_PX * OVERSAMPLING
         return slice(self.y0 * k, self.y1 * k), slice(self.x0 * k, self.x1 * k)
 
     def spread(self, values: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Values (k,) at the nodes → their values at the samples, cut to `shape` (h, w)."""
+        """Interpolate values (k,) at the nodes to the samples, and cut the result to `shape` (h, w)."""
         columns, rows = self.x1 - self.x0 + 2, self.y1 - self.y0 + 2
         k = BLOCK_PX * OVERSAMPLING
         coarse = values.reshape(rows, columns).astype(np.float32)
         fine = cv2.resize(coarse, (columns * k, rows * k), interpolation=cv2.INTER_LINEAR)
+        # The outermost block only serves the interpolation at the border.
         return np.asarray(fine[k : k + shape[0], k : k + shape[1]])

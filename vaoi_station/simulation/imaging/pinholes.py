@@ -1,7 +1,7 @@
-"""The cameras as they really are: pinholes that hang a little crooked, with a little distortion.
+"""The real cameras of the twin: pinholes with small errors of position, rotation and focal length, and with distortion.
 
-Written from the projection itself, not from the station's formulas for planes at a height
-(`geometry.Camera`), so that a test may hold one against the other.
+They are computed from the projection itself, not with the station's formulas for planes at a height
+(`geometry.Camera`), so that a test can compare the two.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from vaoi_station.simulation.scenario import ArraySection
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """Image x along tester x, image y along tester y, looking down from the working distance."""
+    """One camera; image x along tester x, image y along tester y, looking down from the working distance."""
 
     width_px: int
     height_px: int
@@ -27,47 +27,49 @@ class Pinhole:
     """(3, 4): tester (x, y, z, 1), z up, to undistorted pixels."""
     lens: Lens
     foot_mm: tuple[float, float]
-    """Point of the calibrated plane straight below."""
+    """Point of the calibrated plane vertically below the camera."""
     inner: Floats
     """(3, 3): directions in the camera's own axes (x right and y down in the image, z ahead) to undistorted pixels."""
 
     def plane(self) -> Floats:
-        """N_i: the homography of the calibrated plane z = 0, (3, 3), last entry 1."""
+        """Return N_i: the homography of the calibrated plane z = 0, (3, 3), last entry 1."""
         h = self.projection[:, [0, 1, 3]]
         return np.asarray(h / h[2, 2])
 
     def project(self, place_mm: Floats, z_mm: Floats | float) -> Floats:
-        """Raw pixels (k, 2) of points at tester places (k, 2) and heights (k,) or one for all."""
+        """Project points at tester places (k, 2) and heights (k,), or one height, to raw pixels (k, 2)."""
         xyz1 = np.column_stack([place_mm, np.broadcast_to(z_mm, len(place_mm)), np.ones(len(place_mm))])
         q = xyz1 @ self.projection.T
         return self.lens.distort(q[:, :2] / q[:, 2:])
 
     def ground(self, raw_px: Floats, z_mm: Floats | float) -> Floats:
-        """Tester places (k, 2) seen at raw pixels (k, 2), given the heights there."""
+        """Return the tester places (k, 2) seen at raw pixels (k, 2), for given heights."""
         p, m = self.lens.undistort(raw_px), self.projection
         a, b = m[0] - p[:, :1] * m[2], m[1] - p[:, 1:] * m[2]
         ra, rb = -(a[:, 2] * z_mm + a[:, 3]), -(b[:, 2] * z_mm + b[:, 3])
+        # Two linear equations in x and y for each pixel, solved by Cramer's rule for all of them at once.
         det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
         return np.column_stack([(ra * b[:, 1] - a[:, 1] * rb) / det, (a[:, 0] * rb - ra * b[:, 0]) / det])
 
-    def turned(self, about: Literal["x", "y", "z"], angle_rad: float) -> Pinhole:
-        """The same camera after a knock has turned it about one of its own axes; it hangs where it hung."""
+    def rotated(self, about: Literal["x", "y", "z"], angle_rad: float) -> Pinhole:
+        """Return the camera after a rotation about one of its own axes; its position does not change."""
         angles = {axis: angle_rad if axis == about else 0.0 for axis in "xyz"}
         turn = _rotation(angles["x"], angles["y"], angles["z"])
         return replace(self, projection=self.inner @ turn @ np.linalg.inv(self.inner) @ self.projection)
 
     def calibrated(self, working_distance_mm: float) -> Camera:
-        """What a perfect calibration knows of this camera."""
+        """Return this camera as a perfect calibration describes it."""
         plane = Projective(self.plane(), System.IMAGE, System.ROW)
         return Camera(self.width_px, self.height_px, plane, self.lens, working_distance_mm)
 
 
-def mount(array: ArraySection) -> tuple[Pinhole, ...]:
-    """The array as mounted: imperfections are drawn from the array's seed, camera by camera."""
+def mount_cameras(array: ArraySection) -> tuple[Pinhole, ...]:
+    """Return the array as mounted; the errors are drawn from the array's seed, camera by camera."""
     return tuple(_mounted(array, i) for i in range(array.cameras))
 
 
 def _mounted(array: ArraySection, camera: int) -> Pinhole:
+    # One generator per camera: camera i is the same in an array of any size.
     g = np.random.default_rng([array.seed, 7003, camera])
     shift, focal = g.normal(0, array.position_mm, 2), 1 + g.normal(0, array.focal_length)
     tilt_x, tilt_y = np.radians(g.normal(0, array.tilt_deg, 2))
@@ -86,6 +88,7 @@ def _mounted(array: ArraySection, camera: int) -> Pinhole:
 
 
 def _rotation(about_x: float, about_y: float, about_z: float) -> Floats:
+    """Return the rotation about x, then y, then z."""
     (cx, sx), (cy, sy), (cz, sz) = ((math.cos(a), math.sin(a)) for a in (about_x, about_y, about_z))
     rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

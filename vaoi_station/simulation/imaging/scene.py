@@ -1,6 +1,6 @@
-"""What one camera's rays meet: the board's surface, the bodies on it, light and shadow; before any blur.
+"""Compute what one camera sees before any blur: the board's surface, its bodies, light and shadow.
 
-Sampled bilinearly on the supersampled grid: unlike cubic and Lanczos kernels that shifts nothing.
+Textures are sampled bilinearly on the supersampled grid: cubic and Lanczos kernels move content, this does not.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.scenario import BoardSection, LightSection
 
 _SURFACE_STEPS = 4
-_LEAST_LEAN_PX = 0.02
-_SIXTEENTHS = 4
-_MOST_PX = 2**15 - 2
-"""OpenCV samples images of no more pixels along an axis."""
-_ROOM_MM = 10.0
-"""More than a placement's shift and the lean of what stands at the edge of a view."""
+_MIN_LEAN_PX = 0.02
+_SUBPIXEL_BITS = 4
+_MAX_REMAP_PX = 2**15 - 2
+"""Largest image along an axis that OpenCV's remap samples."""
+_PLACEMENT_MARGIN_MM = 10.0
+"""More than the shift of a placement and the parallax of a body at the edge of a view."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """How one part of one board was set: off its CAD place by a shift and a small turn."""
+    """How one part of one board was placed: a shift and a small rotation from its CAD position."""
 
     shift_mm: tuple[float, float]
     turn_rad: float
 
-    def to_board(self, nominal_mm: Floats, middle_mm: tuple[float, float]) -> Floats:
-        """Where points of the part (..., 2) really are."""
-        return np.asarray((nominal_mm - middle_mm) @ self._turn().T + middle_mm + self.shift_mm)
+    def to_board(self, nominal_mm: Floats, center_mm: tuple[float, float]) -> Floats:
+        """Convert nominal places of a part (..., 2) to real ones."""
+        return np.asarray((nominal_mm - center_mm) @ self._turn().T + center_mm + self.shift_mm)
 
-    def to_nominal(self, board_mm: Floats, middle_mm: tuple[float, float]) -> Floats:
-        """The way back."""
-        return np.asarray((board_mm - middle_mm - self.shift_mm) @ self._turn() + middle_mm)
+    def to_nominal(self, board_mm: Floats, center_mm: tuple[float, float]) -> Floats:
+        """Convert real places of a part (..., 2) to nominal ones."""
+        return np.asarray((board_mm - center_mm - self.shift_mm) @ self._turn() + center_mm)
 
     def _turn(self) -> Floats:
         c, s = math.cos(self.turn_rad), math.sin(self.turn_rad)
@@ -51,8 +51,8 @@ class Placement:
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
-    """One body of one board as one frame shows it."""
+class VisibleBody:
+    """One body of one board in one frame."""
 
     body: Body
     placement: Placement
@@ -61,33 +61,33 @@ class Standing:
     """In tester coordinates."""
     z_mm: float
     low_px: Floats
-    """The outline's raw pixels at its foot, and below at its top."""
+    """Raw pixels of the outline at the foot of the body; `top_px`: at its top."""
     top_px: Floats
 
     def reach_mm(self, light: LightSection) -> Floats:
-        """From the end of its shadow on the board to the body, (2,)."""
+        """Return the vector from the end of its shadow on the board to the body, (2,)."""
         length = self.body.height_mm / math.tan(math.radians(light.elevation_deg))
         return length * np.array(light.direction)
 
 
-class Paint:
-    """Textures under one light: metal is brighter or darker than it is under the plain one."""
+class LitTextures:
+    """The textures under one light, which scales the brightness of metal."""
 
     def __init__(self, artwork: Artwork, light: LightSection) -> None:
-        self.surface = _lit(artwork.surface, artwork.metal, light.metal)
-        self.tops = tuple(_lit(b.top, b.metal, light.metal) for b in artwork.bodies)
+        self.surface = _scale_metal(artwork.surface, artwork.metal, light.metal)
+        self.tops = tuple(_scale_metal(b.top, b.metal, light.metal) for b in artwork.bodies)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A board type's looks and surface, with what lies around it."""
+    """The surface and the artwork of a board type, and the belt around it."""
 
     section: BoardSection
     artwork: Artwork
     belt_grey: float
 
     def surface_z(self, board_mm: Floats) -> Floats:
-        """Height (k,) of the board's surface above the calibrated plane at board places (k, 2)."""
+        """Return the height (k,) of the board's surface above the calibrated plane at board places (k, 2)."""
         s = self.section
         u, v = (board_mm / (s.width_mm, s.length_mm) * 2 - 1).T
         bow = s.bow_mm * (1 - (0.4 * u * u + 0.6 * v * v))
@@ -98,13 +98,13 @@ class Scene:
         camera: Pinhole,
         pose: Floats,
         *,
-        paint: Paint,
+        paint: LitTextures,
         light: LightSection,
         placements: Mapping[str, Placement | None],
     ) -> Plane:
-        """Grey values (2h, 2w) that the rays of one camera meet, the board being at `pose`.
+        """Return the grey values (2h, 2w) that one camera sees with the board at `pose`.
 
-        Bodies further from the foot of the camera are drawn first: all lean outwards, none inwards.
+        Bodies further from the foot of the camera are drawn first: parallax moves all of them outwards, none inwards.
         """
         image = self._surface(camera, pose, paint.surface)
         visible = self._visible(camera, pose, paint, placements)
@@ -119,119 +119,126 @@ class Scene:
         return image.astype(np.float32)
 
     def _visible(
-        self, camera: Pinhole, pose: Floats, paint: Paint, placements: Mapping[str, Placement | None]
-    ) -> list[Standing]:
-        """The bodies a frame can show, those furthest from the camera's foot first."""
+        self, camera: Pinhole, pose: Floats, paint: LitTextures, placements: Mapping[str, Placement | None]
+    ) -> list[VisibleBody]:
+        """Return the bodies that a frame can show, those furthest from the camera's foot first."""
         found = []
         size = np.array([camera.width_px, camera.height_px])
-        for k in self._about(camera, pose):
+        for k in self._nearby_bodies(camera, pose):
             body, texture = self.artwork.bodies[k], paint.tops[k]
             placement = placements[body.ref]
             if placement is None:
                 continue
-            outline = apply(pose, placement.to_board(body.outline_mm, body.middle_mm))
-            z = float(self.surface_z(np.array([body.middle_mm]))[0])
+            outline = apply(pose, placement.to_board(body.outline_mm, body.center_mm))
+            z = float(self.surface_z(np.array([body.center_mm]))[0])
             low, top = camera.project(outline, z), camera.project(outline, z + body.height_mm)
             both, margin = np.vstack([low, top]), 2 * body.height_mm * body.px_per_mm + 2
             if (both.max(0) > -margin).all() and (both.min(0) < size + margin).all():
-                found.append(Standing(body, placement, texture, outline, z, low, top))
+                found.append(VisibleBody(body, placement, texture, outline, z, low, top))
         return sorted(found, key=lambda b: -float(np.hypot(*(b.outline_mm.mean(0) - camera.foot_mm))))
 
     @cached_property
-    def _whereabouts(self) -> tuple[Floats, Floats]:
-        """Middles (k, 2) of all bodies, and how far (k,) from there anything of them or their shadows may be, in mm."""
+    def _body_extents(self) -> tuple[Floats, Floats]:
+        """Centres (k, 2) of all bodies, and the distance (k,) within which they and their shadows lie, in mm."""
         bodies = self.artwork.bodies
-        middles = np.array([b.middle_mm for b in bodies], dtype=np.float64).reshape(-1, 2)
-        reach = [np.abs(b.outline_mm - b.middle_mm).max() * math.sqrt(2) + 4 * b.height_mm for b in bodies]
-        return middles, np.array(reach) + _ROOM_MM
+        middles = np.array([b.center_mm for b in bodies], dtype=np.float64).reshape(-1, 2)
+        reach = [np.abs(b.outline_mm - b.center_mm).max() * math.sqrt(2) + 4 * b.height_mm for b in bodies]
+        return middles, np.array(reach) + _PLACEMENT_MARGIN_MM
 
-    def _about(self, camera: Pinhole, pose: Floats) -> list[int]:
-        """The bodies that are near enough to the view to be looked at one by one."""
-        middles, reach = self._whereabouts
+    def _nearby_bodies(self, camera: Pinhole, pose: Floats) -> list[int]:
+        """Return the indices of the bodies near enough to the view to be tested one by one."""
+        middles, reach = self._body_extents
         w, h = camera.width_px - 1.0, camera.height_px - 1.0
         corners = camera.ground(np.array([[0, 0], [w, 0], [w, h], [0, h]]), 0.0)
         away = np.abs(apply(pose, middles) - corners.mean(0)) - np.ptp(corners, axis=0) / 2
         return np.flatnonzero((away < reach[:, None]).all(1)).tolist()
 
     def _surface(self, camera: Pinhole, pose: Floats, texture: Bytes) -> Bytes:
+        """Sample the surface texture on the supersampled grid."""
         size = np.array([camera.width_px, camera.height_px])
         lattice = Lattice.over(np.zeros(2), size - 1.0, camera.width_px, camera.height_px)
         assert lattice is not None
         back, z = np.linalg.inv(pose), np.full(len(lattice.nodes_px), self.section.lift_mm)
         place = apply(back, camera.ground(lattice.nodes_px, z))
+        # Height depends on the place and the place on the height: a few fixed-point steps converge below 1e-6 mm.
         if self.section.bow_mm or any(self.section.tilt_mm):
             for _ in range(_SURFACE_STEPS):
                 place = apply(back, camera.ground(lattice.nodes_px, self.surface_z(place)))
         t = self.artwork.to_px(place)
         shape = (camera.height_px * OVERSAMPLING, camera.width_px * OVERSAMPLING)
-        if max(texture.shape) > _MOST_PX:
-            texture, t = _in_reach(texture, t)
+        if max(texture.shape) > _MAX_REMAP_PX:
+            texture, t = _crop_texture(texture, t)
         x, y = lattice.spread(t[:, 0], shape), lattice.spread(t[:, 1], shape)
         return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderValue=round(self.belt_grey)))
 
 
-def _in_reach(texture: Bytes, px: Floats) -> tuple[Bytes, Floats]:
-    """The part of a texture about pixels (k, 2), which OpenCV could not sample as a whole, and the pixels on it."""
+def _crop_texture(texture: Bytes, px: Floats) -> tuple[Bytes, Floats]:
+    """Return the part of a texture about pixels (k, 2), which OpenCV cannot sample as a whole, and the pixels in it."""
     size = np.array(texture.shape[::-1])
     low = np.clip(np.floor(px.min(0)).astype(int) - 2, 0, size - 1)
     high = np.clip(np.ceil(px.max(0)).astype(int) + 3, low + 1, size)
     return texture[low[1] : high[1], low[0] : high[0]], px - low
 
 
-def _lit(grey: Bytes, metal: Bytes, gain: float) -> Bytes:
+def _scale_metal(grey: Bytes, metal: Bytes, gain: float) -> Bytes:
+    """Scale the brightness of metal."""
     if gain == 1:
         return grey
     return to_bytes(grey * (1 + (gain - 1) * (metal.astype(np.float32) / 255)))
 
 
-def _samples(raw_px: Floats) -> Floats:
-    """Sample coordinates of raw pixels: the supersampled grid shares the frame's outer edges."""
+def _to_samples(raw_px: Floats) -> Floats:
+    """Convert raw pixels to coordinates of the supersampled image."""
     return (raw_px + 0.5) * OVERSAMPLING - 0.5
 
 
-def _fill(image: Bytes, raw_px: Floats, grey: float) -> None:
-    points = np.round(_samples(raw_px) * (1 << _SIXTEENTHS)).astype(np.int32)
-    cv2.fillConvexPoly(image, points, round(grey), cv2.LINE_AA, _SIXTEENTHS)
+def _fill_polygon(image: Bytes, raw_px: Floats, grey: float) -> None:
+    """Fill a polygon with 1/16 sample accuracy."""
+    points = np.round(_to_samples(raw_px) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    cv2.fillConvexPoly(image, points, round(grey), cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _draw_sides(image: Bytes, standing: Standing, light: LightSection) -> None:
-    """The walls between foot and top; the top, drawn later, hides those that face away."""
-    low, top = standing.low_px, standing.top_px
-    if np.abs(top - low).max() < _LEAST_LEAN_PX:
+def _draw_sides(image: Bytes, visible: VisibleBody, light: LightSection) -> None:
+    """Draw the walls of a body, brighter on the side of the lamp."""
+    low, top = visible.low_px, visible.top_px
+    # Seen from directly above, the top hides the walls.
+    if np.abs(top - low).max() < _MIN_LEAN_PX:
         return
     middle = low.mean(0)
+    # Walls on the far side are drawn too: the top is drawn afterwards and hides them.
     for k in range(len(low)):
         n = (k + 1) % len(low)
         outward = (low[k] + low[n]) / 2 - middle
         facing = float(outward @ light.direction) / (float(np.hypot(*outward)) + 1e-9)
-        grey = min(standing.body.side_grey * (1 + 2 * light.shading * facing), 255.0)
-        _fill(image, np.array([low[k], low[n], top[n], top[k]]), grey)
+        grey = min(visible.body.side_grey * (1 + 2 * light.shading * facing), 255.0)
+        _fill_polygon(image, np.array([low[k], low[n], top[n], top[k]]), grey)
 
 
-def _draw_top(image: Bytes, camera: Pinhole, board_from_tester: Floats, standing: Standing) -> None:
-    """The top at its height, blended by the share of each sample it covers."""
-    body, top = standing.body, standing.top_px
+def _draw_top(image: Bytes, camera: Pinhole, board_from_tester: Floats, visible: VisibleBody) -> None:
+    """Draw the top at its height, blended by the share of each sample it covers."""
+    body, top = visible.body, visible.top_px
     lattice = Lattice.over(top.min(0) - 1, top.max(0) + 1, camera.width_px, camera.height_px)
     if lattice is None:
         return
     seen = image[lattice.window]
-    place = apply(board_from_tester, camera.ground(lattice.nodes_px, standing.z_mm + body.height_mm))
-    t = body.to_px(standing.placement.to_nominal(place, body.middle_mm))
+    place = apply(board_from_tester, camera.ground(lattice.nodes_px, visible.z_mm + body.height_mm))
+    t = body.to_px(visible.placement.to_nominal(place, body.center_mm))
     x, y = (lattice.spread(t[:, k], (seen.shape[0], seen.shape[1])) for k in (0, 1))
     cover = cv2.remap(body.cover, x, y, cv2.INTER_LINEAR, borderValue=0).astype(np.float32) / 255
-    grey = cv2.remap(standing.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    grey = cv2.remap(visible.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen[:] = np.rint(seen + (grey.astype(np.float32) - seen) * cover).astype(np.uint8)
 
 
 def _cast_shadow(image: Bytes, end: Floats, low: Floats, depth: float) -> None:
+    """Darken the hull between a body's foot and the end of its shadow."""
     hull = cv2.convexHull(np.vstack([low, end]).astype(np.float32))[:, 0]
-    points = _samples(hull)
+    points = _to_samples(hull)
     x0, y0 = np.maximum(np.floor(points.min(0)).astype(int) - 1, 0)
     x1, y1 = np.ceil(points.max(0)).astype(int) + 2
     part = image[y0 : max(y1, 0), x0 : max(x1, 0)]
     if not part.size:
         return
     mask = np.zeros(part.shape, np.uint8)
-    shifted = np.round((points - (x0, y0)) * (1 << _SIXTEENTHS)).astype(np.int32)
-    cv2.fillConvexPoly(mask, shifted, 255, cv2.LINE_AA, _SIXTEENTHS)
+    shifted = np.round((points - (x0, y0)) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    cv2.fillConvexPoly(mask, shifted, 255, cv2.LINE_AA, _SUBPIXEL_BITS)
     part[:] = np.rint(part * (1 - mask.astype(np.float32) * np.float32(depth / 255))).astype(np.uint8)

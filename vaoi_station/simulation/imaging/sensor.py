@@ -1,4 +1,4 @@
-"""From rays to grey values: pixel area, motion during the exposure, lens blur, brightness, noise, clipping."""
+"""Convert what the camera sees to grey values: pixel area, motion blur, lens blur, brightness, noise, clipping."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station.simulation.board.canvas import Plane
 from vaoi_station.simulation.imaging.lattice import OVERSAMPLING
 from vaoi_station.simulation.scenario import ArraySection
 
-_LEAST_MOTION = 1e-3
+_MIN_MOTION = 1e-3
 _STEPS_PER_SAMPLE = 64
 
 
@@ -27,24 +27,26 @@ def expose(
     shade: Plane,
     noise: np.random.Generator | None,
 ) -> NDArray[Any]:
-    """One frame, (h, w) uint8 or uint16.
+    """Return one frame, (h, w) uint8 or uint16.
 
     Args:
-        samples: (2h, 2w) grey values the rays meet.
+        samples: (2h, 2w) grey values of the scene.
         array: the sensor's properties.
-        motion_px: (2,) way of the picture across the sensor during the exposure, centred on the pulse.
+        motion_px: (2,) motion of the image on the sensor during the exposure, centred on the pulse.
         brightness: light × exposure relative to the reference × gain.
         shade: (h, w) vignetting.
         noise: source of shot and read noise; None for a noiseless sensor.
     """
     h, w = samples.shape[0] // OVERSAMPLING, samples.shape[1] // OVERSAMPLING
     kernel = motion_kernel(motion_px * OVERSAMPLING)
+    # Blur before the reduction to pixels: motion acts on the light, not on pixel values.
     moved: Plane = cv2.filter2D(samples, -1, kernel) if kernel.size > 1 else samples
     image: Plane = cv2.resize(moved, (w, h), interpolation=cv2.INTER_AREA)
     if array.psf_px:
         image = cv2.GaussianBlur(image, (0, 0), array.psf_px)
     image = image * shade * np.float32(brightness)
     if noise is not None and (array.shot_noise or array.read_noise):
+        # Shot noise grows with the square root of the light, read noise does not depend on it.
         sigma = np.sqrt(np.maximum(image, 0) * np.float32(array.shot_noise) + np.float32(array.read_noise**2))
         image = image + noise.standard_normal(image.shape, dtype=np.float32) * sigma
     image = image + np.float32(array.black_level)
@@ -53,19 +55,20 @@ def expose(
     return np.asarray(np.clip(np.rint(image), 0, 255).astype(np.uint8))
 
 
-def motion_kernel(way: Floats) -> Plane:
-    """The integral of a bilinearly interpolated picture along a straight way, centred; sums to 1.
+def motion_kernel(path: Floats) -> Plane:
+    """Return the integral of a bilinearly interpolated image along a straight path, centred; it sums to 1.
 
     Args:
-        way: (2,) x and y, in samples.
+        path: (2,) x and y, in samples.
     """
-    length = math.hypot(*way)
-    if length < _LEAST_MOTION:
+    length = math.hypot(*path)
+    # A thousandth of a sample is invisible, and the division below would amplify rounding.
+    if length < _MIN_MOTION:
         return np.ones((1, 1), np.float32)
     steps = max(int(length * _STEPS_PER_SAMPLE), _STEPS_PER_SAMPLE)
     at = (np.arange(steps) + 0.5) / steps - 0.5
     hats = []
-    for part in way:
+    for part in path:
         reach = math.ceil(abs(part) / 2)
         cells = np.arange(-reach, reach + 1)
         hats.append(np.clip(1 - np.abs(cells[None] - at[:, None] * part), 0, 1))
@@ -74,7 +77,7 @@ def motion_kernel(way: Floats) -> Plane:
 
 
 def vignette(array: ArraySection, camera: int) -> Plane:
-    """Brightness over the frame: falls with the square of the distance from a point near the middle."""
+    """Return the brightness over the frame: it falls with the square of the distance from a point near the centre."""
     g = np.random.default_rng([array.seed, 7004, camera])
     x0, y0 = g.normal(0, 0.15, 2)
     x, y = np.linspace(-1, 1, array.width_px) - x0, np.linspace(-1, 1, array.height_px) - y0
@@ -82,5 +85,6 @@ def vignette(array: ArraySection, camera: int) -> Plane:
 
 
 def generator(*key: int) -> np.random.Generator:
-    """The random numbers of one key, whatever was drawn before."""
+    """Return the random numbers of one key, independent of what was drawn before."""
+    # SFC64 is fixed here: another generator would change the noise of every simulated frame.
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(key)))

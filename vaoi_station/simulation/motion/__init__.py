@@ -1,1 +1,1 @@
-"""Move the board: belt, pulses, faults of one passage."""
+"""Move boards: the belt, the times of barrier and pulses, and what goes wrong."""

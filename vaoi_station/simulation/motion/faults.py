@@ -1,4 +1,4 @@
-"""The faults of one passage, looked up by camera and row."""
+"""The faults of one passage, by camera and row."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.simulation.scenario import FaultSection
 
 @dataclass(frozen=True)
 class BarrierBounceTime:
-    """For this long the barrier shows the opposite of the truth; seconds since the passage's start."""
+    """A period in which the barrier shows the opposite of the truth; seconds since the start of the passage."""
 
     at_s: float
     duration_s: float
@@ -19,7 +19,7 @@ class BarrierBounceTime:
 
 @dataclass(frozen=True)
 class PassageFaults:
-    """What goes wrong with one board."""
+    """The faults of one board."""
 
     section: FaultSection
     board_number: int
@@ -30,73 +30,74 @@ class PassageFaults:
     def lost(self, camera: int, row: int) -> bool:
         """Whether this frame never arrives."""
         frame = any(
-            (f.camera, f.row) == (camera, row) for f in self.section.lost_frames if f.befalls(self.board_number)
+            (f.camera, f.row) == (camera, row) for f in self.section.lost_frames if f.applies_to(self.board_number)
         )
-        return frame or any(f.row == row for f in self.section.lost_rows if f.befalls(self.board_number))
+        return frame or any(f.row == row for f in self.section.lost_rows if f.applies_to(self.board_number))
 
-    def late_s(self, camera: int, row: int) -> float:
-        """By how much this frame arrives late, 0 for one in time."""
-        found = (f for f in self.section.late_frames if f.befalls(self.board_number))
+    def delay_s(self, camera: int, row: int) -> float:
+        """Return by how much this frame arrives late, 0 for one in time."""
+        found = (f for f in self.section.late_frames if f.applies_to(self.board_number))
         return max((f.delay_s for f in found if (f.camera, f.row) == (camera, row)), default=0.0)
 
     def received_share(self, camera: int, row: int) -> float:
-        """Which share of the frame's bytes arrives, from its start; 1 for a whole one, 0 for one that never comes."""
+        """Return the share of the frame's bytes that arrives, from its start; 1: whole, 0: never."""
         if self.lost(camera, row) or self.ignored(camera, row):
             return 0.0
-        found = (f for f in self.section.incomplete_frames if f.befalls(self.board_number))
+        found = (f for f in self.section.incomplete_frames if f.applies_to(self.board_number))
         return min((f.share for f in found if (f.camera, f.row) == (camera, row)), default=1.0)
 
     def ignored(self, camera: int, row: int) -> bool:
-        """Whether this camera does not answer the pulse of this row."""
-        found = (f for f in self.section.ignored_triggers if f.befalls(self.board_number))
+        """Whether this camera ignores the pulse of this row."""
+        found = (f for f in self.section.ignored_triggers if f.applies_to(self.board_number))
         return any((f.camera, f.row) == (camera, row) for f in found)
 
-    def extra_s(self, camera: int, row: int) -> tuple[float, ...]:
-        """When this camera exposes once more, after the pulse of this row."""
-        found = (f for f in self.section.extra_frames if f.befalls(self.board_number))
+    def extra_delays_s(self, camera: int, row: int) -> tuple[float, ...]:
+        """Return the times after the pulse of this row at which this camera exposes once more."""
+        found = (f for f in self.section.extra_frames if f.applies_to(self.board_number))
         return tuple(f.after_s for f in found if (f.camera, f.row) == (camera, row))
 
-    def carries(self, camera: int, row: int) -> int:
-        """The row whose id and time stamp this row's frame carries: its own, unless frames are exchanged."""
+    def metadata_row(self, camera: int, row: int) -> int:
+        """Return the row whose id and time stamp this row's frame has: its own, unless frames are exchanged."""
         for f in self.section.exchanged_frames:
-            if f.befalls(self.board_number) and f.camera == camera and row in (f.row, f.row + 1):
+            if f.applies_to(self.board_number) and f.camera == camera and row in (f.row, f.row + 1):
+                # Exchanges f.row and f.row + 1.
                 return 2 * f.row + 1 - row
         return row
 
-    def runs_freely_s(self, camera: int) -> float | None:
-        """From frame to frame of a camera that ignores the trigger."""
-        found = (f for f in self.section.free_running if f.befalls(self.board_number))
+    def free_running_interval_s(self, camera: int) -> float | None:
+        """Return the time between the frames of a camera that ignores the trigger; None if it does not."""
+        found = (f for f in self.section.free_running if f.applies_to(self.board_number))
         return next((f.interval_s for f in found if f.camera == camera), None)
 
     @property
     def bounces(self) -> tuple[BarrierBounceTime, ...]:
-        """When the barrier lies, in the order of time."""
+        """Bounces of the barrier, in the order of time."""
         found = [
             BarrierBounceTime(self.blocked_s + f.at_s, f.duration_s)
             for f in self.section.bounces
-            if f.befalls(self.board_number)
+            if f.applies_to(self.board_number)
         ]
         return tuple(sorted(found, key=lambda b: b.at_s))
 
     def absent(self, ref: str) -> bool:
         """Whether a part was not placed on this board."""
-        return any(f.ref == ref for f in self.section.absent_parts if f.befalls(self.board_number))
+        return any(f.ref == ref for f in self.section.absent_parts if f.applies_to(self.board_number))
 
 
 def stuck_row(section: FaultSection, board_number: int) -> int | None:
-    """The first row with whose pulse this board stops."""
-    return min((f.row for f in section.stuck if f.befalls(board_number)), default=None)
+    """Return the first row with whose pulse this board stops; None if it does not."""
+    return min((f.row for f in section.stuck if f.applies_to(board_number)), default=None)
 
 
 def extra_turn_deg(section: FaultSection, board_number: int) -> int:
-    """Quarter turns by which this board was laid on the belt wrongly."""
-    return sum(f.turned_deg for f in section.turned if f.befalls(board_number)) % 360
+    """Return the quarter turns by which this board was laid on the belt wrongly, in degrees."""
+    return sum(f.turned_deg for f in section.turned if f.applies_to(board_number)) % 360
 
 
-def as_knocked(section: FaultSection, pinholes: tuple[Pinhole, ...], board_number: int) -> tuple[Pinhole, ...]:
-    """The cameras as they hang while this board passes: those knocked before it are turned."""
+def knocked_pinholes(section: FaultSection, pinholes: tuple[Pinhole, ...], board_number: int) -> tuple[Pinhole, ...]:
+    """Return the cameras during this board's passage: those that were knocked before it are rotated."""
     hanging = list(pinholes)
     for f in section.knocked:
         if board_number >= f.from_board:
-            hanging[f.camera] = hanging[f.camera].turned(f.about, math.radians(f.angle_deg))
+            hanging[f.camera] = hanging[f.camera].rotated(f.about, math.radians(f.angle_deg))
     return tuple(hanging)

@@ -1,4 +1,4 @@
-"""When a board interrupts and leaves the barrier, and when the pulses come, as a controller would fire them."""
+"""Compute when a board interrupts and leaves the barrier, and when a controller would fire the pulses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from vaoi_station.config import ExpectedBoard, Line
-from vaoi_station.simulation.motion.belt import Course, course
+from vaoi_station.simulation.motion.belt import BoardMotion, board_motion
 from vaoi_station.simulation.motion.faults import extra_turn_deg, stuck_row
 from vaoi_station.simulation.scenario import Scenario
 
@@ -16,9 +16,9 @@ _FAR_FUTURE_S = 1e4
 
 @dataclass(frozen=True)
 class Timetable:
-    """Times in seconds since the passage's start."""
+    """Times in seconds since the start of the passage."""
 
-    course: Course
+    motion: BoardMotion
     turned_deg: int
     blocked_s: float
     clear_s: float
@@ -28,7 +28,7 @@ class Timetable:
 
 
 def line_of(scenario: Scenario) -> Line:
-    """The mechanics of the twin's line as `station.toml` would state them."""
+    """Return the mechanics of the twin's line as `station.toml` would state them."""
     belt, line = scenario.belt, scenario.line
     return Line(
         conveyor_mm_s=(0.0, belt.direction * belt.speed_mm_s),
@@ -38,35 +38,37 @@ def line_of(scenario: Scenario) -> Line:
         tail_s=line.tail_s,
         longest_board_mm=line.longest_board_mm,
         debounce_s=line.debounce_s,
-        expected_board=ExpectedBoard(center_mm=middle_of_array_mm(scenario), rotation_deg=scenario.board.turned_deg),
+        expected_board=ExpectedBoard(center_mm=array_center_mm(scenario), rotation_deg=scenario.board.turned_deg),
     )
 
 
-def middle_of_array_mm(scenario: Scenario) -> float:
-    """Tester x of the middle of the array, over which boards pass."""
+def array_center_mm(scenario: Scenario) -> float:
+    """Return tester x of the centre of the array, over which boards pass."""
     return (scenario.array.cameras - 1) * scenario.array.pitch_mm / 2
 
 
 def timetable(scenario: Scenario, board_number: int) -> Timetable:
-    """The times of one board."""
+    """Return the times of one board."""
     line, belt, board = scenario.line, scenario.belt, scenario.board
     turned = (board.turned_deg + extra_turn_deg(scenario.faults, board_number)) % 360
     half = (board.length_mm if turned % 180 == 0 else board.width_mm) / 2
     barrier = belt.direction * line.barrier_mm
     start_s = board_number * line.interval_s
-    across = middle_of_array_mm(scenario)
-    way = course(belt, board_number, start_s=start_s, start_along_mm=0.0, across_mm=across, turned_deg=turned)
-    lead = belt.direction * way.middle(line.approach_s)[1]
+    across = array_center_mm(scenario)
+    way = board_motion(belt, board_number, start_s=start_s, start_along_mm=0.0, across_mm=across, turned_deg=turned)
+    # The start is chosen so that the board interrupts the barrier exactly `approach_s` after it.
+    lead = belt.direction * way.center(line.approach_s)[1]
     way = replace(way, start_along_mm=barrier - half - lead)
 
     def passes(offset_mm: float) -> float:
-        """When the point so far ahead of the board's middle reaches the barrier."""
-        return _crossing(lambda t: belt.direction * way.middle(t)[1] + offset_mm - barrier)
+        """Return the time at which a point `offset_mm` ahead of the board's centre reaches the barrier."""
+        return _crossing(lambda t: belt.direction * way.center(t)[1] + offset_mm - barrier)
 
     blocked, clear = passes(half), passes(-half)
     stuck, stop = stuck_row(scenario.faults, board_number), math.inf
     if stuck is not None:
         stop = blocked + line.start_delay_s + stuck * line.period_s
+        # A board that has left the barrier before it stops does not interrupt it again.
         clear = math.inf if stop < clear else clear
         way = replace(way, stop_s=stop)
     pulses = _pulses(scenario, blocked, clear)
@@ -74,14 +76,16 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
 
 
 def _pulses(scenario: Scenario, blocked_s: float, clear_s: float) -> tuple[float, ...]:
+    """Return the times of the pulses, at most as many as the longest board needs."""
     line, most = scenario.line, line_of(scenario).rows_of_longest_board
     times = (blocked_s + line.start_delay_s + k * line.period_s for k in range(most))
     return tuple(t for t in times if t <= clear_s + line.tail_s)
 
 
 def _crossing(ahead: Callable[[float], float]) -> float:
-    """Where an increasing function of time crosses 0, by bisection to a nanosecond."""
+    """Return the zero of an increasing function of time, by bisection to a nanosecond."""
     low, high = 0.0, 1.0
+    # Bounded, because a board that never arrives would double the time for ever.
     while ahead(high) < 0 and high < _FAR_FUTURE_S:
         high *= 2
     while high - low > 1e-9:
