@@ -1,7 +1,7 @@
-/* The firmware on an emulated ATmega328P, with its pins and its serial line on stdin and stdout. See README.md.
+/* The firmware on an emulated ATmega328P, with its pins and its serial port on stdin and stdout. See README.md.
  *
- *          emulator FIRMWARE.elf                in simulated time alone: the same commands, the same answers
- *          emulator FIRMWARE.elf --pty LINK     at the pace of the clock, its serial line behind the terminal LINK
+ *          emulator FIRMWARE.elf                simulated time: the same commands give the same output
+ *          emulator FIRMWARE.elf --pty LINK     real time, with the serial port as the terminal LINK
  */
 #include "emulator.h"
 
@@ -15,7 +15,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define BYTE_CYCLES 704 /* 11 bits at 250 000 baud, simavr's pace */
+#define BYTE_CYCLES 704 /* 11 bits at 250 000 baud, which simavr uses per byte */
 #define TRAP 0x7F00     /* flash far behind the firmware: an instruction that jumps to itself */
 #define ADDRESS_TCCR1A 0x80
 
@@ -33,19 +33,19 @@ static long encoder_left;
 static avr_cycle_count_t encoder_every;
 static uint8_t encoder_phase;
 static double noise_in, noise_out;
-static uint32_t dice = 1;
+static uint32_t random_state = 1;
 
 static avr_irq_t *pin(const char *name) { return avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(name[1]), name[2] - '0'); }
 
-static void say_sent(void)
+static void flush_sent(void)
 {
     if (sent_count) printf("sent %llu %.*s\n", (unsigned long long)sent_at, (int)sent_count, sent);
     sent_count = 0;
 }
 
-/* simavr up to 1.7 gives compare outputs their PWM meaning in every mode: if an overflow falls between a match and the
- * interrupt that disconnects the pin, it raises a pin that is in "clear" and lowers one that is in "set". No chip
- * does that: such an edge is not told, and taken back a cycle later. */
+/* simavr up to 1.7 treats compare outputs as in PWM modes: an overflow between a match and the interrupt that disconnects
+ * the pin raises a pin in "clear" mode and lowers one in "set" mode. No chip does that, so such an edge is not
+ * reported, and the level is restored one cycle later. */
 static int is_artefact(const struct output *output, uint32_t level)
 {
     if (!output->com_shift) return 0;
@@ -53,7 +53,7 @@ static int is_artefact(const struct output *output, uint32_t level)
     return (level && mode == 2) || (!level && mode == 3);
 }
 
-static avr_cycle_count_t take_back(avr_t *unused, avr_cycle_count_t when, void *param)
+static avr_cycle_count_t restore_level(avr_t *unused, avr_cycle_count_t when, void *param)
 {
     const struct output *output = param;
     (void)unused, (void)when;
@@ -68,38 +68,45 @@ static void on_output(avr_irq_t *irq, uint32_t value, void *param)
     (void)irq;
     if (level == output->level) return;
     if (is_artefact(output, level)) {
-        avr_cycle_timer_register(avr, 1, take_back, output);
+        avr_cycle_timer_register(avr, 1, restore_level, output);
         return;
     }
     output->level = level;
     printf("edge %llu %s %u\n", (unsigned long long)avr->cycle, output->name, level);
 }
 
-static double throw(void) { return (double)((dice = dice * 1664525u + 1013904223u) >> 8) / (1 << 24); }
-
-/* With this probability one bit of a byte is turned over. */
-static uint8_t suffer(uint8_t byte, double noise) { return noise > 0 && throw() < noise ? byte ^ (1 << (int)(8 * throw())) : byte; }
-
-static void tell_byte(uint8_t byte)
+static double random_share(void)
 {
-    if (sent_count + 3 > sizeof sent) say_sent();
+    random_state = random_state * 1664525u + 1013904223u;
+    return (double)(random_state >> 8) / (1 << 24);
+}
+
+/* Flips one bit of a byte with this probability. */
+static uint8_t add_noise(uint8_t byte, double noise)
+{
+    return noise > 0 && random_share() < noise ? byte ^ (1 << (int)(8 * random_share())) : byte;
+}
+
+static void buffer_byte(uint8_t byte)
+{
+    if (sent_count + 3 > sizeof sent) flush_sent();
     if (!sent_count) sent_at = avr->cycle;
     sent_count += (size_t)sprintf(sent + sent_count, "%02x", byte);
 }
 
 static void on_byte(avr_irq_t *irq, uint32_t value, void *param)
 {
-    uint8_t byte = suffer((uint8_t)value, noise_out);
+    uint8_t byte = add_noise((uint8_t)value, noise_out);
     (void)irq, (void)param;
     if (terminal_is_used()) terminal_put(byte);
-    else tell_byte(byte);
+    else buffer_byte(byte);
 }
 
 static avr_cycle_count_t feed(avr_t *unused, avr_cycle_count_t when, void *param)
 {
     (void)unused, (void)param;
     if (to_send_next == to_send_count) return 0;
-    uint8_t byte = suffer(to_send[to_send_next++], noise_in);
+    uint8_t byte = add_noise(to_send[to_send_next++], noise_in);
     avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), byte);
     return when + BYTE_CYCLES;
 }
@@ -166,10 +173,10 @@ static avr_cycle_count_t turn_encoder(avr_t *unused, avr_cycle_count_t when, voi
     return when + encoder_every;
 }
 
-/* The registers have been cleared, the world outside is as it was. */
+/* The registers were cleared, but the inputs keep their levels: they belong to the world outside. */
 static void after_reset(void)
 {
-    say_sent();
+    flush_sent();
     printf("reset %llu\n", (unsigned long long)avr->cycle);
     to_send_next = to_send_count;
     for (int port = 0; port < 26; port++)
@@ -192,7 +199,7 @@ int run(avr_cycle_count_t cycles)
         avr_run_t before = avr->run;
         int state = avr_run(avr);
         if (state == cpu_Done || state == cpu_Crashed) return 0;
-        if (avr->run != before && avr->pc == avr->reset_pc) after_reset(); /* simavr swaps it for a watchdog reset */
+        if (avr->run != before && avr->pc == avr->reset_pc) after_reset(); /* simavr exchanges avr->run for a watchdog reset */
     }
     return 1;
 }
@@ -205,7 +212,7 @@ static void hang(int deaf)
     if (deaf) avr->sreg[S_I] = 0;
 }
 
-static int obey(const char *line)
+static int execute(const char *line)
 {
     unsigned long long a = 0, b = 0;
     char name[4], cause[9];
@@ -213,8 +220,8 @@ static int obey(const char *line)
     static uint8_t bytes[1 << 19];
     if (!terminal_is_used() && sscanf(line, "run %llu", &a) == 1) return run(a);
     if (sscanf(line, "send %1048575s", hex) == 1) send_to_chip(bytes, from_hex(hex, bytes));
-    else if (terminal_obeys(line)) return 1;
-    else if (sscanf(line, "noise %lf %lf %u", &noise_in, &noise_out, &dice) >= 2) return 1;
+    else if (terminal_execute(line)) return 1;
+    else if (sscanf(line, "noise %lf %lf %u", &noise_in, &noise_out, &random_state) >= 2) return 1;
     else if (sscanf(line, "board %llu", &a) == 1) {
         schedule(avr->cycle + a, "PB0", 0);
         set_input("PB0", 1);
@@ -234,6 +241,7 @@ static int obey(const char *line)
     return 1;
 }
 
+/* simavr really sleeps while the chip sleeps; the pace is set here or in terminal.c. */
 static void no_real_sleep(avr_t *unused, avr_cycle_count_t how_long) { (void)unused, (void)how_long; }
 
 static void start(const char *path)
@@ -252,6 +260,7 @@ static void start(const char *path)
     avr_load_firmware(avr, &firmware);
     avr->sleep = no_real_sleep;
     avr_ioctl(avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
+    /* STDIO would echo on the console; POLL_SLEEP would sleep whenever the firmware polls the UART. */
     flags &= (uint32_t)~(AVR_UART_FLAG_STDIO | AVR_UART_FLAG_POLL_SLEEP);
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     for (size_t k = 0; k < sizeof outputs / sizeof *outputs; k++)
@@ -259,10 +268,10 @@ static void start(const char *path)
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
 }
 
-static void answer(const char *line)
+static void execute_line(const char *line)
 {
-    int alive = obey(line);
-    say_sent();
+    int alive = execute(line);
+    flush_sent();
     printf("%s %llu\n", alive ? "ok" : "crashed", (unsigned long long)avr->cycle);
     fflush(stdout);
 }
@@ -272,13 +281,13 @@ int main(int argc, char **argv)
     static char line[COMMAND_LONGEST];
     if (argc == 4 && !strcmp(argv[2], "--pty")) {
         start(argv[1]);
-        return terminal_serve(argv[3], answer);
+        return terminal_serve(argv[3], execute_line);
     }
     if (argc != 2) {
         fprintf(stderr, "usage: emulator FIRMWARE.elf [--pty LINK]\n");
         return 2;
     }
     start(argv[1]);
-    while (fgets(line, sizeof line, stdin)) answer(line);
+    while (fgets(line, sizeof line, stdin)) execute_line(line);
     return 0;
 }

@@ -1,4 +1,4 @@
-/* The emulated chip (emulator.c), and its serial line behind a terminal at the pace of the clock (terminal.c). */
+/* The emulated chip (emulator.c), and its serial port as a pseudo terminal in real time (terminal.c). */
 #ifndef EMULATOR_H
 #define EMULATOR_H
 
@@ -12,18 +12,18 @@
 
 extern avr_t *avr;
 
-/* Bytes that reach the UART one after another, at its pace. */
+/* Queues bytes for the UART, which receives them at its baud rate. */
 void send_to_chip(const uint8_t *bytes, size_t count);
-/* 0 if it has executed nonsense. */
+/* Runs the chip; returns 0 if it crashed. */
 int run(avr_cycle_count_t cycles);
 
-/* Runs until stdin ends; `answer` is called with every line of it. */
-int terminal_serve(const char *link, void (*answer)(const char *line));
+/* Runs until stdin ends; `execute_line` is called with every line of it. */
+int terminal_serve(const char *link, void (*execute_line)(const char *line));
 int terminal_is_used(void);
 void terminal_put(uint8_t byte);
-/* Whether the command was one of the terminal's. */
-int terminal_obeys(const char *line);
-/* The chip stands still for a time, as in its bootloader, and what comes meanwhile is swallowed. */
+/* Executes a command of the terminal; returns 0 if it is none. */
+int terminal_execute(const char *line);
+/* Holds the chip for a time, as its bootloader does; bytes that arrive meanwhile are dropped. */
 void terminal_hold(unsigned ms);
 
 #endif

@@ -1,7 +1,7 @@
-/* The chip's serial line as a pseudo terminal, and the chip's time at the pace of CLOCK_MONOTONIC.
+/* The chip's serial port as a pseudo terminal, with the chip's time following CLOCK_MONOTONIC.
  *
- * The chip runs up to the present, then everything waits for the next half millisecond, for bytes or for a command. A
- * computer that was busy is caught up with; the pace is right in the long run.
+ * The chip runs up to the present; then the process waits for half a millisecond, for bytes or for a command. After a
+ * delay of the computer the chip catches up, so its time is right in the long run.
  */
 #define _GNU_SOURCE
 #include "emulator.h"
@@ -18,12 +18,12 @@
 
 #define SLICE_NS 500000L
 #define NS_PER_S 1000000000LL
-/* Behind the clock, the chip runs no further than this before its bytes are handed on. */
+/* Longest run without passing the chip's bytes on, while it catches up. */
 #define AT_ONCE (HZ / 200)
 
 static const char *link_path;
 static int master = -1;
-static long long cycle_0_ns; /* CLOCK_MONOTONIC of cycle 0, had the chip never been held */
+static long long cycle_0_ns; /* CLOCK_MONOTONIC of cycle 0, corrected for the times the chip was held */
 static long long held_until_ns;
 static uint8_t out[4096];
 static size_t out_count;
@@ -37,7 +37,7 @@ static long long now_ns(void)
 
 static long long cycles_ns(avr_cycle_count_t cycles) { return (long long)((double)cycles * (1e9 / HZ)); }
 
-static void tell_clock(void)
+static void print_clock(void)
 {
     printf("clock %llu %lld\n", (unsigned long long)avr->cycle, cycle_0_ns + cycles_ns(avr->cycle));
 }
@@ -48,7 +48,8 @@ static void fail(const char *what)
     exit(2);
 }
 
-/* The link appears whole, as udev's do; without anybody at the other end the terminal is raw and silent. */
+/* The link is renamed into place, so that it is never seen half made. The terminal is raw before any program opens it, so
+ * that it echoes nothing. */
 static void plug(void)
 {
     char draft[4096];
@@ -82,7 +83,7 @@ void terminal_put(uint8_t byte)
     if (out_count < sizeof out) out[out_count++] = byte;
 }
 
-/* What nobody takes is lost, as on a wire. */
+/* Bytes that no program reads are lost, as on a wire. */
 static void flush_out(void)
 {
     if (master >= 0 && out_count) {
@@ -94,7 +95,7 @@ static void flush_out(void)
     out_count = 0;
 }
 
-/* Up to the time it is now; in steps, so that what the chip says is not held back. */
+/* Runs up to the present in steps, so that the chip's bytes are passed on in between. */
 static int run_to_present(void)
 {
     avr_cycle_count_t present = (avr_cycle_count_t)((now_ns() - cycle_0_ns) * (long long)(HZ / 1000000) / 1000);
@@ -105,8 +106,8 @@ static int run_to_present(void)
     return 1;
 }
 
-/* Bytes reach the chip when it has come to the time at which they were there, never before. */
-static int go_on(void)
+/* Bytes are read first and sent after the run: the chip must not receive them before the time of their arrival. */
+static int run_and_feed(void)
 {
     uint8_t bytes[4096];
     ssize_t count = master < 0 ? 0 : read(master, bytes, sizeof bytes);
@@ -119,10 +120,10 @@ void terminal_hold(unsigned ms)
 {
     cycle_0_ns += ms * 1000000LL;
     held_until_ns = now_ns() + ms * 1000000LL;
-    tell_clock();
+    print_clock();
 }
 
-int terminal_obeys(const char *line)
+int terminal_execute(const char *line)
 {
     if (!link_path) return 0;
     if (!strncmp(line, "unplug", 6)) unplug();
@@ -131,8 +132,8 @@ int terminal_obeys(const char *line)
     return 1;
 }
 
-/* All complete lines that have come; 0 at the end of stdin. */
-static int take_commands(void (*answer)(const char *line))
+/* Executes all complete lines; returns 0 at the end of stdin. */
+static int read_commands(void (*execute_line)(const char *line))
 {
     static char text[COMMAND_LONGEST];
     static size_t count;
@@ -144,7 +145,7 @@ static int take_commands(void (*answer)(const char *line))
     char *line = text, *end;
     while ((end = strchr(line, '\n'))) {
         *end = 0;
-        answer(line);
+        execute_line(line);
         line = end + 1;
     }
     count = strlen(line);
@@ -152,16 +153,16 @@ static int take_commands(void (*answer)(const char *line))
     return 1;
 }
 
-static void wait_a_little(void)
+static void wait_for_input(void)
 {
-    /* A terminal that nobody has opened is always "ready": it is looked at once per slice. */
+    /* A terminal without a client always polls as ready (POLLHUP): leave it out, or this would spin. */
     struct pollfd events[2] = {{.fd = STDIN_FILENO, .events = POLLIN}, {.fd = master, .events = POLLIN}};
     poll(events, 2, 0);
-    int nobody = events[1].revents & POLLHUP;
-    ppoll(events, nobody ? 1 : 2, &(struct timespec){0, SLICE_NS}, NULL);
+    int closed = events[1].revents & POLLHUP;
+    ppoll(events, closed ? 1 : 2, &(struct timespec){0, SLICE_NS}, NULL);
 }
 
-int terminal_serve(const char *link, void (*answer)(const char *line))
+int terminal_serve(const char *link, void (*execute_line)(const char *line))
 {
     int alive = 1;
     link_path = link;
@@ -169,13 +170,13 @@ int terminal_serve(const char *link, void (*answer)(const char *line))
     plug();
     cycle_0_ns = now_ns();
     printf("ready %s\n", ptsname(master));
-    tell_clock();
+    print_clock();
     fflush(stdout);
-    while (take_commands(answer)) {
-        if (alive && !(alive = go_on())) printf("crashed %llu\n", (unsigned long long)avr->cycle);
+    while (read_commands(execute_line)) {
+        if (alive && !(alive = run_and_feed())) printf("crashed %llu\n", (unsigned long long)avr->cycle);
         flush_out();
         fflush(stdout);
-        wait_a_little();
+        wait_for_input();
     }
     unplug();
     return 0;

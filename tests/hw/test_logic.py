@@ -199,10 +199,10 @@ def test_the_boot_counter_survives_a_write_that_failed(logic: ctypes.CDLL) -> No
         slots[2 * which], slots[2 * which + 1] = following
 
 
-def test_300_000_fuzzed_frames_and_100_000_guided_inputs_under_the_sanitizers(build: Path) -> None:
+def test_300_000_fuzzed_frames_and_100_000_coverage_guided_inputs_under_the_sanitizers(build: Path) -> None:
     need("make", "gcc")
     make("fuzz", build)
-    for program, amount, said in (("fuzz", "300000", "frames"), ("guided", "100000", "inputs")):
+    for program, amount, said in (("fuzz", "300000", "frames"), ("coverage_fuzz", "100000", "inputs")):
         done = subprocess.run([str(build / program), amount], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         assert re.search(rf"{amount} {said}, .*\b\d{{4,}} pulses", done.stdout), done.stdout

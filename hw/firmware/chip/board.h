@@ -5,9 +5,9 @@
  * PB2 D10  out  LED gate, OC1B; pull-down outside, for the time of a reset
  * PD2 D2   in   encoder A (INT0)           PD3 D3  in   encoder B (INT1)
  * PD4..PD7 D4..D7  out  LED channels 0 to 3; a LED is lit while its channel and the gate are both high
- * PD0 RX, PD1 TX   serial line, 250 000 baud, which 16 MHz gives exactly
+ * PD0 RX, PD1 TX   serial port, 250 000 baud, which 16 MHz divides exactly (115 200 would be 2.1 % off)
  *
- * Port B is written nowhere but in outputs.c, and only with zeros: its other pins are the timer's.
+ * Port B is written only in outputs.c, and only with zeros: the compare units drive its outputs.
  */
 #ifndef BOARD_H
 #define BOARD_H
@@ -29,7 +29,7 @@
 
 #define BAUD_DIVIDER (F_CPU / 16 / 250000UL - 1)
 
-/* Timer 2 interrupts every 64 us: the guard's clock, and what wakes the main loop. */
+/* Interval of the Timer 2 interrupt, which clocks the guard and wakes the main loop. */
 #define GUARD_TICK_US 64
 
 #endif

@@ -11,15 +11,15 @@
 
 static struct edge edges[EDGES];
 static volatile uint8_t edges_in, edges_out, edges_lost;
-static uint8_t level; /* of the last edge seen */
+static uint8_t level; /* after the last edge that was handled */
 
 static volatile int32_t position;
 static int32_t watched;
 static ticks_t reached_at;
 static volatile uint8_t watching, reached;
-static uint8_t phase; /* B and A of the encoder as last seen */
+static uint8_t phase; /* last state of the encoder's B and A */
 
-static void keep(ticks_t tick)
+static void store_edge(ticks_t tick)
 {
     if ((uint8_t)(edges_in - edges_out) == EDGES) {
         edges_lost++;
@@ -29,33 +29,34 @@ static void keep(ticks_t tick)
     edges_in++;
 }
 
-static void await_edge(void)
+static void select_next_edge(void)
 {
     if (level) TCCR1B &= (uint8_t)~(1 << ICES1);
     else TCCR1B |= 1 << ICES1;
 }
 
-/* Switching the edge may itself set the flag, and an edge may come while it is switched. The level decides both:
- * an interrupt without a change is nobody's, a change that is already there needs no interrupt. */
+/* Changing the edge select may itself set the capture flag, and an edge may occur during the change (ATmega328P data
+ * sheet, Input Capture Unit). So the level decides: an interrupt without a change is ignored, and a change that is already
+ * there is stored without an interrupt. */
 ISR(TIMER1_CAPT_vect)
 {
     uint16_t captured = ICR1;
     uint8_t now = (PINB & BARRIER_PIN) != 0;
     if (now != level) {
         level = now;
-        await_edge();
-        keep(timebase_extend(captured));
+        select_next_edge();
+        store_edge(timebase_extend(captured));
     }
     now = (PINB & BARRIER_PIN) != 0;
     if (now != level) {
         level = now;
-        await_edge();
-        keep(timebase_extend(TCNT1));
+        select_next_edge();
+        store_edge(timebase_extend(TCNT1));
     }
 }
 
-/* Both channels, both edges. Four bits, old phase and new one: +1, -1, or 0 where nothing or too much has changed.
- * Part of both interrupts rather than called: a call would save every register. */
+/* Both channels, both edges. The table is indexed by old and new phase: +1, -1, or 0 if nothing or too much has changed.
+ * Inlined into both interrupts, because a call would make them save every register. */
 static inline __attribute__((always_inline)) void encoder_step(void)
 {
     static const int8_t STEP[16] = {0, 1, -1, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, -1, 1, 0};
@@ -75,7 +76,7 @@ ISR(INT1_vect) { encoder_step(); }
 void inputs_start(void)
 {
     level = (PINB & BARRIER_PIN) != 0;
-    await_edge();
+    select_next_edge();
     phase = (uint8_t)((PIND & (ENCODER_A | ENCODER_B)) >> PD2);
     TIMSK1 |= 1 << ICIE1;
     EICRA = (1 << ISC00) | (1 << ISC10); /* any change */
@@ -121,11 +122,11 @@ void encoder_watch(int32_t place)
 
 uint8_t encoder_reached(ticks_t *when)
 {
-    uint8_t it_is;
+    uint8_t was_reached;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        it_is = reached;
+        was_reached = reached;
         *when = reached_at;
         reached = 0;
     }
-    return it_is;
+    return was_reached;
 }

@@ -6,9 +6,9 @@
 
 void inputs_start(void);
 uint8_t barrier_level(void);
-/* The oldest edge not yet taken; 0 if there is none. */
+/* Takes the oldest edge; returns 0 if there is none. */
 uint8_t take_edge(struct edge *edge);
-/* Edges that came too fast to be kept, since last asked. */
+/* Returns and resets the count of edges that found the buffer full. */
 uint8_t take_edges_lost(void);
 
 #endif

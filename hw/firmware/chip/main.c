@@ -1,4 +1,4 @@
-/* The main loop: edges, bytes, rules, events; then sleep until the next interrupt, 64 us at most. */
+/* The main loop: edges, rules, bytes, events; then sleep until the next interrupt, at most 64 us. */
 #include <avr/interrupt.h>
 #include <avr/sleep.h>
 #include <avr/wdt.h>
@@ -12,7 +12,7 @@
 #include "serial.h"
 #include "timebase.h"
 
-/* Bytes handled before the rules have their turn again. */
+/* Bytes handled per turn: a full serial line must not delay the rules. */
 #define BYTES_AT_ONCE 16
 
 static struct controller controller;
@@ -25,7 +25,7 @@ static void take_edges(void)
     while (take_edge(&edge)) controller_edge(&controller, &edge);
     uint8_t lost = take_edges_lost();
     if (!lost) return;
-    /* The level as it is now stands for all that were lost. */
+    /* One edge with the present level replaces all lost ones: what matters is whether the barrier is blocked. */
     controller.edges_lost += lost;
     controller_edge(&controller, &(struct edge){timebase_now(), encoder_position(), barrier_level()});
 }
@@ -33,7 +33,7 @@ static void take_edges(void)
 static void reply_to_message(void)
 {
     static struct reply reply;
-    answer(&controller, &receiver, timebase_now(), &reply);
+    handle_request(&controller, &receiver, timebase_now(), &reply);
     uint8_t size = make_frame(frame, reply.type, message_sequence(&receiver), reply.payload, reply.size);
     if (serial_room() >= size) serial_send(frame, size);
     else controller.replies_lost++;
@@ -50,7 +50,7 @@ static void take_bytes(void)
     controller.bytes_lost += serial_take_lost();
 }
 
-/* Events wait for room, and leave some to a reply. */
+/* An event is sent only if a reply still finds room afterwards: replies are not stored, events are. */
 static void send_event(void)
 {
     if (serial_room() < 2 * FRAME_LONGEST) return;
@@ -78,7 +78,7 @@ int main(void)
         controller_poll(&controller, timebase_now());
         take_bytes();
         send_event();
-        if (guard_ticks() != guard_seen) { /* only if main loop and guard both live */
+        if (guard_ticks() != guard_seen) { /* only while main loop and guard both run */
             guard_seen = guard_ticks();
             wdt_reset();
         }

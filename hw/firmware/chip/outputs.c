@@ -1,10 +1,9 @@
-/* Edges are made by the compare units, so no interrupt latency moves them: "set on match" is chosen while the
- * pin is low, "clear on match" while it is high, and after the falling edge the pin is given back to the port,
- * which holds zero. In this order simavr 1.6 and 1.7, which know only the compare outputs of PWM modes, agree with
- * the chip.
+/* The compare units make the edges, so that interrupt latency does not move them: "set on match" is selected while the
+ * pin is low, "clear on match" while it is high, and after the falling edge the pin returns to the port, which holds
+ * zero. In this order simavr 1.6 and 1.7, which treat compare outputs as in PWM modes, behave like the chip.
  *
- * The compare interrupts are always on and ask whether their moment has really come. So no flag has to be
- * cleared by hand: simavr forgets all flags of a timer when one is cleared.
+ * The compare interrupts are always enabled and check whether their time has come. So no flag must be cleared by hand:
+ * simavr drops all flags of a timer when one is cleared.
  */
 #include "outputs.h"
 
@@ -20,21 +19,21 @@
 #define B_SET ((1 << COM1B1) | (1 << COM1B0))
 #define B_CLEAR (1 << COM1B1)
 
-/* A match is seen one count later. */
+/* The output changes one count after the match. */
 #define MATCH_AT(count) ((uint16_t)((count) - 1))
-/* Nearer than this the match could be missed while it is being written. */
+/* A nearer match could pass while it is being written. */
 #define NEAREST US(20)
 
 enum phase { LOW, RISING, HIGH };
 
 static volatile uint8_t trigger_phase, gate_phase;
-static volatile uint8_t waiting;     /* a pulse has been started and not been told as done */
-static volatile uint8_t cut;         /* by the guard */
-static volatile uint8_t guard_left;  /* periods of Timer 2 until the LEDs go out whatever happens */
+static volatile uint8_t waiting;     /* a pulse was started and its end not yet returned */
+static volatile uint8_t cut;         /* the guard ended the pulse */
+static volatile uint8_t guard_left;  /* periods of Timer 2 until the guard switches all off */
 static volatile uint8_t guard_count;
 static uint16_t trigger_width, gate_width;
 
-static uint8_t has_come(uint16_t match) { return (int16_t)(TCNT1 - match) > 0; }
+static uint8_t is_past(uint16_t match) { return (int16_t)(TCNT1 - match) > 0; }
 
 static void all_low(void)
 {
@@ -55,7 +54,7 @@ static inline void end_gate(void)
 
 static inline void step_gate(void)
 {
-    if (gate_phase == LOW || !has_come(OCR1B)) return;
+    if (gate_phase == LOW || !is_past(OCR1B)) return;
     if (gate_phase == HIGH) {
         end_gate();
         return;
@@ -63,7 +62,7 @@ static inline void step_gate(void)
     TCCR1A = (TCCR1A & (uint8_t)~B_SET) | B_CLEAR;
     OCR1B += gate_width;
     gate_phase = HIGH;
-    if (has_come(OCR1B)) { /* so late that the match may have been missed: the light ends here */
+    if (is_past(OCR1B)) { /* so late that the match may have been missed: end the light here */
         end_gate();
         PORTB &= (uint8_t)~GATE_PIN;
     }
@@ -71,19 +70,19 @@ static inline void step_gate(void)
 
 static inline void step_trigger(void)
 {
-    if (trigger_phase == LOW || !has_come(OCR1A)) return;
+    if (trigger_phase == LOW || !is_past(OCR1A)) return;
     if (trigger_phase == RISING) {
         TCCR1A = (TCCR1A & (uint8_t)~A_SET) | A_CLEAR;
         OCR1A += trigger_width;
         trigger_phase = HIGH;
-        if (!has_come(OCR1A)) return;
+        if (!is_past(OCR1A)) return;
         PORTB &= (uint8_t)~TRIGGER_PIN;
     }
     TCCR1A &= (uint8_t)~A_SET;
     trigger_phase = LOW;
 }
 
-/* Both outputs rise together; whichever interrupt comes, the light is looked after first. */
+/* Both outputs rise together. Whichever interrupt runs first handles the gate first, because LEDs can be damaged. */
 ISR(TIMER1_COMPA_vect)
 {
     step_gate();
@@ -96,7 +95,7 @@ ISR(TIMER1_COMPB_vect)
     step_trigger();
 }
 
-/* A clock of its own and a count that was fixed before the pulse: it needs nothing of what it guards. */
+/* The guard runs on a separate timer with a count set before the pulse: it depends on nothing that it guards. */
 ISR(TIMER2_COMPA_vect)
 {
     guard_count++;
@@ -113,7 +112,7 @@ void outputs_start(void)
     DDRD |= CHANNEL_PINS;
     TIMSK1 |= (1 << OCIE1A) | (1 << OCIE1B);
     OCR2A = F_CPU / 1000000UL * GUARD_TICK_US / 64 - 1;
-    TCCR2A = 1 << WGM21; /* from 0 to OCR2A, again and again */
+    TCCR2A = 1 << WGM21; /* CTC mode: from 0 to OCR2A */
     TIMSK2 = 1 << OCIE2A;
     TCCR2B = 1 << CS22; /* clk/64 */
 }
@@ -136,8 +135,8 @@ uint8_t pulse_start(ticks_t due, uint16_t trigger, const struct step *light)
             if (light->channels) {
                 gate_phase = RISING;
                 PORTD = (PORTD & (uint8_t)~CHANNEL_PINS) | (uint8_t)(light->channels << CHANNEL_SHIFT);
-                /* Until the gate has fallen, rounded up; one for the phase of Timer 2, and one because its interrupt
-                 * goes before the one that ends the light. So it comes 64 to 192 us after the end. */
+                /* Time until the gate falls, rounded up, plus one for the phase of Timer 2, and one because its interrupt
+                 * has priority over the one that ends the light. The guard fires 64 to 192 us after the end. */
                 guard_left = (uint8_t)((ahead + light->width) / US(GUARD_TICK_US) + 3);
             }
             taken = 1;
@@ -146,7 +145,7 @@ uint8_t pulse_start(ticks_t due, uint16_t trigger, const struct step *light)
     return taken;
 }
 
-uint8_t pulse_look(void)
+uint8_t pulse_poll(void)
 {
     uint8_t pulse = PULSE_NONE;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -163,7 +162,7 @@ uint8_t pulse_cancel(void)
 {
     uint8_t cancelled = 0;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (trigger_phase == RISING && !has_come(OCR1A)) {
+        if (trigger_phase == RISING && !is_past(OCR1A)) {
             all_low();
             waiting = 0;
             cancelled = 1;

@@ -4,14 +4,15 @@
 #include <avr/wdt.h>
 
 #include "board.h"
-#include "boots.h"
+#include "boot_counter.h"
 
 static struct boot_slot EEMEM boot_slots[2];
 static uint32_t EEMEM unit = 0xFFFFFFFF;
 
-static uint8_t cause __attribute__((section(".noinit"))); /* written before main, when memory is not yet cleared */
+static uint8_t cause __attribute__((section(".noinit"))); /* written in .init3, before .bss is cleared */
 
-/* After a watchdog reset the watchdog runs on, at 16 ms: it must be stopped before anything takes that long. */
+/* After a watchdog reset the watchdog stays on with 16 ms (avr-libc, wdt.h): it must be stopped before anything takes so
+ * much time. */
 void stop_watchdog(void) __attribute__((naked, used, section(".init3")));
 void stop_watchdog(void)
 {

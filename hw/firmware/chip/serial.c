@@ -13,9 +13,10 @@ static volatile uint8_t rx_in, rx_out, rx_lost, tx_in, tx_out;
 
 ISR(USART_RX_vect)
 {
+    /* The error flags must be read before the data register, which clears them (ATmega328P data sheet, USART). */
     uint8_t overrun = UCSR0A & ((1 << DOR0) | (1 << FE0));
     uint8_t byte = UDR0, next = (rx_in + 1) % RX_SIZE;
-    if (overrun) rx_lost++; /* the checksum of the frame will tell the rest */
+    if (overrun) rx_lost++; /* the frame's checksum detects it */
     if (next == rx_out) {
         rx_lost++;
         return;
@@ -35,7 +36,7 @@ ISR(USART_UDRE_vect)
 
 void serial_start(void)
 {
-    PORTD |= SERIAL_RX; /* pulled up: an open line is silent */
+    PORTD |= SERIAL_RX; /* pull-up: an open line stays idle */
     UBRR0 = BAUD_DIVIDER;
     UCSR0C = (1 << UCSZ01) | (1 << UCSZ00);
     UCSR0B = (1 << RXCIE0) | (1 << RXEN0) | (1 << TXEN0);

@@ -6,7 +6,7 @@
 
 void timebase_start(void);
 ticks_t timebase_now(void);
-/* When a 16-bit value of the timer, not older than 16 ms, was there. Interrupts are off. */
+/* Extends a value of the timer that is at most 16 ms old; call with interrupts off. */
 ticks_t timebase_extend(uint16_t count);
 
 #endif

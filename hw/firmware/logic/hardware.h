@@ -1,4 +1,4 @@
-/* What the rules ask of the chip. chip/ does it with registers; native/ pretends, for tests on a PC. */
+/* What the logic needs of the chip. chip/ implements it with registers, native/ by simulation for tests on a PC. */
 #ifndef HARDWARE_H
 #define HARDWARE_H
 
@@ -6,18 +6,20 @@
 
 enum pulse { PULSE_NONE, PULSE_WAITING, PULSE_HIGH, PULSE_DONE, PULSE_CUT };
 
-/* Hand one row to the compare units: both outputs rise at `due`. 0 if that is too near; nothing happens then. */
+/* Gives one row to the compare units: both outputs rise at `due`. Returns 0, without effect, if `due` is too near. */
 uint8_t pulse_start(ticks_t due, uint16_t trigger_width, const struct step *light);
-/* PULSE_DONE and PULSE_CUT (by the guard) are told once. */
-uint8_t pulse_look(void);
-/* Take back a pulse whose edge has not come; 0 if there is none. */
+/* The state of the pulse. PULSE_DONE and PULSE_CUT (by the guard) are returned once. */
+uint8_t pulse_poll(void);
+/* Cancels a pulse that has not risen; returns 0 if there is none. */
 uint8_t pulse_cancel(void);
-/* All outputs low, now. */
+/* Switches all outputs low at once. */
 void outputs_off(void);
 
+/* Encoder counts since the reset. */
 int32_t encoder_position(void);
-/* Note when the encoder gets to a place, or that it is beyond already. */
+/* Records the time at which the encoder reaches a position; the present time if it is beyond it already. */
 void encoder_watch(int32_t place);
+/* True once after the watched position was reached; `when` is its time. */
 uint8_t encoder_reached(ticks_t *when);
 
 #endif

@@ -1,4 +1,4 @@
-/* Of this firmware; the protocol has its own in protocol.h. */
+/* The version of this firmware; that of the protocol is in protocol.h. */
 #ifndef VERSION_H
 #define VERSION_H
 
@@ -7,7 +7,7 @@
 #define FIRMWARE_PATCH 0
 
 #ifndef FIRMWARE_BUILD
-#define FIRMWARE_BUILD "" /* `make` gives the commit */
+#define FIRMWARE_BUILD "" /* set by `make` to the commit */
 #endif
 
 #endif

@@ -1,4 +1,4 @@
-/* What tests/hw calls through ctypes: one controller on a chip that pretends. */
+/* The functions that tests/hw calls through ctypes: one controller on a simulated chip. */
 #include "bridge.h"
 
 #include <string.h>
@@ -10,29 +10,29 @@ void bridge_start(ticks_t now) { bridge_boot(now, 1); }
 
 void bridge_boot(ticks_t now, uint32_t boots)
 {
-    pretend_reset(now);
+    chip_reset(now);
     memset(&receiver, 0, sizeof receiver);
     controller_start(&controller, now, 0, boots, 1);
 }
 
 void bridge_edge(ticks_t tick, uint8_t blocked) { controller_edge(&controller, &(struct edge){tick, encoder_position(), blocked}); }
 
-void bridge_encoder(int32_t position) { pretend_encoder(position); }
+void bridge_encoder(int32_t position) { chip_set_encoder(position); }
 
 void bridge_poll(ticks_t now)
 {
-    pretend_time(now);
+    chip_advance(now);
     controller_poll(&controller, now);
 }
 
-/* Feeds bytes; writes the frames that answer them, and returns their size. */
+/* Feeds bytes, writes the reply frames and returns their size. */
 uint32_t bridge_talk(const uint8_t *bytes, uint32_t count, uint8_t *frames, ticks_t now)
 {
     uint32_t size = 0;
     struct reply reply;
     while (count--)
         if (receive(&receiver, *bytes++)) {
-            answer(&controller, &receiver, now, &reply);
+            handle_request(&controller, &receiver, now, &reply);
             size += make_frame(frames + size, reply.type, message_sequence(&receiver), reply.payload, reply.size);
         }
     return size;
@@ -40,7 +40,7 @@ uint32_t bridge_talk(const uint8_t *bytes, uint32_t count, uint8_t *frames, tick
 
 uint16_t bridge_bad_frames(void) { return receiver.bad; }
 
-/* The next event in the order of sending; 0 if there is none. */
+/* Takes the next event to send; returns 0 if there is none. */
 uint8_t bridge_event(struct event *event)
 {
     const struct event *next = event_to_send(&controller.events);

@@ -2,7 +2,7 @@
 #define BRIDGE_H
 
 #include "commands.h"
-#include "pretend.h"
+#include "simulated_chip.h"
 
 void bridge_start(ticks_t now);
 void bridge_boot(ticks_t now, uint32_t boots);

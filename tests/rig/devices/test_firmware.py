@@ -107,7 +107,7 @@ def test_a_build_that_fails_reports_the_compiler(tmp_path: Path, monkeypatch: py
     need_emulator()
     broken = tmp_path / "firmware"
     shutil.copytree(firmware.CHECKOUT, broken, ignore=shutil.ignore_patterns("build"))
-    (broken / "logic" / "boots.c").write_text("#error out of order\n")
+    (broken / "logic" / "boot_counter.c").write_text("#error out of order\n")
     monkeypatch.setattr(firmware, "PACKAGED", broken)
     with pytest.raises(DeviceError, match=r"the firmware does not build: (?s:.*)out of order"):
         firmware.build(tmp_path / "built")

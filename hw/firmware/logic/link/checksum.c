@@ -1,6 +1,7 @@
 #include "checksum.h"
 
-/* Without a table: the same arithmetic as avr-libc's _crc_xmodem_update, but it builds anywhere. */
+/* The arithmetic of avr-libc's _crc_xmodem_update in portable C. A table would cost 512 bytes of flash.
+ * Not _crc_ccitt_update: that is another CRC (0x6F91 instead of 0x29B1 for "123456789"). */
 uint16_t crc16_step(uint16_t crc, uint8_t byte)
 {
     uint8_t x = (uint8_t)(crc >> 8) ^ byte;
@@ -15,7 +16,7 @@ uint16_t crc16(const uint8_t *bytes, uint8_t count)
     return crc;
 }
 
-/* Bit by bit: it is needed once per configuration, when nothing is under way. */
+/* Bit by bit, which is slow: it runs once per configuration, never while armed. */
 uint32_t crc32_of(uint32_t crc, const void *bytes, uint8_t count)
 {
     const uint8_t *byte = bytes;

@@ -19,7 +19,7 @@ static void refuse(struct reply *reply, uint8_t request, struct refusal why)
     put(reply, &nak, sizeof nak);
 }
 
-static void tell_ident(const struct controller *c, struct reply *reply)
+static void reply_ident(const struct controller *c, struct reply *reply)
 {
     struct ident ident = {
         .major = PROTOCOL_MAJOR, .minor = PROTOCOL_MINOR,
@@ -33,7 +33,7 @@ static void tell_ident(const struct controller *c, struct reply *reply)
     put(reply, &ident, sizeof ident);
 }
 
-static void tell_status(const struct controller *c, uint16_t bad, ticks_t now, struct reply *reply)
+static void reply_status(const struct controller *c, uint16_t bad, ticks_t now, struct reply *reply)
 {
     struct status status = {
         .state = c->state, .fault = c->fault, .reset_cause = c->reset_cause, .blocked = c->barrier.raw,
@@ -62,10 +62,11 @@ static struct refusal commit(struct controller *c, uint32_t crc)
 
 static struct refusal arm(struct controller *c, const struct arm_request *request, ticks_t now)
 {
+    /* A repeated ARM whose reply was lost must succeed, although the controller is armed now. */
     uint8_t armed = c->state == STATE_ARMED || c->state == STATE_RUNNING;
     if (armed && c->run == request->run && c->configuration.crc == request->config_crc)
         return (struct refusal){NAK_NONE, 0, 0};
-    if (c->state != STATE_IDLE || c->shot.under_way) return (struct refusal){NAK_STATE, 0, c->state};
+    if (c->state != STATE_IDLE || c->pulse.under_way) return (struct refusal){NAK_STATE, 0, c->state};
     if (!c->configuration.crc) return (struct refusal){NAK_UNCONFIGURED, 0, 0};
     if (c->configuration.crc != request->config_crc)
         return (struct refusal){NAK_CHECKSUM, 0, c->configuration.crc};
@@ -94,11 +95,11 @@ static int8_t payload_size(uint8_t type)
     }
 }
 
-void answer(struct controller *c, const struct receiver *message, ticks_t now, struct reply *reply)
+void handle_request(struct controller *c, const struct receiver *message, ticks_t now, struct reply *reply)
 {
     const uint8_t type = message_type(message);
     const int8_t size = payload_size(type);
-    union { /* payloads need not be aligned where they lie */
+    union { /* a copy, because payloads in the receive buffer need not be aligned */
         uint32_t number;
         struct timing timing;
         struct step_request step;
@@ -121,9 +122,9 @@ void answer(struct controller *c, const struct receiver *message, ticks_t now, s
     }
     memcpy(&request, message_payload(message), (size_t)size);
     switch (type) {
-    case MSG_IDENT: tell_ident(c, reply); break;
-    case MSG_BEAT: c->beat = now; /* fall through */
-    case MSG_STATUS: tell_status(c, message->bad, now, reply); break;
+    case MSG_IDENT: reply_ident(c, reply); break;
+    case MSG_BEAT: c->last_beat = now; /* fall through */
+    case MSG_STATUS: reply_status(c, message->bad, now, reply); break;
     case MSG_CLOCK: put(reply, &(struct clock_reply){request.number, now}, sizeof(struct clock_reply)); break;
     case MSG_TIMING: c->configuration.staged.timing = request.timing; break;
     case MSG_STEP: why = set_step(c, &request.step); break;

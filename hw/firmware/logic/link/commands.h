@@ -1,4 +1,4 @@
-/* Requests of the host → what is done → the reply. Every request may be repeated without doing its work twice. */
+/* Requests of the host: executes one and makes its reply. Every request may be repeated without being executed twice. */
 #ifndef COMMANDS_H
 #define COMMANDS_H
 
@@ -7,6 +7,6 @@
 
 struct reply { uint8_t type, size; uint8_t payload[PAYLOAD_LONGEST]; };
 
-void answer(struct controller *c, const struct receiver *message, ticks_t now, struct reply *reply);
+void handle_request(struct controller *c, const struct receiver *message, ticks_t now, struct reply *reply);
 
 #endif

@@ -7,7 +7,7 @@ static_assert((EVENTS_KEPT & (EVENTS_KEPT - 1)) == 0, "numbers are masked");
 void event_add(struct events *e, ticks_t tick, uint8_t kind, uint8_t detail, uint16_t index, uint32_t value)
 {
     if (e->next - e->acknowledged >= EVENTS_KEPT) {
-        e->acknowledged++; /* the oldest is overwritten, unread for all we know */
+        e->acknowledged++; /* the oldest event is overwritten, and the host may not have it */
         e->lost++;
     }
     e->kept[e->next & (EVENTS_KEPT - 1)] = (struct event){e->next, tick, kind, detail, index, value};
@@ -29,6 +29,7 @@ void events_acknowledge(struct events *e, uint32_t next_wanted)
 
 const struct event *event_to_send(struct events *e)
 {
+    /* While the serial line was busy, events may have been overwritten before they were sent. */
     if (e->sent < events_first(e)) e->sent = events_first(e);
     return event_read(e, e->sent);
 }

@@ -1,4 +1,5 @@
-/* What happened, numbered from 0 since the reset. The last ones can be read again, so none is lost on the wire. */
+/* Events, numbered from 0 since the reset. The last ones can be read again, so that loss on the line is
+ * repaired. */
 #ifndef EVENTS_H
 #define EVENTS_H
 
@@ -9,9 +10,9 @@
 struct events {
     struct event kept[EVENTS_KEPT];
     uint32_t next;         /* number of the next one */
-    uint32_t acknowledged; /* the host has all before this one */
+    uint32_t acknowledged; /* the host has received all events before this one */
     uint32_t sent;         /* number of the next one to send */
-    uint16_t lost;
+    uint16_t lost;         /* overwritten before they were acknowledged */
 };
 
 void event_add(struct events *events, ticks_t tick, uint8_t kind, uint8_t detail, uint16_t index, uint32_t value);

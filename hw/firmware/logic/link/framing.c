@@ -4,15 +4,15 @@
 
 #include "checksum.h"
 
-/* In place: what is read is never behind what is written. Returns the size, 0 if it is no COBS. */
-static uint8_t uncob(uint8_t *bytes, uint8_t count)
+/* Decodes in place, which is safe because reading never falls behind writing. Returns the size, 0 if it is no COBS. */
+static uint8_t cobs_decode(uint8_t *bytes, uint8_t count)
 {
     uint8_t from = 0, to = 0;
     while (from < count) {
         uint8_t code = bytes[from++];
         if (code - 1 > count - from) return 0;
         for (uint8_t k = 1; k < code; k++) bytes[to++] = bytes[from++];
-        /* A code of 0xFF stands for no zero, but frames are shorter than that. */
+        /* A code of 0xFF would stand for no zero, but frames are too short for it. */
         if (from < count) bytes[to++] = 0;
     }
     return to;
@@ -20,7 +20,7 @@ static uint8_t uncob(uint8_t *bytes, uint8_t count)
 
 static uint8_t complete(struct receiver *r)
 {
-    uint8_t size = uncob(r->bytes, r->count);
+    uint8_t size = cobs_decode(r->bytes, r->count);
     if (size < 4) return 0;
     uint16_t sent = (uint16_t)(r->bytes[size - 2] | r->bytes[size - 1] << 8);
     r->payload_size = size - 4;
@@ -34,6 +34,7 @@ uint8_t receive(struct receiver *r, uint8_t byte)
         else r->overlong = 1;
         return 0;
     }
+    /* Two delimiters in a row are no error: senders may begin with one to end earlier noise. */
     uint8_t empty = !r->count, good = !empty && !r->overlong && complete(r);
     if (!empty && !good) r->bad++;
     r->count = r->overlong = 0;

@@ -1,4 +1,4 @@
-/* The messages of hw/protocol.md, version 1.0. Little-endian, packed; sizes are part of the protocol. */
+/* The messages of hw/protocol.md, version 1.0: little-endian, packed; sizes are part of the protocol. */
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 
@@ -12,7 +12,7 @@
 
 #define PAYLOAD_LONGEST 58
 #define CONTENT_LONGEST (2 + PAYLOAD_LONGEST + 2) /* type, sequence, payload, CRC-16 */
-#define FRAME_LONGEST (CONTENT_LONGEST + 2)       /* COBS adds one byte, and the delimiter */
+#define FRAME_LONGEST (CONTENT_LONGEST + 2)       /* COBS adds one byte, the delimiter another */
 
 enum message {
     MSG_IDENT = 0x01,
@@ -38,12 +38,12 @@ enum nak {
     NAK_UNKNOWN = 1,      /* no such request in this version */
     NAK_LENGTH = 2,       /* payload of another size; limit: the right one */
     NAK_RANGE = 3,        /* a field outside its range; field: which, limit: the nearest allowed value */
-    NAK_LED_LIMIT = 4,    /* longer or more often than the LEDs bear; field: channel, limit in ticks */
+    NAK_LED_LIMIT = 4,    /* longer or more frequent than the LEDs allow; field: channel, limit in ticks */
     NAK_STATE = 5,        /* not in this state; limit: the state */
     NAK_CHECKSUM = 6,     /* not the checksum of this configuration; limit: the right one */
     NAK_LED_BUDGET = 7,   /* the LEDs have not cooled down yet; field: channel */
-    NAK_GONE = 8,         /* that event has been overwritten or has not happened; limit: oldest kept */
-    NAK_UNCONFIGURED = 9, /* nothing has been committed since the reset */
+    NAK_GONE = 8,         /* the event was overwritten or has not occurred; limit: oldest kept */
+    NAK_UNCONFIGURED = 9, /* no configuration was committed since the reset */
 };
 
 enum state { STATE_IDLE = 0, STATE_ARMED = 1, STATE_RUNNING = 2, STATE_SAFE = 3 };
@@ -63,10 +63,10 @@ enum event_kind {
 
 enum suppressed {
     SUPPRESSED_BOUNCE = 1,     /* the barrier changed for less than the debounce; value: ticks */
-    SUPPRESSED_GAP = 2,        /* a board sooner than the minimum gap after the last; value: ticks since it left */
+    SUPPRESSED_GAP = 2,        /* a board within the minimum gap after the last; value: ticks since that left */
     SUPPRESSED_LATE = 3,       /* the row could not be prepared in time */
     SUPPRESSED_LED_BUDGET = 4, /* the LEDs have not cooled down; value: channel */
-    SUPPRESSED_TOO_FAST = 5,   /* the encoder asks for rows faster than min_period; value: ticks since the last */
+    SUPPRESSED_TOO_FAST = 5,   /* the encoder demands rows faster than min_period; value: ticks since the last */
 };
 
 enum run_end { END_CLEAR = 1, END_MAX_ROWS = 2, END_DISARMED = 3, END_SAFE = 4 };
@@ -81,8 +81,8 @@ struct WIRE timing {
     uint16_t max_rows;
     uint32_t start_delay;   /* barrier edge to row 0: ticks, or encoder counts */
     uint32_t period;        /* row to row: ticks, or encoder counts */
-    uint32_t tail;          /* rows go on after the board has left: ticks, or encoder counts */
-    uint32_t min_period;    /* ticks; what the cameras can follow */
+    uint32_t tail;          /* rows continue after the board has left: ticks, or encoder counts */
+    uint32_t min_period;    /* ticks; shortest period of cameras and LEDs */
     uint32_t debounce;      /* ticks */
     uint32_t min_gap;       /* ticks the barrier must be clear between two boards */
     uint16_t trigger_width; /* ticks */
@@ -106,7 +106,7 @@ struct WIRE ident {
     uint8_t program_steps;
     uint8_t reset_cause;
     uint32_t boots;
-    uint32_t unit;          /* from EEPROM; 0xFFFFFFFF: never given */
+    uint32_t unit;          /* from EEPROM; 0xFFFFFFFF: never set */
     char build[8];          /* start of the commit's id, zeros if unknown */
     char board[8];
     uint16_t tick_ns;
@@ -120,9 +120,9 @@ static_assert(sizeof(struct ident) == 48, "part of the protocol");
 
 struct WIRE status {
     uint8_t state;
-    uint8_t fault;          /* why it is SAFE */
+    uint8_t fault;          /* cause of STATE_SAFE */
     uint8_t reset_cause;
-    uint8_t blocked;        /* level of the barrier as it is now */
+    uint8_t blocked;        /* present level of the barrier */
     uint16_t run;
     uint16_t row;           /* next row of the run under way */
     uint32_t tick;
@@ -134,9 +134,9 @@ struct WIRE status {
     uint16_t events_lost;   /* overwritten before they were acknowledged */
     uint16_t bad_frames;
     uint16_t unknown;
-    uint16_t replies_lost;  /* no room to send them */
-    uint16_t bytes_lost;    /* came in faster than they were read */
-    uint16_t edges_lost;    /* barrier changed faster than it was watched */
+    uint16_t replies_lost;  /* no room in the transmit buffer */
+    uint16_t bytes_lost;    /* arrived faster than they were read */
+    uint16_t edges_lost;    /* the barrier changed faster than edges were read */
 };
 static_assert(sizeof(struct status) == 44, "part of the protocol");
 

@@ -1,4 +1,4 @@
-/* How much light each channel may still give: a bucket that fills with 1/16 of the time. Constants in limits.h. */
+/* The LED duty limit: a token bucket of light per channel that fills with 1/16 of the time. Constants in limits.h. */
 #ifndef BUDGET_H
 #define BUDGET_H
 
@@ -8,16 +8,16 @@
 
 struct budget {
     uint16_t left[LED_CHANNELS]; /* ticks of light */
-    ticks_t filled;              /* when they were last brought up to date */
+    ticks_t filled;              /* time of the last update */
 };
 
 extern const uint16_t led_longest[LED_CHANNELS];
 
-/* At least once in 17 minutes. */
+/* Updates the buckets; must be called at least once in 17 minutes, or the time difference wraps. */
 void budget_fill(struct budget *budget, ticks_t now);
-/* Channel that has not cooled down for this pulse, or CHANNEL_NONE: then the light is taken out. */
+/* Takes the light of a pulse from the buckets and returns CHANNEL_NONE; or returns a channel that lacks it, unchanged. */
 uint8_t budget_take(struct budget *budget, ticks_t now, const struct step *step);
-/* Channel for which the pulse itself is too long (or too short, or does not exist), or CHANNEL_NONE. */
+/* Returns a channel for which the pulse is too long, too short, or that does not exist; CHANNEL_NONE if all is well. */
 uint8_t step_refused(const struct step *step);
 
 #endif

@@ -24,7 +24,7 @@ static struct refusal within(uint8_t field, uint32_t value, uint32_t least, uint
 static struct refusal check_timing(const struct timing *t)
 {
     uint8_t by_distance = t->pacing == PACING_DISTANCE;
-    uint32_t sure = t->debounce + DECISION;
+    uint32_t confirmed = t->debounce + DECISION;
     REQUIRE(within(PACING, t->pacing, PACING_TIME, PACING_DISTANCE));
     REQUIRE(within(STEPS, t->steps, 1, PROGRAM_STEPS));
     REQUIRE(within(MAX_ROWS, t->max_rows, 1, ROW_NONE - 1));
@@ -32,13 +32,13 @@ static struct refusal check_timing(const struct timing *t)
     REQUIRE(within(MIN_GAP, t->min_gap, 0, TIME_LONGEST));
     REQUIRE(within(MIN_PERIOD, t->min_period, PERIOD_SHORTEST, TIME_LONGEST));
     REQUIRE(within(TRIGGER_WIDTH, t->trigger_width, TRIGGER_SHORTEST, TRIGGER_LONGEST));
-    /* Counts cannot be compared with ticks: there the rows that come too soon are left out one by one. */
-    REQUIRE(within(START_DELAY, t->start_delay, by_distance ? 0 : sure, TIME_LONGEST));
+    /* Encoder counts cannot be compared with ticks; rows that come too early are then suppressed one by one. */
+    REQUIRE(within(START_DELAY, t->start_delay, by_distance ? 0 : confirmed, TIME_LONGEST));
     REQUIRE(within(PERIOD, t->period, by_distance ? 1 : t->min_period, TIME_LONGEST));
-    return within(TAIL, t->tail, by_distance ? 0 : sure, TIME_LONGEST);
+    return within(TAIL, t->tail, by_distance ? 0 : confirmed, TIME_LONGEST);
 }
 
-/* Every step must bear being repeated at the highest rate: so a running program is never short of light. */
+/* Every step must be allowed at the shortest period, so that a running program never exhausts the LED budget. */
 static struct refusal check_step(const struct step *step, uint8_t k, uint32_t min_period)
 {
     uint8_t channel = step_refused(step);

@@ -12,30 +12,30 @@ static void report(struct controller *c, ticks_t tick, uint8_t kind, uint8_t det
     event_add(&c->events, tick, kind, detail, index, value);
 }
 
-/* The pulse has come, or its edge has: either way the cameras were triggered. */
+/* Reports the pulse once its edge has risen, even if it has not ended: the cameras were triggered. */
 static void report_pulse(struct controller *c)
 {
-    c->shot.under_way = 0;
-    report(c, c->shot.due, EVENT_PULSE, c->shot.light.channels, c->shot.row, c->shot.light.width);
-    if (c->shot.row != ROW_NONE) c->passage.fired++;
+    c->pulse.under_way = 0;
+    report(c, c->pulse.due, EVENT_PULSE, c->pulse.light.channels, c->pulse.row, c->pulse.light.width);
+    if (c->pulse.row != ROW_NONE) c->passage.fired++;
 }
 
-/* Take the pulse back if its edge has not come; if it has, it is told now. */
-static void settle_shot(struct controller *c)
+/* Cancels the pulse if it has not risen; reports it if it has. */
+static void settle_pulse(struct controller *c)
 {
-    if (!c->shot.under_way) return;
-    if (pulse_cancel()) c->shot.under_way = 0;
+    if (!c->pulse.under_way) return;
+    if (pulse_cancel()) c->pulse.under_way = 0;
     else report_pulse(c);
 }
 
 static void end_run(struct controller *c, uint8_t why, ticks_t now)
 {
-    settle_shot(c);
+    settle_pulse(c);
     report(c, now, EVENT_RUN_END, why, c->passage.fired, c->passage.suppressed);
     c->state = STATE_ARMED;
 }
 
-/* The next row: by time from the row before, so that no error adds up beyond the crystal's. */
+/* Sums of integers: no rounding error adds up over a run. */
 static void next_row(struct controller *c)
 {
     c->passage.row++;
@@ -63,13 +63,14 @@ static void start_run(struct controller *c, const struct edge *edge)
     if (by_distance(c)) encoder_watch(c->passage.place);
 }
 
-static void board_comes(struct controller *c, const struct edge *edge)
+static void on_board_arrival(struct controller *c, const struct edge *edge)
 {
-    if (c->state == STATE_RUNNING) { /* a cut-out of the board: the same run goes on */
+    if (c->state == STATE_RUNNING) { /* a cut-out of the board: the same run continues */
         c->passage.left = 0;
         return;
     }
     if (c->state != STATE_ARMED) return;
+    /* Without a board since the reset there is no gap to measure. */
     uint32_t gap = edge->tick - c->last_clear;
     if (c->clear_known && gap < timing(c)->min_gap) {
         report(c, edge->tick, EVENT_SUPPRESSED, SUPPRESSED_GAP, ROW_NONE, gap);
@@ -79,7 +80,7 @@ static void board_comes(struct controller *c, const struct edge *edge)
     start_run(c, edge);
 }
 
-static void board_leaves(struct controller *c, const struct edge *edge)
+static void on_board_departure(struct controller *c, const struct edge *edge)
 {
     c->last_clear = edge->tick;
     c->clear_known = 1;
@@ -92,13 +93,13 @@ static void board_leaves(struct controller *c, const struct edge *edge)
 static void watch_barrier(struct controller *c, ticks_t now)
 {
     if (!barrier_poll(&c->barrier, now, timing(c)->debounce)) return;
-    if (c->barrier.sure) board_comes(c, &c->barrier.edge);
-    else board_leaves(c, &c->barrier.edge);
+    if (c->barrier.confirmed) on_board_arrival(c, &c->barrier.edge);
+    else on_board_departure(c, &c->barrier.edge);
 }
 
 void controller_edge(struct controller *c, const struct edge *edge)
 {
-    watch_barrier(c, edge->tick); /* the edge before may have lasted long enough, unnoticed so far */
+    watch_barrier(c, edge->tick); /* first confirm the edge before, which may have lasted long enough by now */
     ticks_t began = c->barrier.edge.tick;
     uint32_t bounce = barrier_edge(&c->barrier, edge);
     if (bounce && (c->state == STATE_ARMED || c->state == STATE_RUNNING))
@@ -115,10 +116,10 @@ static uint8_t run_is_over(const struct controller *c)
     return beyond > 0 ? END_CLEAR : 0;
 }
 
-static uint8_t shoot(struct controller *c, ticks_t due, uint16_t trigger_width, const struct step *light, uint16_t row)
+static uint8_t start_pulse(struct controller *c, ticks_t due, uint16_t trigger_width, const struct step *light, uint16_t row)
 {
     if (!pulse_start(due, trigger_width, light)) return 0;
-    c->shot = (struct shot){1, row, due, *light};
+    c->pulse = (struct pulse_under_way){1, row, due, *light};
     return 1;
 }
 
@@ -130,9 +131,9 @@ static void prepare_row(struct controller *c, ticks_t due, ticks_t now)
         suppress(c, due, SUPPRESSED_LATE, 0);
         return;
     }
-    uint8_t hot = budget_take(&c->budget, now, light);
-    if (hot != CHANNEL_NONE) suppress(c, due, SUPPRESSED_LED_BUDGET, hot);
-    else if (!shoot(c, due, timing(c)->trigger_width, light, p->row)) suppress(c, due, SUPPRESSED_LATE, 0);
+    uint8_t hot_channel = budget_take(&c->budget, now, light);
+    if (hot_channel != CHANNEL_NONE) suppress(c, due, SUPPRESSED_LED_BUDGET, hot_channel);
+    else if (!start_pulse(c, due, timing(c)->trigger_width, light, p->row)) suppress(c, due, SUPPRESSED_LATE, 0);
     else {
         p->last_due = due;
         next_row(c);
@@ -149,7 +150,7 @@ static void pace_by_distance(struct controller *c, ticks_t now)
     else prepare_row(c, due, now);
 }
 
-static void go_on(struct controller *c, ticks_t now)
+static void continue_run(struct controller *c, ticks_t now)
 {
     uint8_t over = run_is_over(c);
     if (over) end_run(c, over, now);
@@ -159,19 +160,20 @@ static void go_on(struct controller *c, ticks_t now)
 
 static void watch_pulse(struct controller *c, ticks_t now)
 {
-    uint8_t pulse = pulse_look();
+    uint8_t pulse = pulse_poll();
     if (pulse == PULSE_CUT) controller_safe(c, FAULT_GUARD, now);
-    else if (pulse == PULSE_DONE && c->shot.under_way) report_pulse(c);
+    else if (pulse == PULSE_DONE && c->pulse.under_way) report_pulse(c);
 }
 
 void controller_poll(struct controller *c, ticks_t now)
 {
     budget_fill(&c->budget, now);
+    /* The barrier before the rows: a board that has left may end the run and cancel its next row. */
     watch_pulse(c, now);
     watch_barrier(c, now);
     uint8_t needs_host = c->state == STATE_ARMED || c->state == STATE_RUNNING;
-    if (needs_host && ticks_since(now, c->beat) > (int32_t)HEARTBEAT) controller_safe(c, FAULT_HEARTBEAT, now);
-    if (c->state == STATE_RUNNING && !c->shot.under_way) go_on(c, now);
+    if (needs_host && ticks_since(now, c->last_beat) > (int32_t)HEARTBEAT) controller_safe(c, FAULT_HEARTBEAT, now);
+    if (c->state == STATE_RUNNING && !c->pulse.under_way) continue_run(c, now);
 }
 
 void controller_start(struct controller *c, ticks_t now, uint8_t blocked, uint32_t boots, uint8_t reset_cause)
@@ -180,14 +182,14 @@ void controller_start(struct controller *c, ticks_t now, uint8_t blocked, uint32
     c->boots = boots;
     c->reset_cause = reset_cause;
     c->budget.filled = now;
-    c->barrier.raw = c->barrier.sure = blocked;
+    c->barrier.raw = c->barrier.confirmed = blocked;
     report(c, now, EVENT_BOOT, reset_cause, 0, boots);
 }
 
 void controller_arm(struct controller *c, uint16_t run, ticks_t now)
 {
     c->run = run;
-    c->beat = now;
+    c->last_beat = now;
     c->state = STATE_ARMED;
 }
 
@@ -201,7 +203,7 @@ void controller_disarm(struct controller *c, ticks_t now)
 void controller_safe(struct controller *c, uint8_t fault, ticks_t now)
 {
     if (c->state == STATE_RUNNING) end_run(c, END_SAFE, now);
-    settle_shot(c);
+    settle_pulse(c); /* before the outputs are off, so that a risen pulse is still reported */
     outputs_off();
     if (c->state != STATE_SAFE) report(c, now, EVENT_FAULT, fault, 0, 0);
     c->state = STATE_SAFE;
@@ -210,8 +212,9 @@ void controller_safe(struct controller *c, uint8_t fault, ticks_t now)
 
 struct refusal controller_fire(struct controller *c, const struct fire_request *request, ticks_t now)
 {
+    /* A repeated request whose reply was lost: succeed without a second pulse. */
     if (c->fired_once && c->fire_nonce == request->nonce) return (struct refusal){NAK_NONE, 0, 0};
-    if (c->state == STATE_RUNNING || c->state == STATE_SAFE || c->shot.under_way)
+    if (c->state == STATE_RUNNING || c->state == STATE_SAFE || c->pulse.under_way)
         return (struct refusal){NAK_STATE, 0, c->state};
     uint8_t channel = step_refused(&request->step);
     if (channel != CHANNEL_NONE)
@@ -220,7 +223,7 @@ struct refusal controller_fire(struct controller *c, const struct fire_request *
     if (request->trigger_width > TRIGGER_LONGEST) return (struct refusal){NAK_RANGE, 0, TRIGGER_LONGEST};
     channel = budget_take(&c->budget, now, &request->step);
     if (channel != CHANNEL_NONE) return (struct refusal){NAK_LED_BUDGET, channel, 0};
-    if (!shoot(c, now + PREPARE, request->trigger_width, &request->step, ROW_NONE))
+    if (!start_pulse(c, now + PREPARE, request->trigger_width, &request->step, ROW_NONE))
         return (struct refusal){NAK_STATE, 0, c->state};
     c->fired_once = 1;
     c->fire_nonce = request->nonce;

@@ -1,9 +1,9 @@
-/* A fuzzer that is led by coverage: inputs that reach code in a new order are kept and changed further.
+/* A coverage-guided fuzzer: inputs that reach new edges of the control flow are kept and mutated further.
  *
- *          guided INPUTS [SEED]
+ *          coverage_fuzz INPUTS [SEED]
  *
- * The compiler tells which branches the logic takes (-fsanitize-coverage=trace-pc); this file is built without it. An
- * input is a script for one controller: see play(). Checksums are put right on the way, else nothing would get in.
+ * The compiler reports the branches of the logic (-fsanitize-coverage=trace-pc); this file is built without it. An input
+ * is a script for one controller, see play(). Checksums are corrected on the way, else every frame would be rejected.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -39,7 +39,7 @@ void __sanitizer_cov_trace_pc(void)
     edges++;
 }
 
-static uint32_t any(uint32_t below)
+static uint32_t random_below(uint32_t below)
 {
     state ^= state >> 12;
     state ^= state << 25;
@@ -47,24 +47,24 @@ static uint32_t any(uint32_t below)
     return (uint32_t)((state * 2685821657736338717ULL) >> 33) % below;
 }
 
-static uint32_t say(uint8_t type, const void *payload, uint8_t size)
+static uint32_t send(uint8_t type, const void *payload, uint8_t size)
 {
     uint8_t frame[FRAME_LONGEST];
     return bridge_talk(frame, make_frame(frame, type, 1, payload, size), answers, now);
 }
 
-/* The refusal of a wrong checksum names the right one, with which it is asked again. */
+/* The refusal of a wrong checksum has the right one as its limit, which the second round sends. */
 static void commit_and_arm(void)
 {
     struct receiver reply = {0};
     struct arm_request arm = {1, 0};
     for (uint8_t round = 0; round < 2; round++) {
-        uint32_t size = say(MSG_COMMIT, &arm.config_crc, 4);
+        uint32_t size = send(MSG_COMMIT, &arm.config_crc, 4);
         for (uint32_t k = 0; k < size; k++)
             if (receive(&reply, answers[k]))
                 memcpy(&arm.config_crc, message_payload(&reply) + (message_type(&reply) == MSG_NAK ? 4 : 0), 4);
     }
-    say(MSG_ARM, &arm, sizeof arm);
+    send(MSG_ARM, &arm, sizeof arm);
 }
 
 static void wait(uint32_t polls, ticks_t step)
@@ -72,7 +72,7 @@ static void wait(uint32_t polls, ticks_t step)
     while (polls--) bridge_poll(now += step);
 }
 
-/* Each order is a byte, then what it needs: a message (type, payload), raw bytes, a time, an edge, a place, commit. */
+/* An order is one byte and its data: a message (type, payload), raw bytes, time, an edge, an encoder position, commit. */
 static void play(const struct input *input)
 {
     const uint8_t *at = input->bytes, *end = at + input->size;
@@ -87,7 +87,7 @@ static void play(const struct input *input)
         if (size > end - at) size = (uint8_t)(end - at);
         switch (order & 3) {
         case 0:
-            if (size) say(at[0], at + 1, size > PAYLOAD_LONGEST ? PAYLOAD_LONGEST : size - 1);
+            if (size) send(at[0], at + 1, size > PAYLOAD_LONGEST ? PAYLOAD_LONGEST : size - 1);
             break;
         case 1: bridge_talk(at, size, answers, now); break;
         case 2:
@@ -108,18 +108,18 @@ static void play(const struct input *input)
 
 static void change(struct input *input)
 {
-    const struct input *other = &corpus[any(kept)];
-    for (uint32_t k = 1 + any(4); k > 0; k--) {
-        uint32_t at = any(input->size + 1u), room = LONGEST - input->size;
-        switch (any(5)) {
-        case 0: if (input->size) input->bytes[any(input->size)] ^= (uint8_t)(1 << any(8)); break;
-        case 1: if (input->size) input->bytes[any(input->size)] = (uint8_t)any(256); break;
+    const struct input *other = &corpus[random_below(kept)];
+    for (uint32_t k = 1 + random_below(4); k > 0; k--) {
+        uint32_t at = random_below(input->size + 1u), room = LONGEST - input->size;
+        switch (random_below(5)) {
+        case 0: if (input->size) input->bytes[random_below(input->size)] ^= (uint8_t)(1 << random_below(8)); break;
+        case 1: if (input->size) input->bytes[random_below(input->size)] = (uint8_t)random_below(256); break;
         case 2: input->size = (uint16_t)at; break;
         case 3:
-            for (uint32_t n = any(20); n > 0 && input->size < LONGEST; n--) input->bytes[input->size++] = (uint8_t)any(256);
+            for (uint32_t n = random_below(20); n > 0 && input->size < LONGEST; n--) input->bytes[input->size++] = (uint8_t)random_below(256);
             break;
         case 4: {
-            uint32_t from = any(other->size + 1u), count = other->size - from;
+            uint32_t from = random_below(other->size + 1u), count = other->size - from;
             if (count > room) count = room;
             memmove(input->bytes + input->size, other->bytes + from, count);
             input->size = (uint16_t)(input->size + count);
@@ -128,7 +128,7 @@ static void change(struct input *input)
     }
 }
 
-/* One sensible run and a pulse to start from; all else is found. */
+/* The first input: one valid run and one pulse. The fuzzer finds the rest. */
 static void seed_corpus(void)
 {
     const struct timing timing = {PACING_TIME, 1, 20, MS(10), MS(16), MS(10), MS(16), MS(1), MS(5), US(100)};
@@ -152,9 +152,9 @@ static void seed_corpus(void)
 
 static const char *fault_after_play(void)
 {
-    if (pretend_offence()) return pretend_offence();
-    bridge_talk((const uint8_t[]){0}, 1, answers, now); /* ends what noise left open */
-    return say(MSG_STATUS, NULL, 0) ? NULL : "no answer to STATUS";
+    if (chip_violation()) return chip_violation();
+    bridge_talk((const uint8_t[]){0}, 1, answers, now); /* ends a frame that noise left open */
+    return send(MSG_STATUS, NULL, 0) ? NULL : "no answer to STATUS";
 }
 
 int main(int argc, char **argv)
@@ -163,13 +163,13 @@ int main(int argc, char **argv)
     state = 0x9E3779B97F4A7C15ULL ^ (argc > 2 ? strtoul(argv[2], NULL, 10) : 1);
     seed_corpus();
     first = edges;
-    pulses = pretend_pulses();
+    pulses = chip_pulses();
     for (uint32_t k = 0; k < inputs; k++) {
-        struct input input = corpus[any(kept)];
+        struct input input = corpus[random_below(kept)];
         change(&input);
         found_new = 0;
         play(&input);
-        pulses += pretend_pulses();
+        pulses += chip_pulses();
         const char *fault = fault_after_play();
         if (fault) {
             fprintf(stderr, "input %u: %s\n", k, fault);
@@ -180,5 +180,5 @@ int main(int argc, char **argv)
     }
     printf("%u inputs, %u kept, edges %u -> %u, %u pulses: no LED beyond its limits, every STATUS answered\n", inputs, kept,
            first, edges, pulses);
-    return 2 * edges < 3 * first; /* a fuzzer that finds nothing new is not led */
+    return 2 * edges < 3 * first; /* without new edges the guidance does not work */
 }
