@@ -9,7 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.drift.displacement import corner_radius_px, displace_camera, moved_from_calibrated, size_px
+from vaoi_station.drift.displacement import (
+    corner_radius_px,
+    displace_camera,
+    moved_from_calibrated,
+    rms_displacement_px,
+)
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.transforms import apply
 
@@ -47,4 +52,4 @@ def test_the_size_is_the_rms_over_the_frame() -> None:
     d = np.array([0.3, -0.2, 0.9])
     grid = np.stack(np.meshgrid(np.linspace(0, 640, 161), np.linspace(0, 480, 121)), -1).reshape(-1, 2)
     t = moved_from_calibrated(replace(CAMERA, working_distance_mm=None), d)
-    assert size_px(d) == pytest.approx(np.sqrt(((apply(t, grid) - grid) ** 2).sum(1).mean()), rel=0.01)
+    assert rms_displacement_px(d) == pytest.approx(np.sqrt(((apply(t, grid) - grid) ** 2).sum(1).mean()), rel=0.01)

@@ -86,7 +86,7 @@ def test_a_camera_nothing_is_told_of_is_refused_by_its_number(made: Made, knocke
 def test_runs_before_and_after_a_knock_disagree(made: Made, knocked_twin: Callable[..., Twin]) -> None:
     twin = knocked_twin()
     runs = [made(k, [(0.0, 0.0, 0.0), (3.0 if k > 1 else 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)]) for k in range(6)]
-    with pytest.raises(InputError, match=r"disagree about camera 1: run r00[01] tells") as refused:
+    with pytest.raises(InputError, match=r"disagree about camera 1: run r00[01] gives") as refused:
         recalibrate(twin.calibration, twin.heads, runs)
     assert "fewer --runs" in (refused.value.action or "")
 

@@ -110,7 +110,7 @@ def _paper(material: Material) -> Any:
     def grey(camera: int, row: int) -> NDArray[np.uint8]:
         return to_eight_bit(to_grey(material.frames[camera, row]))
 
-    return paper.chain(material.setup.cameras, material.head.rows, grey)
+    return paper.chain_rows(material.setup.cameras, material.head.rows, grey)
 
 
 def _ready_ms(material: Material) -> float:

@@ -1,1 +1,1 @@
-"""Whether the cameras still look where they were calibrated: told from the boards that pass, run by run."""
+"""Detect cameras that have moved since their calibration, from the runs of boards, and propose corrected N_i."""

@@ -1,4 +1,4 @@
-"""A run's check from its evidence: the same for the live station and for recordings."""
+"""The check of a run from its evidence; the station and `vaoi recalibrate` share it."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ def check_run(
     evidence: Sequence[Evidence],
     stitch: Stitch,
 ) -> RunCheck:
-    """What a finished run tells of its cameras.
+    """Estimate from a finished run where its cameras are.
 
     Args:
-        run: its id.
-        time: when it was, as text.
+        run: id of the run.
+        time: its time, as text.
         board_type: name or digest.
-        setup: what it was stitched with.
+        setup: the setup of its stitching.
         times_s: (m,) time of every row.
         evidence: of its tasks, in any order.
         stitch: its result.
     """
+    # Sorted, so that the result does not depend on the order in which workers finished.
     few = [subsample_links(e) for e in sorted(evidence, key=lambda e: e.task)]
-    laid_out = prepare_evidence(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, few, stitch)
-    return make_run_check(run, time, board_type, estimate_displacements(laid_out))
+    prepared = prepare_evidence(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, few, stitch)
+    return make_run_check(run, time, board_type, estimate_displacements(prepared))

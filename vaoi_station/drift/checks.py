@@ -1,4 +1,4 @@
-"""What is kept of every run about its cameras: small, and enough to tell a drift and to correct N_i later."""
+"""The check of a run as it is stored: small, and enough to detect a drift and to correct N_i later."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Strict
 
 _DIGITS = 7
+"""Significant digits of stored matrices: more than the estimate is good for, in half the text."""
 _SEEN = 4
-"""Links to neighbours from which a camera is worth a judgement."""
+"""Least number of links to neighbours from which a camera counts as seen."""
 
 
 class CameraCheck(Strict):
-    """One camera in one run; displacements in px of its frame against its calibration."""
+    """One camera in one run; displacements are in px of its frame, against its calibration."""
 
     x_px: float
     y_px: float
@@ -30,29 +31,29 @@ class CameraCheck(Strict):
     rms_px: float | None
     """Residuals of links to its neighbours and of fiducials under the calibration; None without any."""
     left_px: float | None
-    """The same when the displacements of all cameras are taken out."""
+    """The same residuals with the displacements of all cameras taken out."""
     links: int
-    """To neighbours."""
+    """Links to neighbouring cameras."""
     fiducials: int
 
     @property
     def displacement_px(self) -> Floats:
-        """(3,) x, y, turn."""
+        """Displacement (3,): x, y, turn."""
         return np.array([self.x_px, self.y_px, self.turn_px])
 
     @property
     def seen(self) -> bool:
-        """Whether the run tells anything of this camera's place."""
+        """Whether the run shows where this camera is."""
         return self.links >= _SEEN or self.fiducials > 0
 
 
 class RunCheck(Strict):
-    """One run; `information` and `vector` are those of `equations.Told`."""
+    """One run; `information` and `vector` are those of `equations.DisplacementEstimate`."""
 
     run: str
     time: str
     board_type: str
-    """Name or digest: boards of one type have the same habits."""
+    """Name or digest. Runs of one board type share systematic displacements."""
     cameras: tuple[CameraCheck, ...]
     rivals: tuple[int, ...]
     """Cameras that may have moved instead of those that show a displacement."""
@@ -60,29 +61,29 @@ class RunCheck(Strict):
     """Lower triangle of the symmetric matrix, row by row, px⁻²."""
     vector: tuple[float, ...]
 
-    def told(self) -> tuple[Floats, Floats]:
-        """Information (3n, 3n) and vector (3n,)."""
+    def normal_equations(self) -> tuple[Floats, Floats]:
+        """Return information (3n, 3n) and vector (3n,)."""
         n = len(self.vector)
         matrix = np.zeros((n, n))
         matrix[np.tril_indices(n)] = self.information
         return matrix + np.tril(matrix, -1).T, np.array(self.vector)
 
 
-def make_run_check(run: str, time: str, board_type: str, told: DisplacementEstimate) -> RunCheck:
-    """What is kept of a run."""
-    found = attribute_motion(told.information, told.vector)
+def make_run_check(run: str, time: str, board_type: str, estimate: DisplacementEstimate) -> RunCheck:
+    """Make the stored check of a run from its estimate."""
+    found = attribute_motion(estimate.information, estimate.vector)
     return RunCheck(
         run=run,
         time=time,
         board_type=board_type,
-        cameras=tuple(_camera(told, found, i) for i in range(len(told.links))),
+        cameras=tuple(_camera(estimate, found, i) for i in range(len(estimate.links))),
         rivals=found.rivals,
-        information=_short(told.information[np.tril_indices(len(told.vector))]),
-        vector=_short(told.vector),
+        information=_short(estimate.information[np.tril_indices(len(estimate.vector))]),
+        vector=_short(estimate.vector),
     )
 
 
-def _camera(told: DisplacementEstimate, found: Attribution, i: int) -> CameraCheck:
+def _camera(estimate: DisplacementEstimate, found: Attribution, i: int) -> CameraCheck:
     x, y, turn = (round(float(v), 5) for v in found.displacement_px[i])
     sigma_x, sigma_y, sigma_turn = (round(float(v), 5) for v in found.sigma_px[i])
     return CameraCheck(
@@ -90,14 +91,14 @@ def _camera(told: DisplacementEstimate, found: Attribution, i: int) -> CameraChe
         y_px=y,
         turn_px=turn,
         sigma_px=(sigma_x, sigma_y, sigma_turn),
-        rms_px=_known(told.rms_px[i]),
-        left_px=_known(told.left_px[i]),
-        links=int(told.links[i]),
-        fiducials=int(told.fiducials[i]),
+        rms_px=_rounded_or_none(estimate.rms_px[i]),
+        left_px=_rounded_or_none(estimate.left_px[i]),
+        links=int(estimate.links[i]),
+        fiducials=int(estimate.fiducials[i]),
     )
 
 
-def _known(value: float) -> float | None:
+def _rounded_or_none(value: float) -> float | None:
     return None if math.isnan(value) else round(float(value), 5)
 
 
@@ -106,10 +107,11 @@ def _short(values: Floats) -> tuple[float, ...]:
 
 
 def combine_runs(checks: Sequence[RunCheck]) -> Attribution:
-    """The displacements that all these runs tell together."""
+    """Estimate the displacements from several runs together."""
+    # Information of independent runs adds up; so no evidence has to be kept for a correction.
     size = PARAMETERS * len(checks[0].cameras)
     information, vector = np.zeros((size, size)), np.zeros(size)
     for check in checks:
-        i, v = check.told()
+        i, v = check.normal_equations()
         information, vector = information + i, vector + v
     return attribute_motion(information, vector)

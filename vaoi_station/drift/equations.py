@@ -1,9 +1,9 @@
-"""What one run tells of its cameras: its adjustment once more, with a displacement of every camera as unknowns.
+"""The adjustment of one run once more, with a displacement of every camera as unknowns.
 
-The links of a run and the sightings of fiducials are those of its stitching; so are the equations, but for three more
-unknowns per camera. What belongs to the run alone (the motion of its rows, C, the height of its board) is eliminated.
-What remains says nothing of a motion of the whole array, which no picture of a board tells: those directions of the
-information are empty, and `attribution` decides whose motion it was.
+Links and detections of fiducials are those of the stitching. The equations are the same, with three more unknowns per
+camera. The unknowns of the run alone (motion of its rows, C, height of its board) are eliminated. No picture of a board
+shows a motion of the whole array: those directions of the remaining information are empty, and `attribution` decides
+which camera has moved.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from vaoi_station.stitching.adjustment.similarity import apply_similarity, simil
 
 _ITERATIONS = 15
 _HELD_ITERATIONS = 2
-"""With the cameras as they were calibrated: what residuals that leaves."""
+"""Iterations with the cameras as calibrated, for the residuals under the calibration."""
 _CONVERGED_PX = 1e-3
 _STEP_PX = 0.05
-"""For derivatives by differences; the functions are smooth over hundreds of px."""
+"""Step of numeric derivatives; the functions are smooth over hundreds of px."""
 _ANYWHERE_PX = 100.0
 _FIRST_FLOOR_PX = 20.0
-"""Scatter of links before anything is known: a knocked camera must not look like an outlier."""
+"""First value of the links' scatter: links to a knocked camera must not be outliers."""
 _FLOOR_PX = (0.010, 20.0)
 _PATIENCE = 0.25
-"""The scatter is taken to shrink to no less than this share in one step: the right links win over false ones slowly."""
+"""Least factor by which the scatter may shrink in one step."""
 _PAIR_SIGMA_PX, _PAIR_SHARE = 0.010, 0.25
-"""What the links of one pair of frames share, as in the adjustment of a run."""
+"""Error that the links of one pair of frames share, as in the adjustment of a run."""
 _FIDUCIAL_SIGMA_PX = 0.05
 """Detections made while filming are rougher than those of the result."""
 _KNEE, _CUT = 2.0, 6.0
 _SCALE_SIGMA = 3e-4
-"""How far a board may be shrunk or stretched against its CAD data (1 σ, relative)."""
+"""Relative standard deviation of a board's scale against its CAD data."""
 
 
 @dataclass(frozen=True, eq=False)
 class DisplacementEstimate:
-    """What a run says of its n cameras, in px: minimise (d − d̂)ᵀ·information·(d − d̂)."""
+    """The displacements d̂ of n cameras by one run: minimise (d − d̂)ᵀ·information·(d − d̂)."""
 
     information: Floats
     """(3n, 3n) px⁻²; singular along motions of the whole array."""
@@ -55,18 +55,18 @@ class DisplacementEstimate:
     rms_px: Floats
     """(n,) residuals of the links between neighbours and of the fiducials under the calibration; NaN without any."""
     left_px: Floats
-    """(n,) the same when the displacements are taken out."""
+    """(n,) the same residuals with the displacements taken out."""
     links: Ints
     """(n,) links to neighbouring cameras that were used."""
     fiducials: Ints
-    """(n,) sightings of fiducials that were used."""
+    """(n,) detections of fiducials that were used."""
 
 
 def estimate_displacements(run: RunEvidence) -> DisplacementEstimate:
-    """Solve one run for the displacements of its cameras.
+    """Estimate the displacements of the cameras from one run.
 
     Args:
-        run: links and fiducials of a run, on the ground of the calibration in force.
+        run: links and fiducials of a run under the calibration in force.
     """
     solver = _Solver(run)
     for _ in range(_HELD_ITERATIONS):
@@ -75,7 +75,7 @@ def estimate_displacements(run: RunEvidence) -> DisplacementEstimate:
     for _ in range(_ITERATIONS):
         if solver.step() < _CONVERGED_PX and solver.settled:
             break
-    return solver.told()
+    return solver.estimate()
 
 
 class _Solver:
@@ -97,28 +97,33 @@ class _Solver:
         self.held: tuple[Floats, Floats] = (np.zeros(0), np.zeros(0))
 
     def step(self, *, held: bool = False) -> float:
-        """One reweighted Gauss-Newton step; the largest change of a displacement in px. `held`: they stay zero."""
-        self._look()
+        """Take one reweighted Gauss-Newton step, without displacements if `held`; return their largest change, px."""
+        self._project()
         normal, right = sum_blocks([*self._links(), *self._belt(), *self._fiducials(), *self._height()], self.size)
+        # The gauge: row 0 is the identity. Its three equations are replaced by "no change".
         first = slice(self.rows_at, self.rows_at + 3)
         normal[first, :] = normal[:, first] = 0
         normal[first, first], right[first] = np.eye(3), 0
+        # Schur complement: the run's own unknowns are eliminated, the cameras' remain.
         own = slice(self.rows_at, None)
         tied = np.linalg.solve(normal[own, own], np.column_stack([normal[own, : self.rows_at], right[own]]))
         cross = normal[: self.rows_at, own]
         self.information = normal[: self.rows_at, : self.rows_at] - cross @ tied[:, :-1]
+        # Rounding makes it slightly asymmetric, and it is stored as a triangle.
         self.information = (self.information + self.information.T) / 2
         self.vector = right[: self.rows_at] - cross @ tied[:, -1] + self.information @ self.d.ravel()
-        still = np.eye(self.rows_at) / _ANYWHERE_PX**2  # whose motion it was, is decided later
+        # A weak prior makes the system regular; which camera has moved is decided later.
+        still = np.eye(self.rows_at) / _ANYWHERE_PX**2
         found = np.linalg.solve(self.information + still, self.vector)
         change = np.zeros_like(self.d) if held else found.reshape(self.n, PARAMETERS) - self.d
         self._move(change, tied[:, -1] - tied[:, :-1] @ change.ravel())
         return float(np.abs(change).max())
 
     def release(self) -> None:
-        """From now on cameras may be displaced; none of them is an outlier yet."""
-        self._look()
+        """Let the cameras be displaced from now on."""
+        self._project()
         self.held = self._squares()
+        # Weights start anew: links to a knocked camera were outliers while it was held.
         self.fresh, self.floor_px = True, {False: _FIRST_FLOOR_PX, True: _FIRST_FLOOR_PX}
 
     def _move(self, change: Floats, rest: Floats) -> None:
@@ -129,22 +134,22 @@ class _Solver:
             self.c = self.c + rest[3 * self.m : 3 * self.m + 4]
         self.height = self.height + rest[self.height_at - self.rows_at :]
 
-    def _look(self) -> None:
-        """Ground points of all links and sightings through the cameras as they hang by now, with derivatives."""
+    def _project(self) -> None:
+        """Compute ground points of all links and detections with the present displacements, and their derivatives."""
         run, cameras = self.run, self.run.cameras
         self.a, self.a_by = _ground(cameras, self.d, run.camera_a, run.a_px)
         self.b, self.b_by = _ground(cameras, self.d, run.camera_b, run.b_px)
         self.f, self.f_by = _ground(cameras, self.d, run.camera_f, run.f_px)
 
     def _residuals(self) -> tuple[Floats, Floats]:
-        """Misfit (k, 2) mm of the links, and its change per mm of height."""
+        """Compute residuals (k, 2) mm of the links, and their change per mm of height."""
         o, motion = self.run.links, self.motion
         lean = motion.turned(o.q, o.b_lean) - motion.turned(o.p, o.a_lean)
         rise = self.run.surface.at_links @ self.height
         return motion.board(o.q, self.b) - motion.board(o.p, self.a) + lean * rise[:, None], lean
 
     def _fiducial_residuals(self) -> tuple[Floats, Floats]:
-        """Misfit (s, 2) mm of the fiducials, and its change per mm of height."""
+        """Compute residuals (s, 2) mm of the fiducials, and their change per mm of height."""
         s, run = self.run.fiducials, self.run
         assert s is not None
         assert self.c is not None
@@ -153,12 +158,13 @@ class _Solver:
         return self.motion.board(s.row, self.f) + lean * rise[:, None] - apply_similarity(self.c, s.cad), lean
 
     def _weights(self, residual: Floats) -> Floats:
-        """(k, 2, 2) mm⁻²: robust, and less where a pair of frames has many links."""
+        """Compute robust weights (k, 2, 2) mm⁻², smaller where a pair of frames has many links."""
         o, self.settled = self.run.links, not self.fresh
         for kind in (False, True):
             px = (residual * o.px_per_mm[:, None])[self.same_row == kind]
             if len(px) and not self.fresh:
                 scatter = float(np.clip(median_sigma(px), *_FLOOR_PX))
+                # Shrinks slowly: right links to a knocked camera win over false ones only after some steps.
                 least = _PATIENCE * self.floor_px[kind]
                 self.settled = self.settled and scatter >= least
                 self.floor_px[kind] = max(scatter, least)
@@ -174,7 +180,7 @@ class _Solver:
         return np.asarray(information * (self.used * share)[:, None, None])
 
     def _links(self) -> Iterator[Block]:
-        """One block per pair of frames."""
+        """Make one block per pair of frames."""
         o, run = self.run.links, self.run
         if not len(o):
             return
@@ -205,7 +211,7 @@ class _Solver:
         )
 
     def _belt(self) -> list[Block]:
-        """The conveyor at its mean speed, as measured."""
+        """Hold the conveyor at its mean speed, as measured."""
         if self.m < 2:
             return []
         dt = np.diff(self.run.times_s)
@@ -240,7 +246,7 @@ class _Solver:
         return [Block(np.arange(self.height_at, self.size), np.diag(1 / sigma), self.height / sigma)]
 
     def _squares(self) -> tuple[Floats, Floats]:
-        """Squared residuals px² of the links (k,) and of the fiducials (s,)."""
+        """Compute squared residuals px² of the links (k,) and of the fiducials (s,)."""
         residual, _ = self._residuals()
         links = ((residual * self.run.links.px_per_mm[:, None]) ** 2).sum(1)
         if self.run.fiducials is None:
@@ -248,10 +254,10 @@ class _Solver:
         off, _ = self._fiducial_residuals()
         return links, ((off * self.run.fiducials.px_per_mm[:, None]) ** 2).sum(1)
 
-    def told(self) -> DisplacementEstimate:
-        """The result."""
+    def estimate(self) -> DisplacementEstimate:
+        """Return the estimate of the last step."""
         run = self.run
-        self._look()
+        self._project()
         if len(run.links):
             self._weights(self._residuals()[0])
         kept = np.flatnonzero(self.same_row & (self.used > 0.1))
@@ -261,7 +267,7 @@ class _Solver:
         return DisplacementEstimate(self.information, self.vector, before, after, np.asarray(links), marks)
 
     def _rms(self, squares: tuple[Floats, Floats], kept: Ints, count: Ints) -> Floats:
-        """(n,) px: of the links to neighbours that are kept, and of the fiducials; NaN without any."""
+        """Compute rms residuals (n,) px of the kept links to neighbours and of the fiducials; NaN without any."""
         run, (links, marks) = self.run, squares
         total = np.bincount(run.camera_f, marks, minlength=self.n)
         for camera in (run.camera_a, run.camera_b):
@@ -270,7 +276,7 @@ class _Solver:
 
 
 def _ground(cameras: Sequence[Camera], d: Floats, which: Ints, px: Floats) -> tuple[Floats, Floats]:
-    """Ground points (k, 2) mm of undistorted pixels, and their derivatives (k, 2, 3) by their camera's displacement."""
+    """Map undistorted pixels to ground points (k, 2) mm, with derivatives (k, 2, 3) by their camera's displacement."""
     ground, by = np.zeros((len(px), 2)), np.zeros((len(px), 2, PARAMETERS))
     for i, camera in enumerate(cameras):
         at = np.flatnonzero(which == i)
@@ -283,12 +289,12 @@ def _ground(cameras: Sequence[Camera], d: Floats, which: Ints, px: Floats) -> tu
 
 
 def _turned(motion: Motion, row: Ints, arrows: Floats) -> Floats:
-    """Derivatives (k, 2, f) turned as the board's coordinates are."""
+    """Rotate derivatives (k, 2, f) into the board's coordinates."""
     return np.stack([motion.turned(row, arrows[:, :, k]) for k in range(arrows.shape[2])], -1)
 
 
 def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
-    """Derivative (k, 2, 3) of a board point by (φ, sx, sy) of its row."""
+    """Compute the derivative (k, 2, 3) of a board point by (φ, sx, sy) of its row."""
     arm = motion.turned(row, ground_mm - motion.pivot)
     one, nil = np.ones(len(arm)), np.zeros(len(arm))
     return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)

@@ -1,4 +1,4 @@
-"""The evidence of a finished run, laid out for `equations`: links off the parts, fiducials, first values."""
+"""The evidence of a finished run, prepared for `equations`: links on the bare board, fiducials, first values."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from vaoi_station.stitching.board.footprints import component_at
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
 
 _LINKS_OF_ROWS = 24
-"""Links of one camera from row to row that are looked at."""
+"""Links per pair of rows of one camera that are used."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunEvidence:
-    """A run as its calibration sees it; k links and s sightings of fiducials."""
+    """A run under its calibration; k links and s detections of fiducials."""
 
     cameras: tuple[Camera, ...]
     times_s: Floats
     links: Observations
-    """Of the bare board, where C tells which they are."""
+    """Links on the bare board; all links where C is not known."""
     camera_a: Ints
     a_px: Floats
-    """(k, 2) undistorted."""
+    """(k, 2) undistorted pixels."""
     camera_b: Ints
     b_px: Floats
     motion: Motion
-    """First values."""
+    """First values of the rows' motion."""
     surface: SurfaceBasis
-    """Of the board's height; one constant where C is not known."""
+    """Basis of the board's height; one constant where C is not known."""
     fiducials: FiducialPoints | None
     camera_f: Ints
     f_px: Floats
@@ -60,7 +60,7 @@ def prepare_evidence(
 
     Args:
         cameras: as calibrated.
-        board_type: what was filmed.
+        board_type: of the board that was filmed.
         times_s: (m,) time of every row.
         velocity_mm_s: nominal motion of the belt.
         evidence: of the run's tasks, in any order.
@@ -74,6 +74,7 @@ def prepare_evidence(
     plane = None if board_type is None or stitch.cad_matrix is None else board_plane(board_type, cameras[0])
     c = None if plane is None or stitch.cad_matrix is None else _similarity(stitch.cad_matrix)
     if plane is not None and c is not None:
+        # A link on a component has a height of its own, which looks like a displacement across a seam.
         bare = component_at(plane, c, motion.board(seen.p, seen.a_mm)) < 0
         found, seen = _kept(found, bare), to_observations(_kept(found, bare), cameras)
     points, camera_f, f_px = _fiducials(plane, c, order, cameras, motion)
@@ -96,7 +97,8 @@ def prepare_evidence(
 
 
 def subsample_links(e: Evidence) -> Evidence:
-    """Evenly chosen links of a pair of rows, of which there are more than are needed here; the rest as it is."""
+    """Choose links of a pair of rows evenly; other evidence is returned as it is."""
+    # Links of one camera do not show where it is. They hold the motion of the rows, for which a few suffice.
     if not isinstance(e, Links) or e.task.kind != "rows" or len(e.a_px) <= _LINKS_OF_ROWS:
         return e
     use = np.linspace(0, len(e.a_px) - 1, _LINKS_OF_ROWS).round().astype(np.int_)
@@ -104,7 +106,7 @@ def subsample_links(e: Evidence) -> Evidence:
 
 
 def _kept(links: Sequence[Links], keep: np.ndarray) -> list[Links]:
-    """The links without those on parts."""
+    """Drop the links that are not to keep (k,)."""
     out, start = [], 0
     for e in links:
         use = keep[start : start + len(e.a_px)]
@@ -114,7 +116,7 @@ def _kept(links: Sequence[Links], keep: np.ndarray) -> list[Links]:
 
 
 def _similarity(cad_matrix: Floats) -> Floats:
-    """(4,) a, b, x, y of a C as results carry it."""
+    """Extract the parameters (4,) a, b, x, y from C as results carry it."""
     c = cad_matrix / cad_matrix[2, 2]
     return np.array([c[0, 0], c[1, 0], c[0, 2], c[1, 2]])
 
@@ -122,7 +124,7 @@ def _similarity(cad_matrix: Floats) -> Floats:
 def _fiducials(
     plane: BoardPlane | None, c: Floats | None, evidence: Sequence[Evidence], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[FiducialPoints | None, Ints, Floats]:
-    """Detections that are fiducials under C, with their cameras and pixels; None if there are none."""
+    """Select detections that are fiducials under C, with their cameras and pixels; None if there are none."""
     parts, camera, px = [], [], []
     for s in evidence:
         if plane is None or c is None or not isinstance(s, Detections) or not len(s.px):
@@ -139,7 +141,7 @@ def _fiducials(
 
 
 def _pixels_of(points: FiducialPoints, s: Detections, camera: Camera) -> Floats:
-    """The sightings that became these points."""
+    """Find the pixels of the detections from which these points were made."""
     ground = camera.ground(s.px)
     off = np.hypot(*np.moveaxis(ground[None] - points.ground_mm[:, None], 2, 0))
     return np.asarray(s.px[off.argmin(1)])

@@ -1,4 +1,4 @@
-"""Corrected N_i from production runs: a proposal, with its uncertainty, or a refusal with numbers."""
+"""Corrected N_i from production runs: a proposal with its uncertainty, or a refusal with numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from vaoi_station.drift.attribution import Attribution
 from vaoi_station.drift.checks import RunCheck, combine_runs
-from vaoi_station.drift.displacement import PARAMETERS, displace_camera, size_px
+from vaoi_station.drift.displacement import PARAMETERS, displace_camera, rms_displacement_px
 from vaoi_station.drift.watch import LEAST_PX
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import Camera
@@ -19,18 +19,18 @@ from vaoi_station.model import Calibration, CameraHead
 
 LEAST_RUNS, MOST_RUNS = 3, 50
 LEAST_LINKS = 30
-"""Links to neighbours of one camera, over all runs."""
+"""Least number of links to neighbours of one camera, over all runs."""
 _SIGMAS = 4.0
 _KNOWN_PX = 0.25
-"""How well a displacement must be known to be corrected (1 σ, each number)."""
+"""Largest standard deviation of a displacement that is corrected, for each number."""
 _AGREE_PX, _AGREE_SIGMAS = 0.15, 5.0
-"""How far a single run may tell otherwise than all of them."""
+"""Largest difference between a single run and all runs together."""
 _STEP_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A corrected calibration and what it rests on."""
+    """A corrected calibration and the evidence for it."""
 
     calibration: Calibration
     found: Attribution
@@ -39,12 +39,12 @@ class Proposal:
     before_px: tuple[float | None, ...]
     """Per camera: residuals of links to neighbours and of fiducials under the calibration in force, rms."""
     after_px: tuple[float | None, ...]
-    """The same with the displacements taken out."""
+    """The same residuals with the displacements taken out."""
     runs: int
 
     def lines(self) -> list[str]:
-        """The proposal for people."""
-        said = []
+        """Describe the proposal in one line per camera."""
+        lines = []
         for i, (d, sigma) in enumerate(zip(self.found.displacement_px, self.found.sigma_px, strict=True)):
             x, y, turn = d
             what = (
@@ -53,14 +53,14 @@ class Proposal:
                 if i in self.corrected
                 else "has not moved; its N stays"
             )
-            said.append(f"camera {i}: residuals {_px(self.before_px[i])} → {_px(self.after_px[i])} px rms; {what}")
+            lines.append(f"camera {i}: residuals {_px(self.before_px[i])} → {_px(self.after_px[i])} px rms; {what}")
         if self.found.rivals:
             others = ", ".join(str(i) for i in self.found.rivals)
-            said.append(
-                f"it may as well be camera {others} that moved the other way: pictures of boards tell only how "
-                "cameras moved against one another. Stitching comes out the same."
+            lines.append(
+                f"it may as well be camera {others} that moved the other way: pictures of boards show only how "
+                "cameras moved against one another. Stitching gives the same result."
             )
-        return said
+        return lines
 
 
 def recalibrate(
@@ -78,18 +78,19 @@ def recalibrate(
         created: date of the new calibration; by default now.
 
     Raises:
-        InputError: too few runs or links, a camera nothing is told of, runs that contradict one another.
+        InputError: too few runs or links, a camera that no run shows, runs that contradict one another.
     """
     cameras = calibration.cameras(tuple(heads))
     _refuse_too_little(checks, len(cameras))
     found = combine_runs(checks)
+    # Only cameras that have plainly moved: the others keep their N_i to the last digit.
     corrected = tuple(i for i in range(len(cameras)) if _has_moved(found, i))
     for i in corrected:
         _refuse_vague(found, i)
         _refuse_contradictions(checks, found, i)
     matrices, covariances = list(calibration.camera_matrices), calibration.covariances
     if isinstance(covariances, list):
-        covariances = [_wider(c, cameras[i], found, i) if i in corrected else c for i, c in enumerate(covariances)]
+        covariances = [_widened(c, cameras[i], found, i) if i in corrected else c for i, c in enumerate(covariances)]
     for i in corrected:
         matrices[i] = displace_camera(cameras[i], found.displacement_px[i]).image_from_row.matrix
     made = (created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -107,8 +108,9 @@ def recalibrate(
 def _has_moved(found: Attribution, i: int) -> bool:
     d = found.displacement_px[i]
     at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
+    # Mahalanobis distance: the three numbers are known to different degrees, and their errors are correlated.
     distance = float(np.sqrt(d @ np.linalg.solve(found.covariance[at, at], d)))
-    return size_px(d) >= LEAST_PX and distance > _SIGMAS
+    return rms_displacement_px(d) >= LEAST_PX and distance > _SIGMAS
 
 
 def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
@@ -130,14 +132,15 @@ def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
         if links < LEAST_LINKS and marks < LEAST_RUNS:
             raise InputError(
                 f"camera {i} has {links} links to its neighbours (needed: {LEAST_LINKS}) and saw {marks} fiducials "
-                f"(needed: {LEAST_RUNS}) in {len(checks)} runs: nothing tells where it looks.",
+                f"(needed: {LEAST_RUNS}) in {len(checks)} runs: its position is unknown.",
                 action="Take runs of boards that cover it, or calibrate with the calibration board.",
                 code="too-little-evidence",
             )
 
 
 def _refuse_vague(found: Attribution, i: int) -> None:
-    """A camera that shares too little with its neighbours: what it shows may as well be the height of the boards."""
+    """Refuse a camera whose displacement is known too badly to be corrected."""
+    # It shares too little with its neighbours: what it shows may as well be the height of the boards.
     sigma = found.sigma_px[i]
     if sigma.max() > _KNOWN_PX:
         x, y, turn = found.displacement_px[i]
@@ -151,7 +154,8 @@ def _refuse_vague(found: Attribution, i: int) -> None:
 
 
 def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: int) -> None:
-    """Runs before and after a knock, or of a mount that is loose, have no common answer."""
+    """Refuse runs of which one contradicts all together about a camera."""
+    # Runs before and after a knock, or with a loose mount, have no common answer, and their mean is wrong for all.
     worst: tuple[float, RunCheck] | None = None
     for check in checks:
         camera = check.cameras[i]
@@ -162,17 +166,17 @@ def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: in
         if off > 1 and (worst is None or off > worst[0]):
             worst = (off, check)
     if worst is not None:
-        told, all_ = worst[1].cameras[i].displacement_px, found.displacement_px[i]
+        one, all_ = worst[1].cameras[i].displacement_px, found.displacement_px[i]
         raise InputError(
-            f"the runs disagree about camera {i}: run {worst[1].run} tells ({told[0]:+.2f}, {told[1]:+.2f}) px, turn "
-            f"{told[2]:+.2f}, all together ({all_[0]:+.2f}, {all_[1]:+.2f}) px, turn {all_[2]:+.2f}.",
+            f"the runs disagree about camera {i}: run {worst[1].run} gives ({one[0]:+.2f}, {one[1]:+.2f}) px, turn "
+            f"{one[2]:+.2f}, all together ({all_[0]:+.2f}, {all_[1]:+.2f}) px, turn {all_[2]:+.2f}.",
             action="Use only runs since the camera moved (fewer --runs); if they disagree too, its mount is loose.",
             code="runs-disagree",
         )
 
 
-def _wider(covariance: list[list[float]], camera: Camera, found: Attribution, i: int) -> list[list[float]]:
-    """The covariance of N_i (n11 … n32, then the lens) with that of the displacement added."""
+def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, i: int) -> list[list[float]]:
+    """Add the covariance of the displacement to that of N_i (n11 … n32, then the lens)."""
 
     def entries(d: Floats) -> Floats:
         m = displace_camera(camera, d).image_from_row.matrix
@@ -187,7 +191,7 @@ def _wider(covariance: list[list[float]], camera: Camera, found: Attribution, i:
 
 
 def _mean(checks: Sequence[RunCheck], key: str) -> tuple[float | None, ...]:
-    """Root mean square over the runs, per camera; None where no run tells."""
+    """Compute the root mean square over the runs, per camera; None where no run has a value."""
     out = []
     for i in range(len(checks[0].cameras)):
         values = [v for check in checks if (v := getattr(check.cameras[i], key)) is not None]

@@ -1,9 +1,8 @@
-"""The test for a drift: run after run, does a camera still look where it was calibrated?
+"""Drift detection: the test for cameras that have moved since their calibration, over a sequence of runs.
 
-Two cumulative sums (CUSUM; Page 1954) per number and camera, up and down, of deviations in standard deviations. One
-odd board does not raise an alarm, two in a row that are far off do, and a creeping drift does within some runs.
-What boards of a type always show (a board that lies a little higher, errors of the calibration) is taken out, as
-far as it is small.
+Two cumulative sums (CUSUM; Page 1954) per number and camera, up and down, of deviations in standard deviations. One odd
+board raises no alarm; two in a row that are far off do, and so does a creeping drift within some runs. What boards of a
+type always show (a board that lies a little higher, errors of the calibration) is subtracted as long as it is small.
 """
 
 from __future__ import annotations
@@ -15,49 +14,49 @@ from dataclasses import dataclass
 import numpy as np
 
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.drift.displacement import PARAMETERS, size_px
+from vaoi_station.drift.displacement import PARAMETERS, rms_displacement_px
 from vaoi_station.geometry.robust import median_sigma
 from vaoi_station.geometry.transforms import Floats
 
 BASELINE_RUNS = 5
-"""The first runs of a board type show its habits …"""
-_HABIT_PX = 0.15
-"""… and larger displacements (root of the sum of the three squares) are none."""
+"""Number of first runs of a board type that give its baseline, its usual displacements."""
+_BASELINE_PX = 0.15
+"""Largest displacement (root of the sum of the three squares) that counts as baseline and not as a move."""
 VANISHED_RUNS = 3
-"""Boards in a row that tell nothing of a camera …"""
+"""Number of boards in a row that do not show a camera before it counts as vanished."""
 _USUALLY = 0.8
-"""… though such a share of the boards before did."""
+"""Least share of the boards before that showed it."""
 LEAST_PX = 0.05
-"""Smaller drifts than this (rms over the frame) do not hurt."""
+"""Smallest drift (rms over the frame) that is reported; smaller ones do no harm."""
 _FLOOR_PX = 0.02
-"""What displacements scatter from board to board, beyond their standard deviations."""
+"""Scatter of displacements from board to board, beyond their standard deviations."""
 _SLACK, _ALARM, _MOST = 0.5, 10.0, 6.0
-"""Of the sums: what is forgiven in each run, what raises an alarm, and what one run may add."""
+"""Of the sums: subtracted in each run, level of an alarm, and largest contribution of one run."""
 _CEILING = _ALARM + 3.0
-"""So that a camera set right again is believed after some runs."""
+"""Ceiling of the sums, so that a camera that was set right is cleared after some runs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """A camera that no longer looks where it was calibrated."""
+    """A camera that has moved since its calibration."""
 
     camera: int
     displacement_px: tuple[float, float, float]
     """x, y, and turn at the corner: mean of the runs since."""
     size_px: float
-    """Rms over the frame."""
+    """Motion of the picture, rms over the frame."""
     since: int
-    """Number of the first run that shows it, among those looked at."""
+    """Index of the first run that shows it, among the runs given."""
     since_run: str
     since_time: str
     runs: int
-    """Runs that show it."""
+    """Number of runs that show it."""
     instead: tuple[int, ...]
     """Cameras that may have moved in its place."""
 
 
 def find_drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
-    """Drifts that hold at the end of these runs.
+    """Find the drifts that hold at the end of these runs.
 
     Args:
         checks: runs under one calibration, oldest first.
@@ -65,17 +64,20 @@ def find_drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
     if not checks:
         return ()
     d = np.array([[c.displacement_px for c in check.cameras] for check in checks])
-    off = d - _habits(checks, d)
+    off = d - _baselines(checks, d)
     seen = np.array([[c.seen for c in check.cameras] for check in checks])
     formal = np.array([[c.sigma_px for c in check.cameras] for check in checks])
+    # The scatter of this line is measured, since boards differ more than their standard deviations say.
     scatter = median_sigma(off[seen]) if seen.any() else 0.0
     z = off / np.sqrt(formal**2 + _FLOOR_PX**2 + scatter**2)
-    found = [_drift(checks, d[:, i], seen[:, i], i, k) for i, k in _since(z, seen).items()]
+    found = [_drift(checks, d[:, i], seen[:, i], i, k) for i, k in _alarms(z, seen).items()]
     return tuple(drift for drift in found if drift.size_px >= LEAST_PX)
 
 
 def find_vanished_cameras(checks: Sequence[RunCheck]) -> tuple[int, ...]:
-    """Cameras of which the last boards tell nothing, though boards of their type used to: perhaps knocked far away.
+    """Find cameras that the last boards do not show although boards of their type usually do.
+
+    Such a camera was perhaps knocked so far that it shares nothing with its neighbours.
 
     Args:
         checks: runs under one calibration, oldest first.
@@ -88,25 +90,28 @@ def find_vanished_cameras(checks: Sequence[RunCheck]) -> tuple[int, ...]:
     return tuple(np.flatnonzero(used_to & ~seen[-VANISHED_RUNS:].any(0)).tolist())
 
 
-def _habits(checks: Sequence[RunCheck], d: Floats) -> Floats:
-    """What the first runs of each board type show, (runs, n, 3) px; more than a calibration may err is no habit."""
+def _baselines(checks: Sequence[RunCheck], d: Floats) -> Floats:
+    """Compute the baseline of every run, (runs, n, 3) px: the median of the first runs of its board type."""
     by_type: dict[str, list[int]] = defaultdict(list)
     for k, check in enumerate(checks):
         by_type[check.board_type].append(k)
-    habits = np.zeros_like(d)
+    baselines = np.zeros_like(d)
     for at in by_type.values():
         usual = np.median(d[at[:BASELINE_RUNS]], axis=0)
-        small = np.hypot.reduce(usual, axis=1, keepdims=True) <= _HABIT_PX
-        habits[at] = np.where(small, usual, 0.0)
-    return habits
+        # A camera that was knocked before the first run shows a large usual displacement: that one is reported.
+        small = np.hypot.reduce(usual, axis=1, keepdims=True) <= _BASELINE_PX
+        baselines[at] = np.where(small, usual, 0.0)
+    return baselines
 
 
-def _since(z: Floats, seen: np.ndarray) -> dict[int, int]:
-    """Cameras that are off at the end of the runs (runs, n, 3), and the run since which each is."""
+def _alarms(z: Floats, seen: np.ndarray) -> dict[int, int]:
+    """Find cameras in alarm at the end of the runs (runs, n, 3), each with the index of its first run."""
     n = z.shape[1]
     sums, began = np.zeros((n, 2 * PARAMETERS)), np.zeros((n, 2 * PARAMETERS), dtype=np.int_)
+    # Clipped, so that one odd board (lifted, or badly linked) never raises the alarm alone.
     steps = np.clip(np.concatenate([z, -z], -1), -_MOST, _MOST) - _SLACK
     for k, step in enumerate(steps):
+        # A run that does not show a camera leaves its sums as they are.
         here = seen[k][:, None]
         began = np.where(here & (sums <= 0), k, began)
         sums = np.where(here, np.clip(sums + step, 0, _CEILING), sums)
@@ -116,12 +121,13 @@ def _since(z: Floats, seen: np.ndarray) -> dict[int, int]:
 
 def _drift(checks: Sequence[RunCheck], d: Floats, seen: np.ndarray, camera: int, since: int) -> Drift:
     at = since + np.flatnonzero(seen[since:])
+    # Reported as measured, without the baseline: `vaoi recalibrate` corrects the whole displacement.
     middle = np.median(d[at], axis=0)
     x, y, turn = (float(v) for v in middle)
     return Drift(
         camera,
         (x, y, turn),
-        size_px(middle),
+        rms_displacement_px(middle),
         since,
         checks[since].run,
         checks[since].time,

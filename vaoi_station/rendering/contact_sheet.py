@@ -1,7 +1,7 @@
-"""A contact sheet: one picture with the pictures of many components, labelled, under the run's verdict.
+"""The contact sheet: one picture of many component pictures, labelled, under the run's verdict.
 
-Pictures lie in a grid; large components get several cells, so that a connector and a resistor can both
-be made out. For people: grey levels and sizes are not those of the frames.
+Pictures lie in a grid. Large components get several cells, so that a connector and a resistor are both legible. The
+sheet is for people: its grey levels and sizes are not those of the frames.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ CELL_PX, GAP_PX, MARGIN_PX = 72, 8, 24
 LABEL_PX = 18
 HEADER_PX = 92
 MOST_CELLS = 3
-"""Cells a picture gets along each axis, at the most."""
+"""Largest number of cells of a picture along each axis."""
 SIDE_PER_CELL_PX = 130
-"""A picture whose side is n² times this gets n cells along it, if there are so many."""
+"""A picture whose side is n² times this gets n cells along it, up to `MOST_CELLS`."""
 MAGNIFIED = 2.0
-"""Small pictures are enlarged up to this."""
+"""Largest enlargement of small pictures."""
 GREY_STEP = 4
-"""64 grey levels are enough for the eye, and halve the file: most of the others is noise."""
+"""Step of grey levels: 64 levels are enough for the eye and halve the file, since the rest is mostly noise."""
 
 _PAPER, _CARD, _INK, _FAINT = (255, 255, 255), (243, 241, 239), (38, 32, 28), (116, 106, 98)
 _COLOURS = {Status.OK: (82, 130, 28), Status.DEGRADED: (0, 118, 196), Status.FAILED: (38, 38, 190)}
@@ -42,7 +42,7 @@ _NAME, _NOTE = (12, 700), (11, 400)
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """One component: its picture, (h, w) or (h, w, 3), 8 or 16 bit, or None; its name; where the picture is from."""
+    """One component: its picture, (h, w) or (h, w, 3), 8 or 16 bit, or None; its name; the frame of the picture."""
 
     picture: NDArray[Any] | None
     title: str
@@ -50,12 +50,13 @@ class Tile:
 
     @property
     def span(self) -> tuple[int, int]:
-        """Cells along x and y."""
+        """Number of cells along x and y."""
         if self.picture is None:
             return 1, 1
         sides = self.picture.shape[1::-1]
         columns, rows = (min(max(math.ceil(math.sqrt(s / SIDE_PER_CELL_PX)), 1), MOST_CELLS) for s in sides)
         width, height = _fitted_size(sides, _box(columns, rows))
+        # A long, thin picture does not fill its square of cells: only those it covers are taken.
         return min(columns, -(-(width + GAP_PX) // _step(0))), min(rows, -(-(height + GAP_PX + LABEL_PX) // _step(1)))
 
 
@@ -63,11 +64,12 @@ def contact_sheet(tiles: Sequence[Tile], title: str, status: Status, facts: Sequ
     """Draw the sheet, (h, w, 3) blue-green-red; its width is fixed, its height follows from the tiles.
 
     Args:
-        tiles: in any order; large ones come first.
-        title: what was filmed.
+        tiles: in any order; large ones are placed first.
+        title: of the run.
         status: the verdict, beside the title.
         facts: short phrases below it.
     """
+    # Large ones first: small ones fill the gaps that they leave.
     order = sorted(tiles, key=lambda t: -t.span[0] * t.span[1])
     places = _places([t.span for t in order])
     rows = max((y + t.span[1] for (_, y), t in zip(places, order, strict=True)), default=0)
@@ -80,12 +82,12 @@ def contact_sheet(tiles: Sequence[Tile], title: str, status: Status, facts: Sequ
 
 
 def _step(axis: int) -> int:
-    """From one cell to the next, along x (0) or y (1)."""
+    """Return the distance from one cell to the next, along x (0) or y (1)."""
     return CELL_PX + GAP_PX + (LABEL_PX if axis else 0)
 
 
 def _places(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Column and row of every tile: the first place, from the top, where it fits."""
+    """Assign column and row to every tile: the first free place from the top."""
     taken: set[tuple[int, int]] = set()
     places = []
     for columns, rows in spans:
@@ -110,13 +112,14 @@ def _draw_header(sheet: Canvas, title: str, status: Status, facts: Sequence[str]
     left, width = right + 16, _width(word, 16, 700) + 24
     _pill(sheet, left, 24, width, 26, _COLOURS[status])
     _write(sheet, word, left + 12, 43, 16, 700, _PAPER)
+    # The facts get the largest size at which they fit into one line.
     line, room = "   ·   ".join(facts), sheet.shape[1] - 2 * MARGIN_PX
     size = next((s for s in range(15, 9, -1) if _width(line, s, 400) <= room), 9)
     _write(sheet, line, MARGIN_PX, 73, size, 400, _FAINT)
 
 
 def _draw_tile(sheet: Canvas, tile: Tile, x: int, y: int) -> None:
-    """The picture above, its label below."""
+    """Draw the picture with its label below."""
     width, height = _box(*tile.span)
     sheet[y : y + height, x : x + width] = _CARD
     if tile.picture is not None:
@@ -130,48 +133,49 @@ def _draw_tile(sheet: Canvas, tile: Tile, x: int, y: int) -> None:
 
 
 def _fitted(picture: NDArray[Any], box: tuple[int, int]) -> Canvas:
-    """As large as it may be in a box, in three channels of 64 levels."""
+    """Scale a picture to a box, in three channels of 64 levels."""
     eight = picture if picture.dtype == np.uint8 else np.asarray(picture >> 8, np.uint8)
     size = _fitted_size(eight.shape[1::-1], box)
+    # INTER_AREA averages, which avoids aliases when shrinking; when enlarging it would show blocks.
     scaled = cv2.resize(eight, size, interpolation=cv2.INTER_AREA if size[0] < eight.shape[1] else cv2.INTER_LINEAR)
     even = np.asarray(scaled // GREY_STEP * GREY_STEP + GREY_STEP // 2, np.uint8)
     return np.asarray(even if even.ndim == 3 else cv2.cvtColor(even, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def _fitted_size(sides: Sequence[int], box: tuple[int, int]) -> tuple[int, int]:
-    """Width and height of a picture in a box."""
+    """Return width and height of a picture in a box."""
     scale = min(box[0] / sides[0], box[1] / sides[1], MAGNIFIED)
     return max(round(sides[0] * scale), 1), max(round(sides[1] * scale), 1)
 
 
 def _box(columns: int, rows: int) -> tuple[int, int]:
-    """Width and height of so many cells, without their label."""
+    """Return width and height of a block of cells, without its label."""
     return columns * _step(0) - GAP_PX, rows * _step(1) - GAP_PX - LABEL_PX
 
 
 def _pill(sheet: Canvas, x: int, y: int, width: int, height: int, colour: tuple[int, int, int]) -> None:
-    """A thick line, whose ends are round."""
+    """Draw a pill: a thick line, whose ends OpenCV makes round."""
     r = height // 2
     cv2.line(sheet, (x + r, y + r), (x + width - r, y + r), colour, height, cv2.LINE_AA)
 
 
 @cache
 def _font() -> Any:
-    """The font OpenCV carries with it."""
+    """Load the font that OpenCV carries with it, so that no font need be installed."""
     return cv2.FontFace("sans")
 
 
 def _write(
     sheet: Canvas, text: str, x: int, baseline: int, size: int, weight: int, colour: tuple[int, int, int]
 ) -> int:
-    """Write; the column where the text ends."""
+    """Write a text; return the column of its end."""
     if text:
         cv2.putText(sheet, text, (x, baseline), colour, _font(), size, weight)
     return x + _width(text, size, weight)
 
 
 def _width(text: str, size: int, weight: int) -> int:
-    """Columns a text takes."""
+    """Measure the columns that a text takes."""
     if not text:
         return 0
     x, _, width, _ = cv2.getTextSize((1, 1), text, (0, 0), _font(), size, weight)
@@ -179,7 +183,7 @@ def _width(text: str, size: int, weight: int) -> int:
 
 
 def _shortened(text: str, room_px: int) -> str:
-    """As much of a title as there is room for."""
+    """Shorten a title to the room there is, with an ellipsis."""
     if _width(text, *_NAME) <= room_px:
         return text
     whole = next((n for n in range(len(text) - 1, 0, -1) if _width(text[:n] + "…", *_NAME) <= room_px), 1)

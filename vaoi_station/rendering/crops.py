@@ -1,6 +1,6 @@
-"""The pictures of components before any frame is looked at: sizes, and transforms from CAD.
+"""Sizes of component pictures and their transforms from CAD, independent of any frame.
 
-Pixel sizes are areas: the edges of a component's bounding box are the outer edges of its picture's
+Pixels are areas: the edges of a component's bounding box are the outer edges of its picture's
 border pixels, so the centre of pixel (0, 0) lies half a pixel inside.
 """
 
@@ -16,23 +16,23 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component
 
 MOST_PIXELS = 16_000_000
-"""No temporary image is larger; ask for fewer pixels per mm."""
+"""Largest size of a temporary image; fewer pixels per mm make it smaller."""
 
 
 @dataclass(frozen=True, eq=False)
 class Crops:
-    """The pictures of k components."""
+    """Sizes and transforms of k component pictures."""
 
     size: Floats
     """(k, 2) whole width and height."""
     crop_from_cad: Floats
-    """(k, 3, 3) scale and shift."""
+    """(k, 3, 3), scale and shift only."""
     cad_from_crop: Floats
     """(k, 3, 3) the inverse."""
 
 
 def compute_crops(components: Sequence[Component], board_type: BoardType, px_per_mm: float) -> Crops:
-    """Pictures of components, upright as CAD shows them, as the camera sees the board.
+    """Lay out the pictures of components: upright as CAD shows them, on the side that the camera sees.
 
     Raises:
         InputError: a picture would have more than `MOST_PIXELS`.
@@ -47,7 +47,9 @@ def compute_crops(components: Sequence[Component], board_type: BoardType, px_per
         if width * height > MOST_PIXELS:
             limit = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {width:.0f}×{height:.0f})"
             raise InputError.field(component.address, "px_per_mm", px_per_mm, limit)
+    # The board as the camera sees it, never mirrored (docs/conventions.md): CAD x runs left on the bottom side.
     way = np.array([1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0])
+    # From the rounded size: the box fills the picture exactly, at a resolution that differs by less than a pixel.
     scale = way * size / (2 * reach)
     origin = center - way * reach
     there, back = np.zeros((len(components), 3, 3)), np.zeros((len(components), 3, 3))

@@ -16,9 +16,10 @@ _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
     """Resample one temporary image, (height, width) or (height, width, channels), in the frame's own pixel type.
 
-    Places outside the frame are black. Where the lens bends, the picture is made in tiles: exact to
-    0.03 px for the lenses of such an array.
+    Places outside the frame are black. Where the lens bends, the picture is made in tiles, exact to 0.03 px for
+    the lenses of such an array.
     """
+    # WARP_INVERSE_MAP: `matrix` leads from the picture to the frame, and OpenCV must not invert it.
     if not view.tiles:
         return np.asarray(cv2.warpPerspective(frame, view.matrix, (view.width, view.height), flags=_FLAGS))
     picture = np.empty((view.height, view.width, *frame.shape[2:]), dtype=frame.dtype)

@@ -19,7 +19,7 @@ def error_mm(motion: Any, truth: Any, points: NDArray[np.float64]) -> float:
 
 
 def test_the_papers_chain_works_and_errs_more_than_ours(filmed: Any) -> None:
-    chained = paper.chain(filmed.setup.cameras, filmed.head.rows, lambda i, j: filmed.frames[i, j])
+    chained = paper.chain_rows(filmed.setup.cameras, filmed.head.rows, lambda i, j: filmed.frames[i, j])
     assert not isinstance(chained, Failure)
     assert np.array_equal(chained[0].matrix, np.eye(3))
     points = np.array([[0.0, -10.0], [30.0, 0.0], [15.0, 10.0]])
@@ -32,7 +32,7 @@ def test_the_papers_chain_works_and_errs_more_than_ours(filmed: Any) -> None:
 
 
 def test_six_hundred_corners_at_the_most(filmed: Any) -> None:
-    found = paper.features(filmed.frames[0, 2])
+    found = paper.detect_features(filmed.frames[0, 2])
     assert 100 < len(found.px) <= 600
     assert found.descriptors.shape == (len(found.px), 128)
 
@@ -43,14 +43,14 @@ def test_a_step_of_exactly_moved_features_is_that_motion(workshop: Any) -> None:
     at, descriptors = g.uniform(20, 140, (50, 2)), g.uniform(0, 255, (50, 128)).astype(np.float32)
     back = np.array([[np.cos(0.01), -np.sin(0.01), 0.3], [np.sin(0.01), np.cos(0.01), -4.0], [0, 0, 1]])
     later = camera.project(apply(np.linalg.inv(back), camera.ground(at)))
-    step = paper.step([paper.Features(at, descriptors)], [paper.Features(later, descriptors)], [camera])
-    assert isinstance(step, Euclidean)
-    assert step.matrix == pytest.approx(back, abs=1e-4)
+    motion = paper.estimate_step([paper.Features(at, descriptors)], [paper.Features(later, descriptors)], [camera])
+    assert isinstance(motion, Euclidean)
+    assert motion.matrix == pytest.approx(back, abs=1e-4)
 
 
 def test_frames_without_features_fail_with_a_reason(workshop: Any) -> None:
     grey = np.full((160, 200), 30, dtype=np.uint8)
-    assert len(paper.features(grey).px) == 0
-    failed = paper.chain((workshop.camera(),), 3, lambda camera, row: grey)
+    assert len(paper.detect_features(grey).px) == 0
+    failed = paper.chain_rows((workshop.camera(),), 3, lambda camera, row: grey)
     assert isinstance(failed, Failure)
     assert failed.reason == "rows 0 and 1: 0 matches between two rows; 6 are needed"

@@ -1,1 +1,1 @@
-"""Stitch as the paper does, as a baseline to compare with."""
+"""Stitch as the paper does: the baseline of `vaoi bench` and `vaoi stitch --method paper`."""

@@ -1,7 +1,7 @@
-"""The paper's own way (section 3.3.2), kept as the baseline: Harris corners, SIFT descriptors, RANSAC, a chain of rows.
+"""The paper's chain of rows (section 3.3.2), as a baseline: Harris corners, SIFT descriptors, RANSAC.
 
-Features are searched in whole frames without a prior, matched by brute force, and every row is fixed
-to the row before it by one Euclidean transform of all cameras' matches (equations 15 and 16).
+Features are searched in whole frames without a prior and matched by brute force. One Euclidean transform of all
+cameras' matches joins every row to the row before it (equations 15 and 16).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _CORNERS = 600
 """The paper: "roughly 600 features were detected"."""
 _KEYPOINT_PX = 12.0
 _RATIO = 0.8
-"""Lowe 2004: a match must be that much better than the second best."""
+"""Largest ratio of a match's distance to that of the second best (Lowe 2004)."""
 _RANSAC_MM = 0.05
 _LEAST_MATCHES = 6
 
@@ -34,8 +34,8 @@ class Features:
     descriptors: NDArray[np.float32]
 
 
-def features(grey: NDArray[np.uint8]) -> Features:
-    """600 Harris corners of a frame with SIFT descriptors."""
+def detect_features(grey: NDArray[np.uint8]) -> Features:
+    """Detect up to 600 Harris corners of a frame, with SIFT descriptors."""
     corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.001, 5, useHarrisDetector=True, k=0.04)
     if corners is None:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32))
@@ -44,8 +44,11 @@ def features(grey: NDArray[np.uint8]) -> Features:
     return Features(np.array([p.pt for p in kept], dtype=np.float64), np.asarray(descriptors, dtype=np.float32))
 
 
-def step(earlier: Sequence[Features], later: Sequence[Features], cameras: Sequence[Camera]) -> Euclidean | Failure:
-    """The transform T of equation 15: places of the later row to those of the row before, from all cameras together."""
+def estimate_step(
+    earlier: Sequence[Features], later: Sequence[Features], cameras: Sequence[Camera]
+) -> Euclidean | Failure:
+    """Estimate T of equation 15, from places of the later row to those of the earlier, from all cameras together."""
+    # In mm of the conveyor's plane, where matches of all cameras share one transform.
     source, target = [], []
     for a, b, camera in zip(earlier, later, cameras, strict=True):
         if len(a.px) < 2 or len(b.px) < 2:
@@ -56,6 +59,7 @@ def step(earlier: Sequence[Features], later: Sequence[Features], cameras: Sequen
                 target.append(camera.ground(a.px[pair[0].trainIdx]))
     if len(source) < _LEAST_MATCHES:
         return Failure(f"{len(source)} matches between two rows; {_LEAST_MATCHES} are needed")
+    # OpenCV's RANSAC draws from a global generator: seeded, the same frames give the same result.
     cv2.setRNGSeed(1)
     found, _ = cv2.estimateAffinePartial2D(
         np.array(source), np.array(target), method=cv2.RANSAC, ransacReprojThreshold=_RANSAC_MM, maxIters=5000
@@ -65,16 +69,16 @@ def step(earlier: Sequence[Features], later: Sequence[Features], cameras: Sequen
     return Euclidean.motion(float(np.arctan2(found[1, 0], found[0, 0])), found[:, 2], System.ROW, System.ROW)
 
 
-def chain(
+def chain_rows(
     cameras: Sequence[Camera], rows: int, grey: Callable[[int, int], NDArray[np.uint8]]
 ) -> list[Euclidean] | Failure:
-    """D_j of every row by the paper's chain; M_{i,j+1} = M_{i,j} T⁻¹ (equation 16)."""
+    """Estimate D_j of every row by the paper's chain: M_{i,j+1} = M_{i,j} T⁻¹ (equation 16)."""
     tester_from_row = np.eye(3)
     motion = [Euclidean.identity(System.ROW, System.TESTER)]
-    before = [features(grey(i, 0)) for i in range(len(cameras))]
+    before = [detect_features(grey(i, 0)) for i in range(len(cameras))]
     for j in range(1, rows):
-        now = [features(grey(i, j)) for i in range(len(cameras))]
-        t = step(before, now, cameras)
+        now = [detect_features(grey(i, j)) for i in range(len(cameras))]
+        t = estimate_step(before, now, cameras)
         if isinstance(t, Failure):
             return Failure(f"rows {j - 1} and {j}: {t.reason}")
         tester_from_row = tester_from_row @ t.matrix

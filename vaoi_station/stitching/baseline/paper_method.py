@@ -1,6 +1,6 @@
-"""`--method paper`: a run stitched as the paper does it, from whole frames, row by row, in the plane.
+"""`--method paper`: stitch a run as the paper does, from whole frames, row by row, in the plane.
 
-Kept to compare with: no prior, no common adjustment, no uncertainty. C is solved from the fiducials alone
+A baseline to compare with: no prior, no common adjustment, no uncertainty. C follows from the fiducials alone
 (equation 21).
 """
 
@@ -17,7 +17,7 @@ from vaoi_station.geometry import Camera, Euclidean
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.baseline.paper_features import chain
+from vaoi_station.stitching.baseline.paper_features import chain_rows
 from vaoi_station.stitching.board.board_plane import board_plane, expected_angle
 from vaoi_station.stitching.board.fiducial_assignment import find_board, merge_detections
 from vaoi_station.stitching.board.fiducial_detection import detect_marks
@@ -37,9 +37,10 @@ def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> S
     frames = _prepared(head, frame)
 
     def grey(camera: int, row: int) -> NDArray[np.uint8]:
+        # A missing frame has no features; the row is then placed by the other cameras.
         return frames[camera, row].grey if (camera, row) in frames else _BLANK
 
-    motion = chain(setup.cameras, head.rows, grey)
+    motion = chain_rows(setup.cameras, head.rows, grey)
     if isinstance(motion, Failure):
         identity = tuple(np.eye(3) for _ in range(head.rows))
         nothing = tuple(tuple(None for _ in range(head.rows)) for _ in setup.cameras)
@@ -56,7 +57,7 @@ def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> S
 
 
 def as_motion(rows: Sequence[Euclidean], cameras: Sequence[Camera]) -> Motion:
-    """D_j of every row as the motion that `stitching` computes with."""
+    """Convert D_j of every row to the motion that `stitching` computes with."""
     pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
     back = [d.inverse() for d in rows]
     return Motion(np.array([b.angle_rad for b in back]), np.array([b(pivot) - pivot for b in back]), pivot)
@@ -76,6 +77,7 @@ def _cad_matrix(
     detections = [detect_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
     places = merge_detections(detections, setup.cameras, motion)
     angle = expected_angle(frame, setup.cameras[0], setup.expectation)
+    # No texture is given: the paper takes the fiducials alone.
     guess = find_board(frame, places, angle, setup.expectation, np.zeros((0, 2)))
     return guess if isinstance(guess, Failure) else frame.matrix(guess.c)
 

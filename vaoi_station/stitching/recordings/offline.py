@@ -1,4 +1,4 @@
-"""Stitching of a whole recording at once: the same tasks as in the live station, one after the other."""
+"""Stitching of a whole recording: the same tasks as in the station, one after the other."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ def stitch_frames(
     """Stitch frames of a finished run.
 
     Args:
-        setup: what was known beforehand.
+        setup: what is known before the board is filmed.
         head: cameras, rows and times.
-        frame: pixels by camera and row; None where a frame never arrived.
-        reference_frame: the same of the reference, where `setup` has one.
+        frame: gives pixels by camera and row; None where a frame never arrived.
+        reference_frame: the same for the reference, where `setup` has one.
     """
+    # A run with a lost frame is stitched from the others; only the tasks of that frame are left out.
     lost = set(head.missing)
     present = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost]
     times_s = head.row_times_s()

@@ -17,7 +17,7 @@ from vaoi_station.stitching.work import StitchSetup, TaskRunner
 
 @dataclass(frozen=True, eq=False)
 class OpenedRun:
-    """What a recorded run is stitched from, and where it was read."""
+    """All inputs of the stitching of a recorded run, with the paths they were read from."""
 
     recording: Recording
     calibration: Calibration
@@ -36,7 +36,7 @@ class OpenedRun:
         return tuple(key for key in keys if key not in lost)
 
     def runner(self, frame: Frames | None = None) -> TaskRunner:
-        """A task runner that reads the frames of the run by `frame`, by default from the disk."""
+        """Make a task runner that reads the frames of the run by `frame`, by default from disk."""
         return TaskRunner(
             self.setup, frame or self.recording.frame, self.reference.recording.frame if self.reference else None
         )
@@ -57,15 +57,16 @@ def open_run(
         calibration: by default the recording's own.
         board: board type; by default the recording's own, if it has one.
         reference: directory made by `vaoi teach`.
-        method: evidence to use.
+        method: names the evidence to use.
 
     Raises:
-        InputError: something does not fit: the calibration's number of cameras, a reference without a board type.
+        InputError: the inputs do not fit together: number of cameras, a reference without a board type.
     """
     recording = open_recording(case)
     head = recording.head
     calibration_path = calibration or case / "calibration.json"
     known = read_calibration(calibration_path, head.cameras)
+    # Arguments come before the files of the recording: a correction is tried without changing the recording.
     own = case / "board.json"
     board_path = board or (own if own.is_file() else None)
     setup = StitchSetup(

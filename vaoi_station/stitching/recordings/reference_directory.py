@@ -32,14 +32,14 @@ from vaoi_station.stitching.work import StitchSetup
 
 RESULT = "result.json"
 _SAME_CALIBRATION_PX = 0.05
-"""What two calibrations may differ by: a reference brings that difference into every position."""
+"""Largest difference between two calibrations; a reference brings that difference into every position."""
 _CAD_TERMS = ("unit", "y_axis", "side", "fiducials")
 """Keys of a board type that C depends on."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredReference:
-    """A reference and where its frames are."""
+    """A reference with the recording of its frames."""
 
     reference: Reference
     recording: Recording
@@ -60,6 +60,7 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
         reasons = "; ".join(stitch.reasons)
         raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
     with new_directory(out) as draft:
+        # The truth of a simulated recording stays out: nothing of the product may read it.
         shutil.copytree(case, draft, ignore=shutil.ignore_patterns("truth.json"), dirs_exist_ok=True)
         shutil.copyfile(calibration, draft / "calibration.json")
         shutil.copyfile(board, draft / "board.json")
@@ -75,15 +76,15 @@ def write_reference(
     board_type: BoardType,
     stitch: Stitch,
 ) -> None:
-    """Keep a run that has been stitched as a reference; the directory appears complete or not at all.
+    """Write a stitched run as a reference; the directory appears complete or not at all.
 
     Args:
         directory: must not exist.
         head: of the run; frames that are not kept are `missing`.
         frames: (camera, row, pixels).
-        calibration: the run was stitched with.
-        board_type: the run shows.
-        stitch: its result.
+        calibration: of the stitching.
+        board_type: of the board in the run.
+        stitch: result of the run.
     """
     with new_directory(directory) as draft:
         write_calibration(draft / "calibration.json", calibration)
@@ -93,7 +94,7 @@ def write_reference(
 
 
 def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> StoredReference:
-    """Open a reference for runs of these cameras and this board type; one that was never stitched is stitched now.
+    """Open a reference for runs of these cameras and this board type; stitch it if it has no result yet.
 
     Raises:
         InputError: the reference was filmed with another calibration, or shows another board type.
@@ -111,12 +112,13 @@ def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: Boa
         raise InputError(f"{directory}: the reference has no CAD mapping: {'; '.join(stitch.reasons)}.")
     lost = set(recording.head.missing)
     everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
+    # Only what linking needs: this object travels to every worker with every run.
     used = stitch.model_copy(update={"image_matrices": (), "components": None, "quality": {}})
     return StoredReference(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
 
 
 def with_reference(setup: StitchSetup, stored: StoredReference | None) -> StitchSetup:
-    """The setup of a run that is placed against a reference."""
+    """Return the setup with the reference added, if there is one."""
     return setup if stored is None else replace(setup, reference=stored.reference)
 
 
@@ -125,7 +127,8 @@ def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardT
 
 
 def _name(head: RecordingHead, stitch: Stitch) -> str:
-    """The run's id where the recording tells it, else a fingerprint of its matrices: the same wherever it lies."""
+    """Return the run's id where the recording has it, else a fingerprint of its matrices."""
+    # A path would change when the directory is copied, and with it the name in every later result.
     if isinstance(run := (head.model_extra or {}).get("x_run"), str):
         return run
     matrices = b"".join(m.tobytes() for m in (stitch.cad_matrix, *stitch.row_motion) if m is not None)
@@ -138,6 +141,7 @@ def _check_board_type(directory: Path, theirs: BoardType, ours: BoardType) -> No
             f"{directory}: shows board type {theirs.name!r}, whose components are not those of {ours.name!r}.",
             action="Teach a reference of this board type.",
         )
+    # Components may change freely as long as their addresses stay; C depends on these keys only.
     changed = [key for key in _CAD_TERMS if getattr(theirs, key) != getattr(ours, key)]
     if changed:
         raise InputError(

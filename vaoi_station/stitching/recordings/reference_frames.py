@@ -1,6 +1,6 @@
-"""The small set of images per row that a reference needs (section 3.3.3).
+"""The small set of frames per row that a reference keeps (section 3.3.3).
 
-All cameras of a row share its one motion, so a few frames fix it; those far apart fix its angle best.
+All cameras of a row share one motion, so a few frames determine it; frames far apart determine its angle best.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 
 MOST_PER_ROW = 4
 _LEAST_SHARE = 0.05
-"""Of a frame that must show the board."""
+"""Least share of a frame that shows the board."""
 
 
 def select_reference_frames(
     stitch: Stitch, cameras: Sequence[Camera], board_type: BoardType, present: Collection[FrameKey]
 ) -> frozenset[FrameKey]:
-    """The frames of a stitched run that are kept as a reference: at most `MOST_PER_ROW` of each row, spread evenly.
+    """Select the frames that are kept as a reference: at most `MOST_PER_ROW` of each row, spread evenly.
 
     Args:
-        stitch: with a CAD mapping; tells which frames show the board.
+        stitch: with a CAD mapping, from which the frames that show the board follow.
         cameras: of the run.
         board_type: of the run.
         present: the good frames (camera, row).
@@ -46,11 +46,12 @@ def select_reference_frames(
 def _spread(cameras: list[int]) -> list[int]:
     if len(cameras) <= MOST_PER_ROW:
         return cameras
+    # Both ends are among them, for the longest arm.
     return [cameras[k] for k in np.linspace(0, len(cameras) - 1, MOST_PER_ROW).round().astype(int)]
 
 
 def _share(camera: Camera, board_mm: Floats) -> float:
-    """Share of a frame that shows the board with corners (4, 2) there; 0 where it is too small to be of use."""
+    """Compute the share of a frame that shows the board with corners (4, 2); 0 where it is too small to be of use."""
     w, h = camera.width_px - 1.0, camera.height_px - 1.0
     view = camera.ground(np.array([[0, 0], [w, 0], [w, h], [0, h]]))
     area, _ = cv2.intersectConvexConvex(view.astype(np.float32), board_mm.astype(np.float32))
