@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.process.messages import RunFinished
-from vaoi_station.acquisition.process.recording_export import export_run
+from vaoi_station.acquisition.process.recording_export import export_run, recording_head
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
 from vaoi_station.acquisition.ring.ring_layout import FrameShape
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
@@ -47,3 +48,28 @@ def test_a_recording_holds_pictures_of_packed_frames(tmp_path: Path, names: tupl
             assert kept is not None
             assert kept.dtype == seen.dtype
             assert (kept == seen).all()
+
+
+def test_the_head_has_the_verdicts_and_the_proof_in_keys_of_its_own() -> None:
+    camera = CameraHead(width=WIDTH, height=HEIGHT, exposure_us=250.0)
+    head = RecordingHead(
+        format="vaoi-recording",
+        version=1,
+        cameras=(camera,),
+        rows=2,
+        trigger_period_s=0.1,
+        conveyor_mm_s=(0.0, 100.0),
+        missing=((0, 1),),
+    )
+    frames = (
+        FrameRecord(camera=0, row=0, verdict=Verdict.OK, slot=0),
+        FrameRecord(camera=0, row=1, verdict=Verdict.MISSING, cause="the camera did not expose"),
+    )
+    proof = TriggerProof(proven=True, cameras=(), findings=())
+    written = recording_head(RunFinished("r7", 0, head, frames, 0.0, "max-rows", proof=proof))
+    assert written.missing == head.missing
+    extra = written.model_extra or {}
+    assert (extra["x_run"], extra["x_ended"]) == ("r7", "max-rows")
+    assert extra["x_verdicts"] == [{"camera": 0, "row": 1, "verdict": "missing", "cause": "the camera did not expose"}]
+    assert TriggerProof.model_validate(extra["x_proof"]) == proof
+    assert "x_proof" not in (recording_head(RunFinished("r7", 0, head, frames, 0.0, "clear")).model_extra or {})

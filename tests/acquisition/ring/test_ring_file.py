@@ -130,7 +130,7 @@ def test_another_layout_version_or_size_is_refused(path: Path) -> None:
         copy = path.with_name("copy.ring")
         content = bytearray(path.read_bytes())
         copy.write_bytes(content[:-1])
-        with pytest.raises(InputError, match="its header says"):
+        with pytest.raises(InputError, match="but its header states"):
             Ring.attach(copy)
         content[8] = 99
         copy.write_bytes(content)

@@ -142,7 +142,7 @@ class Session:
                 self._load_next()
                 self._devices.controller.arm(plan)
             except BaseException:  # any failure leaves the plan as it was; raised again
-                self._plan = None if before is None else before
+                self._plan = before
                 raise
         self._send(Armed())
 

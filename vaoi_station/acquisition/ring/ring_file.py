@@ -129,7 +129,7 @@ def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
     table = os.pread(handle, int(header["cameras"][0]) * CAMERA_RECORD.itemsize, int(header["camera_table"][0]))
     layout = RingLayout.read(header, np.frombuffer(table, dtype=CAMERA_RECORD))
     if os.fstat(handle).st_size != layout.file_bytes:
-        raise InputError(f"{path}: has {os.fstat(handle).st_size} bytes, its header says {layout.file_bytes}.")
+        raise InputError(f"{path}: has {os.fstat(handle).st_size} bytes, but its header states {layout.file_bytes}.")
     return layout, header
 
 
