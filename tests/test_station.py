@@ -85,7 +85,7 @@ def test_a_port_that_is_taken(config: StationConfig) -> None:
     assert left_behind(config) == []
 
 
-def test_a_station_that_is_down_says_so(config: StationConfig) -> None:
+def test_a_stopped_station_refuses_requests(config: StationConfig) -> None:
     with pytest.raises(StateError, match="not running"):
         _ = Station(config).coordinator
 
@@ -103,7 +103,7 @@ def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason
 
 
 COMPILED_S = 600.0
-"""So long workers may compile, on a machine that others use too."""
+"""Longest time for the workers to compile, on a machine that is shared."""
 
 
 def until(started: Station, said: Callable[[StationSnapshot], bool]) -> StationSnapshot:
@@ -129,13 +129,13 @@ def test_boards_are_taken_when_the_workers_are_ready_and_callers_are_answered_be
         assert warning.code == "workers-starting"
         assert warning.message.startswith("Cameras are not opened yet: ")
         until(started, lambda snapshot: snapshot.state != "starting")
-        told = [event for event in started.coordinator.events() if event.code != "ring-not-locked"]
-        assert told[0].message == "The workers are ready: results come at once.", "cameras were opened afterwards"
+        reported = [event for event in started.coordinator.events() if event.code != "ring-not-locked"]
+        assert reported[0].message == "The workers are ready: results come at once.", "cameras were opened afterwards"
         assert started.coordinator.snapshot().warnings == ()
 
 
 @pytest.mark.timeout(2 * COMPILED_S)
-def test_workers_that_take_too_long_are_told_and_boards_are_taken_all_the_same(
+def test_slow_workers_are_a_warning_and_boards_are_filmed_anyway(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(acquisition_link, "WARM_S", 0.0)

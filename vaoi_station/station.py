@@ -1,8 +1,8 @@
-"""The station: its parts built from one configuration, started and stopped in order.
+"""The station: all parts, built from one configuration, started and stopped in order.
 
     store → ring → workers → coordinator → acquisition, and back again.
 
-Whatever happens on the way up or down, nothing stays in shared memory and no process is left over.
+After a failure during start or stop, too, nothing stays in shared memory and no process is left over.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from vaoi_station.store import BoardTypeDirectory, Database, Store
 _log = logging.getLogger(__name__)
 
 GRACE_S = 10.0
-"""For runs under way to come to their end when the station is stopped."""
+"""Time for runs under way to end when the station is stopped."""
 DATABASE, REFERENCES = "station.db", "references"
 
 
@@ -40,7 +40,7 @@ class Station:
     """All processes and threads but the web server; a context manager."""
 
     def __init__(self, config: StationConfig, launch: Launch | None = None) -> None:
-        """`launch` starts the acquisition process; by default the real one."""
+        """Prepare a station; `launch` starts the acquisition process, by default the real one."""
         self.config = config
         self._launch = launch
         self._parts = ExitStack()
@@ -49,13 +49,13 @@ class Station:
 
     @property
     def coordinator(self) -> StationCoordinator:
-        """What answers; `StateError` while the station is down."""
+        """The coordinator; `StateError` while the station is not running."""
         if self._coordinator is None:
             raise StateError("The station is not running.", action="Start it.")
         return self._coordinator
 
     def start(self) -> None:
-        """Build and start everything; on a failure everything is taken down again and the failure is told."""
+        """Build and start everything; on a failure stop what was started and raise the failure."""
         config = self.config
         with ExitStack() as parts:
             calibration = read_calibration(config.calibration, [c.head for c in config.cameras])
@@ -90,13 +90,13 @@ class Station:
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def wind_down(self) -> None:
-        """Film no more; runs under way come to their end. What is there can still be asked for."""
+        """Film no more boards and let the runs under way end; requests are still answered."""
         if self._coordinator is not None and not self._wound_down:
             self._wound_down = True
             self._coordinator.wind_down(GRACE_S)
 
     def stop(self) -> None:
-        """Take everything down; harmless when down."""
+        """Stop everything; harmless when stopped."""
         self.wind_down()
         self._coordinator = None
         self._parts.close()
@@ -110,7 +110,7 @@ class Station:
 
 
 def serve(config: StationConfig, port: int | None = None) -> None:
-    """The whole service, until SIGTERM or SIGINT."""
+    """Run the whole service until SIGTERM or SIGINT."""
     from vaoi_station.api import create_app
     from vaoi_station.api.web_server import WebServer, open_listener
 

@@ -40,7 +40,9 @@ from vaoi_station.runs.control.acquisition_link import AcquisitionLink
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
+from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import OrderFactory
+from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
@@ -104,7 +106,7 @@ def a_head(rows: int, missing: tuple[tuple[int, int], ...] = ()) -> RecordingHea
 
 
 def a_stitch(head: RecordingHead, status: Status = Status.OK, reasons: tuple[str, ...] = ()) -> Stitch:
-    """What a perfect stitch of the small rig would be."""
+    """Return what a perfect stitch of the small rig would be."""
     rows = [np.array([[1, 0, 0], [0, 1, 1.01 * SPEED_MM_S * t], [0, 0, 1.0]]) for t in head.row_times_s()]
     cameras = a_calibration(len(head.cameras)).camera_matrices
     return Stitch(
@@ -119,7 +121,7 @@ def a_stitch(head: RecordingHead, status: Status = Status.OK, reasons: tuple[str
 
 @dataclass
 class ScriptedWorkers:
-    """Does links at once unless told to keep them, and concludes with `result`."""
+    """Performs jobs at once, or when the test asks for it if `keep` is set; concludes with `result`."""
 
     keep: bool = False
     events: WorkerEvents | None = None
@@ -189,7 +191,7 @@ class ScriptedWorkers:
 
 @dataclass
 class Rig:
-    """A coordinator and all it conducts."""
+    """A coordinator with its parts."""
 
     config: StationConfig
     coordinator: StationCoordinator
@@ -206,7 +208,7 @@ class Rig:
         self.until("idle")
 
     def until(self, state: str) -> None:
-        """Wait for a state of the station; the event log tells of every change."""
+        """Wait for a state of the station; every change is an event."""
         self.wait_for(lambda: self.coordinator.snapshot().state == state, f"the station to be {state}")
 
     def wait_for(self, true: Callable[[], bool], what: str) -> None:
@@ -238,7 +240,7 @@ class Rig:
         return grant
 
     def begin(self, grant: messages.Grant, at_s: float | None = None) -> float:
-        """A board interrupts the barrier."""
+        """Report that a board has interrupted the barrier."""
         at_s = time.monotonic() if at_s is None else at_s
         self.peer.say(messages.RunStarted(grant.run, grant.bay, at_s))
         return at_s
@@ -266,7 +268,7 @@ class Rig:
         self.peer.say(messages.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason))
 
     def board(self, grant: messages.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:
-        """A whole passage."""
+        """Report one complete passage."""
         self.begin(grant)
         records = [r for row in range(rows) for r in self.row(grant, row, verdicts if row == 1 else None)]
         self.finish(grant, records)
@@ -277,7 +279,7 @@ class Rig:
 
 
 def end_link(link: AcquisitionLink, peer: Peer) -> None:
-    """The scripted process does not read Shutdown; it ends when it is closed."""
+    """Stop a link whose scripted process does not read Shutdown: it ends when it is closed."""
     ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
     ending.start()
     peer.close()
@@ -323,7 +325,7 @@ def make_head() -> Callable[[int], RecordingHead]:
 
 @pytest.fixture
 def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
-    """Builds rigs; whatever happens, their threads end and their ring is unlinked."""
+    """Build rigs; whatever happens, their threads end and their ring is unlinked."""
     ends: list[Callable[[], object]] = []
 
     def make(**options: Any) -> Rig:
@@ -361,3 +363,12 @@ def rig(make_rig: Callable[..., Rig]) -> Rig:
     made: Rig = make_rig()
     made.ready()
     return made
+
+
+@pytest.fixture
+def progress(config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType) -> Progress:
+    """Return a run r1 in bay 1 whose board has just interrupted the barrier, at 50 s."""
+    heads = camera_heads(config)
+    references = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
+    order = OrderFactory(config.line, calibration, heads, store, references)(board_type, None, None)
+    return Progress.begin(messages.RunStarted("r1", 1, 50.0), Bay(1, "filming", "r1", 7), order)

@@ -15,7 +15,7 @@ PATIENCE_S = 20.0
 
 
 class FakeProcess:
-    """A process that is a thread's idea of one: it 'dies' when told to."""
+    """Stands for a process: it ends when the test calls `die`."""
 
     def __init__(self) -> None:
         self._here, self._there = multiprocessing.Pipe(duplex=False)

@@ -77,7 +77,7 @@ def twin_config(twin: Twin, tmp_path: Path) -> StationConfig:
 
 @pytest.fixture
 def run_station() -> Iterator[Callable[[StationConfig], StationCoordinator]]:
-    """Starts stations and waits until they are idle; they are stopped after the test."""
+    """Start stations and waits until they are idle; they are stopped after the test."""
     stations: list[Station] = []
 
     def run(config: StationConfig) -> StationCoordinator:

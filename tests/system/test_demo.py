@@ -28,7 +28,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Starts `vaoi demo …` with a temporary directory of its own, which must be empty in the end."""
+    """Start `vaoi demo …` with a temporary directory of its own, which must be empty in the end."""
     temporary = tmp_path / "tmp"
     temporary.mkdir()
     started: list[subprocess.Popen[str]] = []
@@ -90,7 +90,7 @@ def check_pictures(report: DemoReport, out: Path) -> None:
     assert sheet.shape[1] > 1000
 
 
-def test_a_board_that_lies_turned_round_is_told_and_is_no_success(start: Start, tmp_path: Path) -> None:
+def test_a_board_that_lies_turned_round_fails_with_the_reason(start: Start, tmp_path: Path) -> None:
     scenario = tmp_path / "turned.toml"
     scenario.write_text(scenario_path("small").read_text() + "\n[[faults.turned]]\nturned_deg = 180\n")
     process = start("--scenario", str(scenario), "--once", "--out", str(tmp_path / "out"))
@@ -102,7 +102,7 @@ def test_a_board_that_lies_turned_round_is_told_and_is_no_success(start: Start, 
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_boards_keep_coming_until_somebody_has_seen_enough(start: Start, tmp_path: Path, number: int) -> None:
+def test_boards_keep_coming_until_the_demo_is_interrupted(start: Start, tmp_path: Path, number: int) -> None:
     process = start("--scenario", "small", "--port", "0")
     address, processes = until_board(process, 1)
     with urllib.request.urlopen(address + "/") as page:
@@ -124,7 +124,7 @@ def test_a_demo_that_is_killed_takes_its_service_with_it(start: Start) -> None:
 
 
 def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[int]]:
-    """Its address and the numbers of its service's processes, once so many boards have been told of."""
+    """Its address and the numbers of its service's processes, once `count` boards have been reported."""
     assert process.stdout is not None
     address = ""
     for line in process.stdout:
@@ -139,7 +139,7 @@ def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[i
 
 
 def parent_of(pid: int) -> int:
-    """The station's own process."""
+    """Return the station's own process."""
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 

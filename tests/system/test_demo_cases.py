@@ -29,7 +29,7 @@ WARM = 7
 SANE_MS = 5000.0
 """A bound for machines that do other things besides; the figure is printed."""
 EVERY = 4
-"""So many runs have all their frames compared: fetching them takes time from the next one's."""
+"""Period, in runs, of comparing all frames: fetching them takes time from the next run."""
 
 
 def station_toml(case: Path, directory: Path) -> Path:
@@ -40,7 +40,7 @@ def station_toml(case: Path, directory: Path) -> Path:
 
 
 def offline(config: StationConfig, case: Path) -> Stitch:
-    """What the same frames give at once, with all that the station knows beforehand."""
+    """Return what the same frames give at once, with all that the station knows beforehand."""
     recording, board_type = open_recording(case), read_board_type(case / "board.json")
     setup = StitchSetup(
         cameras=read_calibration(config.calibration, len(config.cameras)).cameras(recording.head.cameras),
@@ -113,7 +113,7 @@ def check_frames(client: Client, run: str, recording: Recording) -> None:
 
 
 def resources(client: Client, pid: int, shared: Path) -> dict[str, int]:
-    """What the service holds of the machine: shared memory, open files, resident memory of all its processes."""
+    """Return what the service holds of the machine: shared memory, open files, resident memory of all its processes."""
     pids = [pid, *(p["pid"] for p in client.get("/station")["processes"])]
     sizes = [[int(v) for v in Path(f"/proc/{p}/statm").read_text().split()] for p in pids]
     return {

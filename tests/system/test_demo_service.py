@@ -25,7 +25,7 @@ Serve = Callable[[StationConfig], Client]
 
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Serve]:
-    """Starts a service; after the test it ends in order and leaves nothing in shared memory."""
+    """Start a service; after the test it ends in order and leaves nothing in shared memory."""
     with ExitStack() as services:
 
         def start(config: StationConfig) -> Client:
@@ -41,7 +41,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
 @pytest.fixture
 def client(serve: Serve, replay_config: Callable[..., StationConfig]) -> Client:
-    """A station to which boards of the small scenario come again and again."""
+    """Return a station to which boards of the small scenario come again and again."""
     return serve(replay_config(pace="original", pause_s=0.4))
 
 
@@ -54,7 +54,7 @@ def until(client: Client, kind: str, state: str, after: int = 0, run: str | None
 
 
 def problem(client: Client, method: str, path: str, **query: Any) -> dict[str, Any]:
-    """A refusal, checked for what every problem has; sentences name what is wrong and what to do."""
+    """Return a refusal, checked for what every problem has; sentences name what is wrong and what to do."""
     answer = httpx2.request(method, f"{client.address}/api/v1{path}", params=query, timeout=PATIENCE_S)
     assert answer.headers["content-type"] == "application/problem+json"
     content: dict[str, Any] = answer.json()
@@ -74,7 +74,7 @@ def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(cl
     assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", "first", 0)
 
 
-def test_a_board_type_nobody_taught(client: Client) -> None:
+def test_an_unknown_board_type(client: Client) -> None:
     refusal = problem(client, "POST", "/station/arm", board_type="unheard-of")
     assert (refusal["status"], refusal["code"]) == (404, "unknown-board-type")
     assert "'unheard-of'" in refusal["detail"]

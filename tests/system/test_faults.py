@@ -16,7 +16,7 @@ RunStation = Callable[[StationConfig], StationCoordinator]
 
 
 def wait_for_event(coordinator: StationCoordinator, kind: str, state: str, after: int = 0) -> int:
-    """Number of the next event of a kind."""
+    """Return the number of the next event of a kind."""
     while True:
         records = coordinator.events(after, PATIENCE_S)
         assert records, coordinator.snapshot()

@@ -26,7 +26,7 @@ RunStation = Callable[[StationConfig], StationCoordinator]
 
 
 def filmed(coordinator: StationCoordinator) -> RunDetail:
-    """The next board."""
+    """Return the next board."""
     seen, deadline = coordinator.snapshot().last_event, time.monotonic() + PATIENCE_S
     coordinator.arm("small", runs=1)
     while True:
@@ -58,7 +58,7 @@ def apart_px(a: Stitch, b: Stitch, twin: Twin) -> float:
 
 
 def offline(reference: Path, recording: Path, method: MethodName) -> Stitch:
-    """What `vaoi stitch RECORDING --reference DIR --method METHOD` makes of it."""
+    """Return what `vaoi stitch RECORDING --reference DIR --method METHOD` makes of it."""
     opened = open_run(recording, reference=reference, method=method)
     assert opened.reference is not None
     return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, opened.reference.recording.frame)
@@ -72,7 +72,7 @@ def shows(path: Path, station: StationCoordinator, run: RunDetail) -> bool:
 
 @pytest.fixture
 def config(replay_config: Callable[..., StationConfig]) -> StationConfig:
-    """It plays two boards in turn."""
+    """Return a station that replays two boards in turn."""
     return replay_config(pace="fast", pause_s=0.01)
 
 

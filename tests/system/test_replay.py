@@ -27,14 +27,14 @@ RunStation = Callable[[StationConfig], StationCoordinator]
 
 
 def offline(coordinator: StationCoordinator, recording: Recording) -> Stitch:
-    """What `vaoi stitch` makes of the recording, knowing what the station knew."""
+    """Return what `vaoi stitch` makes of the recording, knowing what the station knew."""
     order = coordinator._make_order(coordinator.board_type("small"), None, None)
     setup: StitchSetup = order.setup
     return stitch_frames(setup, recording.head, recording.frame)
 
 
 def follow(coordinator: StationCoordinator, count: int) -> list[RunDetail]:
-    """The next so many runs, in the order they ended."""
+    """Return the next `count` runs, in the order in which they ended."""
     runs: list[RunDetail] = []
     after = None
     while len(runs) < count:
@@ -96,7 +96,7 @@ def test_every_run_equals_the_offline_result_and_memory_does_not_grow(
 
 
 def first_run(coordinator: StationCoordinator) -> RunDetail | None:
-    """The first run of all: after nothing there is nothing to come after."""
+    """Return the first run of all: after nothing there is nothing to come after."""
     seen = 0
     while coordinator.latest() is None:
         records = coordinator.events(seen, PATIENCE_S)
@@ -107,7 +107,7 @@ def first_run(coordinator: StationCoordinator) -> RunDetail | None:
 
 
 def held(coordinator: StationCoordinator) -> dict[str, int]:
-    """What the station holds of the machine: shared memory, open files, resident memory of all its processes."""
+    """Return what the station holds of the machine: shared memory, open files, resident memory of all its processes."""
     snapshot = coordinator.snapshot()
     pids = [os.getpid(), *(p.pid for p in snapshot.processes if p.pid)]
     pages = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids)

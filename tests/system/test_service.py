@@ -22,7 +22,7 @@ PATIENCE_S = 60.0
 
 
 def as_toml(config: StationConfig) -> str:
-    """A configuration as `station.toml`."""
+    """Return a configuration as `station.toml`."""
     document = config.model_dump(mode="json", exclude_none=True)
     cameras, tables = document.pop("cameras"), {k: v for k, v in document.items() if isinstance(v, dict)}
     lines = [f"{k} = {json.dumps(v)}" for k, v in document.items() if k not in tables]

@@ -23,7 +23,7 @@ angle_deg = 0.1
 
 
 def event(coordinator: StationCoordinator, code: str) -> Any:
-    """The first event of a code."""
+    """Return the first event of a code."""
     after = 0
     while True:
         records = coordinator.events(after, PATIENCE_S)

@@ -30,12 +30,12 @@ def test_old_events_come_from_the_store(store: Store) -> None:
     log = EventLog(store)
     for n in range(module.RECENT + 5):
         log.add("run", str(n))
-    store.set_state("nobody", "gone").result(10)
+    store.set_state("no run", "gone").result(10)
     assert [e.number for e in log.read(module.RECENT, 0, 10)] == [module.RECENT + k for k in range(1, 6)]
     assert [e.number for e in log.read(1, 0, 2)] == [2, 3]
 
 
-def test_who_waits_is_woken(store: Store) -> None:
+def test_waiting_readers_are_woken(store: Store) -> None:
     log = EventLog(store)
     got: list[int] = []
     waiting = threading.Thread(target=lambda: got.extend(e.number for e in log.read(0, 30.0, 10)))
@@ -45,7 +45,7 @@ def test_who_waits_is_woken(store: Store) -> None:
     assert got == [1]
 
 
-def test_no_news_is_an_empty_answer_and_the_end_wakes_all(store: Store) -> None:
+def test_a_read_without_events_is_empty_and_close_wakes_all(store: Store) -> None:
     log = EventLog(store)
     assert log.read(0, 0.01, 10) == ()
     waiting = threading.Thread(target=log.read, args=(0, 30.0, 10))

@@ -30,17 +30,17 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     half = rig.peer.expect(Grant)
     rig.begin(half)
     rig.wait_run(half.run, lambda run: run.state == "filming", "the second board")
-    store.set_state("nobody", "gone").result(10)
+    store.set_state("no run", "gone").result(10)
 
     later = Store(Database(tmp_path / "data" / "station.db"))
     archive = Archive(later, EventLog(later))
-    dossier = archive.get(grant.run)
-    assert dossier.detail == before.model_copy(update={"state": "gone", "frames_available": False})
-    assert dossier.result.model_dump_json() == stitch.model_dump_json()
-    assert dossier.timeline == timeline
-    assert dossier.board_type.components[0].ref == "U1"
+    finished = archive.get(grant.run)
+    assert finished.detail == before.model_copy(update={"state": "gone", "frames_available": False})
+    assert finished.result.model_dump_json() == stitch.model_dump_json()
+    assert finished.timeline == timeline
+    assert finished.board_type.components[0].ref == "U1"
     assert (
-        dossier.cameras[1].image_from_row.matrix.tolist()
+        finished.cameras[1].image_from_row.matrix.tolist()
         == rig.coordinator._core.runs.filming[0].order.setup.cameras[1].image_from_row.matrix.tolist()
     )
     lost = archive.get(half.run)
@@ -57,7 +57,7 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     later.close()
 
 
-def test_frames_of_an_earlier_life_are_gone_with_a_clear_word(make_rig: Callable[..., Any]) -> None:
+def test_frames_from_before_a_restart_are_gone(make_rig: Callable[..., Any]) -> None:
     first = make_rig(runs=2)
     first.ready()
     grant = first.arm()
@@ -77,9 +77,7 @@ def test_frames_of_an_earlier_life_are_gone_with_a_clear_word(make_rig: Callable
     assert second.coordinator.release(grant.run).state == "gone"
 
 
-def test_a_disk_that_is_full_is_told_and_the_result_is_there_all_the_same(
-    rig: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_reported_and_the_result_stays_available(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> Future[None]:
         refused: Future[None] = Future()
         refused.set_exception(DeviceError("station.db: cannot be used (disk is full)."))

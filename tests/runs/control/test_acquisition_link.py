@@ -132,7 +132,7 @@ class RecordedBackoff(Backoff):
 
 @pytest.fixture
 def start_link(peer: Any, events: Recorded) -> Iterator[Callable[[Backoff], AcquisitionLink]]:
-    """Starts links with a back-off of their own; they are stopped after the test."""
+    """Start links with a back-off of their own; they are stopped after the test."""
     started: list[AcquisitionLink] = []
 
     def start(backoff: Backoff) -> AcquisitionLink:

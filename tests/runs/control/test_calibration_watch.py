@@ -14,7 +14,7 @@ from vaoi_station.runs.workers.jobs import CheckJob, Reply
 
 
 def film(rig: Any, grant: messages.Grant) -> messages.Grant:
-    """A board passes and is looked at; the grant for the next one."""
+    """Let a board pass until its calibration check is done; returns the grant for the next one."""
     before = rig.coordinator.calibration().runs
     rig.board(grant)
     rig.result_of(grant.run)
@@ -23,7 +23,7 @@ def film(rig: Any, grant: messages.Grant) -> messages.Grant:
     return following
 
 
-def test_a_knocked_camera_is_told_by_its_second_board(rig: Any, calibration: Any) -> None:
+def test_a_displaced_camera_becomes_a_warning_with_its_second_board(rig: Any, calibration: Any) -> None:
     assert [c.state for c in rig.coordinator.calibration().cameras] == ["unknown", "unknown"]
     grant = film(rig, rig.arm())
     assert [c.state for c in rig.coordinator.calibration().cameras] == ["steady", "steady"]
@@ -36,7 +36,7 @@ def test_a_knocked_camera_is_told_by_its_second_board(rig: Any, calibration: Any
     assert warning.code == "calibration-drift"
     assert f"is displaced by 3.00 px from its calibration since run {first}" in warning.message
     assert "recalibrate" in warning.action
-    assert rig.coordinator.snapshot().state == "armed", "boards are filmed all the same"
+    assert rig.coordinator.snapshot().state == "armed", "boards are still filmed"
     still, drifted = rig.coordinator.calibration().cameras
     assert (still.state, still.drift) == ("steady", None)
     assert (drifted.state, drifted.drift.y_px, drifted.drift.since_run, drifted.drift.runs) == (
@@ -46,8 +46,8 @@ def test_a_knocked_camera_is_told_by_its_second_board(rig: Any, calibration: Any
         2,
     )
     assert [m.y_px for m in drifted.history] == [0.0, 3.0, 3.0]
-    told = [e for e in rig.coordinator.events() if e.code == "calibration-drift"]
-    assert len(told) == 1
+    reported = [e for e in rig.coordinator.events() if e.code == "calibration-drift"]
+    assert len(reported) == 1
     again = CalibrationWatch(rig.store.checks, EventLog(rig.store), calibration, ["a", "b"])
     assert [w.code for w in again.warnings()] == ["calibration-drift"]
     assert again.status().runs == 3

@@ -34,7 +34,7 @@ def test_a_board_passes(rig: Any) -> None:
     assert rig.workers.closed == [grant.run]
 
 
-def test_links_are_asked_for_as_soon_as_both_frames_are_there(rig: Any) -> None:
+def test_links_are_requested_as_soon_as_both_frames_are_there(rig: Any) -> None:
     rig.workers.keep = True
     grant = rig.arm()
     rig.begin(grant)
@@ -92,7 +92,7 @@ def test_boards_back_to_back_find_memory_granted_ahead(rig: Any) -> None:
     assert rig.coordinator.snapshot().boards_missed == 0
 
 
-def test_every_finished_run_is_told_once_and_in_order(rig: Any) -> None:
+def test_every_finished_run_is_returned_once_and_in_order(rig: Any) -> None:
     assert rig.coordinator.latest() is None
     got: list[str] = []
     listening = threading.Event()
@@ -251,7 +251,7 @@ def test_health_is_shown(rig: Any) -> None:
     assert acquisition.heartbeat_age_s is not None
 
 
-def test_a_trouble_is_told_once_and_shown_as_long_as_it_lasts(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trouble_is_published_once_and_shown_while_it_lasts(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     trouble = messages.Trouble("device", "camera c1: does not answer", "Check its cable.")
     for _ in range(3):
         rig.peer.say(trouble)

@@ -20,12 +20,12 @@ from vaoi_station.runs.workers.jobs import Reply
 
 @contextmanager
 def asked_to_arm(rig: Any) -> Iterator[Future[object]]:
-    """Somebody waits for the station to be armed, in a thread of their own."""
+    """Request arming in a thread of its own."""
     with ThreadPoolExecutor(1) as pool:
         yield pool.submit(rig.coordinator.arm, "small")
 
 
-def test_a_board_type_nobody_taught(rig: Any) -> None:
+def test_an_unknown_board_type(rig: Any) -> None:
     with pytest.raises(NotFoundError, match="no board type 'unknown'; known board types: 'small'"):
         rig.coordinator.arm("unknown")
     assert rig.coordinator.snapshot().state == "idle"
@@ -47,7 +47,7 @@ def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
 
 
 def test_a_run_that_was_cut_short_says_where_and_why(rig: Any) -> None:
-    """Whatever could be stitched of it: nobody has seen the rest of the board."""
+    """It is degraded even if its stitch is ok: the rest of the board was not filmed."""
     grant = rig.arm()
     rig.begin(grant)
     records = [record for row in range(3) for record in rig.row(grant, row)]
@@ -68,7 +68,7 @@ def test_arming_before_the_cameras_are_open(make_rig: Callable[..., Any]) -> Non
 
 
 def _lose(rig: Any, *cameras: int) -> None:
-    """The next sign of life says that these cameras are not connected."""
+    """Report in the next heartbeat that these cameras are not connected."""
     refusal = CameraHealth(False, "it refuses Gain = 99", action="Set a gain that it can do.")
     health = tuple(refusal if k in cameras else CameraHealth(True) for k in range(2))
     rig.peer.say(messages.Health(health, "controller fine", time.monotonic()))
@@ -106,8 +106,8 @@ def test_a_line_that_loses_a_camera_goes_on_and_says_so_but_takes_no_further_ord
     assert rig.result_of(grant.run).board_id == "b 1"
     _lose(rig)
     rig.coordinator.arm("small", "b 2")
-    told = [event.message for event in rig.coordinator.events() if event.kind == "camera"]
-    assert told == ["Camera c0 is lost: boards would be filmed without it.", "Camera c0 is ready again."]
+    reported = [event.message for event in rig.coordinator.events() if event.kind == "camera"]
+    assert reported == ["Camera c0 is lost: boards would be filmed without it.", "Camera c0 is ready again."]
 
 
 def test_a_camera_that_cannot_be_armed(rig: Any) -> None:
@@ -186,7 +186,7 @@ def test_acquisition_dies_while_arming(rig: Any) -> None:
         rig.coordinator.arm("small")
 
 
-def test_why_the_devices_cannot_be_opened_is_told_once_and_stays(rig: Any) -> None:
+def test_the_cause_of_failed_starts_is_published_once_and_stays(rig: Any) -> None:
     absent = messages.Trouble("port-absent", "There is no serial port /dev/ttyUSB0.", "Plug it in.")
     refused = messages.Trouble("setting-refused", "Camera left refuses Gain = 99.", "Set what it can do.")
     first = rig.coordinator.snapshot().last_event
@@ -198,9 +198,9 @@ def test_why_the_devices_cannot_be_opened_is_told_once_and_stays(rig: Any) -> No
     rig.peer.life(5)
     rig.wait_for(lambda: rig.coordinator.snapshot().reasons[0].code == refused.code, "the second cause")
     assert [r.code for r in rig.coordinator.snapshot().reasons] == ["setting-refused", "acquisition-lost"]
-    told = [e.message for e in rig.coordinator.events(first) if e.kind == "trouble"]
+    reported = [e.message for e in rig.coordinator.events(first) if e.kind == "trouble"]
     lost = "The acquisition process ended (code -11).", "The acquisition process could not start."
-    assert told == [lost[0], absent.message, lost[1], refused.message]
+    assert reported == [lost[0], absent.message, lost[1], refused.message]
     rig.peer.say(messages.Ready(2))
     rig.until("idle")
     assert rig.coordinator.snapshot().reasons == ()

@@ -72,7 +72,7 @@ def test_a_full_ring_blocks_arming_names_the_holders_and_loses_nothing(rig: Any)
     assert all(rig.coordinator.frame(run, 0, 0)[0].any() for run in runs)
 
 
-def test_a_run_that_is_let_go_unblocks_the_line(rig: Any) -> None:
+def test_ending_a_hold_unblocks_the_line(rig: Any) -> None:
     runs = full(rig)
     rig.coordinator.end_hold(runs[1], "tester 3")
     grant = rig.peer.expect(messages.Grant)
@@ -84,7 +84,7 @@ def test_a_run_that_is_let_go_unblocks_the_line(rig: Any) -> None:
     rig.board(grant)
     run = rig.result_of(grant.run)
     assert run.verdict is Status.OK
-    assert run.state == "gone", "all others are held, so it makes room for the next board at once"
+    assert run.state == "gone", "all others are held, so it is evicted for the next board at once"
 
 
 def test_a_released_run_keeps_its_result(rig: Any) -> None:

@@ -1,4 +1,4 @@
-"""One thing after another, and nobody waits for ever."""
+"""The inbox executes messages in order, and no caller waits for ever."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_order_is_kept(inbox: Inbox) -> None:
     assert seen == list(range(100))
 
 
-def test_refusals_reach_who_asked(inbox: Inbox) -> None:
+def test_refusals_reach_the_caller(inbox: Inbox) -> None:
     def refuse() -> None:
         raise NotFoundError("no such thing")
 
@@ -42,7 +42,7 @@ def test_refusals_reach_who_asked(inbox: Inbox) -> None:
         inbox.ask(refuse)
 
 
-def test_our_own_faults_are_told_and_do_not_end_the_thread(inbox: Inbox, caplog: pytest.LogCaptureFixture) -> None:
+def test_internal_faults_are_raised_and_do_not_end_the_thread(inbox: Inbox, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR), pytest.raises(InternalError, match="ZeroDivisionError"):
         inbox.ask(lambda: 1 / 0)
     inbox.post(lambda: 1 / 0)
@@ -60,29 +60,29 @@ def test_an_answer_that_does_not_come_in_time(inbox: Inbox) -> None:
         inbox.wait(Future(), lambda: None, 0.01)
 
 
-def test_after_the_end_questions_are_refused(inbox: Inbox) -> None:
+def test_after_close_requests_are_refused(inbox: Inbox) -> None:
     inbox.close()
     inbox.close()
     with pytest.raises(StateError, match="stopping"):
         inbox.ask(lambda: None)
 
 
-def test_who_waits_at_the_end_is_told(inbox: Inbox) -> None:
-    told: list[Exception] = []
+def test_a_caller_that_waits_at_the_end_is_refused(inbox: Inbox) -> None:
+    reported: list[Exception] = []
     asked = threading.Event()
 
     def wait() -> None:
         try:
             inbox.wait(Future(), asked.set)
         except StateError as error:
-            told.append(error)
+            reported.append(error)
 
     waiter = threading.Thread(target=wait)
     waiter.start()
     assert asked.wait(10)
     inbox.close()
     waiter.join(10)
-    assert len(told) == 1
+    assert len(reported) == 1
 
 
 def test_it_ticks_when_nothing_happens() -> None:

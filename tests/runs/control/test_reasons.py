@@ -27,7 +27,7 @@ def test_a_reason_holds_until_it_is_taken_back() -> None:
     assert reasons.all() == ()
 
 
-def test_a_trouble_lasts_as_long_as_somebody_complains() -> None:
+def test_a_trouble_lasts_as_long_as_it_is_reported() -> None:
     clock = Clock()
     reasons, cable = Reasons(clock), Trouble("device", "camera 1 is silent", "Check its cable.")
     assert reasons.trouble(cable) is not None
@@ -49,7 +49,7 @@ def test_of_devices_that_are_opened_again_only_the_last_trouble_is_shown() -> No
     reasons.mark_outdated()
     assert reasons.trouble(absent) is None
     reasons.mark_outdated()
-    assert [reason.message for reason in reasons.all()] == ["No port"], "until another is told, it stays"
+    assert [reason.message for reason in reasons.all()] == ["No port"], "it stays until another is reported"
     assert reasons.trouble(refused) is not None
     assert [reason.message for reason in reasons.all()] == ["No gain"]
 

@@ -15,7 +15,7 @@ from vaoi_station.model import BoardType, RecordingHead, Status, Stitch, Verdict
 
 
 def taught(rig: Any) -> str:
-    """A run that is the board type's reference; the line is idle again."""
+    """Film a run and teach it as the reference; the line is idle again."""
     run = filmed(rig)
     assert rig.coordinator.teach_reference("small", run)
     return run
@@ -59,7 +59,7 @@ def test_what_is_kept_of_a_run(rig: Any) -> None:
     assert not rig.coordinator.snapshot().ring.leases
 
 
-def test_the_next_order_is_placed_against_it_and_the_workers_are_told_where_it_is(rig: Any) -> None:
+def test_the_next_order_uses_the_reference_and_sends_its_directory_to_the_workers(rig: Any) -> None:
     run = taught(rig)
     grant = rig.arm()
     armed = rig.coordinator.snapshot().armed_with
@@ -193,7 +193,7 @@ def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:
         rig.coordinator.reference("small")
 
 
-def test_files_that_are_gone_are_told(rig: Any, make_rig: Callable[..., Any], tmp_path: Path) -> None:
+def test_damaged_reference_files_make_it_unusable(rig: Any, make_rig: Callable[..., Any], tmp_path: Path) -> None:
     run = taught(rig)
     (rig.config.data / "references" / run / "result.json").write_text("{")
     rig.coordinator._board_types._references._store._opened.clear()  # as after a restart

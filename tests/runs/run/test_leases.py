@@ -47,13 +47,13 @@ def test_each_holder_has_its_own_and_a_release_ends_all() -> None:
     leases.take("r1", "b", "y")
     assert [(lease.run, lease.holder) for lease in leases.all()] == [("r1", "a"), ("r1", "b"), ("r2", "a")]
     leases.end("r1", "a")
-    leases.end("r1", "nobody")
+    leases.end("r1", "no holder")
     assert [lease.holder for lease in leases.of("r1")] == ["b"]
     leases.end_all("r1")
     assert [lease.run for lease in leases.all()] == ["r2"]
 
 
-def test_a_run_has_so_many_holders_and_no_more() -> None:
+def test_the_number_of_holders_of_a_run_is_limited() -> None:
     leases = Leases(10.0, Clock())
     for k in range(MAX_HOLDERS):
         leases.take("r1", f"tester {k}", "")

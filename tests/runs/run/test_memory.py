@@ -33,7 +33,7 @@ def finish(memory: Memory, run: str) -> None:
         memory.use(run, use)
 
 
-def test_the_oldest_finished_run_makes_room() -> None:
+def test_the_oldest_finished_run_is_evicted() -> None:
     memory, _ = memory_of(2)
     finish(memory, "r1")
     finish(memory, "r2")
@@ -67,7 +67,7 @@ def test_a_full_ring_names_the_holders() -> None:
     assert memory.grant("r4").evicted == "r1"
 
 
-def test_memory_that_comes_back_by_itself_is_told_apart() -> None:
+def test_the_refusal_distinguishes_held_memory_from_busy_memory() -> None:
     memory, leases = memory_of(1)
     memory.grant("r1")
     memory.use("r1", "stitching")
@@ -129,10 +129,10 @@ class Line(RuleBasedStateMachine):
         self.finished.append(run)
 
     @precondition(lambda self: self.finished)
-    @rule(data=st.data(), let_go=st.booleans())
-    def hold(self, data: st.DataObject, let_go: bool) -> None:
+    @rule(data=st.data(), end=st.booleans())
+    def hold(self, data: st.DataObject, end: bool) -> None:
         run = data.draw(st.sampled_from(self.finished))
-        if let_go:
+        if end:
             self.leases.end(run, "tester")
             self.held.discard(run)
         else:

@@ -32,7 +32,7 @@ def test_a_board_that_was_there_first_belongs_to_the_order_before(
     assert orders.take(20.1) is second
 
 
-def test_so_many_runs_and_no_more(
+def test_an_order_ends_after_its_number_of_runs(
     config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
 ) -> None:
     orders = Orders()

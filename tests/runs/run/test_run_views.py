@@ -13,7 +13,7 @@ from vaoi_station.runs.run.run_views import belt_speed, trigger_reasons, version
 
 
 def stitch_of(vx: float, vy: float, turn: float, about: tuple[float, float], times: np.ndarray) -> Stitch:
-    """A board that moves evenly and turns evenly about a point of its own."""
+    """Return a board that moves evenly and turns evenly about a point of its own."""
     rows = []
     for t in times:
         a = turn * t
@@ -42,7 +42,7 @@ def test_speed_is_that_of_the_boards_middle_however_it_turns(
 
 
 def test_what_speaks_against_frames_is_a_reason_with_camera_and_row() -> None:
-    """Ignored triggers are missing frames, which are told as such."""
+    """Ignored triggers are missing frames, which have reasons of their own."""
     findings = (
         TriggerFinding(camera=2, row=None, kind="runs-freely", text="it sends a frame every 33.3 ms"),
         TriggerFinding(camera=0, row=4, kind="extra-frame", text="once more"),

@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunStarted
+from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported
 from vaoi_station.config import StationConfig
-from vaoi_station.model import BoardType, Calibration, FrameRecord, Pulse, Verdict
-from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.run.order import OrderFactory
+from vaoi_station.model import FrameRecord, Pulse, Verdict
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.salvage import CAUSE, camera_heads, salvage_recording
+from vaoi_station.runs.run.salvage import CAUSE, salvage_recording
 from vaoi_station.runs.workers.jobs import Linked, LinkJob, Reply
 from vaoi_station.stitching.matching.evidence import Links
-from vaoi_station.store import Store
 
 
-def progress_of(config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType) -> Progress:
-    heads = camera_heads(config)
-    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
-    order = OrderFactory(config.line, calibration, heads, store, shelf)(board_type, None, None)
-    return Progress.begin(RunStarted("r1", 1, 50.0), Bay(1, "filming", "r1", 7), order)
-
-
-def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    progress = progress_of(config, calibration, store, board_type)
+def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(config: StationConfig, progress: Progress) -> None:
     for index, time_s in ((0, 9.0), (1, 9.1000000004), (3, 9.3)):
         progress.pulses[PulseReported("r1", Pulse(index=index, time_s=time_s)).pulse.index] = Pulse(
             index=index, time_s=time_s
@@ -59,10 +43,7 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(
     )
 
 
-def test_without_a_pulse_there_is_no_film(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    progress: Any = progress_of(config, calibration, store, board_type)
+def test_without_a_pulse_there_is_no_film(config: StationConfig, progress: Progress) -> None:
     assert salvage_recording(progress, config) is None
     progress.pulses[1] = Pulse(index=1, time_s=3.0)
     assert salvage_recording(progress, config) is None

@@ -18,7 +18,7 @@ def test_times_are_rfc_3339_in_utc() -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", utc())
 
 
-def test_host_time_is_told_in_utc() -> None:
+def test_host_time_is_formatted_in_utc() -> None:
     an_hour_ago = utc_of_host(time.monotonic() - 3600)
     assert an_hour_ago < utc()
     assert datetime.fromisoformat(an_hour_ago).tzinfo is not None
@@ -35,7 +35,7 @@ def test_ids_rise_whatever_the_clock_does(clock_ms: list[int]) -> None:
     assert all(re.fullmatch(r"[0-9a-hjkmnp-tv-z]{10}-[0-9a-hjkmnp-tv-z]{6}", name) for name in given_out)
 
 
-def test_ids_go_on_after_those_of_an_earlier_life(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ids_continue_after_a_restart(monkeypatch: pytest.MonkeyPatch) -> None:
     last = RunIds().next()
     monkeypatch.setattr(time, "time_ns", lambda: 0)
     assert RunIds(last).next() > last

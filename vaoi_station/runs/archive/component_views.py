@@ -31,7 +31,7 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
 def views_of_component(
     finished: FinishedRun, ref: str, px_per_mm: float | None, min_coverage: float
 ) -> tuple[View, ...]:
-    """The good frames that show a component, best first; `NotFoundError` without such a component."""
+    """Return the good frames that show a component, best first; `NotFoundError` without such a component."""
     part = component_of(finished.board_type, ref)
     # Frames with holes have matrices too, but a picture with black packets is no view.
     whole = {(f.camera, f.row) for f in finished.detail.frames if f.verdict is Verdict.OK}
@@ -52,7 +52,7 @@ def view_of_component(finished: FinishedRun, ref: str, k: int, px_per_mm: float 
 
 
 def component_of(board_type: BoardType, ref: str) -> Component:
-    """The component at an address; `NotFoundError` names the board type."""
+    """Return the component at an address; `NotFoundError` names the board type."""
     part = board_type.component(ref)
     if part is None:
         raise NotFoundError(
@@ -76,7 +76,7 @@ def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: boo
 
 
 def _view_counts(finished: FinishedRun) -> Counter[str]:
-    """Number of views of each component with the default coverage: whole frames that show at least half of it."""
+    """Count the views of each component: whole frames that show at least half of it."""
     stitch = finished.stitch
     if stitch is None or stitch.cad_matrix is None:
         return Counter()

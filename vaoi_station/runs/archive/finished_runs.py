@@ -112,7 +112,7 @@ class Archive:
         return detail
 
     def calibration_of(self, finished: FinishedRun) -> Calibration:
-        """The calibration with which a run was stitched."""
+        """Return the calibration with which a run was stitched."""
         return Calibration.model_validate_json(self._store.document(finished.detail.calibration))
 
     def mark(self, run: str, step: RunStep) -> None:
@@ -140,14 +140,14 @@ class Archive:
             return self._recent.get(run) or self._cache(finished)
 
     def _cached(self, run: str) -> FinishedRun | None:
-        """A run in memory, or None; `StateError` if it has not ended."""
+        """Return a run in memory, or None; `StateError` if it has not ended."""
         with self._changed:
             if run in self._under_way:
                 raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
             return self._recent.get(run)
 
     def latest(self) -> FinishedRun | None:
-        """The run that was announced last; None before the first."""
+        """Return the run that was announced last; None before the first."""
         with self._changed:
             announced = [d for d in self._recent.values() if d.finish_number == self._announced]
         if announced:
@@ -156,7 +156,7 @@ class Archive:
         return None if row is None else self.get(row.id)
 
     def next(self, after: str | None, timeout_s: float) -> FinishedRun | None:
-        """The run announced next after `after` (None: after this call); None on time-out."""
+        """Return the run announced next after `after` (None: after this call); None on time-out."""
         number = self._announced if after is None else self._number_of(after)
         deadline = time.monotonic() + timeout_s
         with self._changed:
@@ -172,7 +172,7 @@ class Archive:
         return None if row is None else self.get(row.id)
 
     def list(self, limit: int, before: str | None) -> list[RunSummary]:
-        """Runs that have begun, newest first."""
+        """Return runs that have begun, newest first."""
         return [
             _in_state(RunSummary.model_validate_json(row.summary), RunState(row.state))
             for row in self._store.runs(limit, before)
@@ -221,7 +221,7 @@ class Archive:
         self._events.add("run", summary_line(finished.detail), state=finished.detail.state, run=finished.detail.id)
 
     def _number_of(self, run: str) -> int:
-        """Number of a run in the order of ends; one that has not ended counts as the latest."""
+        """Return the number of a run in the order of ends; one that has not ended counts as the latest."""
         try:
             return self.get(run).finish_number
         except StateError:
@@ -254,7 +254,7 @@ _EMPTY = Timeline(frames_settled_s=(), tasks=(), last_frame_s=0.0, ready_s=None)
 
 
 def summary_line(detail: RunDetail) -> str:
-    """The message of the event for a run that has ended."""
+    """Return the message of the event for a run that has ended."""
     message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
     ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
     return message if ms is None else f"{message} {ms:.0f} ms after the last frame."

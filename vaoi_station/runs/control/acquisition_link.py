@@ -129,7 +129,7 @@ class _Attempt:
 
 
 def longest_pause_s(cause: str) -> float:
-    """The longest pause before a restart; `cause`: code of the last trouble, empty if there was none."""
+    """Return the longest pause before a restart; `cause`: code of the last trouble, empty if there was none."""
     return PLUGGED_S if cause in _ABSENT else PACE.longest_s
 
 

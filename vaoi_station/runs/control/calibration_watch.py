@@ -84,7 +84,7 @@ class CalibrationWatch:
         return (*drifted, *(self._unseen(camera) for camera in self._vanished))
 
     def status(self) -> CalibrationStatus:
-        """The calibration in force, and how every camera stands to it."""
+        """Return the calibration in force, and how every camera stands to it."""
         return CalibrationStatus(
             digest=self.digest,
             created=self._created,

@@ -182,7 +182,7 @@ class StationCoordinator:
         return self._parts.events.read(after, timeout_s, limit)
 
     def calibration(self) -> CalibrationStatus:
-        """The calibration in force, and how the cameras have stood to it in the latest runs."""
+        """Return the calibration in force, and how the cameras have stood to it in the latest runs."""
         return self._inbox.ask(self._parts.watch.status)
 
     # --- board types, their references and methods
@@ -204,7 +204,7 @@ class StationCoordinator:
         self._board_types.delete(name)
 
     def reference(self, board_type: str) -> ReferenceStatus:
-        """The reference of a board type; `NotFoundError` if it has none."""
+        """Return the reference of a board type; `NotFoundError` if it has none."""
         return self._board_types.reference(board_type)
 
     def teach_reference(self, board_type: str, run: str) -> bool:
@@ -223,7 +223,7 @@ class StationCoordinator:
         self._board_types.forget_reference(board_type)
 
     def method(self, board_type: str) -> StitchingMethod:
-        """The method by which runs of a board type are stitched."""
+        """Return the method by which runs of a board type are stitched."""
         return self._board_types.method(board_type)
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
@@ -233,7 +233,7 @@ class StationCoordinator:
     # --- runs
 
     def runs(self, limit: int = 50, before: str | None = None) -> tuple[RunSummary, ...]:
-        """Runs, newest first; `before`: only those older than this id."""
+        """Return runs, newest first; `before`: only those older than this id."""
         return tuple(self._parts.archive.list(min(max(limit, 1), MAX_RUNS_LISTED), before))
 
     def run(self, run: str) -> RunDetail:
@@ -244,12 +244,12 @@ class StationCoordinator:
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
 
     def latest(self) -> RunDetail | None:
-        """The run that finished last; None before the first."""
+        """Return the run that finished last; None before the first."""
         finished = self._parts.archive.latest()
         return finished.detail if finished else None
 
     def next_run(self, after: str | None, timeout_s: float) -> RunDetail | None:
-        """The first run that finished after `after` did (None: after this call); None on time-out.
+        """Return the first run that finished after `after` did (None: after this call); None on time-out.
 
         A caller that passes the id it received last gets every finished run once.
         """
@@ -274,15 +274,15 @@ class StationCoordinator:
         self._inbox.ask(self._core.end_lease, run, holder)
 
     def stitch(self, run: str) -> Stitch:
-        """The result; `StateError` while there is none yet, `NotFoundError` if the run ended without one."""
+        """Return the result; `StateError` while there is none yet, `NotFoundError` if the run ended without one."""
         return self._parts.archive.get(run).result
 
     def stitch_text(self, run: str) -> str:
-        """The result as JSON text."""
+        """Return the result as JSON text."""
         return self._parts.archive.get(run).text
 
     def timeline(self, run: str) -> Timeline:
-        """Times of the steps of a finished run."""
+        """Return the times of the steps of a finished run."""
         return self._parts.archive.get(run).timeline
 
     # --- pictures
@@ -290,7 +290,7 @@ class StationCoordinator:
     def frame(
         self, run: str, camera: int, row: int, allow_incomplete: bool = False
     ) -> tuple[NDArray[Any], FrameRecord]:
-        """A copy of one frame's pixels, (h, w) uint8 or uint16, and its record.
+        """Return a copy of one frame's pixels, (h, w) uint8 or uint16, and its record.
 
         Raises:
             GoneError: the memory was given to a later board.
@@ -304,7 +304,7 @@ class StationCoordinator:
         return component_views.components_of(self._parts.archive.get(run))
 
     def views(self, run: str, ref: str, px_per_mm: float | None = None, min_coverage: float = 0.5) -> tuple[View, ...]:
-        """The frames that show a component (address `panel/ref` or `ref`), as temporary images to be rendered."""
+        """Return the views of a component (address `panel/ref` or `ref`), as temporary images to be rendered."""
         return component_views.views_of_component(self._parts.archive.get(run), ref, px_per_mm, min_coverage)
 
     def image(

@@ -90,7 +90,7 @@ class Inbox:
                 _log.exception("a message to the coordinator failed")
 
     def _next(self, until_s: float) -> Callable[[], Any] | None:
-        """The next message; None when the tick is due, even if messages are waiting."""
+        """Return the next message; None when the tick is due, even if messages are waiting."""
         try:
             left_s = until_s - time.monotonic()
             return self._messages.get(timeout=left_s) if left_s > 0 else None

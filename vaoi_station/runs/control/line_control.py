@@ -231,7 +231,7 @@ class LineControl:
             self._acquisition.send(messages.Disarm())
 
     def _close_requests(self, refusal: StateError | DeviceError, health: messages.Health | None) -> None:
-        """The line is disarmed: refuse who wanted it armed, answer who wanted it disarmed, arm for who waited."""
+        """Refuse requests to arm, complete requests to disarm, then serve those that waited: the line is disarmed."""
         self._disarm_sent = False
         arming, disarming, waiting = self._arming, self._disarming, self._after_disarm
         self._arming, self._disarming, self._after_disarm = [], [], []

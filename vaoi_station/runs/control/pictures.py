@@ -150,7 +150,7 @@ class FrameAccess:
 
 
 def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:
-    """The record of one frame; `StateError` if it may still arrive, `NotFoundError` if there is no such frame."""
+    """Return the record of one frame; `StateError` if it may still arrive, `NotFoundError` if there is none."""
     for frame in detail.frames:
         if (frame.camera, frame.row) == (camera, row):
             return frame

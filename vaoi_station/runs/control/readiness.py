@@ -19,7 +19,7 @@ _DEFAULT_ACTION = "Check its cable and power; the station reopens it automatical
 
 
 def disconnected(health: Health | None) -> tuple[int, ...]:
-    """Indices of the cameras that are not connected; none before the first health report."""
+    """Return the indices of the cameras that are not connected; none before the first health report."""
     return tuple(k for k, camera in enumerate(health.cameras if health else ()) if not camera.connected)
 
 
@@ -54,5 +54,5 @@ def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig])
 
 
 def not_connected(label: str, why: str) -> str:
-    """A sentence that names the camera once, even if the driver's message begins with its name."""
+    """Return a sentence that names the camera once, even if the driver's message begins with its name."""
     return f"{sentence(label)} is not connected. {sentence(why.removeprefix(f'{label}: '))}".strip()

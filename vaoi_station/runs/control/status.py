@@ -67,7 +67,7 @@ def snapshot_of(
 
 
 def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
-    """A warning while workers are starting.
+    """Return a warning while workers are starting.
 
     Cameras are opened when the workers are ready, or after `acquisition_link.WARM_S`; boards filmed from then on are
     stitched when the workers are ready.

@@ -54,7 +54,7 @@ class ReferenceTeaching:
         self._teaching = threading.Lock()
 
     def status(self, board_type: BoardType) -> ReferenceStatus:
-        """The reference of a board type, and whether it can be used; `NotFoundError` if it has none."""
+        """Return the reference of a board type, and whether it can be used; `NotFoundError` if it has none."""
         record = self._store.record(board_type.name)
         if record is None:
             raise _no_reference(board_type.name)
@@ -99,7 +99,7 @@ class ReferenceTeaching:
         self._store.drop(board_type)
 
     def method(self, board_type: str) -> StitchingMethod:
-        """The method by which runs of a board type are stitched."""
+        """Return the method by which runs of a board type are stitched."""
         own = self._store.method(board_type)
         return StitchingMethod(method=own or self._method, chosen="board-type" if own else "station")
 
@@ -169,7 +169,7 @@ class BoardTypeService:
         self._events.add("board-type", f"Board type {name!r} was deleted.")
 
     def reference(self, board_type: str) -> ReferenceStatus:
-        """The reference of a board type."""
+        """Return the reference of a board type."""
         return self._references.status(self.get(board_type))
 
     def teach_reference(self, board_type: str, run: str) -> bool:
@@ -189,7 +189,7 @@ class BoardTypeService:
         self._events.add("reference", f"The reference of board type {board_type!r} was removed.")
 
     def method(self, board_type: str) -> StitchingMethod:
-        """The method by which runs of a board type are stitched."""
+        """Return the method by which runs of a board type are stitched."""
         return self._references.method(self.get(board_type).name)
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:

@@ -55,7 +55,7 @@ class Leases:
         self._leases = {key: lease for key, lease in self._leases.items() if lease.run != run}
 
     def of(self, run: str) -> tuple[Lease, ...]:
-        """The leases of one run that have not expired."""
+        """Return the leases of one run that have not expired."""
         return tuple(lease for lease in self.all() if lease.run == run)
 
     def all(self) -> tuple[Lease, ...]:

@@ -85,7 +85,7 @@ class Memory:
                 self._leases.end_all(run)
 
     def bay(self, run: str) -> Bay:
-        """The bay of a run; `GoneError` if its memory was given to a later board."""
+        """Return the bay of a run; `GoneError` if its memory was given to a later board."""
         for bay in self._bays:
             if bay.run == run:
                 return bay
@@ -108,7 +108,7 @@ class Memory:
         return tuple(BayStatus(bay=b.number, use=b.use, run=b.run) for b in self._bays)
 
     def holders(self) -> str:
-        """A sentence part that names the run and the use of every bay."""
+        """Return a sentence part that names the run and the use of every bay."""
         parts = []
         for bay in self._bays:
             leases = self._leases.of(bay.run) if bay.run else ()

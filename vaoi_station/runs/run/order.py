@@ -34,7 +34,7 @@ class Order:
     """Film boards although a camera is not connected, as the caller allowed."""
 
     def shown(self, runs_left: int | None) -> ArmedWith:
-        """The order as the status page shows it."""
+        """Return the order as the status page shows it."""
         return ArmedWith(
             board_type=self.board_type.name,
             board_id=self.board_id,
@@ -84,7 +84,7 @@ class Orders:
         return self.order is not None and self.runs_left != 0
 
     def shown(self) -> ArmedWith | None:
-        """The order in force as the status page shows it; None if there is none."""
+        """Return the order in force as the status page shows it; None if there is none."""
         return None if self.order is None else self.order.shown(self.runs_left)
 
 
@@ -134,7 +134,7 @@ class OrderFactory:
     def _reference(
         self, board_type: BoardType, method: MethodName
     ) -> tuple[StoredReference | None, tuple[Reason, ...]]:
-        """The reference for a board type; one that does not fit is left out, with a note that names the cause."""
+        """Return the reference for a board type, or a note with the cause if it has one that does not fit."""
         if not METHODS[method].reference:
             return None, ()
         try:

@@ -153,7 +153,7 @@ class Progress:
         )
 
     def conclude_job(self) -> ConcludeJob | None:
-        """The last job, once all evidence is there; None before, after, and if there can be no result."""
+        """Return the last job, once all evidence is there; None before, after, and if there can be no result."""
         if self.recorded is None or self.concluding or self.unstitchable or self.pending_canonical:
             return None
         self.concluding = True
@@ -201,5 +201,5 @@ class Progress:
 
 
 def _frames_of(task: Task) -> list[FrameKey]:
-    """The frames of this run that a task reads; `b` of a reference task is a frame of the reference."""
+    """Return the frames of this run that a task reads; `b` of a reference task is a frame of the reference."""
     return [task.a] if task.b is None or task.kind == "reference" else [task.a, task.b]

@@ -46,7 +46,7 @@ class ReferenceStore:
         """The reference opened last, by board type: arming does not wait for the disk."""
 
     def method(self, board_type: str) -> MethodName | None:
-        """The board type's own method; None if that of the station applies."""
+        """Return the board type's own method; None if that of the station applies."""
         method = self._kept.method(board_type)
         return None if method is None else _METHOD.validate_python(method)
 
@@ -60,12 +60,12 @@ class ReferenceStore:
         return self._directory / run
 
     def record(self, board_type: str) -> ReferenceRecord | None:
-        """The record of a board type's reference; None if it has none."""
+        """Return the record of a board type's reference; None if it has none."""
         document = self._kept.reference(board_type)
         return None if document is None else ReferenceRecord.model_validate_json(document)
 
     def open(self, board_type: BoardType) -> StoredReference | None:
-        """The reference of a board type; None if it has none.
+        """Return the reference of a board type; None if it has none.
 
         Raises:
             VaoiError: it was filmed with another calibration, or the board type has changed, or files are gone.

@@ -14,12 +14,12 @@ CAUSE = "the acquisition process ended before it arrived"
 
 
 def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
-    """The camera heads of this station's recordings."""
+    """Return the camera heads of this station's recordings."""
     return tuple(c.head for c in config.cameras)
 
 
 def early_end_reason(report: RunFinished) -> Reason | None:
-    """The reason for a run whose pulses ended while the board may have been passing; None for a regular end."""
+    """Return the reason for a run whose pulses ended while the board may have been passing; None for a regular end."""
     if report.reason in _AS_PLANNED:
         return None
     return Reason(

@@ -1,0 +1,73 @@
+"""The store of references: records and methods by board type, and which directories are removed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import VaoiError
+from vaoi_station.model import BoardType, Calibration
+from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.salvage import camera_heads
+from vaoi_station.runs.states.schemas import ReferenceRecord
+from vaoi_station.store import Store
+
+
+@pytest.fixture
+def references(config: StationConfig, calibration: Calibration, store: Store) -> ReferenceStore:
+    return ReferenceStore(config.data / "references", store, calibration.cameras(camera_heads(config)))
+
+
+def record_of(run: str) -> ReferenceRecord:
+    return ReferenceRecord(
+        run=run, taught="2026-01-01T00:00:00Z", calibration="c0ffee", cameras=2, rows=3, frames=6, size_bytes=1,
+        cad_sigma_px=None,
+    )  # fmt: skip
+
+
+def directory_of(references: ReferenceStore, run: str) -> Path:
+    path = references.path_of(run)
+    path.mkdir(parents=True)
+    (path / "recording.json").write_text("{}")
+    return path
+
+
+def test_records_are_kept_replaced_and_dropped(references: ReferenceStore) -> None:
+    assert references.record("small") is None
+    for run in ("r1", "r2"):
+        references.keep("small", record_of(run))
+    assert references.record("small") == record_of("r2")
+    for _ in range(2):
+        references.drop("small")
+    assert references.record("small") is None
+
+
+def test_methods_are_set_and_removed(references: ReferenceStore) -> None:
+    assert references.method("small") is None
+    references.set_method("small", "reference")
+    assert references.method("small") == "reference"
+    references.set_method("small", None)
+    assert references.method("small") is None
+
+
+def test_a_board_type_without_reference_opens_none_and_damaged_files_are_refused(
+    references: ReferenceStore, board_type: BoardType
+) -> None:
+    assert references.open(board_type) is None
+    directory_of(references, "r1")
+    references.keep("small", record_of("r1"))
+    with pytest.raises(VaoiError):
+        references.open(board_type)
+
+
+def test_only_directories_that_nothing_uses_are_removed(references: ReferenceStore) -> None:
+    named, used, unused = (directory_of(references, run) for run in ("r1", "r2", "r3"))
+    references.keep("small", record_of("r1"))
+    references.sweep({"r2"})
+    assert [path.exists() for path in (named, used, unused)] == [True, True, False]
+    references.drop("small")
+    references.sweep()
+    assert not named.exists()
+    assert not used.exists()
