@@ -1,3 +1,5 @@
+"""Compiled functions compute what their source states, in all processes alike."""
+
 from __future__ import annotations
 
 import os
@@ -19,17 +21,17 @@ def _sum_of_squares(values: Floats) -> float:
     return total
 
 
-def test_compiled_code_says_what_the_source_says() -> None:
+def test_compiled_code_computes_what_the_source_states() -> None:
     values = np.random.default_rng(1).normal(size=1000)
     assert np.isclose(compiled(_sum_of_squares)(values), values @ values, rtol=1e-12)
 
 
-def test_infinite_and_missing_values_keep_their_meaning() -> None:
+def test_infinity_and_nan_keep_their_meaning() -> None:
     assert np.isnan(compiled(_sum_of_squares)(np.array([1.0, np.nan])))
     assert compiled(_sum_of_squares)(np.array([1.0, np.inf])) == np.inf
 
 
-def test_a_function_whose_code_can_be_kept_nowhere_is_compiled_all_the_same() -> None:
+def test_a_function_without_a_file_is_compiled_without_a_cache() -> None:
     space: dict[str, Callable[[int], int]] = {}
     exec(compile("def twice(x):\n    return 2 * x\n", "<no file>", "exec"), space)  # noqa: S102  (a function that is in no file)
     twice = compiled(space["twice"])
@@ -70,4 +72,4 @@ def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None
         twin.stdin.flush()
     misses = [int(twin.communicate()[0]) for twin in twins]
     assert [twin.returncode for twin in twins] == [0, 0]
-    assert sorted(misses) == [0, 1], "one compiled, the other found the code"
+    assert sorted(misses) == [0, 1], "one compiles, the other finds the code"

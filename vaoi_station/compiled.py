@@ -1,4 +1,4 @@
-"""Compilation of the few inner loops that numpy and OpenCV cannot do in one pass (docs/decisions/0008)."""
+"""Compile the few inner loops that numpy and OpenCV cannot do in one pass (docs/decisions/0008)."""
 
 from __future__ import annotations
 
@@ -15,45 +15,50 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
-"""Liberties of the compiler: sums may be reordered, to run in vector registers; NaN and ∞ keep their meaning."""
+"""Fast-math flags of LLVM: sums may be reordered, to run in vector registers; NaN and ∞ keep their meaning."""
 _LOCK = "vaoi-station.lock"
+"""File in the directory of the cached code."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function of arrays and numbers to machine code when it is first called.
 
-    The code is kept on disk (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache), so that only the
-    first process after an installation waits for the compiler. The GIL is released while it runs. Results are
+    The code is cached on disk (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache), so that only
+    the first process after an installation waits for the compiler. The GIL is released while the code runs. Results are
     the same in all processes of one machine and may differ in the last digits between machines.
+
+    A function with many arrays takes them in a `typing.NamedTuple`: Numba unpacks it in a microsecond or two.
     """
     try:
         made: Any = numba.njit(cache=True, nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
-    except RuntimeError:  # no place on this machine where code may be kept: every process compiles for itself
+    except RuntimeError:
+        # Numba found no writable directory for its cache: every process compiles for itself
         return cast("Callable[P, R]", numba.njit(nogil=True, fastmath=_ALLOWED, error_model="numpy")(function))
+    # Numba calls `compile` for each new combination of argument types
     made.compile = _alone(made.compile, Path(made.stats.cache_path))
     return cast("Callable[P, R]", made)
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """The same for a function that compiled functions of its module call: it becomes a part of each of them.
+    """Inline a function into each compiled function of its module that calls it.
 
-    A function that stayed one of its own would be there twice, optimised alone and with its caller; which of the two is
-    linked depends on whether the code was just compiled or kept, and so would the last digits of a result.
+    A separate function would exist twice, optimised alone and with its caller. Which of the two is linked depends on
+    whether the code was just compiled or cached, and so would the last digits of a result.
     """
     return cast(
         "Callable[P, R]", numba.njit(inline="always", nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
     )
 
 
-def _alone(compile_it: Callable[[Any], Any], kept_in: Path) -> Callable[[Any], Any]:
-    """Compile while no other process does: it finds the code when its turn comes.
+def _alone(compile_it: Callable[[Any], Any], cache: Path) -> Callable[[Any], Any]:
+    """Return a compile function that only one process at a time runs; the others then find the code in the cache.
 
-    Were both to compile, each would run its own code; compiled at different times, with other functions at hand to be
-    inlined, the two may round differently, and a station's result would not be that of `vaoi stitch`.
+    If two processes compiled, each would run its own code. As other functions may be ready for inlining, the two may
+    round differently, and a station's result would not be that of `vaoi stitch`.
     """
 
     def compile_alone(signature: Any) -> Any:
-        with _turn(kept_in):
+        with _lock(cache):
             return compile_it(signature)
 
     return compile_alone
@@ -64,10 +69,12 @@ _depth = 0
 
 
 @contextmanager
-def _turn(directory: Path) -> Iterator[None]:
-    """Hold the lock of a directory; functions that are compiled on the way belong to the same turn."""
-    global _depth  # noqa: PLW0603  (of this process, under its lock)
+def _lock(directory: Path) -> Iterator[None]:
+    """Hold the lock of a directory; functions that are compiled within hold it too."""
+    global _depth  # noqa: PLW0603  (one per process, changed under its lock)
+    # threads first take a lock of the process, which a thread may hold twice; flock cannot be held twice
     with _in_this_process:
+        # a compiled function compiles those that it calls: a second flock on another open file would be a deadlock
         if _depth:
             yield
             return

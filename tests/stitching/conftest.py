@@ -1,4 +1,4 @@
-"""Exact pictures: textures that are formulas, rendered at any place without interpolation; plain cameras over them."""
+"""Exact pictures: textures that are formulas, rendered at any point without interpolation, and cameras above them."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ class Waves:
         return out
 
     def picture(self, width: int, height: int, shift: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.uint8]:
-        """Rendered with its origin at pixel `shift`."""
+        """Render with the origin at pixel `shift`."""
         return digitised(self.levels(width, height, shift))
 
     def levels(self, width: int, height: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """The same before rounding; cos(a + b) as a product, for speed."""
+        """Return the grey levels before rounding; cos(a + b) is a product, for speed."""
         x, y = np.arange(width) - shift[0], np.arange(height) - shift[1]
         across = np.exp(2j * math.pi * self._fx[:, None] * x)
         down = np.exp(1j * (2 * math.pi * self._fy[:, None] * y + self._phase[:, None]))
         return np.asarray(128 + self._height * (down.T @ across).real)
 
     def seen_by(self, camera: Camera, place: Callable[[Array], Array]) -> NDArray[np.uint8]:
-        """What a camera sees, given the texture coordinates of points (k, 2) of the conveyor's plane."""
+        """Render what a camera sees, given the texture coordinates of points (k, 2) of the conveyor's plane."""
         y, x = np.mgrid[: camera.height_px, : camera.width_px].astype(np.float64)
         at = place(camera.ground(np.stack([x.ravel(), y.ravel()], -1)))
         return digitised(self(at[:, 0], at[:, 1]).reshape(x.shape))
@@ -65,13 +65,13 @@ def digitised(grey: Array) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class Workshop:
-    """What tests make their scenes of."""
+    """Builders of scenes for tests."""
 
     waves: type[Waves] = Waves
 
     @staticmethod
     def digitised(grey: Array) -> NDArray[np.uint8]:
-        """As a camera would: whole numbers 0 … 255."""
+        """Round to whole numbers 0 … 255, as a camera does."""
         return digitised(grey)
 
     @staticmethod
@@ -86,7 +86,7 @@ class Workshop:
         y_up: bool = False,
         lens: Lens | None = None,
     ) -> Camera:
-        """A camera whose middle sees `center_mm`; `y_up`: the tester's y runs up the image."""
+        """Build a camera whose centre sees `center_mm`; `y_up`: the tester's y runs up the image."""
         c, s = px_per_mm * math.cos(angle_rad), px_per_mm * math.sin(angle_rad)
         linear = np.array([[c, -s], [s, c]]) @ np.diag([1.0, -1.0 if y_up else 1.0])
         n = np.eye(3)
@@ -108,7 +108,7 @@ def workshop() -> Any:
 
 @dataclass(frozen=True)
 class Filmed:
-    """A board of the digital twin, its frames in memory, and what was stitched of it."""
+    """A board of the digital twin with its frames in memory, and its result."""
 
     head: RecordingHead
     calibration: Calibration
@@ -138,7 +138,7 @@ class Filmed:
 
     @cached_property
     def stitch(self) -> Stitch:
-        """As it is."""
+        """The result with the true set-up and all frames."""
         return self.stitched()
 
     def stitched(
@@ -149,7 +149,7 @@ class Filmed:
         frames: dict[tuple[int, int], NDArray[Any]] | None = None,
         expectation: Expectation | None = None,
     ) -> Stitch:
-        """Once more, with something else than what there really was."""
+        """Stitch with a changed board type, calibration, set of frames or expectation."""
         setup = replace(
             self.setup,
             board_type=board_type or self.setup.board_type,
@@ -162,7 +162,7 @@ class Filmed:
         return stitch_frames(setup, head, lambda i, j: there.get((i, j)))
 
     def error_px(self, stitch: Stitch) -> float:
-        """The largest error of a component in any view, against the twin's truth."""
+        """Return the largest error of a component in any view, against the twin's truth."""
         assert stitch.components is not None
         ours = {(ref, i, j): (x, y) for ref, views in stitch.components.items() for i, j, x, y in views}
         off = [

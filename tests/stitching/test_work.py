@@ -1,3 +1,5 @@
+"""Tasks of a run, in any order of arrival and of work."""
+
 from __future__ import annotations
 
 import pickle
@@ -37,9 +39,7 @@ def arrivals(draw: st.DrawFn) -> tuple[int, int, list[FrameKey]]:
 
 
 @given(arrivals())
-def test_whatever_the_order_of_arrival_the_tasks_are_the_same(
-    workshop: Any, arrived: tuple[int, int, list[FrameKey]]
-) -> None:
+def test_tasks_do_not_depend_on_the_order_of_arrival(workshop: Any, arrived: tuple[int, int, list[FrameKey]]) -> None:
     n, m, frames = arrived
     setup = setup_of(workshop, n)
     times, all_times = {}, {j: 0.1 * j + 5 for j in range(m)}
@@ -49,7 +49,7 @@ def test_whatever_the_order_of_arrival_the_tasks_are_the_same(
         times[row] = all_times[row]
         present.append((camera, row))
         new = possible_tasks((camera, row), present, times, setup)
-        assert not found & set(new), "no task comes twice"
+        assert not found & set(new), "no task is returned twice"
         assert all((camera, row) in (t.a, t.b) for t in new)
         found |= set(new)
     canonical = all_tasks(frames, all_times, setup)
@@ -69,7 +69,7 @@ def test_tasks_of_a_complete_run(workshop: Any) -> None:
     assert Task("neighbours", (1, 2), (2, 2)) in tasks
 
 
-def test_rows_two_apart_are_linked_where_enough_of_both_is_the_same(workshop: Any) -> None:
+def test_rows_two_apart_are_linked_where_their_overlap_is_wide_enough(workshop: Any) -> None:
     """A frame is 160 px high; two steps of 2 mm leave a strip of 120 px, two of 3 mm one of 100 px."""
     frames, times = [(i, j) for i in range(2) for j in range(4)], {j: 0.1 * j for j in range(4)}
     slow, fast = (replace(setup_of(workshop, 2), conveyor_mm_s=(0.0, v)) for v in (20.0, 30.0))
@@ -78,16 +78,18 @@ def test_rows_two_apart_are_linked_where_enough_of_both_is_the_same(workshop: An
     assert {t for f in frames for t in possible_tasks(f, frames, times, slow)} >= set(far), "as soon as both are there"
     assert not [t for t in all_tasks(frames, times, fast) if t.b and t.b[1] - t.a[1] == 2]
     lost = [f for f in frames if f[1] != 1]
-    assert [t for t in all_tasks(lost, times, slow) if t.b and t.b[1] - t.a[1] == 2] == [far[0], far[2]], "none twice"
+    assert [t for t in all_tasks(lost, times, slow) if t.b and t.b[1] - t.a[1] == 2] == [far[0], far[2]], (
+        "no task twice"
+    )
 
 
 @pytest.mark.parametrize("board_type", [None, BoardType(name="bare", outline=((0, 0), (1, 1)))])
-def test_without_fiducials_no_marks_are_looked_for(workshop: Any, board_type: BoardType | None) -> None:
+def test_without_fiducials_there_are_no_mark_tasks(workshop: Any, board_type: BoardType | None) -> None:
     assert all_tasks([(0, 0)], {0: 0.0}, setup_of(workshop, 1, board_type)) == ()
 
 
-def test_a_lost_row_is_bridged_where_the_frames_still_overlap(workshop: Any) -> None:
-    """A row moves 5 mm and a frame shows 16 mm: over one or two lost rows there is overlap, over three none."""
+def test_a_missing_row_is_bridged_where_the_frames_still_overlap(workshop: Any) -> None:
+    """A row moves 5 mm and a frame shows 16 mm: across one or two missing rows there is overlap, across three none."""
     setup, times = setup_of(workshop, 2), {j: 0.1 * j for j in range(6)}
     frames = [(i, j) for i in (0, 1) for j in range(6) if j != 2 and (i, j) != (1, 3)]
     bridges = [t for t in all_tasks(frames, times, setup) if t.b and t.b[1] - t.a[1] > 1]
@@ -96,7 +98,7 @@ def test_a_lost_row_is_bridged_where_the_frames_still_overlap(workshop: Any) -> 
     assert not [t for t in all_tasks(gap, times, setup) if t.b and t.b[1] - t.a[1] > 1]
 
 
-def test_a_frame_that_is_not_there_is_our_own_mistake(workshop: Any) -> None:
+def test_a_missing_frame_is_a_programming_error(workshop: Any) -> None:
     runner = TaskRunner(setup_of(workshop, 1), lambda camera, row: None)
     with pytest.raises(LookupError, match="camera 0, row 2"):
         runner.perform(Task("marks", (0, 2)))
@@ -116,8 +118,8 @@ def test_evidence_and_result_do_not_depend_on_the_order_of_work(filmed: Any, ran
     assert timeless[0] == timeless[1]
 
 
-def test_a_warm_worker_compiles_nothing_when_a_board_comes(filmed: Any) -> None:
-    """What it is sent has come through a pipe; code for other kinds of arrays would be compiled then, for seconds."""
+def test_a_warm_worker_compiles_nothing_when_a_board_arrives(filmed: Any) -> None:
+    """Evidence arrives through a pipe; other types of arrays would be compiled for seconds while the board waits."""
     warm_up()
     modules = [m for name, m in sys.modules.items() if name.startswith("vaoi_station.")]
     compiled = {id(f): f for m in modules for f in vars(m).values() if hasattr(f, "signatures")}

@@ -1,7 +1,7 @@
-"""A run as a list of tasks: which there are, when they become possible, and how one is done.
+"""Divide a run into tasks: which there are, when they become possible, and how one is performed.
 
-Tasks depend on frames alone, never on one another, so they may run anywhere, in any order, as soon
-as their frames are there; the evidence they return is the same in the live station and offline.
+Tasks depend on frames alone, never on one another. They can run in any process and any order, as soon as their
+frames are present, and the evidence they return is the same in the live station and offline.
 """
 
 from __future__ import annotations
@@ -34,18 +34,19 @@ from vaoi_station.stitching.method import METHODS, MethodName
 from vaoi_station.stitching.quality.findings import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
-"""Prepared frames that a runner keeps: the row being done, the two before it, and a few."""
+"""Prepared frames that a runner keeps: this number of rows, and a few more."""
 _KEPT_STRIPS = 1024
+"""Entries of the caches of overlaps; they depend on cameras and time steps, of which a station has few."""
 _AT_REST = np.zeros(2)
 """Nominal shift between frames of one row, mm."""
 _WIDE_PX = 110.0
-"""Rows j and j + 2 are linked where they still share a strip so wide: three patches. A narrower one, in which a patch
-and its margin fit once, costs as much as any pair of frames and makes positions surer by 3 to 8 per cent only."""
+"""Least width of the strip that rows j and j + 2 share, for a link between them: three patches. A narrower strip, in
+which a patch and its margin fit once, costs as much as any pair of frames and improves σ by 3 to 8 per cent only."""
 
 
 @dataclass(frozen=True)
 class StitchSetup:
-    """What is known before a board is filmed; the same for all its frames."""
+    """What is known before a board is filmed; the same for all frames of a run."""
 
     cameras: tuple[Camera, ...]
     conveyor_mm_s: tuple[float, float]
@@ -54,7 +55,7 @@ class StitchSetup:
     expectation: Expectation = field(default_factory=Expectation)
     method: MethodName = "auto"
     reference: Reference | None = None
-    """A stitched run of the board type; its frames come from the task runner."""
+    """A stitched run of the board type."""
 
     @cached_property
     def plane(self) -> BoardPlane | None:
@@ -65,23 +66,24 @@ class StitchSetup:
 def possible_tasks(
     new: FrameKey, present: Collection[FrameKey], times_s: Mapping[int, float], setup: StitchSetup
 ) -> tuple[Task, ...]:
-    """The tasks that a newly arrived good frame makes possible.
+    """Return the tasks that a newly arrived good frame makes possible.
 
     Args:
         new: camera and row of the frame.
-        present: all good frames so far, with or without `new`; best a set.
+        present: all good frames that have arrived, with or without `new`; a set is fastest.
         times_s: time of each row's pulse, by row.
-        setup: what is known beforehand.
+        setup: cameras, belt, board type and method.
     """
     return tuple(_tasks_of(new, lambda key: key in present, times_s, setup))
 
 
 def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: StitchSetup) -> tuple[Task, ...]:
-    """The canonical tasks of a finished run, row by row: the evidence a result is made from."""
+    """Return the canonical tasks of a finished run, row by row: their evidence determines the result."""
     frames = set(present)
     in_order = sorted(frames, key=lambda key: (key[1], key[0]))
     there = frames.__contains__
     tasks = [task for key in in_order for task in _tasks_of(key, there, times_s, setup, only_ahead=True)]
+    # bridges depend on rows that are missing for good, which is known only at the end of a run
     if bridges := _bridges(frames, times_s, setup):
         known = set(tasks)
         tasks += [task for task in bridges if task not in known]
@@ -89,7 +91,7 @@ def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup
 
 
 class TaskRunner:
-    """Where a worker does the tasks of one run; remembers the frames it has prepared."""
+    """Performs the tasks of one run, and concludes it; keeps the frames it prepared last."""
 
     def __init__(
         self,
@@ -97,7 +99,7 @@ class TaskRunner:
         frame: Callable[[int, int], NDArray[Any] | None],
         reference_frame: Callable[[int, int], NDArray[Any] | None] | None = None,
     ) -> None:
-        """`frame` gives the pixels of the run by camera and row, `reference_frame` those of the reference."""
+        """Take functions that return the pixels of camera and row: of the run, and of the reference."""
         self._setup = setup
         self._frame = frame
         self._reference_frame = reference_frame
@@ -105,13 +107,14 @@ class TaskRunner:
         self._link_store = LinkStore(setup.cameras)
 
     def perform(self, task: Task) -> Links | Detections:
-        """Do one task; a task that finds nothing returns evidence with a note, never an error."""
+        """Perform one task; a task that finds nothing returns evidence with a note, not an error."""
         found = self._perform(task)
         self.add_evidence(found)
         return found
 
     def add_evidence(self, evidence: Evidence) -> None:
-        """Evidence that was found here, or elsewhere, and will be concluded here: the sooner it is known the better."""
+        """Take evidence of any process for the conclusion here; work done now is not left for the end of the run."""
+        # links to the reference do not enter the adjustment of the rows
         if isinstance(evidence, Links) and evidence.task.kind != "reference":
             self._link_store.add(evidence)
 
@@ -131,16 +134,16 @@ class TaskRunner:
         return link_rows(task, FramePair(a, b, camera_a, camera_b, shift_mm))
 
     def conclude(self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]) -> Stitch:
-        """The result of the run, when every frame has its verdict."""
+        """Return the result of the run, once every frame is settled."""
         return self.conclude_with_findings(times_s, present, evidence)[0]
 
     def conclude_with_findings(
         self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]
     ) -> tuple[Stitch, Findings]:
-        """The result of the run, and all that was found out on the way.
+        """Return the result of the run, and the findings it rests on.
 
         Args:
-            times_s: (m,) time of every row's pulse, in the order of rows.
+            times_s: (m,) time of every row's pulse.
             present: the good frames.
             evidence: of `all_tasks`, in any order.
         """
@@ -159,6 +162,7 @@ class TaskRunner:
         pixels = self._reference_frame(*key) if self._reference_frame is not None else None
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} of the reference is not there")
+        # not kept: each frame of a reference is linked to one frame of the run
         return PreparedFrame(pixels)
 
     def _get(self, key: FrameKey) -> PreparedFrame:
@@ -168,6 +172,7 @@ class TaskRunner:
         pixels = self._frame(*key)
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} is not there")
+        # workers take frames in the order of rows: the least recently used frame is one of a row that is done
         self._prepared[key] = PreparedFrame(pixels)
         if len(self._prepared) > _KEPT_ROWS * len(self._setup.cameras) + _KEPT_MORE:
             self._prepared.popitem(last=False)
@@ -182,9 +187,9 @@ def _tasks_of(
     *,
     only_ahead: bool = False,
 ) -> list[Task]:
-    """The tasks a frame takes part in whose partner is there; with `only_ahead` those with later rows and cameras.
+    """Return the tasks of a frame whose partner is present; with `only_ahead` those with later rows and cameras.
 
-    Every task of two frames is ahead of one of them, and of one only.
+    Every task of two frames is ahead of exactly one of them, so that `only_ahead` lists each task once.
     """
     camera, row = key
     method, tasks = METHODS[setup.method], []
@@ -208,7 +213,8 @@ def _tasks_of(
 
 @lru_cache(maxsize=_KEPT_STRIPS)
 def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -> float:
-    """The shorter side of what two frames of a camera share, by the belt's nominal motion; ≤ 0: nothing."""
+    """Return the shorter side of the overlap of two frames of a camera at nominal motion; ≤ 0: no overlap."""
+    # plain floats: this runs for every frame that arrives, and numpy takes longer for a single point
     (a, b, c), (d, e, f), (g, h, i) = camera.image_from_row.matrix.tolist()
     u, v = camera.center_px
     x, y = _middle_mm(camera)
@@ -221,13 +227,13 @@ def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -
 
 @lru_cache(maxsize=_KEPT_STRIPS)
 def _middle_mm(camera: Camera) -> tuple[float, float]:
-    """The place on the belt that the middle of the undistorted frame shows."""
+    """Return the point of the belt at the centre of the undistorted frame."""
     x, y = camera.row_from_image(camera.center_px).tolist()
     return x, y
 
 
 def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: StitchSetup) -> list[Task]:
-    """Links across rows that were lost, wherever the frames before and after still overlap."""
+    """Return links across missing rows, wherever the frames before and after still overlap."""
     tasks: list[Task] = []
     if not METHODS[setup.method].links:
         return tasks
@@ -245,5 +251,6 @@ def _link(a: FrameKey, b: FrameKey, times_s: Mapping[int, float]) -> Task:
 
 
 def _dt_s(p: int, q: int, times_s: Mapping[int, float]) -> float:
-    """From one row to another, to a microsecond."""
+    """Return the time from one row to another."""
+    # rounded to a microsecond: equal steps are then equal keys of tasks and caches
     return round(float(times_s[q] - times_s[p]), 6)

@@ -1,3 +1,5 @@
+"""The first motion is chained by medians, and rows fall into connected groups."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -14,7 +16,7 @@ NOMINAL = nominal_motion(np.array([0.0, 0.1, 0.2, 0.3, 0.4]), np.array([0.0, 50.
 
 
 def links(camera: Any, steps: dict[tuple[int, int], float], wild: int = 0) -> Observations:
-    """Rows p → q at which the board has moved by so many mm along y; some links are wrong."""
+    """Links from row p to row q with these steps in mm along y; the first `wild` of each are wrong."""
     at = np.array([[20.0 * k, 60.0] for k in range(9)])
     found = []
     for (p, q), step in steps.items():
@@ -29,7 +31,7 @@ def test_rows_are_chained_by_the_median_of_their_links(workshop: Any) -> None:
     assert chain_links(NOMINAL, seen).shift[:, 1] == pytest.approx([0, -5.5, -9.5, -15.5, -20.5])
 
 
-def test_where_nothing_is_linked_the_belt_goes_on(workshop: Any) -> None:
+def test_rows_without_links_follow_the_nominal_belt(workshop: Any) -> None:
     seen = links(workshop.camera(), {(0, 1): 5.5, (1, 3): 11.0})
     shift = chain_links(NOMINAL, seen).shift[:, 1]
     assert shift == pytest.approx([0, -5.5, -10.5, -16.5, -21.5])
@@ -49,6 +51,6 @@ def test_links_of_one_row_move_nothing(workshop: Any) -> None:
         ([], [[0], [1], [2], [3], [4]]),
     ],
 )
-def test_rows_that_hang_together(workshop: Any, pairs: list[tuple[int, int]], groups: list[list[int]]) -> None:
+def test_connected_rows_form_groups(workshop: Any, pairs: list[tuple[int, int]], groups: list[list[int]]) -> None:
     seen = links(workshop.camera(), dict.fromkeys(pairs, 5.0))
     assert [g.tolist() for g in connected_rows(seen, 5, np.ones(len(seen), dtype=bool))] == groups

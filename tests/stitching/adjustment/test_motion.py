@@ -1,3 +1,5 @@
+"""The motion of the rows: both directions, the gauge, and the nominal belt."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -17,7 +19,7 @@ def motion_of(values: list[tuple[float, float, float]], pivot: tuple[float, floa
 
 
 @given(rows, st.tuples(mm, mm), st.lists(st.tuples(mm, mm), min_size=1, max_size=4))
-def test_board_and_row_are_each_others_inverse(
+def test_board_and_row_transforms_are_inverse(
     values: list[tuple[float, float, float]], pivot: tuple[float, float], points: list[tuple[float, float]]
 ) -> None:
     motion, p = motion_of(values, pivot), np.array(points)
@@ -27,7 +29,7 @@ def test_board_and_row_are_each_others_inverse(
 
 
 @given(rows, st.tuples(mm, mm))
-def test_in_gauge_the_first_row_stands_still_and_the_others_keep_their_distance(
+def test_in_gauge_the_first_row_is_the_identity_and_relative_motions_stay(
     values: list[tuple[float, float, float]], pivot: tuple[float, float]
 ) -> None:
     motion = motion_of(values, pivot)
@@ -41,14 +43,14 @@ def test_in_gauge_the_first_row_stands_still_and_the_others_keep_their_distance(
 
 
 @given(st.floats(-0.5, 0.5), st.tuples(mm, mm))
-def test_directions_turn_with_the_board(angle: float, arrow: tuple[float, float]) -> None:
+def test_directions_rotate_with_the_board(angle: float, arrow: tuple[float, float]) -> None:
     motion = Motion(np.array([0.0, angle]), np.array([[0.0, 0], [5, 7]]), np.array([3.0, 4]))
     row, a = np.array([1]), np.array([arrow])
     both = motion.board(row, motion.pivot + a) - motion.board(row, np.array([motion.pivot]))
     np.testing.assert_allclose(motion.turned(row, a), both, atol=1e-9)
 
 
-def test_the_belt_as_it_should_be() -> None:
+def test_the_nominal_belt_moves_at_its_velocity() -> None:
     times = np.array([2.0, 2.1, 2.3])
     motion = nominal_motion(times, np.array([0.0, 100.0]), np.array([40.0, 0.0]))
     np.testing.assert_allclose(motion.row_from_tester(2).matrix, [[1, 0, 0], [0, 1, 30], [0, 0, 1]], atol=1e-9)

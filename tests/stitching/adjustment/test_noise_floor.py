@@ -1,3 +1,5 @@
+"""The noise floor explains the median of the residuals."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -9,8 +11,8 @@ from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 
 
 @given(st.integers(0, 10_000), st.integers(1, 40), st.sampled_from([1e-4, 0.02, 3.0]))
-def test_half_of_those_that_count_are_explained(seed: int, count: int, real: float) -> None:
-    """By hand: the same halvings, each with all measurements."""
+def test_half_of_the_used_measurements_are_within_the_median(seed: int, count: int, real: float) -> None:
+    """Compare with the same bisections over all measurements."""
     g = np.random.default_rng(seed)
     half = g.normal(0, 0.01, (count, 2, 2))
     residual, noise, px_per_mm = g.normal(0, real, (count, 2)), half @ half.swapaxes(1, 2), g.uniform(5, 50, count)
@@ -24,12 +26,14 @@ def test_half_of_those_that_count_are_explained(seed: int, count: int, real: flo
     assert noise_floor(residual, noise, px_per_mm, use, 0.003, 5.0) == pytest.approx(np.sqrt(low * high), rel=1e-9)
 
 
-def test_what_measurements_scatter_is_told_in_the_unit_asked_for() -> None:
+def test_the_noise_floor_is_in_the_requested_unit_and_tolerates_outliers() -> None:
     g = np.random.default_rng(1)
     residual_mm, none = g.normal(0, 0.05 / 20, (4000, 2)), np.zeros((4000, 2, 2))
     residual_mm[:1000] += 3
-    everyone = np.arange(4000)
-    assert noise_floor(residual_mm, none, np.full(4000, 20.0), everyone[1000:], 0.003, 5.0) == pytest.approx(
+    all_of_them = np.arange(4000)
+    assert noise_floor(residual_mm, none, np.full(4000, 20.0), all_of_them[1000:], 0.003, 5.0) == pytest.approx(
         0.05, rel=0.04
     )
-    assert 0.05 < noise_floor(residual_mm, none, np.full(4000, 20.0), everyone, 0.003, 5.0) < 0.08, "a quarter is wild"
+    assert 0.05 < noise_floor(residual_mm, none, np.full(4000, 20.0), all_of_them, 0.003, 5.0) < 0.08, (
+        "a quarter is wild"
+    )

@@ -1,3 +1,5 @@
+"""Sums of blocks are normal equations, and the prior of the belt is one of them."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -32,10 +34,10 @@ def test_whitened_squares_are_weighted_squares(seed: int) -> None:
     np.testing.assert_allclose(square, np.einsum("ki,kij,kj->k", values, information, values), atol=1e-9)
 
 
-def test_a_belt_that_runs_as_it_should_has_no_misfit() -> None:
+def test_a_belt_at_nominal_velocity_has_no_residual() -> None:
     times, velocity = np.array([0.0, 0.1, 0.25]), np.array([30.0, 40.0])
     blocks = belt_blocks(nominal_motion(times, velocity, np.zeros(2)), times, velocity)
     for block in blocks:
         np.testing.assert_allclose(block.b, 0, atol=1e-12)
     normal, _ = sum_blocks(blocks, 9)
-    assert np.linalg.matrix_rank(normal) == 6, "it says nothing of the first row"
+    assert np.linalg.matrix_rank(normal) == 6, "the first row is free"

@@ -1,3 +1,5 @@
+"""Links on the ground, projected one by one or all at once."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -21,7 +23,7 @@ def links(task: Task, a: Any, b: Any, information: Any = None) -> Links:
     )
 
 
-def test_links_come_to_the_ground_with_their_rows(workshop: Any) -> None:
+def test_links_are_projected_to_the_ground_with_their_rows(workshop: Any) -> None:
     cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
     first = links(Task("rows", (0, 1), (0, 2), 0.1), [[20.0, 30.0], [40.0, 50.0]], [[20.0, 90.0], [40.0, 110.0]])
     second = links(Task("neighbours", (0, 2), (1, 2)), [[180.0, 30.0]], [[30.0, 31.0]])
@@ -32,12 +34,12 @@ def test_links_come_to_the_ground_with_their_rows(workshop: Any) -> None:
     np.testing.assert_allclose(o.a_mm[0], cameras[0].ground([20.0, 30.0]))
     np.testing.assert_allclose(o.b_mm[2], cameras[1].ground([30.0, 31.0]))
     assert o.px_per_mm == pytest.approx(10.0)
-    assert not o.a_lean.any(), "without a working distance nothing leans"
+    assert not o.a_lean.any(), "without a working distance there is no parallax"
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.003])
-def test_noise_is_carried_to_the_ground(workshop: Any, bend: float) -> None:
-    """Against the scatter of many noisy pixels, for a tilted, turned camera."""
+def test_noise_is_propagated_to_the_ground(workshop: Any, bend: float) -> None:
+    """Compare with the scatter of many noisy pixels, for a tilted, rotated camera."""
     lens = Lens((99.5, 79.5), 128.0, (bend,))
     camera = workshop.camera((3, 1), angle_rad=0.3, tilt=(2e-3, -1e-3), distance_mm=100.0, lens=lens)
     covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
@@ -48,13 +50,13 @@ def test_noise_is_carried_to_the_ground(workshop: Any, bend: float) -> None:
     np.testing.assert_allclose(o.b_lean[0], camera.parallax(camera.ground(px)))
 
 
-def test_nothing_seen_is_nothing_observed(workshop: Any) -> None:
+def test_no_links_give_no_observations(workshop: Any) -> None:
     o = to_observations([], (workshop.camera(),))
     assert len(o) == 0
     assert o.noise_mm2.shape == (0, 2, 2)
 
 
-def test_links_entered_one_by_one_are_the_same_in_whatever_order_they_are_asked_for(workshop: Any) -> None:
+def test_links_added_one_by_one_are_the_same_in_any_requested_order(workshop: Any) -> None:
     cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
     chance = np.random.default_rng(2)
     found = [
@@ -75,3 +77,16 @@ def test_links_entered_one_by_one_are_the_same_in_whatever_order_they_are_asked_
     other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
     both = link_store.observations([found[0], other])
     np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))
+
+
+def test_a_selection_keeps_the_groups_of_its_links(workshop: Any) -> None:
+    found = [
+        links(Task("rows", (0, k), (0, k + 1)), np.full((3, 2), 40.0 + k), np.full((3, 2), 50.0)) for k in range(3)
+    ]
+    o = to_observations(found, (workshop.camera(),))
+    chosen = o.select(np.array([1, 4, 7, 8]))
+    assert len(chosen) == 4
+    assert chosen.group.tolist() == [0, 1, 2, 2]
+    assert chosen.groups == o.groups
+    assert [a.shape for a in chosen.arrays] == [(4, *a.shape[1:]) for a in o.arrays]
+    np.testing.assert_array_equal(chosen.a_mm, o.a_mm[[1, 4, 7, 8]])

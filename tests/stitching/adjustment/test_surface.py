@@ -1,3 +1,5 @@
+"""The basis of the surface, and its conversion to a result."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -15,19 +17,19 @@ BOARD = BoardType(name="b", unit="inch", outline=((0.0, 3.0), (2.0, 0.5)))
     st.lists(st.floats(-1, 1), min_size=6, max_size=6),
     st.lists(st.tuples(st.floats(-1, 4), st.floats(-1, 5)), min_size=1, max_size=5),
 )
-def test_results_carry_the_surface_that_was_estimated(c: list[float], points: list[tuple[float, float]]) -> None:
+def test_results_have_the_estimated_surface(c: list[float], points: list[tuple[float, float]]) -> None:
     at = np.array(points)
     surface = to_surface(BOARD, np.array(c))
     np.testing.assert_allclose(surface.height_mm(at), basis(BOARD, at) @ c, atol=5e-5)
 
 
-def test_the_middle_has_the_lift_and_the_corners_all_coefficients() -> None:
+def test_the_centre_has_the_lift_and_the_corners_have_all_coefficients() -> None:
     values = basis(BOARD, np.array([[1.0, 1.75], [2.0, 3.0], [0.0, 3.0]]))
     assert values.tolist() == [[1, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1], [1, -1, 1, 1, -1, 1]]
     assert len(SIGMA_MM) == 6
 
 
-def test_on_the_board_it_is_the_same() -> None:
+def test_points_of_the_board_have_the_values_of_their_cad_points() -> None:
     c = np.array([[25.4, 0, 7], [0, -25.4, 9], [0, 0, 1.0]])
     at = np.array([[0.3, 0.7], [1.9, 2.2]])
     np.testing.assert_allclose(basis_at_board(BOARD, c, apply(c, at)), basis(BOARD, at), atol=1e-12)

@@ -1,4 +1,4 @@
-"""A first motion, good to a pixel: the medians of the links, chained over the rows."""
+"""A first motion, accurate to a pixel: the medians of the links, chained over the rows."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from vaoi_station.stitching.adjustment.observations import Observations
 
 
 def chain_links(nominal: Motion, links: Observations) -> Motion:
-    """Nominal motion, corrected row by row by the median of the links that lead there.
+    """Correct the nominal motion row by row by the median of the links from an earlier row.
 
-    Medians over all cameras: a frame full of tall parts or reflections is outvoted by its row.
+    Medians are over all cameras: the frames of a row outnumber a single one with tall parts or reflections.
     """
     shift = nominal.shift.copy()
     rows = len(shift)
@@ -21,8 +21,10 @@ def chain_links(nominal: Motion, links: Observations) -> Motion:
     p, q = links.p[by_pair], links.q[by_pair]
     for row in range(1, rows):
         first, last = np.searchsorted(q, (row, row + 1))
-        last = first + np.searchsorted(p[first:last], row)  # those from earlier rows
+        # links between two cameras have p = q = row and are left out
+        last = first + np.searchsorted(p[first:last], row)
         if last > first:
+            # the latest earlier row only: the nearest one has the smallest error
             latest = by_pair[first + np.searchsorted(p[first:last], p[last - 1]) : last]
             step = links.a_mm[latest] - links.b_mm[latest]
             shift[row] = shift[p[last - 1]] + np.median(step, axis=0)
@@ -32,7 +34,7 @@ def chain_links(nominal: Motion, links: Observations) -> Motion:
 
 
 def connected_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.ndarray]:
-    """Rows that links tie to one another, as groups; a run in one piece has one group."""
+    """Return the groups of rows that links connect; a complete run has one group."""
     label = np.arange(rows)
     for pair in np.unique(links.p[used] * rows + links.q[used]):
         a, b = label[pair // rows], label[pair % rows]

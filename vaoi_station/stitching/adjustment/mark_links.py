@@ -1,6 +1,6 @@
-"""Motion from marks alone (section 3.3.1): a mark seen in two rows is where the belt carried it.
+"""Link the marks of consecutive rows (section 3.3.1 of the paper).
 
-The belt's nominal motion says which mark is which: it is wrong by less than marks are apart.
+The belt's nominal motion identifies marks: its error is smaller than the distance of two marks.
 """
 
 from __future__ import annotations
@@ -15,26 +15,28 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.matching.evidence import Detections, Links, Task
 
 _NEAR_MM = 1.2
-"""A mark is not further from where the belt should have carried it."""
+"""Largest distance of a mark from its nominal position."""
 
 
 def mark_links(detections: Sequence[Detections], cameras: Sequence[Camera], nominal: Motion) -> list[Links]:
-    """Marks of every two rows in which one camera saw some, joined to their nearest; ambiguous ones are left out."""
+    """Link the marks of a camera in each row to the nearest in its next row with marks; skip ambiguous ones."""
     links = []
     for i, camera in enumerate(cameras):
         seen = sorted((s for s in detections if s.task.a[0] == i and len(s.px)), key=lambda s: s.task.a[1])
         for a, b in pairwise(seen):
-            links.append(_joined(a, b, camera, nominal))
+            links.append(_link_marks(a, b, camera, nominal))
     return links
 
 
-def _joined(a: Detections, b: Detections, camera: Camera, nominal: Motion) -> Links:
+def _link_marks(a: Detections, b: Detections, camera: Camera, nominal: Motion) -> Links:
+    """Link the marks of two frames that have exactly one partner each."""
     task = Task("rows", a.task.a, b.task.a)
     places = [nominal.board(np.full(len(s.px), s.task.a[1]), camera.ground(s.px)) for s in (a, b)]
     distance = np.hypot(*np.moveaxis(places[1][None] - places[0][:, None], 2, 0))
     distance[a.kind[:, None] != b.kind[None]] = np.inf
     k = np.flatnonzero((distance < _NEAR_MM).sum(1) == 1)
     n = distance[k].argmin(1)
+    # and the partner has no other mark near it: the pair is unique both ways
     alone = (distance[:, n] < _NEAR_MM).sum(0) == 1
     k, n = k[alone], n[alone]
     if not len(k):

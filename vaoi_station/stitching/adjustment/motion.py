@@ -1,7 +1,7 @@
-"""The board's motion over the rows, and what is known of it beforehand.
+"""The motion of the board over the rows, and its priors.
 
-Row j carries the board's place by `D_j`; what is estimated is its inverse, written about the middle
-of the array so that angle and shift hardly depend on one another:
+D_j maps the board from row 0 to row j. What is estimated is its inverse, about the centre of the camera array, so that
+angle and shift are nearly uncorrelated:
 
     board = R(φ_j)·(x − c) + c + s_j        for a point x of the conveyor's plane in row j
 """
@@ -21,32 +21,36 @@ from vaoi_station.geometry.transforms import Floats
 Ints = NDArray[np.int_]
 
 SPEED_TOLERANCE = 0.05
-"""How far the belt's mean speed may be from the nominal one (1 σ, relative)."""
+"""Deviation of the belt's mean speed from the nominal one (1 σ, relative)."""
 STEP_TOLERANCE = 0.02
-"""How far a single step may be from the mean speed (1 σ, relative)."""
+"""Deviation of a single step from the mean speed (1 σ, relative)."""
 SWAY_MM = 0.15
+"""Motion across the belt between two rows (1 σ)."""
 YAW_RAD = 0.003
-"""How far a board slides and turns between two rows (1 σ)."""
+"""Rotation between two rows (1 σ)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where the board is at every row: angles (m,) rad, shifts (m, 2) mm, and the pivot c (2,) mm."""
+    """Position of the board at each of m rows."""
 
     angle: Floats
+    """(m,) φ_j, rad."""
     shift: Floats
+    """(m, 2) s_j, mm."""
     pivot: Floats
+    """(2,) c, mm."""
 
     def board(self, row: np.ndarray, ground_mm: Floats) -> Floats:
-        """Board points (k, 2), in tester coordinates, of ground points (k, 2) seen in rows (k,)."""
+        """Return the board points (k, 2), in tester coordinates, of ground points (k, 2) seen in rows (k,)."""
         return _moved(row, np.ascontiguousarray(ground_mm), self.angle, self.pivot, self.pivot + self.shift)
 
     def turned(self, row: np.ndarray, arrow: Floats) -> Floats:
-        """Directions (k, 2) turned as the board's coordinates are."""
+        """Rotate directions (k, 2) in rows (k,) to tester coordinates."""
         return _moved(row, np.ascontiguousarray(arrow), self.angle, np.zeros(2), np.zeros_like(self.shift))
 
     def row_from_tester(self, row: int) -> Euclidean:
-        """The paper's D_j."""
+        """Return the paper's D_j."""
         return Euclidean(self.rows_from_tester[row], System.ROW, System.TESTER)
 
     @cached_property
@@ -59,7 +63,7 @@ class Motion:
         return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
 
     def in_gauge(self) -> Motion:
-        """The same motion with D_0 the identity (the convention of results)."""
+        """Return the same motion with D_0 the identity, as results have it."""
         if self.angle[0] == 0 and not self.shift[0].any():
             return self
         first = self.row_from_tester(0)
@@ -69,13 +73,13 @@ class Motion:
 
 
 def nominal_motion(times_s: Floats, velocity_mm_s: Floats, pivot_mm: Floats) -> Motion:
-    """The belt running as it should."""
+    """Return the motion of a belt at its nominal velocity."""
     elapsed = np.asarray(times_s) - times_s[0]
     return Motion(np.zeros(len(elapsed)), -elapsed[:, None] * np.asarray(velocity_mm_s), np.asarray(pivot_mm))
 
 
 def measured_velocity(motion: Motion, times_s: Floats, rows: np.ndarray) -> Floats | None:
-    """Mean velocity (2,) mm/s of the array's middle over rows that are tied to one another; None if fewer than two."""
+    """Return the mean velocity (2,) mm/s over rows that links connect; None for fewer than two rows."""
     if len(rows) < 2:
         return None
     first, last = int(rows.min()), int(rows.max())
@@ -84,7 +88,7 @@ def measured_velocity(motion: Motion, times_s: Floats, rows: np.ndarray) -> Floa
 
 @compiled
 def _moved(row: Ints, ground_mm: Floats, angle: Floats, pivot: Floats, to: Floats) -> Floats:
-    """Points (k, 2) turned about the pivot by the angle of their row, the pivot going where that row has it (m, 2)."""
+    """Rotate points (k, 2) about the pivot by the angle of their row, and move the pivot to `to` (m, 2) of the row."""
     out, cos, sin = np.empty((len(row), 2)), np.cos(angle), np.sin(angle)
     for n in range(len(row)):
         j, x, y = row[n], ground_mm[n, 0] - pivot[0], ground_mm[n, 1] - pivot[1]
@@ -94,7 +98,7 @@ def _moved(row: Ints, ground_mm: Floats, angle: Floats, pivot: Floats, to: Float
 
 @compiled
 def points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
-    """Which points of the board come into a box, in which rows, and where they are then.
+    """Find the points of the board that are in a box, and the rows in which they are.
 
     Args:
         rows: (m, 3, 3) D_j.
@@ -103,7 +107,7 @@ def points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> 
         high: (2,) highest corner.
 
     Returns:
-        Row (v,) and number of the point (v,), row by row, and the place (v, 2) in row coordinates.
+        Row (v,) and index of the point (v,), row by row, and its position (v, 2) in row coordinates.
     """
     most = len(rows) * len(board_mm)
     row, point, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 2))

@@ -1,7 +1,7 @@
-"""Observations as blocks of whitened equations, and their sum as normal equations.
+"""Blocks of whitened equations, and their sum as normal equations.
 
-A block says a·δ + b ≈ 0 for the unknowns in its columns, every row with unit variance. Sums of aᵀa and aᵀb over
-blocks are the normal equations; a block of a pair of rows touches only the columns of those rows.
+A block states a·δ + b ≈ 0 for the unknowns in its columns, every line with unit variance. Sums of aᵀa and aᵀb over
+blocks are the normal equations; a block of a pair of rows has entries in the columns of those rows only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Block:
     """n whitened equations in f unknowns."""
 
     columns: Ints
-    """(f,) numbers of the unknowns; one may stand twice."""
+    """(f,) indices of the unknowns; an index may occur twice."""
     a: Floats
     """(n, f)."""
     b: Floats
@@ -29,11 +29,12 @@ class Block:
 
 
 def sum_blocks(blocks: Iterable[Block], size: int) -> tuple[Floats, Floats]:
-    """Normal matrix (size, size) and right-hand side (size,) of all blocks."""
+    """Return the normal matrix (size, size) and the right-hand side (size,) of all blocks."""
     normal, right = np.zeros((size, size)), np.zeros(size)
     for block in blocks:
         twice = len(set(block.columns.tolist())) < len(block.columns)
         square, product = block.a.T @ block.a, block.a.T @ block.b
+        # fancy indexing adds a repeated column only once; `np.add.at` adds it twice, but is slow
         if twice:
             np.add.at(normal, np.ix_(block.columns, block.columns), square)
             np.subtract.at(right, block.columns, product)
@@ -44,7 +45,7 @@ def sum_blocks(blocks: Iterable[Block], size: int) -> tuple[Floats, Floats]:
 
 
 def square_roots(information: Floats) -> Floats:
-    """Upper triangular r (k, 2, 2) with rᵀr = information (k, 2, 2), which may be zero."""
+    """Return upper triangular r (k, 2, 2) with rᵀr = information (k, 2, 2), which may be zero."""
     r = np.zeros_like(information)
     r[:, 0, 0] = np.sqrt(np.maximum(information[:, 0, 0], 0))
     r[:, 0, 1] = information[:, 0, 1] / np.maximum(r[:, 0, 0], 1e-150)
@@ -53,28 +54,29 @@ def square_roots(information: Floats) -> Floats:
 
 
 def whiten(root: Floats, values: Floats) -> Floats:
-    """Rows (2, k, …): the two whitened components of values (k, 2, …)."""
+    """Return the two whitened components (2, k, …) of values (k, 2, …)."""
     more = (...,) + (None,) * (values.ndim - 2)
     first = root[:, 0, 0][more] * values[:, 0] + root[:, 0, 1][more] * values[:, 1]
     return np.stack([first, root[:, 1, 1][more] * values[:, 1]])
 
 
 def belt_blocks(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> list[Block]:
-    """The belt's motion as a measurement of every step between rows: along, across and turn."""
+    """Return the belt's prior of every step between rows as blocks: along, across and rotation."""
     return [Block(*step) for step in zip(*belt_steps(motion, times_s, velocity_mm_s), strict=True)]
 
 
 def belt_steps(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> tuple[Ints, Floats, Floats]:
-    """The same as arrays: columns (m − 1, 6), a (m − 1, 3, 6) and b (m − 1, 3)."""
+    """Return the belt's prior as arrays: columns (m − 1, 6), a (m − 1, 3, 6) and b (m − 1, 3)."""
     m = len(motion.angle)
     dt = np.diff(times_s)
     speed = max(float(np.hypot(*velocity_mm_s)), 1e-9)
     along = velocity_mm_s / speed
     sigma = np.stack([STEP_TOLERANCE * np.abs(dt) * speed + 0.01, np.full(m - 1, SWAY_MM), np.full(m - 1, YAW_RAD)], -1)
+    # residuals along and across the belt, which have different tolerances
     frame = np.array([along, (-along[1], along[0])])
-    misfit = (np.diff(motion.shift, axis=0) + dt[:, None] * velocity_mm_s) @ frame.T
-    misfit = np.concatenate([misfit, np.diff(motion.angle)[:, None]], 1) / sigma
+    residual = (np.diff(motion.shift, axis=0) + dt[:, None] * velocity_mm_s) @ frame.T
+    residual = np.concatenate([residual, np.diff(motion.angle)[:, None]], 1) / sigma
     step = np.zeros((3, 3))
     step[:2, 1:], step[2, 0] = frame, 1
     both = np.concatenate([-step, step], 1)
-    return 3 * np.arange(m - 1)[:, None] + np.arange(6), both / sigma[:, :, None], misfit
+    return 3 * np.arange(m - 1)[:, None] + np.arange(6), both / sigma[:, :, None], residual

@@ -132,6 +132,7 @@ class _Solver:
         component = np.where(problem.component < 0, -1, problem.component + self.n_parts * self.kind)
         self.heights_mm = np.zeros(2 * self.n_parts)
         self.model = HeightModel(basis, component)
+        # a start of the order of the real floor: the first weights need one before any estimate
         self.floor_px = np.array([0.05, 0.05])
         others = (4 if problem.fiducials else 0) + self.n_surface
         self.others = np.arange(3 * self.rows, 3 * self.rows + others)

@@ -1,9 +1,9 @@
 """The board's height above the calibrated plane: lift, tilt and bow.
 
-A board thicker than the calibration board, or bowed, is the largest error of the planar model. What
-one camera sees from row to row cannot tell a higher board from a faster belt; the overlap with its
-neighbour, whose baseline is in N_i, and the CAD distance of the fiducials can. The surface is a
-polynomial of second degree in u, v = −1 … 1 over the board; a poorly seen coefficient stays near zero.
+A board thicker than the calibration board, or bowed, is the largest error of the planar model. The
+links of one camera from row to row do not distinguish a higher board from a faster belt; the overlap with the
+neighbouring camera, whose baseline is in N_i, and the CAD distance of the fiducials do. The surface is a
+polynomial of second degree in u, v = −1 … 1 over the board; its priors keep a poorly observed coefficient near zero.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
 """Prior standard deviation of lift, tilt along u and v, and the coefficients of u², uv, v²."""
 
 _EDGE = 1.2
+"""Largest |u| and |v|: further outside the board the functions are constant, where a polynomial would run away."""
 
 
 def basis(board_type: BoardType, cad: Floats) -> Floats:
-    """Values (k, 6) of the basis functions at CAD points (k, 2)."""
+    """Return the values (k, 6) of the basis functions at CAD points (k, 2)."""
     return _basis(np.eye(3), np.ascontiguousarray(cad, dtype=np.float64), *frame_of(board_type))
 
 
 def basis_at_board(board_type: BoardType, cad_matrix: Floats, board_mm: Floats) -> Floats:
-    """The same for points (k, 2) of the board in tester coordinates."""
+    """Return the values (k, 6) at points (k, 2) of the board in tester coordinates."""
     cad_from_board = np.ascontiguousarray(np.linalg.inv(cad_matrix), dtype=np.float64)
     return _basis(cad_from_board, np.ascontiguousarray(board_mm), *frame_of(board_type))
 
 
 @compiled
 def _basis(cad_from_place: Floats, place: Floats, about: Floats, half: Floats) -> Floats:
-    """By an affine map (3, 3) from places (k, 2) to CAD; a little beyond the board the functions stay what they are."""
+    """Evaluate at points (k, 2) that an affine map (3, 3) transforms to CAD."""
     m, out = cad_from_place, np.empty((len(place), 6))
     for n in range(len(place)):
         x, y = place[n, 0], place[n, 1]
@@ -44,13 +45,13 @@ def _basis(cad_from_place: Floats, place: Floats, about: Floats, half: Floats) -
 
 
 def frame_of(board_type: BoardType) -> tuple[Floats, Floats]:
-    """Middle and half span of the board in CAD units: where u and v are 0 and 1."""
+    """Return centre and half span of the board in CAD units: where u and v are 0 and 1."""
     low, high = board_type.extent()
     return (low + high) / 2, np.maximum((high - low) / 2, 1e-9)
 
 
 def to_surface(board_type: BoardType, coefficients_mm: Floats) -> Surface:
-    """The surface as results carry it."""
+    """Convert coefficients to the surface of a result."""
     about, half = frame_of(board_type)
     c = [round(float(v), 5) for v in coefficients_mm]
     return Surface(

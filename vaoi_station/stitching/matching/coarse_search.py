@@ -66,6 +66,7 @@ def find_shift(
     if min(template.shape, default=0) < 4:
         return Failure(f"the overlap of {box[2] - box[0]}×{box[3] - box[1]} px is too narrow to search in")
     template = np.ascontiguousarray(template)
+    # normalised correlation magnifies the noise of an empty overlap to any score
     contrast = math.sqrt(float(np.vdot(template, template)) / template.size)
     if contrast < _MIN_CONTRAST:
         return Failure(f"the overlap is empty: contrast {contrast:.1f} grey levels")

@@ -20,8 +20,8 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsa
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 _CORNERS, _CORNERS_APART = 80, 40
-"""Corners per pair of consecutive rows, so many that the loss of half of them to tall parts does not matter; and per
-pair of rows further apart, which only stiffen the chain."""
+"""Corners per pair of consecutive rows, enough to lose half of them to tall parts; and per pair of rows further apart,
+which only stiffen the chain."""
 _GRAIN_PX, _AMPLE_PX = 8, 96
 """Grid pitch of corner selection, a third of a patch; half of it in small frames and in overlaps narrower than this."""
 _MIN_CELL_PX = 28
@@ -101,6 +101,7 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
         # an overlap without texture fails too, but only texture that does not match is a sign
         return replace(links, unmatched=_too_few(links) and isinstance(coarse, NoMatch))
     displaced = _link_corners(task, pair, box, coarse.px)
+    # the more links the likelier: look-alikes rarely outnumber the true ones
     best = displaced if len(displaced.a_px) > len(links.a_px) else links
     return replace(best, unmatched=_too_few(best))
 

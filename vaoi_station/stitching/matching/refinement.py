@@ -115,6 +115,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
         cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
         blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
         last_step_px[k], saturated[k] = np.inf, saturated_share(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
+        # a lost patch stays at its guess
         b_px[k] = guess_px[k]
         mean, tt, xx, xy, yy = _template(tile_a, patch, factor)
         hessian[k, 0, 0], hessian[k, 0, 1], hessian[k, 1, 0], hessian[k, 1, 1] = xx, xy, xy, yy
@@ -138,6 +139,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
                 s1, st, sx, sy, ss, su, sv = _sharp(tile_b, px - x0, py - y0, patch, lines)
             else:
                 st, sx, sy = _bilinear(tile_b, px - x0, py - y0, patch)
+            # no or inverted contrast: the step would be divided by a gain of nearly 0
             if st <= _LEAST_GAIN * tt:
                 break
             ex, ey = (ixx * sx + ixy * sy) * tt / st, (ixy * sx + iyy * sy) * tt / st
@@ -156,6 +158,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
         if not lost:
             score[k], scatter[k] = _agreement(factor, tt, (s1, st, sx, sy, ss, su, sv), ex, ey)
             last_step_px[k] = length
+            # the window of b, where it came to rest
             here = saturated_share(raw, _B_PX, _B_PITCH, round(px) - x0 + BLUR_REACH, round(py) - y0 + BLUR_REACH)
             saturated[k] = max(saturated[k], here)
             xx, xy, yy = _softened(padded_x, padded_y, soft)

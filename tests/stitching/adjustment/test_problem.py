@@ -1,0 +1,30 @@
+"""Points of several sources are joined in order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
+
+
+def points(count: int, which: int) -> FiducialPoints:
+    g = np.random.default_rng(count)
+    pairs = g.normal(0, 1, (3, count, 2))
+    sigma, px = g.uniform(0, 1, (2, count))
+    return FiducialPoints(np.arange(count), pairs[0], pairs[1], pairs[2], sigma, px, np.full(count, which))
+
+
+def test_joined_points_keep_their_values_and_their_order() -> None:
+    first, second = points(3, 1), points(2, REFERENCE)
+    joined = FiducialPoints.joined([first, FiducialPoints.empty(), second])
+    assert joined.which.tolist() == [1, 1, 1, REFERENCE, REFERENCE]
+    assert joined.row.tolist() == [0, 1, 2, 0, 1]
+    for name in ("ground_mm", "lean", "cad", "sigma_mm", "px_per_mm"):
+        np.testing.assert_array_equal(getattr(joined, name)[3:], getattr(second, name))
+
+
+def test_an_empty_set_has_the_types_of_others() -> None:
+    empty, some = FiducialPoints.empty(), points(2, 0)
+    for name, values in vars(empty).items():
+        other = getattr(some, name)
+        assert (len(values), values.dtype, values.shape[1:]) == (0, other.dtype, other.shape[1:])

@@ -1,0 +1,66 @@
+"""The motion of the rows from links, or from marks, before the board is found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vaoi_station.stitching.adjustment.motion import nominal_motion
+from vaoi_station.stitching.adjustment.observations import to_observations
+from vaoi_station.stitching.adjustment.problem import Problem
+from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links, motion_from_marks
+from vaoi_station.stitching.matching.evidence import Detections, Links, Task
+
+TIMES, VELOCITY = np.array([0.0, 0.1, 0.2, 0.3]), np.array([0.0, 40.0])
+NOMINAL = nominal_motion(TIMES, VELOCITY, np.zeros(2))
+MOVED_PX = np.array([[0.0, 0.0], [0.5, 41.0], [0.2, 79.5], [-0.4, 121.0]])
+
+
+def problem(camera: Any, count: int, outliers: int = 0) -> Problem:
+    """Links between consecutive rows whose motion is MOVED_PX; the first ones are off by 2 mm."""
+    g, found = np.random.default_rng(1), []
+    for row in range(3):
+        a = g.uniform(20, 140, (count, 2))
+        b = a + MOVED_PX[row + 1] - MOVED_PX[row] + g.normal(0, 0.05, (count, 2))
+        b[:outliers] += 20.0
+        information = np.tile(np.eye(2) / 0.05**2, (count, 1, 1))
+        found.append(Links(Task("rows", (0, row), (0, row + 1), 0.1), a, b, information, np.ones(count)))
+    links = to_observations(found, (camera,))
+    return Problem(TIMES, VELOCITY, links, np.full(len(links), -1))
+
+
+@pytest.mark.parametrize("count", [60, 400])
+def test_links_give_the_motion_few_or_many(workshop: Any, count: int) -> None:
+    """Many links are subsampled; the result is the same within the noise of the sample."""
+    camera = workshop.camera()
+    result = motion_from_links(problem(camera, count), NOMINAL)
+    assert len(result.weight) == 3 * count
+    assert result.motion.shift * -camera.px_per_mm == pytest.approx(MOVED_PX, abs=0.3)
+    subsampled = count == 400
+    assert result.covariance.any() != subsampled, "a subsampled solution has no covariance"
+
+
+def test_the_texture_of_the_board_leaves_outliers_out_and_is_a_sample(workshop: Any) -> None:
+    camera = workshop.camera()
+    given = problem(camera, 60, outliers=10)
+    texture = board_texture(given.links, motion_from_links(given, NOMINAL))
+    assert 100 <= len(texture) <= 150
+    many = problem(camera, 6000)
+    assert 4000 <= len(board_texture(many.links, motion_from_links(many, NOMINAL))) < 8000
+
+
+def marks(row: int, px: NDArray[np.float64]) -> Detections:
+    k = len(px)
+    return Detections(Task("marks", (0, row)), px, np.full(k, 0.02), np.full(k, 0.9), np.zeros(k, dtype=np.int_))
+
+
+def test_marks_give_the_motion_without_links(workshop: Any) -> None:
+    camera = workshop.camera()
+    at = np.array([[30.0, 10.0], [100.0, 15.0], [170.0, 12.0]])
+    none = Problem(TIMES, VELOCITY, to_observations([], (camera,)), np.zeros(0, dtype=np.int_))
+    seen = [marks(row, at + MOVED_PX[row]) for row in range(4)]
+    result = motion_from_marks(none, NOMINAL, seen, (camera,))
+    assert result.motion.shift * -camera.px_per_mm == pytest.approx(MOVED_PX, abs=0.1)

@@ -1,0 +1,54 @@
+"""Build the result of a run from its findings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Status, Stitch
+from vaoi_station.stitching.board.footprints import views_by_address
+from vaoi_station.stitching.quality.findings import Findings
+
+
+def build_result(
+    findings: Findings, method: str, status: Status, reasons: tuple[str, ...], quality: dict[str, Any]
+) -> Stitch:
+    """Return the result document: matrices, surface, positions of components, and the verdict."""
+    matrix = findings.cad_matrix
+    # model_construct skips validation: the values are computed here, and a large board has thousands of entries
+    return Stitch.model_construct(
+        method=method,
+        image_matrices=tuple(_image_matrices(findings)),
+        cad_matrix=None if matrix is None else _read_only(matrix),
+        row_motion=tuple(_read_only(findings.adjusted.motion.rows_from_tester)),
+        status=status,
+        reasons=reasons,
+        quality=quality,
+        surface=findings.surface,
+        components=_component_views(findings),
+    )
+
+
+def _image_matrices(findings: Findings) -> Iterator[tuple[NDArray[Any] | None, ...]]:
+    """Return M_ij of every camera i and row j; None in rows that nothing placed."""
+    rows, placed = findings.adjusted.motion.rows_from_tester, findings.placed
+    for camera in findings.scene.cameras:
+        matrices = _read_only(camera.image_from_row.matrix @ rows)
+        yield tuple(m if there else None for m, there in zip(matrices, placed, strict=True))
+
+
+def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, float, float], ...]] | None:
+    """Return the views of each component by its address; None without a CAD mapping."""
+    if findings.plane is None or findings.views is None:
+        return None
+    addresses = findings.plane.components.addresses
+    return views_by_address(addresses, findings.views) if addresses else {}
+
+
+def _read_only(matrices: Floats) -> Floats:
+    out = matrices.copy()
+    out.setflags(write=False)
+    return out
