@@ -1,4 +1,4 @@
-"""Boards of the twin as recordings on disk, and their stories."""
+"""A recording of a board of the twin on disk, and its stitched run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station.stitching.recordings.opening import open_run
 
 @pytest.fixture(scope="session")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A sound run: to read, not to change."""
+    """A run without faults; tests read it and do not change it."""
     out = tmp_path_factory.mktemp("reporting") / "run <1> & co"
     write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), out, with_truth=True)
     return out

@@ -1,4 +1,4 @@
-"""A real browser shows the report: no request, no complaint, every drawing with a size, pictures decoded."""
+"""A real browser shows the report without requests or errors, and with every drawing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vaoi_station.reporting import StitchedRun, write_report
 pytestmark = pytest.mark.browser
 
 
-def test_the_browser_asks_for_nothing_and_complains_of_nothing(stitched: StitchedRun, tmp_path: Path) -> None:
+def test_browser_sends_no_request_and_logs_no_error(stitched: StitchedRun, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     write_report(path, stitched)
     asked: list[str] = []

@@ -1,4 +1,4 @@
-"""A bundle is all it takes to stitch a run again, elsewhere."""
+"""A bundle holds everything that is needed to stitch a run again."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from vaoi_station.stitching.recordings.reference_directory import teach
 
 
 def result_of(stitched: StitchedRun) -> dict[str, object]:
-    """The result without what differs from time to time."""
+    """Return the result without its timings."""
     document = stitch_document(stitched.result)
     del document["quality"]["timings_ms"]
     return document
 
 
-def test_a_bundle_stitched_again_gives_the_same(stitched: StitchedRun, tmp_path: Path) -> None:
+def test_bundle_stitched_again_gives_the_same_result(stitched: StitchedRun, tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     write_bundle(kept, stitched)
     held = {"recording.json", "frames", "calibration.json", "board.json", "result.json", "links.npz", "report.html"}
@@ -35,7 +35,7 @@ def test_a_bundle_stitched_again_gives_the_same(stitched: StitchedRun, tmp_path:
     assert replay_command(kept, stitched) == f"vaoi stitch {kept} --method auto --out again.json"
 
 
-def test_the_links_are_arrays_of_one_length(stitched: StitchedRun, tmp_path: Path) -> None:
+def test_links_are_arrays_of_one_length(stitched: StitchedRun, tmp_path: Path) -> None:
     write_bundle(tmp_path / "kept", stitched)
     with np.load(tmp_path / "kept" / bundle.LINKS, allow_pickle=False) as arrays:
         links = {k: arrays[k] for k in arrays.files if not k.startswith("sighting_")}
@@ -51,7 +51,7 @@ def test_the_links_are_arrays_of_one_length(stitched: StitchedRun, tmp_path: Pat
     assert len({len(v) for v in sightings.values()}) == 1
 
 
-def test_the_reference_goes_along(run: Path, tmp_path: Path) -> None:
+def test_reference_is_part_of_the_bundle(run: Path, tmp_path: Path) -> None:
     teach(run, run / "calibration.json", run / "board.json", tmp_path / "taught")
     stitched = restitch(open_run(run, reference=tmp_path / "taught", method="reference"))
     kept = tmp_path / "kept"
@@ -64,7 +64,7 @@ def test_the_reference_goes_along(run: Path, tmp_path: Path) -> None:
     assert result_of(again) == result_of(stitched)
 
 
-def test_nothing_is_overwritten_nor_left_half(
+def test_nothing_is_overwritten_or_left_incomplete(
     stitched: StitchedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "there").mkdir()

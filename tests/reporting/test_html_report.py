@@ -1,4 +1,4 @@
-"""The report is one file that loads nothing, and tells of every run, however it went."""
+"""The report is one file that loads nothing, and it covers every kind of run."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Reader(HTMLParser):
 
 
 def read(stitched: StitchedRun) -> tuple[Reader, dict[str, Any]]:
-    """The report as a browser sees it, with every rule kept, and its numbers."""
+    """Parse the report, check the rules for its HTML, and return its parts and numbers."""
     text = render_report(stitched)
     seen = Reader(text)
     assert seen.open == []
@@ -85,7 +85,7 @@ def read(stitched: StitchedRun) -> tuple[Reader, dict[str, Any]]:
 
 
 def changed(run: Path, to: Path, **head: Any) -> Path:
-    """A copy of the run with another head; frames that are now missing go."""
+    """Copy the run with another head, without the frames that it lists as missing."""
     shutil.copytree(run, to, ignore=shutil.ignore_patterns("truth.json"))
     recording = open_recording(to)
     new = recording.head.model_validate(recording.head.model_dump(mode="json", exclude_none=True) | head)
@@ -97,7 +97,7 @@ def changed(run: Path, to: Path, **head: Any) -> Path:
     return to
 
 
-def test_a_sound_run_is_shown_whole(stitched: StitchedRun) -> None:
+def test_run_without_faults_is_shown_completely(stitched: StitchedRun) -> None:
     seen, data = read(stitched)
     assert stitched.result.status is Status.OK
     frames = stitched.cameras * stitched.head.rows
@@ -115,23 +115,23 @@ def test_a_sound_run_is_shown_whole(stitched: StitchedRun) -> None:
     assert seen.count["script"] == 1
 
 
-def test_names_that_look_like_markup_stay_text(stitched: StitchedRun) -> None:
+def test_names_that_look_like_markup_remain_text(stitched: StitchedRun) -> None:
     seen, _ = read(stitched)
     assert "run <1> & co" in "".join(seen.words)
 
 
-def test_lost_frames_are_shown_with_their_cause(run: Path, tmp_path: Path) -> None:
-    told = [{"camera": 0, "row": 1, "verdict": "incomplete", "cause": "12 packets </script> lost"}, "nonsense", {}]
-    directory = changed(run, tmp_path / "lost", missing=[[0, 1], [1, 2]], x_verdicts=told)
+def test_missing_frames_are_shown_with_their_cause(run: Path, tmp_path: Path) -> None:
+    entries = [{"camera": 0, "row": 1, "verdict": "incomplete", "cause": "12 packets </script> lost"}, "nonsense", {}]
+    directory = changed(run, tmp_path / "lost", missing=[[0, 1], [1, 2]], x_verdicts=entries)
     stitched = restitch(open_run(directory))
     seen, data = read(stitched)
     assert stitched.causes == {
         (0, 1): ("incomplete", "12 packets </script> lost"),
-        (1, 2): ("missing", "the frame never arrived"),
+        (1, 2): ("missing", "the frame was not delivered"),
     }
     assert seen.count["image"] == stitched.cameras * stitched.head.rows - 2
     assert "12 packets </script> lost" in "".join(seen.words)
-    assert data["recording"]["x_verdicts"] == told
+    assert data["recording"]["x_verdicts"] == entries
 
 
 def test_without_a_board_type_frames_and_links_are_shown(run: Path, tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_without_a_board_type_frames_and_links_are_shown(run: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("rows", [1, 2])
-def test_a_run_without_a_board_is_shown_as_that(run: Path, tmp_path: Path, rows: int) -> None:
+def test_run_without_a_board_has_a_report(run: Path, tmp_path: Path, rows: int) -> None:
     recording = open_recording(run)
     less = dict.fromkeys(["trigger_times_s", "exposures_us", "lights"])
     head = recording.head.model_copy(update={"rows": rows, "missing": (), **less})
@@ -161,7 +161,7 @@ def test_a_run_without_a_board_is_shown_as_that(run: Path, tmp_path: Path, rows:
     assert data["links"]["a"] == []
 
 
-def test_a_run_of_which_nothing_arrived_has_a_report(run: Path, tmp_path: Path) -> None:
+def test_run_without_frames_has_a_report(run: Path, tmp_path: Path) -> None:
     head = open_recording(run).head
     everything = [[i, j] for i in range(len(head.cameras)) for j in range(head.rows)]
     stitched = restitch(open_run(changed(run, tmp_path / "nothing", missing=everything)))
@@ -170,14 +170,14 @@ def test_a_run_of_which_nothing_arrived_has_a_report(run: Path, tmp_path: Path) 
     assert "No frame could be placed." in seen.words
 
 
-def test_the_other_methods_have_reports_too(run: Path) -> None:
+def test_other_methods_have_reports(run: Path) -> None:
     features = restitch(open_run(run, method="features"))
     assert read(features)[1]["result"]["method"] == "features"
     fiducials = restitch(open_run(run, method="fiducials"))
     assert "There are no links." in read(fiducials)[0].words
 
 
-def test_the_file_is_written_whole(stitched: StitchedRun, tmp_path: Path) -> None:
+def test_file_is_written_completely(stitched: StitchedRun, tmp_path: Path) -> None:
     write_report(tmp_path / "new" / "report.html", stitched)
     assert (tmp_path / "new" / "report.html").read_text() == render_report(stitched)
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["report.html"]

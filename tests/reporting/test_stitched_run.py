@@ -1,4 +1,4 @@
-"""The stitched tells of its run what stitching alone would, and keeps what it rests on."""
+"""A stitched run has the result of `vaoi stitch`, and keeps its evidence."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
 
 
-def test_its_result_is_that_of_stitching(stitched: StitchedRun, run: Path) -> None:
+def test_result_is_that_of_stitching(stitched: StitchedRun, run: Path) -> None:
     opened = open_run(run)
     alone = stitch_frames(opened.setup, opened.recording.head, opened.recording.frame).model_dump(mode="json")
     ours = stitched.result.model_dump(mode="json")

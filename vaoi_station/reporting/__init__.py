@@ -1,4 +1,4 @@
-"""One HTML file that shows how a run was stitched, and a bundle from which it can be stitched again."""
+"""Report how a run was stitched as one HTML file, and bundle everything that is needed to stitch it again."""
 
 from vaoi_station.reporting.bundle import write_bundle
 from vaoi_station.reporting.html_report import write_report

@@ -1,4 +1,4 @@
-"""A run with everything it was stitched from, in one directory: to be kept, sent, and stitched again elsewhere."""
+"""Write a run and everything it was stitched from into one directory, so that it can be stitched again elsewhere."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ REPORT, RESULT, LINKS, REFERENCE = "report.html", "result.json", "links.npz", "r
 def write_bundle(directory: Path, stitched: StitchedRun) -> None:
     """Write recording, calibration, board type, reference, result, links and report into a new directory.
 
-    It is a recording by itself, so that `vaoi stitch` and `vaoi report` take it as it is. Keys of the report's
-    arrays are those of `numbers.link_arrays` and `numbers.detection_arrays` (the latter with `sighting_` before).
+    The bundle is itself a recording, so that `vaoi stitch` and `vaoi report` accept it. The arrays of links.npz are
+    those of `numbers.link_arrays` and `numbers.detection_arrays` (the latter with `sighting_` before).
 
     Raises:
         StateError: the directory exists.
@@ -32,7 +32,7 @@ def write_bundle(directory: Path, stitched: StitchedRun) -> None:
 
 
 def replay_command(directory: Path, stitched: StitchedRun) -> str:
-    """How the bundle is stitched again."""
+    """Return the command that stitches the bundle again."""
     words = ["vaoi stitch", str(directory), "--method", stitched.result.method]
     if stitched.opened.reference:
         words += ["--reference", str(directory / REFERENCE)]
@@ -49,6 +49,7 @@ def _fill(draft: Path, stitched: StitchedRun) -> None:
         shutil.copytree(o.reference.recording.directory, draft / REFERENCE, ignore=shutil.ignore_patterns("truth.json"))
     write_stitch(draft / RESULT, stitched.result)
     arrays = link_arrays(stitched) | {f"sighting_{k}": v for k, v in detection_arrays(stitched).items()}
+    # Without pickle: the archive must be safe to load on another machine.
     packed = io.BytesIO()
     np.savez_compressed(packed, allow_pickle=False, **arrays)
     write_bytes(draft / LINKS, packed.getvalue())
@@ -56,8 +57,9 @@ def _fill(draft: Path, stitched: StitchedRun) -> None:
 
 
 def _copy_recording(source: Path, draft: Path, frames: list[Path]) -> None:
-    """What belongs to the recording and nothing else that may lie there; its head last."""
+    """Copy head and frames of a recording, and no other files of its directory."""
     (draft / "frames").mkdir()
     for path in frames:
         shutil.copyfile(path, draft / "frames" / path.name)
+    # The head comes last: a directory with a head counts as a complete recording.
     shutil.copyfile(source / "recording.json", draft / "recording.json")

@@ -1,4 +1,4 @@
-"""The report, from its parts."""
+"""Assemble the report from its sections."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vaoi_station.reporting.stitched_run import StitchedRun
 
 
 def render_report(stitched: StitchedRun) -> str:
-    """The whole report as one HTML document."""
+    """Return the whole report as one HTML document."""
     name = stitched.opened.recording.directory.resolve().name
     sections = [
         summary.key_numbers(stitched),
@@ -41,5 +41,5 @@ def render_report(stitched: StitchedRun) -> str:
 
 
 def write_report(path: Path, stitched: StitchedRun) -> None:
-    """Write the report whole or not at all."""
+    """Write the report, complete or not at all."""
     write_bytes(path, render_report(stitched).encode())

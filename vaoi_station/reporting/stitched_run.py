@@ -1,4 +1,4 @@
-"""A run stitched once more, with everything kept that a report shows."""
+"""Stitch a recorded run again and keep everything that a report shows."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from vaoi_station.stitching.work import all_tasks
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
-    """Two frames that were looked at for links, and what came of it."""
+    """Two frames between which links were searched, and the outcome."""
 
     links: Links
     used: int
     """Links that have weight in the adjustment."""
     residual_px: float | None
-    """Root mean square of those."""
+    """Root mean square of their residuals; None without such links."""
 
     @property
     def a(self) -> FrameKey:
@@ -41,41 +41,43 @@ class FramePair:
 
     @property
     def score(self) -> float:
-        """Mean correlation of the links; 0 if there are none."""
+        """Mean correlation of the links; 0 without links."""
         return float(self.links.score.mean()) if len(self.links.score) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class StitchedRun:
-    """A run, its result, and how it came about."""
+    """A run, its result, and the evidence and intermediate values that led to it."""
 
     opened: OpenedRun
     evidence: tuple[Evidence, ...]
     result: Stitch
     findings: Findings
     task_ms: dict[str, float]
-    """Wall time by kind of task, with the reading of frames; what concluding took is in `stitch.quality`."""
+    """Wall time by kind of task, reading of frames included; times of the conclusion are in `result.quality`."""
     thumbnails: dict[FrameKey, Thumbnail]
 
     @property
     def head(self) -> RecordingHead:
-        """What was filmed."""
+        """The head of the recording."""
         return self.opened.recording.head
 
     @property
     def cameras(self) -> int:
-        """The paper's n."""
+        """The number of cameras (the paper's n)."""
         return len(self.head.cameras)
 
     @cached_property
     def pairs(self) -> tuple[FramePair, ...]:
-        """Every pair of frames that was looked at, by cameras and rows."""
+        """Every pair of frames that was searched for links, in the order of the tasks."""
         f = self.findings
         adjusted, links = f.adjusted, f.problem.links
+        # By identity: the adjustment holds the same evidence objects, and arrays have no plain equality.
         number = {id(e): n for n, e in enumerate(links.groups)}
         out = []
         for e in f.links:
             mine = links.group == number.get(id(e), -1)
+            # The same threshold as for the counts of used links in `result.quality`.
             used = mine & (adjusted.weight > 0.1) if len(adjusted.weight) else mine[:0]
             px = np.hypot(*adjusted.link_px[used].T) if used.any() else np.zeros(0)
             rms = float(np.sqrt(np.mean(px**2))) if len(px) else None
@@ -84,10 +86,10 @@ class StitchedRun:
 
     @cached_property
     def causes(self) -> dict[FrameKey, tuple[str, str]]:
-        """Verdict and cause of every frame that is not ok, by camera and row."""
-        told = (self.head.model_extra or {}).get("x_verdicts")
-        out = dict.fromkeys(self.head.missing, ("missing", "the frame never arrived"))
-        for entry in told if isinstance(told, list) else []:
+        """State and cause of every frame that is not ok, by camera and row."""
+        entries = (self.head.model_extra or {}).get("x_verdicts")
+        out = dict.fromkeys(self.head.missing, ("missing", "the frame was not delivered"))
+        for entry in entries if isinstance(entries, list) else []:
             key, verdict, cause = _entry(entry)
             if key in out:
                 out[key] = (verdict, cause or out[key][1])
@@ -95,7 +97,7 @@ class StitchedRun:
 
 
 def restitch(opened: OpenedRun) -> StitchedRun:
-    """Stitch a run and keep evidence, findings, times, and a small picture of every frame."""
+    """Stitch a run, and keep evidence, findings, times and a thumbnail of every frame."""
     head, present = opened.recording.head, opened.present
     width = thumbnail_width(len(present))
     thumbnails: dict[FrameKey, Thumbnail] = {}
@@ -103,6 +105,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
 
     def frame(camera: int, row: int) -> NDArray[Any] | None:
         pixels = read(camera, row)
+        # Made while the frame is in memory, so that no file is read and decoded a second time.
         if pixels is not None and (camera, row) not in thumbnails:
             thumbnails[camera, row] = thumbnail(pixels, width)
         return pixels
@@ -115,6 +118,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
         evidence.append(runner.perform(task))
         task_ms[task.kind] += (time.perf_counter() - began_s) * 1e3
     stitch, findings = runner.conclude_with_findings(times_s, present, evidence)
+    # Frames that no task read still need a thumbnail.
     for key in present:
         if key not in thumbnails:
             frame(*key)
@@ -122,7 +126,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
 
 
 def _entry(entry: Any) -> tuple[FrameKey, str, str]:
-    """What the recorder wrote of a frame; the key is the user's own, so that anything may stand there."""
+    """Read one entry of the recorder's list; keys that begin with x_ may hold anything, so nothing is assumed."""
     if not isinstance(entry, dict):
         return (-1, -1), "", ""
     camera, row = entry.get("camera"), entry.get("row")

@@ -1,4 +1,4 @@
-"""Axes have round numbers, colours keep to their range, numbers are written the same everywhere."""
+"""Round numbers for axes, colours for numbers, and numbers as text."""
 
 from __future__ import annotations
 

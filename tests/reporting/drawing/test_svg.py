@@ -1,4 +1,4 @@
-"""Whatever a name holds, it stays a name."""
+"""Texts are escaped and drawings are well-formed."""
 
 from __future__ import annotations
 

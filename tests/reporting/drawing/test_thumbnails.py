@@ -1,4 +1,4 @@
-"""Thumbnails are small, bright enough to see, and never more than the report can carry."""
+"""Thumbnails are small, bright enough, and limited in total size."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_any_frame_becomes_a_small_grey_picture(dtype: type, colour: bool) -> No
     assert small.uri.startswith("data:image/jpeg;base64,/9j/")
 
 
-def test_dark_frames_are_brightened_and_small_ones_not_magnified() -> None:
+def test_dark_frames_are_brightened_and_small_ones_not_enlarged() -> None:
     dark = np.full((30, 40), 12, np.uint8)
     dark[10:20, 10:20] = 50
     small = thumbnail(dark, 100)

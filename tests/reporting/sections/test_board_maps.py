@@ -1,4 +1,4 @@
-"""Maps of the board: CAD's up is up, nothing is drawn off the board, parts without a number are grey."""
+"""Maps of the board: orientation, cells inside the outline, grey components without a value."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.reporting.sections.board_maps import BoardDrawing, components,
 
 
 @pytest.mark.parametrize("y_axis", ["up", "down"])
-def test_up_is_up(y_axis: str) -> None:
+def test_cad_up_is_drawn_upwards(y_axis: str) -> None:
     plan = BoardDrawing(BoardType.model_validate({"name": "b", "outline": [[0, 0], [40, 20]], "y_axis": y_axis}))
     at = plan.at(np.array([[0.0, 0.0], [40.0, 20.0]]))
     assert at[0, 0] < at[1, 0]
@@ -20,14 +20,14 @@ def test_up_is_up(y_axis: str) -> None:
     assert (at <= (plan.width, plan.height)).all()
 
 
-def test_cells_keep_to_the_board() -> None:
+def test_cells_lie_inside_the_outline() -> None:
     triangle = BoardType.model_validate({"name": "t", "outline": [[0, 0], [30, 0], [0, 30]]})
     centres, side = BoardDrawing(triangle).cells()
     assert (centres.sum(1) <= 30 + 1e-9).all()
     assert len(centres) * side**2 == pytest.approx(450, rel=0.1)
 
 
-def test_parts_and_surface_are_there(stitched: StitchedRun) -> None:
+def test_components_and_surface_are_drawn(stitched: StitchedRun) -> None:
     board_type, q = stitched.opened.setup.board_type, stitched.result.quality
     assert board_type is not None
     html = components(stitched).html()

@@ -1,4 +1,4 @@
-"""Residual vectors show a camera that was moved by as much as it was moved, in its direction."""
+"""Residual vectors show the displacement of a camera in size and direction."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station.reporting.sections.residual_vectors import Vectors, residual_v
 from vaoi_station.stitching.recordings.opening import open_run
 
 
-def test_the_vectors_are_the_links_of_the_adjustment(stitched: StitchedRun) -> None:
+def test_vectors_are_the_links_of_the_adjustment(stitched: StitchedRun) -> None:
     count = stitched.result.quality["links"]
     rows = [vectors(stitched, i, "rows") for i in range(stitched.cameras)]
     assert sum(v.links for v in rows) == count["rows"]["used"]
@@ -25,7 +25,7 @@ def test_the_vectors_are_the_links_of_the_adjustment(stitched: StitchedRun) -> N
     assert "exaggerated" in residual_vectors(stitched).lead
 
 
-def test_a_camera_that_stands_elsewhere_shows_in_its_seam(run: Path, tmp_path: Path) -> None:
+def test_displaced_camera_shows_in_its_seam(run: Path, tmp_path: Path) -> None:
     known = read_calibration(run / "calibration.json")
     off_mm = 0.12
     moved = known.camera_matrices[1] @ np.array([[1, 0, 0], [0, 1, off_mm], [0, 0, 1]])
@@ -35,10 +35,10 @@ def test_a_camera_that_stands_elsewhere_shows_in_its_seam(run: Path, tmp_path: P
     stitched = restitch(open_run(run, calibration=tmp_path / "calibration.json"))
     left, right = (np.median(vectors(stitched, i, "neighbours").off_px, axis=0) for i in range(2))
     assert np.hypot(*left) > 0.5
-    assert left @ right < 0, "each camera has the points where the other has not"
+    assert left @ right < 0, "the residuals of the two cameras are opposite"
 
 
-def test_means_are_of_cells() -> None:
+def test_means_are_taken_per_cell() -> None:
     camera = Camera(140, 140, Projective(np.eye(3), System.IMAGE, System.ROW), Lens((0.0, 0.0), 1.0))
     v = Vectors(np.array([[1.0, 1], [3, 3], [101, 51]]), np.array([[1.0, 0], [0, 1], [5, 5]]))
     m = v.means(camera)

@@ -1,4 +1,4 @@
-"""Deviations from the belt are those the twin's board really had."""
+"""Deviations from the belt agree with the twin's truth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.reporting import StitchedRun
 from vaoi_station.reporting.sections.row_motion import deviation, row_motion
 
 
-def test_deviations_are_the_true_ones_within_their_uncertainty(stitched: StitchedRun, run: Path) -> None:
+def test_deviations_agree_with_the_truth_within_their_uncertainty(stitched: StitchedRun, run: Path) -> None:
     true = [np.array(m) for m in json.loads((run / "truth.json").read_text())["row_motion"]]
     d = deviation(stitched.findings)
     times_s, pivot = stitched.head.row_times_s(), stitched.findings.adjusted.motion.pivot

@@ -1,4 +1,4 @@
-"""Tiles lie as the board moved under the cameras; every pair of frames is an edge."""
+"""Tiles follow the motion of the board, and every pair of frames is an edge."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vaoi_station.reporting import StitchedRun
 from vaoi_station.reporting.sections.tile_graph import layout, tile_graph
 
 
-def test_tiles_lie_side_by_side_as_the_cameras_do(stitched: StitchedRun) -> None:
+def test_tiles_are_placed_as_cameras_and_belt_predict(stitched: StitchedRun) -> None:
     plan = layout(stitched)
     assert set(plan.corners) == set(stitched.opened.present)
     head, camera = stitched.head, stitched.opened.setup.cameras[0]

@@ -1,4 +1,4 @@
-"""The shell of the report: one file that loads nothing, from nowhere, and runs no script."""
+"""The frame of the report: one HTML file that loads no other file and runs no script."""
 
 from __future__ import annotations
 
@@ -8,27 +8,29 @@ from importlib import resources
 
 from vaoi_station.reporting.drawing.svg import tag, text
 
+# The browser enforces this policy: even if an escaping mistake let markup through, nothing is loaded or run.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report; `name` is its anchor."""
+    """A section of the report; `name` is its anchor."""
 
     name: str
     heading: str
     lead: str
-    """How to read it."""
+    """A sentence that explains how to read the section."""
     body: str
 
     def html(self) -> str:
-        """With heading and explanation."""
+        """Return the section with heading and explanation."""
         lead = tag("p", text(self.lead), class_="lead") if self.lead else ""
         return tag("section", tag("h2", text(self.heading)), lead, self.body, id=self.name)
 
 
 def page(title: str, head: str, sections: Sequence[Section], data: str) -> str:
-    """The whole document."""
+    """Return the whole document."""
+    # The style is embedded: the report must look the same without network and without this package.
     style = resources.files("vaoi_station.reporting").joinpath("report.css").read_text(encoding="utf-8")
     contents = "".join(tag("a", text(s.heading), href=f"#{s.name}") for s in sections)
     return "\n".join(
@@ -50,7 +52,7 @@ def page(title: str, head: str, sections: Sequence[Section], data: str) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], numbers: int | None = None) -> str:
-    """A table of texts; columns from number `numbers` on hold numbers."""
+    """Return a table of texts; columns from index `numbers` on hold numbers."""
     first = len(columns) if numbers is None else numbers
     head = "".join(tag("th", text(c), class_="n" if k >= first else None) for k, c in enumerate(columns))
     body = "".join(
@@ -60,16 +62,16 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], numbers: int | 
 
 
 def facts(entries: Sequence[tuple[str, str]]) -> str:
-    """Names and values in pairs."""
+    """Return names and values as a definition list."""
     return tag("dl", *(tag("dt", text(name)) + tag("dd", text(value)) for name, value in entries))
 
 
 def figures(*drawings: tuple[str, str]) -> str:
-    """Drawings side by side, each with its caption (already HTML)."""
+    """Return drawings side by side, each with its caption (already HTML)."""
     shown = (tag("figure", drawing, tag("figcaption", caption)) for drawing, caption in drawings if drawing)
     return tag("div", *shown, class_="figures")
 
 
 def folded(summary: str, content: str) -> str:
-    """What is unfolded by a click."""
+    """Return content that a click unfolds."""
     return tag("details", tag("summary", text(summary)), content)

@@ -1,4 +1,4 @@
-"""A curve over rows with its band of uncertainty."""
+"""Plot a quantity over the rows with its uncertainty."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from vaoi_station.reporting.drawing.scales import number, ticks
 from vaoi_station.reporting.drawing.svg import drawing, label, polygon, polyline, tag, title
 
 _LEFT, _TOP, _BOTTOM = 58.0, 8.0, 26.0
+# An axis never spans less than this: rounding noise of a constant must not look like a motion.
 _LEAST_SPAN = 1e-3
 _MOST_POINTS = 200
-"""With more rows the curve is drawn without points."""
+"""With more rows the curve is drawn without points, which would overlap."""
 
 
 @dataclass(frozen=True)
 class Plot:
-    """One quantity over the rows."""
+    """One quantity over the rows, with name, unit and size in px."""
 
     name: str
     unit: str
@@ -27,11 +28,10 @@ class Plot:
     height: float = 190.0
 
     def draw(self, value: Floats, sigma: Floats, held: Sequence[bool]) -> str:
-        """Values (m,) and standard deviations (m,); points of rows that are not held are hollow.
-
-        Rows that nothing holds may be uncertain by far more than the others move: their bands are cut off.
-        """
+        """Draw values (m,) with standard deviations (m,); rows without evidence (`held` is False) get hollow points."""
+        # Only rows with evidence set the scale: the uncertainty of the others can exceed all motion, and is cut off.
         sure = np.array(held, dtype=bool) if any(held) else np.ones(len(value), dtype=bool)
+        # Zero is always part of the axis, so that small and large motions can be distinguished at a glance.
         low = float(min((value - sigma)[sure].min(), value.min(), 0))
         high = float(max((value + sigma)[sure].max(), value.max(), 0))
         room = max((high - low) * 0.06, _LEAST_SPAN)
@@ -50,11 +50,11 @@ class Plot:
         return drawing(self.width, self.height, axes, band, curve, points, label=f"{self.name} over rows")
 
     def _point(self, row: int, x: float, y: float, value: Floats, sigma: Floats, held: Sequence[bool]) -> str:
-        told = f"row {row}: {number(float(value[row]))} ± {number(float(sigma[row]))} {self.unit}"
+        words = f"row {row}: {number(float(value[row]))} ± {number(float(sigma[row]))} {self.unit}"
         if not held[row]:
-            told += ", placed by the belt alone"
+            words += ", placed by the nominal motion alone"
         fill = "#22456b" if held[row] else "#fff"
-        return tag("circle", title(told), cx=x, cy=y, r=3.2, fill=fill, stroke="#22456b", stroke_width=1.3)
+        return tag("circle", title(words), cx=x, cy=y, r=3.2, fill=fill, stroke="#22456b", stroke_width=1.3)
 
     def _x(self, row: int, rows: int) -> float:
         share = row / (rows - 1) if rows > 1 else 0.5

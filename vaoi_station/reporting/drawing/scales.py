@@ -1,4 +1,4 @@
-"""Round numbers for axes, and colours for numbers."""
+"""Choose round numbers for axes, and colours for numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 Colour = tuple[int, int, int]
 
 RISING: tuple[Colour, ...] = ((62, 32, 98), (52, 94, 141), (38, 140, 136), (108, 186, 92), (250, 222, 60))
-"""From little to much; lightness rises all the way, so that it can be read without colours too."""
+"""From small to large; lightness rises monotonically, so that the scale is readable without colours too."""
 ABOUT_ZERO: tuple[Colour, ...] = ((33, 78, 140), (126, 168, 206), (240, 240, 238), (222, 158, 120), (158, 58, 30))
 """From below to above."""
 GOOD: tuple[Colour, ...] = ((176, 58, 46), (214, 140, 50), (120, 160, 80), (24, 110, 80))
@@ -17,15 +17,16 @@ GOOD: tuple[Colour, ...] = ((176, 58, 46), (214, 140, 50), (120, 160, 80), (24, 
 
 @dataclass(frozen=True)
 class Scale:
-    """Numbers low … high as colours; what lies beyond has the colour of the end."""
+    """Map from numbers low … high to colours; numbers outside get the colour of the nearer end."""
 
     low: float
     high: float
     colours: tuple[Colour, ...] = RISING
 
     def __call__(self, value: float) -> str:
-        """The colour of a number, `#rrggbb`."""
+        """Return the colour of a number as `#rrggbb`."""
         span = self.high - self.low
+        # A scale without span (all values equal) gives the middle colour.
         share = min(max((value - self.low) / span, 0.0), 1.0) if span > 0 else 0.5
         at = share * (len(self.colours) - 1)
         k = min(int(at), len(self.colours) - 2)
@@ -34,36 +35,38 @@ class Scale:
 
 
 def about_zero(values: list[float], least: float) -> Scale:
-    """A scale with zero in the middle that reaches as far as the values, `least` at least."""
+    """Return a scale with zero in the middle that covers the values, and at least ±`least`."""
     reach = max([least, *(abs(v) for v in values)])
     return Scale(-reach, reach, ABOUT_ZERO)
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
-    """Round numbers from `low` to `high`, about so many."""
+    """Return round numbers between `low` and `high`; their count is near `about`."""
     span = high - low
     if not (math.isfinite(span) and span > 0):
         return [low]
     step = round_up(span / about)
+    # The tolerance keeps a tick at the end of the range that rounding has moved outside.
     first = math.ceil(low / step - 1e-9)
     return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
 def round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, … that is not smaller, for value > 0."""
+    """Return the smallest of …, 1, 2, 5, 10, … that is not below a value > 0."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= value * (1 - 1e-9))
 
 
 def round_down(value: float) -> float:
-    """The next of 1, 2, 5, 10, … that is not larger, for value > 0."""
+    """Return the largest of …, 1, 2, 5, 10, … that is not above a value > 0."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(k * power for k in (10.0, 5.0, 2.0, 1.0) if k * power <= value * (1 + 1e-9))
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number as text with a true minus; "–" for none."""
+    """Format a number with a real minus sign; "–" for None, NaN and infinities."""
     if value is None or not math.isfinite(value):
         return "–"
+    # A value that rounds to zero must not show as "-0.000".
     rounded = f"{value:.{digits}f}"
     return ("−" + rounded[1:]) if rounded.startswith("-") and float(rounded) else rounded.lstrip("-")

@@ -1,4 +1,4 @@
-"""HTML and SVG as text: every value is escaped, numbers are as short as they may be."""
+"""Build HTML and SVG as text; every value is escaped and numbers are short."""
 
 from __future__ import annotations
 
@@ -10,36 +10,38 @@ Value = str | int | float
 
 
 def tag(name: str, *content: str, **attributes: Value | None) -> str:
-    """An element; `_` in names of attributes stands for `-`, a trailing one is left out; None leaves one out."""
+    """Return an element; `_` in attribute names means `-`, a trailing one is dropped; None omits the attribute."""
     given = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(shown(value))}"'
         for key, value in attributes.items()
         if value is not None
     )
+    # HTML forbids the short form for elements that may have content, such as <td/>.
     if not content:
         return f"<{name}{given}/>" if name in _EMPTY else f"<{name}{given}></{name}>"
     return f"<{name}{given}>{''.join(content)}</{name}>"
 
 
 def text(value: object) -> str:
-    """Text as content."""
+    """Escape text for use as content."""
     return escape(str(value), quote=False)
 
 
 def title(words: str) -> str:
-    """What is shown where the pointer rests."""
+    """Return the tooltip of an SVG element."""
     return tag("title", text(words))
 
 
 def shown(value: Value) -> str:
-    """A value of an attribute: numbers with at most two decimals, as drawings need no more."""
+    """Format the value of an attribute; two decimals are enough for drawings."""
+    # Browsers reject NaN in an attribute and log an error; zero keeps the drawing valid.
     if isinstance(value, float):
         return f"{value:.2f}".rstrip("0").rstrip(".") if math.isfinite(value) else "0"
     return str(value)
 
 
 def drawing(width: float, height: float, *content: str, label: str, widest: float | None = None) -> str:
-    """An SVG in user units of one CSS px, drawn smaller where there is no room for it."""
+    """Return an SVG in user units of one CSS px; the page's style shrinks it where it does not fit."""
     return tag(
         "svg",
         tag("title", text(label)),
@@ -51,17 +53,17 @@ def drawing(width: float, height: float, *content: str, label: str, widest: floa
 
 
 def polyline(points: Iterable[tuple[float, float]], **attributes: Value | None) -> str:
-    """Straight lines from point to point."""
+    """Return straight lines from point to point."""
     return tag("polyline", points=_points(points), fill="none", **attributes)
 
 
 def polygon(points: Iterable[tuple[float, float]], *content: str, **attributes: Value | None) -> str:
-    """A closed shape."""
+    """Return a closed polygon."""
     return tag("polygon", *content, points=_points(points), **attributes)
 
 
 def label(x: float, y: float, words: str, **attributes: Value | None) -> str:
-    """Text at a place."""
+    """Return text at a position."""
     return tag("text", text(words), x=float(x), y=float(y), **attributes)
 
 

@@ -1,4 +1,4 @@
-"""Frames as small pictures that go into the report itself."""
+"""Reduce frames to small pictures that are embedded in the report."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from vaoi_station.stitching.matching.prepared_frame import to_eight_bit, to_grey
 
 WIDEST_PX, NARROWEST_PX = 240, 40
 _ALL_PX = 128 * 96 * 600
-"""So many pixels of thumbnails in all: a report of any run stays within a few MB."""
+"""Limit for the pixels of all thumbnails together, so that the report of any run stays within a few MB."""
 _QUALITY = 60
 _BRIGHTEST = 99.5
-"""The percentile that becomes white: dark frames are to be seen too."""
+"""The percentile that becomes white, so that dark frames are visible too."""
 
 
 @dataclass(frozen=True)
@@ -31,22 +31,24 @@ class Thumbnail:
 
     @property
     def uri(self) -> str:
-        """The picture as the address of itself."""
+        """The picture as a data URI."""
         return "data:image/jpeg;base64," + base64.b64encode(self.jpeg).decode("ascii")
 
 
 def thumbnail_width(frames: int) -> int:
-    """How wide the thumbnails of a run may be."""
+    """Return the width of thumbnails for a run with a number of frames."""
     fair = int((_ALL_PX / max(frames, 1) * 4 / 3) ** 0.5)
     return min(max(fair, NARROWEST_PX), WIDEST_PX)
 
 
 def thumbnail(pixels: NDArray[Any], width: int) -> Thumbnail:
-    """A frame (h, w) or (h, w, 3), 8 or 16 bit, reduced to a width and brightened, never magnified."""
+    """Reduce a frame (h, w) or (h, w, 3), 8 or 16 bit, to a width, and brighten it; never enlarge it."""
     grey = to_eight_bit(to_grey(pixels))
     h, w = grey.shape
     width = min(width, w)
     size = (width, max(round(h * width / w), 1))
+    # INTER_AREA averages all pixels under a thumbnail pixel; other methods skip most of them and alias.
     small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    # The floor of 40 keeps the noise of a black frame black.
     gain = 235 / max(float(np.percentile(small, _BRIGHTEST)), 40.0)
     return Thumbnail(encode_jpeg(cv2.convertScaleAbs(small, alpha=max(gain, 1.0)), _QUALITY), *size)

@@ -1,1 +1,1 @@
-"""Write the sections of the report, one module each."""
+"""The sections of the report, one module each."""

@@ -1,4 +1,4 @@
-"""The board as CAD has it, in colours: its surface, the heights of its parts, and how sure their places are."""
+"""Maps of the board in CAD coordinates: surface, component heights, and uncertainty of positions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEAST_MM = 0.02
 
 
 class BoardDrawing:
-    """CAD coordinates to user units: CAD x to the right, CAD "up" up, as large as there is room for."""
+    """Mapping from CAD coordinates to user units: CAD x to the right, CAD "up" upwards."""
 
     def __init__(self, board_type: BoardType) -> None:
         self.board_type = board_type
@@ -30,16 +30,17 @@ class BoardDrawing:
         self.width, self.height = (float(v) for v in span * self.scale + 2 * _MARGIN)
 
     def at(self, cad: Floats) -> Floats:
-        """User units (k, 2) of CAD points (k, 2)."""
+        """Convert CAD points (k, 2) to user units (k, 2)."""
         x, y = ((np.asarray(cad, dtype=np.float64) - self._low) * self.scale + _MARGIN).T
+        # SVG's y axis points down; a CAD system with y up is mirrored here.
         return np.stack([x, self.height - y if self.board_type.y_axis == "up" else y], -1)
 
     def outline(self) -> str:
-        """The board's edge."""
+        """Draw the outline of the board."""
         return polygon(self.at(self._corners()), fill="none", stroke="#4c555e", stroke_width=1.2)
 
     def cells(self) -> tuple[Floats, float]:
-        """Centres (k, 2) of cells on the board, in CAD units, and their side."""
+        """Return the centres (k, 2) of grid cells on the board, and their side, in CAD units."""
         span = self._high - self._low
         side = float(max(span) / _CELLS)
         x, y = (np.arange(low + side / 2, high, side) for low, high in zip(self._low, self._high, strict=True))
@@ -48,7 +49,7 @@ class BoardDrawing:
         return (grid if shape is None else grid[[encloses(shape, p) for p in grid]]), side
 
     def draw(self, scale: Scale, unit: str, digits: int, what: str, *content: str) -> str:
-        """With outline and a legend below."""
+        """Draw content with the board's outline, and a legend below it."""
         wide = max(self.width, 260.0)
         shown = tag("g", *content, self.outline())
         return drawing(wide, self.height + _LEGEND, shown, self._legend(scale, unit, digits), label=what)
@@ -74,11 +75,11 @@ class BoardDrawing:
 
 
 def surface(stitched: StitchedRun) -> Section:
-    """Lift, tilt and bow as colours."""
+    """Draw lift, tilt and bow of the board as colours."""
     board_type, found = stitched.opened.setup.board_type, stitched.result.surface
     if board_type is None or found is None:
-        told = tag("p", "Not estimated: that takes a board type, and cameras that know their height.", class_="none")
-        return Section("surface", "Surface", "", told)
+        note = tag("p", "Not estimated: this needs a board type and a calibrated working distance.", class_="none")
+        return Section("surface", "Surface", "", note)
     plan = BoardDrawing(board_type)
     centres, side = plan.cells()
     heights = found.height_mm(centres)
@@ -100,52 +101,56 @@ def surface(stitched: StitchedRun) -> Section:
         ("bow x²", found.bow_mm[0]), ("bow xy", found.bow_mm[1]), ("bow y²", found.bow_mm[2]),
     ]  # fmt: skip
     listed = table(["coefficient", "mm"], [[name, number(v, 4)] for name, v in terms], 1)
-    lead = "Height above the calibrated plane, a polynomial over the board; its coefficients are from middle to edge."
+    lead = (
+        "Height above the calibrated plane, a polynomial over the board. Coefficients are heights from centre to edge."
+    )
     caption = text(f"height, mm: {number(float(heights.min()))} … {number(float(heights.max()))}")
     drawn = plan.draw(scale, "mm", 2, "height of the board", cells)
     return Section("surface", "Surface", lead, figures((drawn, caption), (listed, "")))
 
 
 def components(stitched: StitchedRun) -> Section:
-    """Heights and uncertainties of components, drawn and listed."""
+    """Draw and list heights and uncertainties of components."""
     board_type, q = stitched.opened.setup.board_type, stitched.result.quality
     if board_type is None or not board_type.components or stitched.result.components is None:
-        told = tag("p", "No component could be placed.", class_="none")
-        return Section("components", "Components", "", told)
+        note = tag("p", "No component could be placed.", class_="none")
+        return Section("components", "Components", "", note)
     heights, sigma = q["heights_mm"], q["component_sigma_px"]
     drawings = []
     plan = BoardDrawing(board_type)
     if heights:
+        # At least 0.5 mm: on a board of flat parts the noise of their heights would fill the whole colour scale.
         scale = Scale(min(0.0, *heights.values()), max(0.5, *heights.values()))
         drawn = plan.draw(scale, "mm", 2, "heights of components", _footprints(plan, heights, scale, "mm"))
         drawings.append(
-            (drawn, text(f"height above the board, mm: {len(heights)} of {len(board_type.components)} parts"))
+            (drawn, text(f"height above the board, mm: {len(heights)} of {len(board_type.components)} components"))
         )
     if sigma:
         scale = Scale(min(sigma.values()), max(*sigma.values(), min(sigma.values()) + 0.01))
         drawn = plan.draw(scale, "px", 3, "uncertainty of components", _footprints(plan, sigma, scale, "px"))
-        drawings.append((drawn, text("standard deviation of the place in the image, px, worst view")))
-    columns = ["component", "views", "σ px", "height mm", "σ mm", "links", "body of CAD mm"]
+        drawings.append((drawn, text("standard deviation of the position in the image, px, worst view")))
+    columns = ["component", "views", "σ px", "height mm", "σ mm", "links", "CAD body mm"]
     listed = folded(
-        f"numbers of every component: {len(board_type.components)}", table(columns, _rows(stitched, board_type), 1)
+        f"figures of every component: {len(board_type.components)}", table(columns, _rows(stitched, board_type), 1)
     )
     lead = (
-        "The height of a part is that of the highest group of links on its body that agree; parts too small or too "
-        "smooth for that have none (grey). The board as CAD has it."
+        "The height of a component is that of the highest group of links on its body that agree. Components that are "
+        "too small or too smooth have no height (grey). The board is drawn in CAD coordinates."
     )
     return Section("components", "Components", lead, figures(*drawings) + listed)
 
 
 def _footprints(plan: BoardDrawing, values: Mapping[str, float], scale: Scale, unit: str) -> str:
-    """Large parts first, so that small ones lie on top."""
+    """Draw all footprints, coloured by a value; grey without one."""
+    # Large components first, so that small ones stay visible on top of them.
     parts = sorted(plan.board_type.components, key=lambda p: -p.width * p.height)
     return "".join(_footprint(plan, part, values.get(part.address), scale, unit) for part in parts)
 
 
 def _footprint(plan: BoardDrawing, part: Component, value: float | None, scale: Scale, unit: str) -> str:
-    told = title(f"{part.address}: " + ("–" if value is None else f"{number(value)} {unit}"))
+    tooltip = title(f"{part.address}: " + ("–" if value is None else f"{number(value)} {unit}"))
     fill = "#dfe3e6" if value is None else scale(value)
-    return polygon(plan.at(plan.board_type.footprint(part)), told, fill=fill, stroke="#fff", stroke_width=0.6)
+    return polygon(plan.at(plan.board_type.footprint(part)), tooltip, fill=fill, stroke="#fff", stroke_width=0.6)
 
 
 def _rows(stitched: StitchedRun, board_type: BoardType) -> list[list[str]]:

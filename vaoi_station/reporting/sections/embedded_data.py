@@ -1,4 +1,4 @@
-"""The numbers behind the drawings: as JSON inside the report, as arrays in the bundle."""
+"""The numbers behind the drawings, as JSON inside the report and as arrays in the bundle."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ _KINDS = ("rows", "neighbours")
 
 
 def data_block(stitched: StitchedRun) -> str:
-    """Everything but the frames as one JSON object in an element of its own, which no text in it can end."""
+    """Return everything except the frames as one JSON object in a script element."""
+    # "</script>" inside a text would end the element; an escaped "<" cannot.
     content = json.dumps(document(stitched), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return tag("script", content, type="application/json", id="run")
 
 
 def document(stitched: StitchedRun) -> dict[str, Any]:
-    """Recording, calibration, board type, result, and every link and sighting with its residual."""
+    """Return recording, calibration, board type, result, and all links and detections with their residuals."""
     o = stitched.opened
     return {
         "format": FORMAT,
@@ -42,7 +43,7 @@ def document(stitched: StitchedRun) -> dict[str, Any]:
 
 
 def link_arrays(stitched: StitchedRun) -> dict[str, NDArray[Any]]:
-    """All links as arrays of one length k: frames, places in raw px, weights of the match, and residuals.
+    """Return all links as arrays of one length k: frames, positions in raw px, information, weight and residual.
 
     `residual_px` is along the tester's axes; `component` numbers the board type's components, −1 is the bare board.
     """
@@ -67,7 +68,7 @@ def link_arrays(stitched: StitchedRun) -> dict[str, NDArray[Any]]:
 
 
 def detection_arrays(stitched: StitchedRun) -> dict[str, NDArray[Any]]:
-    """Everything that looked like a mark, in the first place."""
+    """Return all detections of marks, before they are assigned to fiducials."""
     seen = [e for e in stitched.evidence if isinstance(e, Detections)]
     keys = np.array([e.task.a for e in seen], dtype=np.int32).reshape(-1, 2)
     return {
@@ -90,7 +91,7 @@ def _motion(stitched: StitchedRun) -> dict[str, Any]:
 
 
 def _short(values: NDArray[Any]) -> Any:
-    """Lists of numbers of six digits; whole ones stay whole."""
+    """Return values as lists with six significant digits; integers stay integers."""
     if values.dtype.kind in "iu":
         return values.tolist()
     if values.ndim > 1:

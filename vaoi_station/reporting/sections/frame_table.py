@@ -1,4 +1,4 @@
-"""Every frame: its picture, its verdict, and how many links hold it."""
+"""The section with every frame: thumbnail, state, and number of links with weight."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ _WIDTH_PX = 120
 
 
 def picture_store(stitched: StitchedRun) -> str:
-    """All thumbnails, once; whoever shows one refers to it."""
+    """Return all thumbnails as SVG definitions; every section refers to them, so each is in the file once."""
+    # One definition per frame: the tile graph and the frame table show the same picture, and its data is the bulk.
     images = "".join(
         tag("image", id=picture_id(key), width=t.width, height=t.height, href=t.uri, preserveAspectRatio="none")
         for key, t in stitched.thumbnails.items()
@@ -22,12 +23,12 @@ def picture_store(stitched: StitchedRun) -> str:
 
 
 def picture_id(key: FrameKey) -> str:
-    """The thumbnail's name in the document."""
+    """Return the id of a thumbnail in the document."""
     return f"f{key[0]}-{key[1]}"
 
 
 def frame_table(stitched: StitchedRun) -> Section:
-    """Rows of frames as they were filmed."""
+    """Show the frames as a table of rows and cameras."""
     links = links_of(stitched)
     head = tag("tr", tag("th"), *(tag("th", text(f"camera {i}")) for i in range(stitched.cameras)))
     body = "".join(
@@ -37,17 +38,17 @@ def frame_table(stitched: StitchedRun) -> Section:
     film = tag("div", tag("table", tag("thead", head), tag("tbody", body), class_="film"), class_="scroll tall")
     bad = [[str(c), str(r), verdict, cause] for (c, r), (verdict, cause) in sorted(stitched.causes.items())]
     listed = (
-        folded(f"frames that are not ok: {len(bad)}", table(["camera", "row", "verdict", "cause"], bad)) if bad else ""
+        folded(f"frames that are not ok: {len(bad)}", table(["camera", "row", "state", "cause"], bad)) if bad else ""
     )
     lead = (
-        "The number is of links with weight in the adjustment; a dotted line marks a frame that none holds (its row's "
-        "other frames place it, or the belt), a dashed one a frame that did not arrive."
+        "The number counts links with weight in the adjustment. A dotted line marks a frame without such links; the "
+        "other frames of its row place it, or the nominal motion. A dashed line marks a frame that was not delivered."
     )
     return Section("frames", "Frames", lead, film + listed)
 
 
 def links_of(stitched: StitchedRun) -> Counter[FrameKey]:
-    """How many links with weight each frame has."""
+    """Count the links with weight of each frame."""
     count: Counter[FrameKey] = Counter()
     for pair in stitched.pairs:
         count[pair.a] += pair.used
@@ -64,5 +65,5 @@ def _cell(stitched: StitchedRun, key: FrameKey, links: Counter[FrameKey]) -> str
     use = tag("use", href=f"#{picture_id(key)}")
     height = width * t.height / t.width
     shown = tag("svg", use, viewBox=f"0 0 {t.width} {t.height}", width=width, height=height)
-    told = text(f"{links[key]}") if links[key] else text("no links")
-    return tag("td", shown, told, class_=None if links[key] else "alone", title=f"camera {key[0]}, row {key[1]}")
+    count = text(f"{links[key]}") if links[key] else text("no links")
+    return tag("td", shown, count, class_=None if links[key] else "alone", title=f"camera {key[0]}, row {key[1]}")

@@ -1,4 +1,4 @@
-"""What made this result: times, software, and the documents it rests on, by their digests."""
+"""The sections on times, software, and the input files with their digests."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _STAGES = {
 
 
 def timings(stitched: StitchedRun) -> Section:
-    """Wall time of everything, on one core."""
+    """List the wall times of all tasks and of the conclusion, on one core."""
     tasks = [[_TASKS.get(k, k), number(ms, 1)] for k, ms in stitched.task_ms.items()]
     stages = [[_STAGES.get(k, k), number(ms, 1)] for k, ms in stitched.result.quality["timings_ms"].items()]
     lead = (
-        "Wall time of this stitch, made for the report: the tasks, which a station does while the board still passes, "
-        "with the reading of frames from the disk; then what is left to do when it has left."
+        "Wall time of this stitch, which was made for the report. First the tasks, which a station performs while the "
+        "board passes, with reading of frames from disk; then the conclusion after the board has left."
     )
     return Section("timings", "Timings", lead, table(["stage", "ms"], [*tasks, *stages], 1))
 
 
 def identity(stitched: StitchedRun) -> Section:
-    """Software and documents."""
+    """List software versions and input files."""
     o, q = stitched.opened, stitched.result.quality
     known = o.calibration
     residual = "–" if known.residual_px is None else ", ".join(number(r) for r in known.residual_px) + " px"
@@ -52,7 +52,7 @@ def identity(stitched: StitchedRun) -> Section:
     rests_on = [
         ("recording", digest(o.recording.directory / "recording.json")),
         ("calibration", digest(o.calibration_path)),
-        ("… created", known.created or "not told"),
+        ("… created", known.created or "not stated"),
         ("… working distance", height),
         ("… residuals", residual),
         ("board type", digest(o.board_path) if o.board_path else "none"),
@@ -62,5 +62,5 @@ def identity(stitched: StitchedRun) -> Section:
 
 
 def digest(path: Path) -> str:
-    """Name of a file and what it holds, in 16 digits."""
+    """Return the name of a file, and the first 16 digits of its SHA-256."""
     return f"{path.name} · {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"

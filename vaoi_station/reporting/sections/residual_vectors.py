@@ -1,6 +1,6 @@
-"""Residual vectors over the frame of each camera: what links leave unexplained, and where.
+"""Residual vectors of links over the frame of each camera.
 
-A calibration or a lens that is off shows as a pattern that all rows share; noise does not.
+An error of calibration or lens shows as a pattern that all rows share; noise does not.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _WIDTH = 374.0
 _CELLS = 14
 """Cells across a frame; each shows the mean of its residuals."""
 _SINGLE = 250
-"""So many single links at the most are drawn behind the means."""
+"""At most this many single links are drawn behind the means."""
 _COLOURS = {"rows": "#22456b", "neighbours": "#c0561a"}
 _NAMES = {"rows": "to other rows", "neighbours": "to the other camera"}
 
@@ -33,7 +33,7 @@ class Vectors:
     at_px: Floats
     off_px: Floats
     links: int = 0
-    """How many links there are; one between rows of a camera has both its ends here."""
+    """Number of links; a link between rows of one camera has both its ends in this camera's frames."""
 
     @property
     def rms_px(self) -> float | None:
@@ -41,7 +41,7 @@ class Vectors:
         return float(np.sqrt((self.off_px**2).sum(1).mean())) if len(self.off_px) else None
 
     def means(self, camera: Camera) -> Vectors:
-        """Of the cells of a grid, at the mean place of what lies there."""
+        """Average the vectors over the cells of a grid, at the mean position of each cell's links."""
         if not len(self.at_px):
             return self
         size = camera.width_px / _CELLS
@@ -53,9 +53,10 @@ class Vectors:
 
 
 def vectors(stitched: StitchedRun, number_: int, kind: str) -> Vectors:
-    """Residuals of one camera's links with weight: from the point in one frame to where the other puts it."""
+    """Return the residuals of a camera's links with weight: from a point to its prediction by the other frame."""
     f, camera = stitched.findings, stitched.opened.setup.cameras[number_]
     links, adjusted = f.problem.links, f.adjusted
+    # Residuals are along the tester's axes, in px. The camera's linear part without its scale turns them to image axes.
     turn = camera.image_from_row.matrix[:2, :2] / camera.px_per_mm
     at, off, count = [np.zeros((0, 2))], [np.zeros((0, 2))], 0
     for n, e in enumerate(links.groups):
@@ -75,7 +76,7 @@ def vectors(stitched: StitchedRun, number_: int, kind: str) -> Vectors:
 
 
 def residual_vectors(stitched: StitchedRun) -> Section:
-    """One drawing per camera; all have the same exaggeration."""
+    """Draw the residuals of each camera, all with the same exaggeration."""
     kinds = list(_COLOURS)
     found = [{kind: vectors(stitched, i, kind) for kind in kinds} for i in range(stitched.cameras)]
     cameras = stitched.opened.setup.cameras
@@ -84,22 +85,23 @@ def residual_vectors(stitched: StitchedRun) -> Section:
         return Section("residuals", "Residuals", "", tag("p", "There are no links.", class_="none"))
     lengths = np.concatenate([np.hypot(*m.off_px.T) for m in shown])
     widest = max(c.width_px for c in cameras)
+    # The 90th percentile, so that a few outliers do not shrink all other vectors.
     factor = round_down(0.8 * widest / _CELLS / max(float(np.percentile(lengths, 90)), 1e-4))
     drawings = [(_camera(stitched, i, v, factor), _caption(i, v)) for i, v in enumerate(found)]
     keys = "".join(
         tag("span", class_="key", style=f"background:{_COLOURS[k]}") + text(f"links {_NAMES[k]}") for k in kinds
     )
     lead = (
-        f"What the links with weight leave over, exaggerated {factor:,.0f}-fold: from where one frame has a point "
-        f"to where the other frame puts it. Thick: means over cells of the frame; thin: single links ({_SINGLE} at "
-        "most). A pattern in the means is a lens, a camera that has moved, or a surface not as estimated."
+        f"Residuals of links with weight, exaggerated {factor:,.0f}-fold: from a point in one frame to its prediction "
+        f"by the other frame. Thick: means over cells of the frame. Thin: single links ({_SINGLE} at most). A pattern "
+        "in the means indicates a lens error, a camera that has moved, or a wrong surface."
     )
     return Section("residuals", "Residuals", lead, tag("p", keys) + figures(*drawings))
 
 
 def _caption(number_: int, found: dict[str, Vectors]) -> str:
-    told = [f"{v.links} {_NAMES[k]}: rms {number(v.rms_px)} px" for k, v in found.items() if v.links]
-    return text(f"camera {number_}: " + ("; ".join(told) or "no links"))
+    parts = [f"{v.links} {_NAMES[k]}: rms {number(v.rms_px)} px" for k, v in found.items() if v.links]
+    return text(f"camera {number_}: " + ("; ".join(parts) or "no links"))
 
 
 def _camera(stitched: StitchedRun, number_: int, found: dict[str, Vectors], factor: float) -> str:
@@ -109,6 +111,7 @@ def _camera(stitched: StitchedRun, number_: int, found: dict[str, Vectors], fact
     frame = tag("rect", width=_WIDTH, height=height, fill="#fafbfb", stroke="#c9ced3")
     content = [frame]
     for kind, v in found.items():
+        # Every k-th link instead of the first ones, so that the whole frame is covered.
         step = max(1, -(-len(v.at_px) // _SINGLE))
         content.append(_arrows(v.at_px[::step], v.off_px[::step], scale, factor, _COLOURS[kind], 0.6, 0.35))
     for kind, v in found.items():
@@ -133,7 +136,7 @@ def _camera(stitched: StitchedRun, number_: int, found: dict[str, Vectors], fact
 def _arrows(
     at_px: Floats, off_px: Floats, scale: float, factor: float, colour: str, thickness: float, opacity: float
 ) -> str:
-    """Lines from places in the direction of vectors, as one path; a dot marks where each starts."""
+    """Draw vectors as one path of lines; a dot marks where each starts."""
     if not len(at_px):
         return ""
     start, end = at_px * scale, (at_px + off_px * factor) * scale

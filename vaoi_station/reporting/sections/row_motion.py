@@ -1,4 +1,4 @@
-"""How the board really moved, row by row, against the belt at its mean speed."""
+"""The motion of the board in every row, compared with a belt of constant velocity."""
 
 from __future__ import annotations
 
@@ -17,32 +17,34 @@ from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.quality.findings import Findings
 
 _FEW_ROWS, _NARROW_PX, _WIDE_PX = 24, 374.0, 1150.0
-"""Curves of few rows stand side by side."""
+"""With few rows the three curves stand side by side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """Where the board was, less where the belt alone would have had it, and the standard deviation of that."""
+    """Position of the board minus that of a belt of constant velocity, with standard deviations."""
 
     velocity_mm_s: Floats
-    """(2,) of the belt it is compared with: as measured, else nominal."""
+    """Velocity (2,) of the belt: the measured one, else the nominal one."""
     value: Floats
     """(m, 3): along and across the motion, µm; yaw, mrad, from image x towards y of the tester."""
     sigma: Floats
-    """(m, 3)."""
+    """Standard deviations (m, 3) of `value`, in the same units."""
     held: tuple[bool, ...]
-    """Rows that evidence holds; of the others the belt tells where they are."""
+    """Per row: True if evidence determines its motion, False if only the nominal motion does."""
 
 
 def deviation(f: Findings) -> Deviation:
-    """Of every row, at the middle of the array, with row 0 as the origin."""
+    """Compute the deviation of every row, at the centre of the array, relative to row 0."""
     motion, times_s = f.adjusted.motion, f.problem.times_s
+    # The longest chain of linked rows gives the best speed; separate chains have no common origin.
     velocity = measured_velocity(motion, times_s, max(f.connected_groups, key=len)) if f.connected_groups else None
     if velocity is None or not np.hypot(*velocity) > 0:
         velocity = np.asarray(f.problem.velocity_mm_s, dtype=np.float64)
     speed = float(np.hypot(*velocity))
     along = velocity / speed if speed else np.array([1.0, 0.0])
     turn = np.array([along, (-along[1], along[0])])
+    # `Motion` maps from the row to the board, the inverse of D_j: the displacement of the board has the other sign.
     off = (-motion.shift - velocity * (times_s - times_s[0])[:, None]) @ turn.T
     m = len(times_s)
     blocks = f.adjusted.covariance[:, :3, :3]
@@ -55,7 +57,7 @@ def deviation(f: Findings) -> Deviation:
 
 
 def row_motion(stitched: StitchedRun) -> Section:
-    """Three curves over the rows."""
+    """Draw the deviations along, across and in yaw over the rows."""
     d = deviation(stitched.findings)
     names = (("along the belt", "µm"), ("across the belt", "µm"), ("yaw", "mrad"))
     width = _NARROW_PX if stitched.head.rows <= _FEW_ROWS else _WIDE_PX
@@ -65,12 +67,12 @@ def row_motion(stitched: StitchedRun) -> Section:
     ]
     x, y = d.velocity_mm_s
     lead = (
-        f"Where the board was in each row, less where a belt of constant velocity ({number(x)}, {number(y)}) mm/s "
-        "would have had it; at the middle of the array, from row 0. The band is ±1 σ; hollow points are rows that "
-        "nothing but the belt places."
+        f"Position of the board in each row minus that of a belt of constant velocity ({number(x)}, {number(y)}) mm/s, "
+        "at the centre of the array, relative to row 0. The band is ±1 σ. Hollow points are rows that only the nominal "
+        "motion places."
     )
     columns = ["row", "time s", "along µm", "σ", "across µm", "σ", "yaw mrad", "σ", "placed by", "σ in the image px"]
-    listed = folded("numbers of every row", table(columns, _rows(stitched, d), 1))
+    listed = folded("figures of every row", table(columns, _rows(stitched, d), 1))
     return Section("motion", "Row motion against the belt", lead, figures(*drawings) + listed)
 
 
@@ -80,6 +82,6 @@ def _rows(stitched: StitchedRun, d: Deviation) -> Sequence[Sequence[str]]:
     out = []
     for j, (value, sigma) in enumerate(zip(d.value, d.sigma, strict=True)):
         pairs = [number(float(v), n) for k, n in enumerate((1, 1, 4)) for v in (value[k], sigma[k])]
-        held = "evidence" if d.held[j] else "the belt"
+        held = "evidence" if d.held[j] else "nominal motion"
         out.append([str(j), number(float(times_s[j]), 4), *pairs, held, number(sigma_px[j])])
     return out

@@ -1,4 +1,4 @@
-"""Seams between cameras, and the fiducials: the two places where a wrong calibration shows first."""
+"""The sections on seams between cameras and on fiducials, where a wrong calibration shows first."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ _COLOURS = ("#22456b", "#c0561a", "#18603f", "#7a2a6b", "#6b6b18", "#1a7f8c")
 
 
 def seams(stitched: StitchedRun) -> Section:
-    """How well neighbouring cameras agree, each pair over all rows."""
+    """Show how well neighbouring cameras agree, each pair over all rows."""
     f, rows = stitched.findings, []
     for i in range(stitched.cameras - 1):
         pairs = [p for p in stitched.pairs if p.links.task.kind == "neighbours" and p.a[0] == i]
         used = sum(p.used for p in pairs)
+        # The mean over all rows weighs each pair of frames by its number of links.
         squares = [p.residual_px**2 * p.used for p in pairs if p.residual_px is not None]
         rms = (sum(squares) / used) ** 0.5 if used else None
         strange = f.non_overlapping_pairs.get((i, i + 1))
-        told = f"shows different things in {strange} rows" if strange else "" if used else "no links"
+        note = f"the frames do not overlap in {strange} rows" if strange else "" if used else "no links"
         rows.append(
-            [f"{i} – {i + 1}", str(used), str(len(pairs)), number(f.seams_px.get((i, i + 1))), number(rms), told]
+            [f"{i} – {i + 1}", str(used), str(len(pairs)), number(f.seams_px.get((i, i + 1))), number(rms), note]
         )
     if not rows:
         return Section("seams", "Seams between cameras", "", tag("p", "There is one camera only.", class_="none"))
     lead = (
-        "The median misfit on the bare board tells whether two cameras are still where they were calibrated; “–” where "
-        "fewer than twelve links say so."
+        "The median residual on the bare board shows whether two cameras are still where they were calibrated; “–” "
+        "with fewer than twelve links."
     )
-    columns = ["cameras", "links", "pairs of frames", "median misfit px", "rms px", ""]
+    columns = ["cameras", "links", "pairs of frames", "median residual px", "rms px", ""]
     return Section("seams", "Seams between cameras", lead, table(columns, rows, 1))
 
 
 def fiducials(stitched: StitchedRun) -> Section:
-    """Where the fiducials were seen against where the stitch has them."""
+    """Compare the detected positions of fiducials with the positions of the result."""
     listed = stitched.result.quality["fiducials"]
     if not listed:
         why = "The board was not found." if stitched.opened.setup.board_type else "There is no board type."
@@ -51,8 +52,10 @@ def fiducials(stitched: StitchedRun) -> Section:
         ]
         for f in listed
     ]
-    columns = ["fiducial", "sightings", "mean x px", "mean y px", "length px"]
-    lead = "Residuals of single sightings along the tester's axes. Two fiducials fix a board; more of them check it."
+    columns = ["fiducial", "detections", "mean x px", "mean y px", "length px"]
+    lead = (
+        "Residuals of single detections along the tester's axes. Two fiducials determine the position; more check it."
+    )
     return Section("fiducials", "Fiducials", lead, figures((_target(stitched), ""), (table(columns, rows, 1), "")))
 
 
@@ -61,7 +64,7 @@ def _length(residual: list[float] | None) -> str:
 
 
 def _target(stitched: StitchedRun) -> str:
-    """Sightings as dots about zero."""
+    """Draw the residuals of detections as dots about zero."""
     f = stitched.findings
     points = f.problem.fiducials
     if points is None or f.plane is None or not (points.which >= 0).any():
@@ -79,7 +82,7 @@ def _target(stitched: StitchedRun) -> str:
     content.append(tag("line", x1=_SIDE / 2, x2=_SIDE / 2, y1=0, y2=_SIDE, stroke="#e2e6e9"))
     names = [x.name for x in f.plane.board_type.fiducials]
     for (x, y), n, row in zip(off, which, rows, strict=True):
-        told = title(f"{names[n]}, row {row}: ({number(float(x))}, {number(float(y))}) px")
+        tooltip = title(f"{names[n]}, row {row}: ({number(float(x))}, {number(float(y))}) px")
         at = {"cx": _SIDE / 2 + float(x) * scale, "cy": _SIDE / 2 + float(y) * scale}
-        content.append(tag("circle", told, **at, r=4.0, fill=_COLOURS[n % len(_COLOURS)], fill_opacity=0.75))
+        content.append(tag("circle", tooltip, **at, r=4.0, fill=_COLOURS[n % len(_COLOURS)], fill_opacity=0.75))
     return drawing(_SIDE, _SIDE, *content, label="residuals of fiducials")

@@ -11,7 +11,7 @@ from vaoi_station.reporting.stitched_run import StitchedRun
 
 
 def head(stitched: StitchedRun, name: str) -> str:
-    """Name of the run, verdict, and why."""
+    """Show the name of the run, its verdict and the reasons."""
     status = str(stitched.result.status)
     heading = tag("h1", text(name), tag("span", text(status), class_="verdict"))
     board_type = stitched.opened.setup.board_type
@@ -23,14 +23,14 @@ def head(stitched: StitchedRun, name: str) -> str:
 
 
 def key_numbers(stitched: StitchedRun) -> Section:
-    """What the verdict rests on."""
+    """List the figures on which the verdict is based."""
     q = stitched.result.quality
     left, right = facts(_accuracy(q)), facts(_evidence(stitched, q))
     return Section("numbers", "Key numbers", "", tag("div", left, right, class_="columns"))
 
 
 def _accuracy(q: dict[str, Any]) -> list[tuple[str, str]]:
-    misfit, belt = q["residual_px"], q["belt"]
+    residual, belt = q["residual_px"], q["belt"]
     parts = q["component_sigma_px"]
     worst = max(parts, key=lambda k: parts[k]) if parts else None
     measured = belt["measured_mm_s"]
@@ -40,9 +40,9 @@ def _accuracy(q: dict[str, Any]) -> list[tuple[str, str]]:
     scale = q["scale_error"]
     return [
         ("σ of positions, worst view", _px(q["cad_sigma_px"]) + (f" ({worst})" if worst else "")),
-        ("links: median misfit", _px(misfit["median"])),
-        ("links: scatter beyond noise", _px(misfit["scatter"])),
-        ("σ₀ of the adjustment", number(misfit["sigma0"], 2) + " (1: as predicted)"),
+        ("links: median residual", _px(residual["median"])),
+        ("links: noise floor", _px(residual["scatter"])),
+        ("σ₀ of the adjustment", number(residual["sigma0"], 2) + " (1: as predicted)"),
         ("scale against CAD", "–" if scale is None else number(scale * 1e6, 0) + " ppm"),
         ("belt, measured", "–" if speed is None else f"{number(speed)} mm/s ({number(error * 100, 2)} %)"),
         ("belt, nominal", f"{number(nominal)} mm/s"),
@@ -54,8 +54,8 @@ def _evidence(stitched: StitchedRun, q: dict[str, Any]) -> list[tuple[str, str]]
     names = {
         "rows": "links from row to row",
         "neighbours": "links between cameras",
-        "fiducials": "sightings of fiducials",
-        "fixture": "sightings of fixture marks",
+        "fiducials": "detections of fiducials",
+        "fixture": "detections of fixture marks",
         "reference": "points of the reference",
     }
     found = {kind: c for kind, c in q["links"].items() if c["found"]}
@@ -65,7 +65,7 @@ def _evidence(stitched: StitchedRun, q: dict[str, Any]) -> list[tuple[str, str]]
     present, frames = len(stitched.opened.present), stitched.cameras * stitched.head.rows
     views = stitched.result.components or {}
     return [
-        ("frames", f"{present} of {frames} arrived, {_placed(stitched)} placed"),
+        ("frames", f"{present} of {frames} delivered, {_placed(stitched)} placed"),
         ("pairs of frames linked", f"{linked} of {len(pairs)}"),
         *counts,
         ("components in view", f"{sum(1 for v in views.values() if v)} of {len(views)}" if views else "–"),

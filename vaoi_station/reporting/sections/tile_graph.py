@@ -1,4 +1,4 @@
-"""The tile graph: frames where the stitch puts them on the board, and the links that hold them there."""
+"""The tile graph: frames at their stitched positions on the board, and the links between them."""
 
 from __future__ import annotations
 
@@ -19,28 +19,29 @@ _WIDEST, _TALLEST, _MARGIN = 1180.0, 1000.0, 24.0
 _SCORES = Scale(0.80, 1.0, GOOD)
 _UNLINKED = "#b00020"
 _MOST_NAMED = 120
-"""With more tiles their names would cover them."""
+"""With more tiles no names are drawn, because they would cover the tiles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where tiles are drawn: `corners` (4, 2) in user units, by frame."""
+    """Positions of the tiles: `corners` (4, 2) in user units, by frame."""
 
     corners: dict[FrameKey, Floats]
     width: float
     height: float
 
     def middle(self, key: FrameKey) -> Floats:
-        """Centre of a tile, (2,)."""
+        """Return the centre of a tile, (2,)."""
         return np.asarray(self.corners[key].mean(0))
 
 
 def layout(stitched: StitchedRun) -> Layout:
-    """The board as the cameras see it, as large as there is room for."""
+    """Place the tiles as the cameras see the board, as large as the drawing allows."""
     f, cameras = stitched.findings, stitched.opened.setup.cameras
     upright = _quarter_turn(cameras[0].image_from_row.matrix[:2, :2])
     corners = {}
     for i, j in stitched.opened.present:
+        # A row without a known motion has no position on the board.
         if not f.placed[j]:
             continue
         c = cameras[i]
@@ -57,18 +58,19 @@ def layout(stitched: StitchedRun) -> Layout:
 
 
 def tile_graph(stitched: StitchedRun) -> Section:
-    """Tiles with their pictures, edges with their scores, and the pairs that were not linked."""
+    """Draw tiles with their pictures, edges with their scores, and list the pairs without links."""
     plan = layout(stitched)
     if not plan.corners:
         return Section("tiles", "Tile graph", "", tag("p", "No frame could be placed.", class_="none"))
     tiles = "".join(_tile(stitched, plan, key) for key in sorted(plan.corners, key=lambda k: (k[1], k[0])))
+    # Strong edges are drawn last, on top of weak ones.
     edges = "".join(_edge(plan, p) for p in sorted(stitched.pairs, key=lambda p: p.used))
     nodes = "".join(_node(plan, key) for key in plan.corners)
     drawn = drawing(plan.width, plan.height, tiles, edges, nodes, label="frames on the board, and their links")
     lead = (
-        "Frames where the stitch puts them, in board coordinates, as the cameras see the board. An edge is a pair of "
-        "frames that was looked at for links: its colour is their mean correlation, its width how many have weight; "
-        "bowed edges skip a row; tiles are named by camera and row. Dashed red: looked at, and not linked."
+        "Frames at their stitched positions, in board coordinates, as the cameras see the board. An edge is a pair of "
+        "frames that was searched for links: its colour is their mean correlation, its width the number with weight. "
+        "Curved edges skip a row. Tiles are named by camera and row. Dashed red edges: no link was found."
     )
     keys = [0.80, 0.85, 0.90, 0.95, 1.0]
     legend = tag("p", *(tag("span", class_="key", style=f"background:{_SCORES(v)}") + text(number(v, 2)) for v in keys))
@@ -85,8 +87,8 @@ def _tile(stitched: StitchedRun, plan: Layout, key: FrameKey) -> str:
 
 def _node(plan: Layout, key: FrameKey) -> str:
     x, y = (float(v) for v in plan.middle(key))
-    told = title(f"camera {key[0]}, row {key[1]}")
-    node = tag("circle", told, cx=x, cy=y, r=3.5, fill="#fff", stroke="#1c2126", stroke_width=1)
+    tooltip = title(f"camera {key[0]}, row {key[1]}")
+    node = tag("circle", tooltip, cx=x, cy=y, r=3.5, fill="#fff", stroke="#1c2126", stroke_width=1)
     if len(plan.corners) > _MOST_NAMED:
         return node
     name = f"{key[0]}, {key[1]}"
@@ -98,24 +100,27 @@ def _edge(plan: Layout, pair: FramePair) -> str:
     if pair.a not in plan.corners or pair.b not in plan.corners:
         return ""
     (ax, ay), (bx, by) = plan.middle(pair.a), plan.middle(pair.b)
-    told = f"camera {pair.a[0]} row {pair.a[1]} – camera {pair.b[0]} row {pair.b[1]}: "
+    tooltip = f"camera {pair.a[0]} row {pair.a[1]} – camera {pair.b[0]} row {pair.b[1]}: "
     path = f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}"
+    # A straight edge over two rows would cover the edges between them.
     if abs(pair.a[1] - pair.b[1]) > 1:
         bow_x, bow_y = (ax + bx) / 2 + (by - ay) * 0.22, (ay + by) / 2 - (bx - ax) * 0.22
         path = f"M{ax:.1f} {ay:.1f}Q{bow_x:.1f} {bow_y:.1f} {bx:.1f} {by:.1f}"
     if not len(pair.links.a_px):
-        told += pair.links.note
-        return tag("path", title(told), d=path, fill="none", stroke=_UNLINKED, stroke_dasharray="5 4", stroke_width=1.6)
-    told += f"{pair.used} of {len(pair.links.a_px)} links, correlation {number(pair.score, 2)}"
+        tooltip += pair.links.note
+        return tag(
+            "path", title(tooltip), d=path, fill="none", stroke=_UNLINKED, stroke_dasharray="5 4", stroke_width=1.6
+        )
+    tooltip += f"{pair.used} of {len(pair.links.a_px)} links, correlation {number(pair.score, 2)}"
     if pair.residual_px is not None:
-        told += f", rms {number(pair.residual_px)} px"
+        tooltip += f", rms {number(pair.residual_px)} px"
     width = 1.0 + 3.5 * min(pair.used / 80, 1.0)
     halo = tag("path", d=path, fill="none", stroke="#fff", stroke_width=width + 1.6, stroke_opacity=0.8)
-    return halo + tag("path", title(told), d=path, fill="none", stroke=_SCORES(pair.score), stroke_width=width)
+    return halo + tag("path", title(tooltip), d=path, fill="none", stroke=_SCORES(pair.score), stroke_width=width)
 
 
 def _unlinked(stitched: StitchedRun) -> str:
-    """Why pairs were not linked: reasons with their pairs."""
+    """List the reasons why pairs have no links, with their pairs."""
     by_reason: dict[str, list[str]] = defaultdict(list)
     for pair in stitched.pairs:
         if not len(pair.links.a_px):
@@ -124,11 +129,11 @@ def _unlinked(stitched: StitchedRun) -> str:
         return ""
     rows = [[reason, str(len(pairs)), ", ".join(pairs)] for reason, pairs in by_reason.items()]
     total = sum(map(len, by_reason.values()))
-    return folded(f"pairs that were not linked, and why: {total}", table(["reason", "pairs", "(camera, row)"], rows))
+    return folded(f"pairs without links, with reasons: {total}", table(["reason", "pairs", "(camera, row)"], rows))
 
 
 def _quarter_turn(linear: Floats) -> Floats:
-    """The nearest of the eight ways to lay axes onto axes."""
+    """Return the nearest of the eight mappings of axes to axes (quarter turns, with and without mirroring)."""
     if abs(linear[0, 0]) + abs(linear[1, 1]) >= abs(linear[0, 1]) + abs(linear[1, 0]):
         return np.diag(np.sign(np.diag(linear)))
     return np.array([[0.0, np.sign(linear[0, 1])], [np.sign(linear[1, 0]), 0.0]])
