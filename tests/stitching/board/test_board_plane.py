@@ -1,0 +1,81 @@
+"""The plane of a board type: flat coordinates, C as a matrix, handedness, the expected direction."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.similarity import apply_similarity
+from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle
+from vaoi_station.stitching.board.expectation import Expectation
+
+numbers = st.floats(-50, 50)
+
+
+def board(y_axis: str = "up", side: str = "top") -> BoardType:
+    marks = [{"name": "A", "x": 1.0, "y": 2.0, "diameter": 1.0}, {"name": "B", "x": 30.0, "y": 15.0, "diameter": 1.0}]
+    outline = [[0, 0], [40, 20]]
+    return BoardType.model_validate(
+        {"name": "b", "y_axis": y_axis, "side": side, "outline": outline, "fiducials": marks}
+    )
+
+
+@given(a=numbers, b=numbers, x=numbers, y=numbers, mirrored=st.booleans(), place=st.tuples(numbers, numbers))
+def test_matrix_and_similarity_map_points_alike(
+    a: float, b: float, x: float, y: float, mirrored: bool, place: tuple[float, float]
+) -> None:
+    plane, c, cad = BoardPlane(board(), mirrored), np.array([a, b, x, y]), np.array([place])
+    assert apply(plane.matrix(c), cad) == pytest.approx(apply_similarity(c, plane.flat(cad)), abs=1e-9)
+
+
+@given(st.booleans(), st.tuples(numbers, numbers))
+def test_cad_undoes_flat(mirrored: bool, place: tuple[float, float]) -> None:
+    plane = BoardPlane(board(), mirrored)
+    assert plane.cad(plane.flat(np.array([place]))) == pytest.approx(np.array([place]))
+
+
+@given(a=numbers, b=numbers, mirrored=st.booleans())
+def test_the_sign_of_the_determinant_is_the_handedness(a: float, b: float, mirrored: bool) -> None:
+    matrix = BoardPlane(board(), mirrored).matrix(np.array([a, b, 1.0, 2.0]))
+    assert np.linalg.det(matrix) == pytest.approx((a * a + b * b) * (-1 if mirrored else 1), abs=1e-6)
+
+
+@pytest.mark.parametrize("y_up", [False, True])
+@pytest.mark.parametrize(
+    ("y_axis", "side", "mirrors"),
+    [("up", "top", True), ("down", "top", False), ("up", "bottom", False), ("down", "bottom", True)],
+)
+def test_handedness_is_the_table_of_the_conventions(
+    workshop: Any, y_axis: str, side: str, mirrors: bool, y_up: bool
+) -> None:
+    camera = workshop.camera(y_up=y_up)
+    plane = board_plane(board(y_axis, side), camera)
+    image_from_cad = camera.image_from_row.matrix @ plane.matrix(np.array([1.0, 0.0, 0.0, 0.0]))
+    assert (np.linalg.det(image_from_cad) < 0) == mirrors
+
+
+def test_fiducials_are_flipped_with_the_plane() -> None:
+    assert BoardPlane(board(), mirrored=False).fiducials.tolist() == [[1, 2], [30, 15]]
+    assert BoardPlane(board(), mirrored=True).fiducials.tolist() == [[1, -2], [30, -15]]
+    bare = BoardType.model_validate({"name": "b", "outline": [[0, 0], [1, 1]]})
+    assert BoardPlane(bare, mirrored=True).fiducials.shape == (0, 2)
+
+
+@pytest.mark.parametrize("side", ["top", "bottom"])
+@pytest.mark.parametrize("turn", [0.0, 0.3, -1.2])
+@pytest.mark.parametrize("mounted", [0.0, 0.05, -0.4])
+def test_expected_angle_follows_side_camera_and_expectation(
+    workshop: Any, side: str, turn: float, mounted: float
+) -> None:
+    """An image direction turned by `turn` is a tester direction turned by it, less the mounting of the camera."""
+    camera = workshop.camera(angle_rad=mounted)
+    found = expected_angle(board_plane(board(side=side), camera), camera, Expectation(angle_rad=turn))
+    expected = turn - mounted + (math.pi if side == "bottom" else 0.0)
+    assert math.cos(found - expected) == pytest.approx(1.0, abs=1e-9)

@@ -1,0 +1,86 @@
+"""A reference run: its links become points known in CAD, and its C a first guess."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity
+from vaoi_station.stitching.matching.evidence import Links, Task
+
+PLANE = BoardPlane(BoardType.model_validate({"name": "b", "outline": [[0, 0], [30, 20]]}), mirrored=True)
+C = np.array([1.0, 0.02, -12.0, 8.0])
+D = (np.eye(3), np.array([[1.0, 0, 0.1], [0, 1, 6.0], [0, 0, 1]]))
+
+
+def reference(c: np.ndarray | None = None) -> Reference:
+    stitch = Stitch(
+        method="auto", image_matrices=(), cad_matrix=PLANE.matrix(C if c is None else c), row_motion=D, status=Status.OK
+    )
+    return Reference(stitch, frozenset({(0, 0), (0, 1)}))
+
+
+def links(task: Task, a_px: np.ndarray, b_px: np.ndarray, sigma_px: float = 0.02) -> Links:
+    k = len(a_px)
+    return Links(task, a_px, b_px, np.tile(np.eye(2) / sigma_px**2, (k, 1, 1)), np.ones(k))
+
+
+def test_frames_that_the_reference_lacks_have_no_task() -> None:
+    assert reference().task((0, 1)) == Task("reference", (0, 1), (0, 1))
+    assert reference().task((1, 0)) is None
+
+
+def test_linked_points_have_the_cad_places_of_the_reference(workshop: Any) -> None:
+    """The run's board lies 0.3 mm further: pixels differ, CAD places do not."""
+    camera, g = workshop.camera(), np.random.default_rng(0)
+    cad = g.uniform((5, 3), (18, 12), (20, 2))
+    board = apply(PLANE.matrix(C), cad)
+    found = []
+    for row in (0, 1):
+        there = apply(D[row], board)
+        a_px, b_px = camera.project(there + (0.3, 0.0)), camera.project(there)
+        found.append(links(Task("reference", (0, row), (0, row)), a_px, b_px))
+    points = cad_points(found, (camera,), PLANE, reference())
+    assert points.row.tolist() == [0] * 20 + [1] * 20
+    assert set(points.which.tolist()) == {REFERENCE}
+    np.testing.assert_allclose(points.cad, np.tile(PLANE.flat(cad), (2, 1)), atol=1e-9)
+    np.testing.assert_allclose(points.ground_mm[:20], board + (0.3, 0.0), atol=1e-9)
+    assert points.px_per_mm == pytest.approx(10.0)
+
+
+def test_many_links_of_a_frame_do_not_average_their_shared_error_away(workshop: Any) -> None:
+    camera = workshop.camera()
+
+    def sigma_of_mean(count: int) -> float:
+        px = np.random.default_rng(1).uniform(20, 140, (count, 2))
+        task = Task("reference", (0, 0), (0, 0))
+        points = cad_points([links(task, px, px)], (camera,), PLANE, reference())
+        return float(points.sigma_mm[0] * 10.0 / np.sqrt(count))
+
+    assert sigma_of_mean(4) > sigma_of_mean(50) > sigma_of_mean(2000) > 0.005
+
+
+def test_without_links_there_are_no_points(workshop: Any) -> None:
+    task = Task("reference", (0, 0), (0, 0))
+    assert len(cad_points([Links.empty(task, "no texture")], (workshop.camera(),), PLANE, reference()).row) == 0
+
+
+def test_the_first_c_is_that_of_the_reference_shifted_to_the_run() -> None:
+    """A fifth of the links is false; the median ignores them."""
+    g = np.random.default_rng(2)
+    cad = g.uniform(0, 20, (50, 2))
+    motion: Motion = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
+    board = apply(PLANE.matrix(C), cad) + (0.8, -1.5)
+    board[::5] += g.uniform(5, 9, (10, 2))
+    none = np.zeros((50, 2))
+    points = FiducialPoints(
+        np.zeros(50, dtype=np.int_), board, none, PLANE.flat(cad), np.ones(50), np.ones(50), np.full(50, REFERENCE)
+    )
+    assert initial_similarity(PLANE, reference(), points, motion) == pytest.approx(C + (0, 0, 0.8, -1.5), abs=1e-9)

@@ -1,0 +1,120 @@
+"""Agreement of fiducials, CAD data and outline, on results that are made up exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.outline import OutlineShift
+from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
+
+MARKS = [(2.0, 2.0), (38.0, 3.0), (20.0, 18.0), (3.0, 17.0)]
+BOARD = BoardType.model_validate(
+    {
+        "name": "b",
+        "y_axis": "down",
+        "outline": [[0, 0], [40, 20]],
+        "fiducials": [{"name": f"F{k}", "x": x, "y": y, "diameter": 1.0} for k, (x, y) in enumerate(MARKS)],
+    }
+)
+PLANE = BoardPlane(BOARD, mirrored=False)
+STILL: Motion = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
+C = np.array([1.0, 0.0, -20.0, -10.0])
+
+
+def points(count: int = 4, sigma_px: float = 0.02) -> FiducialPoints:
+    """The first fiducials, each detected once, exactly where the CAD data put them."""
+    flat, which = PLANE.fiducials[:count], np.arange(count)
+    row, none = np.zeros(count, dtype=np.int_), np.zeros((count, 2))
+    ground = apply(PLANE.matrix(C), flat)
+    return FiducialPoints(row, ground, none, flat, np.full(count, sigma_px / 10), np.full(count, 10.0), which)
+
+
+def adjusted(count: int = 4, scale: float = 1.0, surface: tuple[float, ...] = ()) -> AdjustmentResult:
+    none, pairs = np.zeros(0), np.zeros((0, 2))
+    c = C * (scale, scale, 1, 1)
+    return AdjustmentResult(
+        STILL,
+        c,
+        np.array(surface),
+        np.zeros((2, 0)),
+        np.zeros((1, 7, 7)),
+        none,
+        pairs,
+        none,
+        np.zeros((count, 2)),
+        0.01,
+        1.0,
+    )
+
+
+def test_sound_data_give_no_reason() -> None:
+    assert fiducial_reasons(PLANE, adjusted(), points(), STILL, 10.0) == []
+    without_c = replace(adjusted(), similarity=None)
+    assert fiducial_reasons(PLANE, without_c, points(), STILL, 10.0) == []
+    assert fiducial_reasons(PLANE, adjusted(), None, STILL, 10.0) == []
+
+
+@pytest.mark.parametrize("wrong", range(4))
+def test_the_wrong_fiducial_of_four_is_named(wrong: int) -> None:
+    seen, residual = points(), np.zeros((4, 2))
+    seen.ground_mm[wrong] += (0.2, -0.1)
+    residual[wrong] = (0.8, -0.4)
+    reasons = fiducial_reasons(PLANE, replace(adjusted(), fiducial_px=residual), seen, STILL, 10.0)
+    assert reasons[0] == f"fiducial F{wrong} lies 0.89 px from its place (limit 0.3)"
+    assert reasons[1].startswith(f"without fiducial F{wrong} the others agree: it lies 0.22 mm (2.2 px)")
+
+
+def test_of_two_fiducials_none_is_named() -> None:
+    seen, residual = points(2), np.array([[0.0, 0.0], [0.8, -0.4]])
+    seen.ground_mm[1] += (0.2, -0.1)
+    reasons = fiducial_reasons(PLANE, replace(adjusted(2), fiducial_px=residual), seen, STILL, 10.0)
+    assert len(reasons) == 1
+
+
+@pytest.mark.parametrize(("scale", "text"), [(1.002, "+0.20%"), (0.997, "-0.30%")])
+def test_a_scale_beyond_laminate_is_a_reason(scale: float, text: str) -> None:
+    (reason,) = fiducial_reasons(PLANE, adjusted(2, scale), points(2), STILL, 10.0)
+    assert reason.startswith(f"the board appears {text} larger than its CAD data (limit 0.05%)")
+    assert fiducial_reasons(PLANE, adjusted(2, 1.0004), points(2), STILL, 10.0) == []
+
+
+@pytest.mark.parametrize(("term", "text"), [(1, "tilt along x"), (2, "tilt along y"), (3, "bow along x"), (4, "twist")])
+def test_a_surface_that_no_board_has_is_a_reason(term: int, text: str) -> None:
+    surface = [0.0] * 6
+    surface[term] = -2.0
+    (reason,) = fiducial_reasons(PLANE, adjusted(2, surface=tuple(surface)), points(2), STILL, 10.0)
+    assert f"a board with a {text} of -2.00 mm" in reason
+
+
+def test_a_lifted_board_is_no_reason() -> None:
+    assert fiducial_reasons(PLANE, adjusted(2, surface=(3.0, 0, 0, 0, 0, 0)), points(2), STILL, 10.0) == []
+
+
+def test_fiducials_without_a_good_detection_are_named() -> None:
+    seen = FiducialPoints.joined([points(2, 0.5), points(1, 0.05)])
+    assert uncertain_detections(PLANE, seen, 0.2).endswith("in a glare: F1 ± 0.50 px"), "F0 has a good one"
+    assert uncertain_detections(PLANE, points(), 0.2) == uncertain_detections(PLANE, None, 0.2) == ""
+
+
+def shift(x: float, y: float, turn_rad: float = 0.0) -> OutlineShift:
+    return OutlineShift(np.array([x, y]), np.diag([0.01, 0.01]), turn_rad, 1e-3, 25.0, 30)
+
+
+def test_an_outline_off_its_place_is_a_reason() -> None:
+    assert outline_reasons(None, 10.0) == outline_reasons(shift(0.3, -0.2), 10.0) == []
+    (reason,) = outline_reasons(shift(1.2, 0.1), 10.0)
+    assert reason.startswith("the board's outline lies 1.20 mm (12 px) from where the fiducials put it, (+1.20, +0.10)")
+
+
+def test_a_turned_outline_is_a_reason() -> None:
+    assert outline_reasons(shift(0, 0, 0.006), 10.0) == [], "0.15 mm at the ends: boards are cut so"
+    (reason,) = outline_reasons(shift(0, 0, 0.02), 10.0)
+    assert reason.startswith("the board's outline is turned by +20.0 ± 1.0 mrad against the fiducials, 0.50 mm (5 px)")
