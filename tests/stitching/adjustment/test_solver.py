@@ -1,4 +1,4 @@
-"""The adjustment on links made from a known truth: two cameras, six rows, a board with parts, lifted and bent."""
+"""The adjustment on simulated links with a known truth: two cameras, six rows, a board with parts, lifted and bent."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ C = np.array([0.9998, 0.012, 0.4, -0.7])
 FIDUCIALS = np.array([[-13.0, -40.0], [12.0, 4.0], [13.0, -38.0]])
 STATED_PX, REAL_PX, PAIR_PX = 0.01, 0.03, 0.006
 MARK_PX = 0.005
-"""What every sighting is off, and once more what all of one fiducial are off."""
+"""Standard deviation of each detection, and of the error that all detections of one fiducial share."""
 
 
 @dataclass
 class Bench:
-    """A truth, and what would be seen of it."""
+    """A known truth, and its observations."""
 
     g: np.random.Generator
     cameras: tuple[Camera, ...]
@@ -48,7 +48,7 @@ class Bench:
     pair_px: float = PAIR_PX
 
     def height(self, board: Array, component: NDArray[np.int_]) -> Array:
-        """Of board points: the surface, and the part that stands there."""
+        """Height of board points: the surface, and the part on it."""
         cad = (board - C[2:]) @ np.array([[C[0], -C[1]], [C[1], C[0]]]) / (C[0] ** 2 + C[1] ** 2)
         return np.asarray(basis(BOARD, cad) @ self.surface + np.append(self.heights, 0.0)[component])
 
@@ -56,7 +56,7 @@ class Bench:
         return self.cameras[camera].project(self.motion.row_from_tester(row)(board), height)
 
     def links(self, a: tuple[int, int], b: tuple[int, int], count: int = 40) -> tuple[Links, NDArray[np.int_]]:
-        """Links between two frames with their noise, and the component each lies on."""
+        """Noisy links between two frames, and the component each lies on."""
         board = self.g.uniform((-22, -62), (22, 22), (4000, 2))
         component = np.where(self.g.random(4000) < 0.3, self.g.integers(0, max(len(self.heights), 1), 4000), -1)
         component = component if len(self.heights) else np.full(4000, -1)
@@ -70,7 +70,7 @@ class Bench:
         return Links(task, pa[both], pb[both] + noise, information, np.ones(len(both))), component[both]
 
     def problem(self, *, without: tuple[int, ...] = (), outliers: float = 0.0) -> Problem:
-        """All links of the run, but none that touch some rows."""
+        """The problem of all links of the run except those of some rows."""
         frames = [((i, p), (i, q)) for i in (0, 1) for p, q in pairwise(range(ROWS))]
         frames += [((0, j), (1, j)) for j in range(ROWS)]
         made = [self.links(a, b) for a, b in frames if not {a[1], b[1]} & set(without)]
@@ -83,7 +83,7 @@ class Bench:
         return Problem(TIMES, VELOCITY, to_observations([e for e, _ in made], self.cameras), component)
 
     def with_fiducials(self, problem: Problem, *, surface: bool = False) -> Problem:
-        """The problem with every sighting of the fiducials."""
+        """The problem with all detections of the fiducials."""
         board = apply_similarity(C, FIDUCIALS)
         height = self.height(board, np.full(len(board), -1))
         artwork = self.g.normal(0, MARK_PX, (len(board), 2))
@@ -132,7 +132,7 @@ def started(problem: Problem) -> Motion:
     return chain_links(nominal_motion(TIMES, VELOCITY, np.array([0.0, 0.0])), problem.links)
 
 
-def test_the_motion_comes_out_of_noisy_links(bench: Any) -> None:
+def test_the_motion_is_estimated_from_noisy_links(bench: Any) -> None:
     truth = bench(1)
     problem = truth.problem()
     found = adjust(problem, started(problem))
@@ -146,7 +146,7 @@ def test_the_motion_comes_out_of_noisy_links(bench: Any) -> None:
     assert found.sigma0 == pytest.approx(1.0, abs=0.3)
 
 
-def test_a_start_by_some_of_many_links_leads_to_the_same_and_few_are_not_thinned(bench: Any) -> None:
+def test_a_subsampled_start_leads_to_the_same_solution_and_few_links_are_not_subsampled(bench: Any) -> None:
     truth = bench(1)
     few = truth.problem()
     assert solve_subsampled(few, started(few)) is None
@@ -167,9 +167,7 @@ def test_a_start_by_some_of_many_links_leads_to_the_same_and_few_are_not_thinned
     assert (seen.weight > 0.5).mean() > 0.9
 
 
-def test_a_sample_of_many_links_is_of_the_kind_that_code_is_compiled_for(
-    bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sample_of_many_links_needs_no_other_compiled_variant(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = bench(1)
     problem = truth.problem()
     adjust(problem, started(problem))
@@ -180,7 +178,7 @@ def test_a_sample_of_many_links_is_of_the_kind_that_code_is_compiled_for(
     assert set(code.signatures) == before
 
 
-def test_a_fifth_of_wild_links_does_not_matter(bench: Any) -> None:
+def test_a_fifth_of_outliers_does_not_matter(bench: Any) -> None:
     truth = bench(2)
     problem = truth.problem(outliers=0.2)
     found = adjust(problem, started(problem))
@@ -189,11 +187,11 @@ def test_a_fifth_of_wild_links_does_not_matter(bench: Any) -> None:
     assert (found.weight < 0.05).mean() == pytest.approx(0.2, abs=0.05)
 
 
-def test_without_noise_the_truth_is_met(bench: Any) -> None:
+def test_without_noise_the_solution_is_the_truth(bench: Any) -> None:
     truth = replace(bench(3), real_px=0.0, pair_px=0.0)
     problem = truth.problem()
     error = truth.errors(adjust(problem, started(problem))).reshape(-1, 3)
-    assert np.abs(error[:, 1:]).max() * PX_PER_MM < 0.005, "the belt's prior pulls that much"
+    assert np.abs(error[:, 1:]).max() * PX_PER_MM < 0.005, "the bias of the belt's prior"
 
 
 def test_the_stated_covariance_is_that_of_the_errors(bench: Any) -> None:
@@ -209,7 +207,7 @@ def test_the_stated_covariance_is_that_of_the_errors(bench: Any) -> None:
     assert 0.5 < np.mean(normalised) < 2.0
 
 
-def test_rows_nobody_sees_stay_where_the_belt_puts_them(bench: Any) -> None:
+def test_rows_without_links_stay_where_the_belt_puts_them(bench: Any) -> None:
     truth = bench(4)
     problem = truth.problem(without=(5,))
     found = adjust(problem, started(problem))
@@ -222,7 +220,7 @@ def test_rows_nobody_sees_stay_where_the_belt_puts_them(bench: Any) -> None:
     assert found.motion.shift[5] - found.motion.shift[4] == pytest.approx(mean_step, abs=0.3)
 
 
-def test_without_any_link_the_belt_is_all_there_is(bench: Any) -> None:
+def test_without_any_link_the_motion_is_that_of_the_belt(bench: Any) -> None:
     truth = bench(5)
     problem = Problem(TIMES, VELOCITY, to_observations([], truth.cameras), np.zeros(0, dtype=np.int_))
     found = adjust(problem, nominal_motion(TIMES, VELOCITY, np.array([0.0, 0.0])))
@@ -232,13 +230,13 @@ def test_without_any_link_the_belt_is_all_there_is(bench: Any) -> None:
     assert (np.diff(sigma[:, 2]) > 0).all(), "the further, the less sure"
 
 
-def test_one_row_alone(bench: Any) -> None:
+def test_a_single_row_is_the_identity(bench: Any) -> None:
     problem = Problem(TIMES[:1], VELOCITY, to_observations([], bench().cameras), np.zeros(0, dtype=np.int_))
     found = adjust(problem, nominal_motion(TIMES[:1], VELOCITY, np.array([0.0, 0.0])))
     assert not found.motion.shift.any()
 
 
-def test_c_comes_out_of_the_sightings_with_its_uncertainty(bench: Any) -> None:
+def test_c_is_estimated_from_detections_with_its_uncertainty(bench: Any) -> None:
     normalised = []
     for seed in range(12):
         truth = bench(200 + seed)
@@ -255,7 +253,7 @@ def test_c_comes_out_of_the_sightings_with_its_uncertainty(bench: Any) -> None:
     assert 0.3 < np.mean(normalised) < 2.0
 
 
-def test_heights_of_parts_are_told_apart_from_motion(bench: Any) -> None:
+def test_heights_of_parts_are_separated_from_motion(bench: Any) -> None:
     heights = (0.0, 0.1, 0.2, 0.3)
     truth = bench(7, heights=heights)
     problem = truth.problem()
@@ -265,7 +263,7 @@ def test_heights_of_parts_are_told_apart_from_motion(bench: Any) -> None:
     assert np.hypot(*error[:, 1:].T).max() * PX_PER_MM < 0.05
 
 
-def test_links_on_tall_parts_are_left_out_and_no_height_is_made_up(bench: Any) -> None:
+def test_links_on_tall_parts_are_outliers_and_give_no_height(bench: Any) -> None:
     truth = bench(7, heights=(0.1, 3.0))
     problem = truth.problem()
     found = adjust(problem, started(problem))

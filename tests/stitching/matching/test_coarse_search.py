@@ -1,3 +1,5 @@
+"""The coarse search finds the deviation from the nominal motion, or refuses with a reason."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -32,7 +34,7 @@ def frame(workshop: Any) -> PreparedFrame:
     nominal=st.tuples(st.integers(-200, 200), st.integers(-200, 200)),
     slip=st.tuples(st.integers(-36, 36), st.integers(-36, 36)),
 )
-def test_what_the_belt_did_beyond_its_nominal_motion(
+def test_the_deviation_from_the_nominal_motion_is_found(
     workshop: Any, frame: PreparedFrame, nominal: tuple[int, int], slip: tuple[int, int]
 ) -> None:
     shift = (nominal[0] + slip[0], nominal[1] + slip[1])
@@ -50,13 +52,13 @@ def test_a_narrow_overlap_is_enough(workshop: Any, frame: PreparedFrame) -> None
     assert found.px == pytest.approx([0, 10], abs=2)
 
 
-def test_too_narrow_an_overlap_says_so(frame: PreparedFrame) -> None:
+def test_too_narrow_an_overlap_is_refused(frame: PreparedFrame) -> None:
     found = find_shift(frame, frame, (0, 470, 640, 480), np.array([0.0, -470.0]), REACH)
     assert isinstance(found, Failure)
     assert "640×10 px is too narrow" in found.reason
 
 
-def test_an_empty_overlap_says_so(workshop: Any, frame: PreparedFrame) -> None:
+def test_an_empty_overlap_is_refused(workshop: Any, frame: PreparedFrame) -> None:
     g = np.random.default_rng(2)
     belt = PreparedFrame(workshop.digitised(20 + g.normal(0, 2, SIZE[::-1])))
     found = find_shift(belt, frame, (0, 0, 640, 300), np.array([0.0, 100.0]), REACH)
@@ -64,7 +66,7 @@ def test_an_empty_overlap_says_so(workshop: Any, frame: PreparedFrame) -> None:
     assert "the overlap is empty" in found.reason
 
 
-def test_other_texture_does_not_fit(workshop: Any, frame: PreparedFrame) -> None:
+def test_different_texture_does_not_fit(workshop: Any, frame: PreparedFrame) -> None:
     other = PreparedFrame(workshop.waves(8, finest=12.0, coarsest=40.0).picture(*SIZE))
     found = find_shift(frame, other, (0, 0, 640, 380), np.array([0.0, 100.0]), REACH)
     assert isinstance(found, Failure)
@@ -72,7 +74,7 @@ def test_other_texture_does_not_fit(workshop: Any, frame: PreparedFrame) -> None
 
 
 @pytest.mark.parametrize("slip", [(-14, 9), (15, -15), (0, 0)])
-def test_of_repeating_places_the_one_within_the_prior_is_taken(workshop: Any, slip: tuple[int, int]) -> None:
+def test_the_repetition_within_the_prior_is_taken(workshop: Any, slip: tuple[int, int]) -> None:
     y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
 
     def pins(dx: float, dy: float) -> PreparedFrame:
@@ -102,7 +104,7 @@ def test_correlations_are_those_of_opencv(template: tuple[int, int], window: tup
     assert found[~empty] == pytest.approx(expected[~empty], abs=2e-6)
 
 
-def test_the_highest_maxima_are_told_once_each_and_between_samples() -> None:
+def test_the_highest_maxima_are_listed_once_with_subsample_positions() -> None:
     y, x = np.mgrid[:30, :40].astype(float)
     hills = [(1.0, 11.3, 8.6), (0.9, 30.0, 20.25), (0.5, 4.5, 25.0)]
     surface = sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 18) for h, u, v in hills).astype(np.float32)
@@ -112,7 +114,7 @@ def test_the_highest_maxima_are_told_once_each_and_between_samples() -> None:
     assert best_peaks(np.zeros((3, 4), np.float32), 2) == pytest.approx(np.zeros((1, 3)))
 
 
-def test_where_half_the_size_tells_several_places_full_size_decides(workshop: Any) -> None:
+def test_full_size_decides_between_several_peaks_of_half_size(workshop: Any) -> None:
     """A weave whose pattern repeats but for its finest strokes."""
     x = np.arange(float(SIZE[0]))
     fine = workshop.waves(9, finest=9.0, coarsest=16.0).levels(*SIZE) - 128

@@ -1,4 +1,4 @@
-"""Fiducials that lie, painted into the frames of a board of the twin: a result is right, admits its error, or warns."""
+"""Misleading fiducials in the frames of a simulated board: the result is right, states its error, or warns."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def look_alikes(x_mm: float, y_mm: float) -> Paint:
 
 
 def cover(from_mm: float) -> Paint:
-    """What lies on a mark from there on to the right."""
+    """Cover a mark from there on to the right."""
 
     def paint(picture: Picture, place: NDArray[np.float64], px_per_mm: float) -> None:
         x, y = place
@@ -73,7 +73,7 @@ def glare(levels: float) -> Paint:
 
 
 @pytest.mark.parametrize("paint", [cover(0.4), cover(0.35), cover(0.3), glare(60), glare(120), glare(180)])
-def test_marks_that_are_covered_or_in_a_glare_admit_what_they_are_off(filmed: Any, paint: Paint) -> None:
+def test_covered_or_glaring_marks_state_their_error(filmed: Any, paint: Paint) -> None:
     result = filmed.stitched(frames=painted(filmed, paint))
     if result.status is Status.FAILED:
         return
@@ -83,7 +83,7 @@ def test_marks_that_are_covered_or_in_a_glare_admit_what_they_are_off(filmed: An
         assert any("partly covered, smudged or in a glare: FID" in r for r in result.reasons), result.reasons
 
 
-def test_glare_on_some_sightings_leaves_the_others_their_say(filmed: Any) -> None:
+def test_glare_on_some_detections_leaves_the_weight_of_the_others(filmed: Any) -> None:
     """Every fiducial is seen twice; only in odd rows is there a reflection."""
     bright = painted(filmed, glare(120))
     result = filmed.stitched(frames={k: bright[k] if k[1] % 2 else frame for k, frame in filmed.frames.items()})
@@ -100,7 +100,7 @@ def test_look_alikes_beside_all_fiducials_do_not_agree_with_the_outline(filmed: 
         assert np.hypot(*result.quality["outline_shift_mm"]["mm"]) == pytest.approx(np.hypot(*off), abs=0.15)
 
 
-def test_the_outline_of_a_sound_board_lies_where_the_fiducials_put_it(filmed: Any) -> None:
+def test_the_outline_of_a_sound_board_agrees_with_its_fiducials(filmed: Any) -> None:
     shift = filmed.stitch.quality["outline_shift_mm"]
     assert np.abs(shift["mm"]).max() < 0.1
     assert 0 < max(shift["sigma_mm"]) < 0.2
@@ -109,7 +109,7 @@ def test_the_outline_of_a_sound_board_lies_where_the_fiducials_put_it(filmed: An
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 @pytest.mark.parametrize("off", [(0.1, 0.0), (0.0, -0.1)])
-def test_of_three_fiducials_the_wrong_one_is_named(filmed: Any, which: int, off: tuple[float, float]) -> None:
+def test_the_wrong_one_of_three_fiducials_is_named(filmed: Any, which: int, off: tuple[float, float]) -> None:
     data = filmed.board_type.model_dump(mode="json", exclude_none=True)
     data["fiducials"][which]["x"] += off[0]
     data["fiducials"][which]["y"] += off[1]
@@ -120,7 +120,7 @@ def test_of_three_fiducials_the_wrong_one_is_named(filmed: Any, which: int, off:
 
 
 @pytest.mark.parametrize("share", [0.001, -0.001, 0.003])
-def test_data_that_are_scaled_are_told(filmed: Any, share: float) -> None:
+def test_scaled_cad_data_are_reported(filmed: Any, share: float) -> None:
     data = filmed.board_type.model_dump(mode="json", exclude_none=True)
     for mark in data["fiducials"]:
         mark["x"], mark["y"] = mark["x"] * (1 + share), mark["y"] * (1 + share)
