@@ -1,4 +1,4 @@
-"""The firmware on its emulated chip, and a film of the small scenario."""
+"""Shared fixtures: the built firmware and emulator, and two rendered boards of the small scenario."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def small() -> Scenario:
 
 
 @pytest.fixture(scope="session")
-def filmed(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedBoard, ...]:
+def boards(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedBoard, ...]:
     """Two boards."""
     return render_boards(small, [0, 1], tmp_path_factory.mktemp("films"), lambda _: None)
 

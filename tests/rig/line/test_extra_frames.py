@@ -1,4 +1,4 @@
-"""Frames on demand are those that would have been filmed."""
+"""Frames on demand equal the frames rendered beforehand."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def renderer(small: Scenario, tmp_path: Path) -> Iterator[FrameRenderer]:
     room.close()
 
 
-def test_a_view_of_a_board_is_what_the_film_has(renderer: FrameRenderer, filmed: tuple[RenderedBoard, ...]) -> None:
-    metadata = filmed[1].metadata
+def test_a_frame_on_demand_equals_the_rendered_one(renderer: FrameRenderer, boards: tuple[RenderedBoard, ...]) -> None:
+    metadata = boards[1].metadata
     path = renderer.render(FrameRequest(1, metadata.pulses_s[2], "ring", 2))
-    assert np.array_equal(np.fromfile(path, np.uint8), filmed[1].map_frames()[2].reshape(-1))
+    assert np.array_equal(np.fromfile(path, np.uint8), boards[1].map_frames()[2].reshape(-1))
     other = renderer.render(FrameRequest(1, metadata.pulses_s[2] + 0.001, "ring", 2))
     assert other != path
-    assert not np.array_equal(np.fromfile(other, np.uint8), filmed[1].map_frames()[2].reshape(-1))
+    assert not np.array_equal(np.fromfile(other, np.uint8), boards[1].map_frames()[2].reshape(-1))
 
 
-def test_between_boards_the_calibration_board_lies_still(renderer: FrameRenderer, small: Scenario) -> None:
+def test_the_calibration_board_is_rendered_once(renderer: FrameRenderer, small: Scenario) -> None:
     path = renderer.render(FrameRequest(None))
     expected = np.concatenate([to_bytes(image) for _, _, image in calibration_board.frames(Twin(small))])
     assert np.array_equal(np.fromfile(path, np.uint8), expected)

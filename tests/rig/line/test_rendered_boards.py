@@ -1,4 +1,4 @@
-"""Films: the right frames at the right times, made once."""
+"""Rendered boards have the right frames at the right times, and are rendered once."""
 
 from __future__ import annotations
 
@@ -37,18 +37,20 @@ def made(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 def test_frames_are_those_of_the_simulated_station(scenario: Scenario, made: tuple[RenderedBoard, ...]) -> None:
     """Same edges, same pulses, same pixels as the in-process twin shows its controller and cameras."""
     twin = Twin(scenario)
-    for film in made:
-        board = SimulatedBoard(twin.passage(film.metadata.board), TriggerPlan.of(twin.line, scenario.line.lights), 2)
-        assert list(film.metadata.edges) == board.edges
-        assert list(film.metadata.pulses_s) == [pulse.time_s for pulse in board.pulses]
-    film, passage = made[0], twin.passage(0)
+    for rendered in made:
+        board = SimulatedBoard(
+            twin.passage(rendered.metadata.board), TriggerPlan.of(twin.line, scenario.line.lights), 2
+        )
+        assert list(rendered.metadata.edges) == board.edges
+        assert list(rendered.metadata.pulses_s) == [pulse.time_s for pulse in board.pulses]
+    rendered, passage = made[0], twin.passage(0)
     for camera, row in ((0, 0), (1, 3)):
-        expected = passage.frame_at(camera, film.metadata.pulses_s[row], "ring", row)
-        assert np.array_equal(film.map_frames()[row, camera], expected.reshape(-1))
-    assert {(int(c), int(r)) for views in film.metadata.views.values() for c, r, _, _ in views} >= {(0, 1), (1, 1)}
+        expected = passage.frame_at(camera, rendered.metadata.pulses_s[row], "ring", row)
+        assert np.array_equal(rendered.map_frames()[row, camera], expected.reshape(-1))
+    assert {(int(c), int(r)) for views in rendered.metadata.views.values() for c, r, _, _ in views} >= {(0, 1), (1, 1)}
 
 
-def test_a_film_is_made_once_and_whatever_befalls_other_boards(
+def test_a_board_is_rendered_once_whatever_faults_other_boards_have(
     scenario: Scenario, made: tuple[RenderedBoard, ...]
 ) -> None:
     folder, messages = made[0].directory.parent, list[str]()
@@ -62,12 +64,12 @@ def test_a_film_is_made_once_and_whatever_befalls_other_boards(
     assert messages == ["Rendering 1 board(s) of 60 × 40 mm."]
 
 
-def test_other_boards_have_other_films(scenario: Scenario, made: tuple[RenderedBoard, ...], tmp_path: Path) -> None:
+def test_other_boards_have_other_frames(scenario: Scenario, made: tuple[RenderedBoard, ...], tmp_path: Path) -> None:
     assert made[0].directory != made[1].directory
     assert not np.array_equal(made[0].map_frames()[2, 0], made[1].map_frames()[2, 0])
 
 
-def test_without_room_it_is_messages_where_and_how_much(scenario: Scenario, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_with_place_and_size(scenario: Scenario, tmp_path: Path) -> None:
     with (
         files_of_at_most(1_000_000),
         pytest.raises(DeviceError, match=r"frames\.raw: \d+ MB: File too large\. Free space"),
@@ -76,16 +78,14 @@ def test_without_room_it_is_messages_where_and_how_much(scenario: Scenario, tmp_
     assert not list(tmp_path.rglob("*.raw"))
 
 
-def test_a_file_is_no_place_for_films(scenario: Scenario, tmp_path: Path) -> None:
+def test_a_file_is_refused_as_a_directory(scenario: Scenario, tmp_path: Path) -> None:
     (tmp_path / "films").write_text("")
     with pytest.raises(DeviceError, match=r"rendered boards cannot be stored: .*: Not a directory\. .*another --films"):
         render_boards(scenario, [0], tmp_path / "films", lambda _: None)
 
 
-def test_an_interruption_ends_the_filming(
-    scenario: Scenario, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """As Ctrl-C does: no process is left, and none tells of its end."""
+def test_ctrl_c_ends_the_rendering(scenario: Scenario, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """No process is left, and none writes a traceback."""
 
     def interrupt() -> None:
         while not multiprocessing.active_children():
@@ -101,7 +101,7 @@ def test_an_interruption_ends_the_filming(
 
 @contextmanager
 def files_of_at_most(size_bytes: int) -> Iterator[None]:
-    """What a full disk is like, for this process and those it starts."""
+    """Limit the size of files, as a full disk does, for this process and those it starts."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
     try:

@@ -77,7 +77,7 @@ class Short(RenderedBoard):
         return self.seconds
 
 
-def test_boards_do_not_come_faster_than_they_pass(filmed: tuple[RenderedBoard, ...]) -> None:
+def test_boards_do_not_come_faster_than_they_pass(boards: tuple[RenderedBoard, ...]) -> None:
     scenario = scenario_of(("ring",))
-    assert min_interval_s(scenario, filmed) == scenario.line.interval_s
-    assert min_interval_s(scenario, [Short(filmed[0].directory, 7.13), *filmed]) == 8.0
+    assert min_interval_s(scenario, boards) == scenario.line.interval_s
+    assert min_interval_s(scenario, [Short(boards[0].directory, 7.13), *boards]) == 8.0

@@ -35,7 +35,7 @@ class Line:
     rows: list[tuple[int, int]]
     """Board and row, as they were on_row."""
     views: list[FrameRequest]
-    """What was asked for that no film has."""
+    """What was asked for that no rendered has."""
 
 
 @pytest.fixture
@@ -62,19 +62,19 @@ def test_the_cameras_clock_is_read_without_a_gap_between_two_clocks() -> None:
 
 
 def test_every_pulse_comes_when_its_frames_were_rendered_for(
-    line: Line, small: Scenario, filmed: tuple[RenderedBoard, ...]
+    line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
 ) -> None:
     line.host.arm(small, (RING_LIGHT,))
-    for board, film in enumerate(filmed):
-        passage = line.stage.start_passage(film)
-        line.host.wait(film.duration_s + 0.3)
-        assert [fired.row for fired in passage.fired] == list(range(film.rows))
+    for board, rendered in enumerate(boards):
+        passage = line.stage.start_passage(rendered)
+        line.host.wait(rendered.duration_s + 0.3)
+        assert [fired.row for fired in passage.fired] == list(range(rendered.rows))
         assert max(abs(fired.offset_us) for fired in passage.fired) < 1.0
         assert {fired.note for fired in passage.fired} == {""}
         assert all(fired.brightness == [1.0, 1.0] for fired in passage.fired)
         first_s = (passage.fired[0].pulse.host_ns - passage.blocked_ns) * 1e-9
         assert first_s == pytest.approx(small.line.start_delay_s, abs=1e-5)
-        assert [row for number, row in line.rows if number == board] == list(range(film.rows))
+        assert [row for number, row in line.rows if number == board] == list(range(rendered.rows))
         ignored = {(2, 1)} if board == 0 else set()
         outcomes = {(fired.row, n): outcome for fired in passage.fired for n, outcome in enumerate(fired.outcomes)}
         assert {cell for cell, outcome in outcomes.items() if outcome == "ignored"} == ignored
@@ -82,25 +82,25 @@ def test_every_pulse_comes_when_its_frames_were_rendered_for(
     assert line.stage.unexpected_pulses == []
 
 
-def test_light_is_what_the_leds_did(line: Line, small: Scenario, filmed: tuple[RenderedBoard, ...]) -> None:
+def test_light_is_what_the_leds_did(line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]) -> None:
     """Half as long, on another channel, and not at all."""
     line.host.arm(small, (Step(0b0001, 250), Step(0b0010, 500), Step(0, 0), RING_LIGHT))
-    passage = line.stage.start_passage(filmed[0])
-    line.host.wait(filmed[0].duration_s + 0.3)
+    passage = line.stage.start_passage(boards[0])
+    line.host.wait(boards[0].duration_s + 0.3)
     assert [fired.brightness[0] for fired in passage.fired[:4]] == [pytest.approx(0.5, abs=0.002), 0.0, 0.0, 1.0]
     assert [bool(fired.note) for fired in passage.fired[:4]] == [False, True, False, False]
     assert "LED channels (1,) were lit, not those of 'ring'" in passage.fired[1].note
 
 
 def test_what_no_film_has_is_rendered_when_it_is_asked_for(
-    line: Line, small: Scenario, filmed: tuple[RenderedBoard, ...]
+    line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
 ) -> None:
-    """Pulses 1 ms later than the film's, and one while nothing passes."""
+    """Pulses 1 ms later than the rendered's, and one while nothing passes."""
     late = small.line.model_copy(update={"start_delay_s": small.line.start_delay_s + 0.001})
     line.host.arm(small.model_copy(update={"line": late}), (RING_LIGHT,))
-    passage = line.stage.start_passage(filmed[0])
-    line.host.wait(filmed[0].duration_s + 0.3)
-    times_s = [t + 0.001 for t in filmed[0].metadata.pulses_s]
+    passage = line.stage.start_passage(boards[0])
+    line.host.wait(boards[0].duration_s + 0.3)
+    times_s = [t + 0.001 for t in boards[0].metadata.pulses_s]
     fired = [fired for fired in passage.fired if fired.row is None]
     assert len(fired) == len(passage.fired) > 0
     assert {outcome for each in fired for outcome in each.outcomes} == {"late"}
@@ -111,31 +111,31 @@ def test_what_no_film_has_is_rendered_when_it_is_asked_for(
 
 
 def test_after_a_reset_the_barrier_still_follows_the_board(
-    line: Line, small: Scenario, filmed: tuple[RenderedBoard, ...]
+    line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
 ) -> None:
     """The board leaves it at the cycle it would have: the next one is seen."""
     line.host.arm(small, (RING_LIGHT,))
-    passage = line.stage.start_passage(filmed[0])
+    passage = line.stage.start_passage(boards[0])
     line.host.wait(0.5)
     line.chip.send("reset external")
-    line.host.wait(filmed[0].duration_s)
+    line.host.wait(boards[0].duration_s)
     fired = len(passage.fired)
-    assert fired < filmed[0].rows
+    assert fired < boards[0].rows
     line.host.arm(small, (RING_LIGHT,))
-    again = line.stage.start_passage(filmed[1])
-    line.host.wait(filmed[1].duration_s + 0.3)
-    assert [pulse.row for pulse in again.fired] == list(range(filmed[1].rows))
+    again = line.stage.start_passage(boards[1])
+    line.host.wait(boards[1].duration_s + 0.3)
+    assert [pulse.row for pulse in again.fired] == list(range(boards[1].rows))
     assert max(abs(pulse.offset_us) for pulse in again.fired) < 1.0
-    assert again.start_cycle - passage.start_cycle > filmed[0].duration_s * HZ
+    assert again.start_cycle - passage.start_cycle > boards[0].duration_s * HZ
 
 
-def test_a_chip_that_has_ended_ends_the_boards(line: Line, filmed: tuple[RenderedBoard, ...]) -> None:
-    """Whoever waits for them hears why, and does not wait for ever."""
+def test_a_chip_that_has_ended_ends_the_boards(line: Line, boards: tuple[RenderedBoard, ...]) -> None:
+    """The thread that waits for the boards gets the error, and does not wait for ever."""
     os.kill(line.chip.pid, signal.SIGKILL)
     os.waitid(os.P_PID, line.chip.pid, os.WEXITED | os.WNOWAIT)
     with (
         pytest.raises(DeviceError, match="the emulated chip has ended"),
-        BoardFeeder(line.stage, filmed, 0.1) as feeder,
+        BoardFeeder(line.stage, boards, 0.1) as feeder,
     ):
         assert feeder.finished.wait(30)
     assert feeder.passages == []

@@ -20,19 +20,20 @@ BAY = 1
 
 
 @pytest.fixture
-def passage(filmed: tuple[RenderedBoard, ...]) -> BoardPassage:
+def passage(boards: tuple[RenderedBoard, ...]) -> BoardPassage:
     """A board of which row 2 was lit half."""
-    film = filmed[0]
-    lights = [0.5 if row == 2 else 1.0 for row in range(film.rows)]
+    rendered = boards[0]
+    lights = [0.5 if row == 2 else 1.0 for row in range(rendered.rows)]
     fired = [
-        FiredPulse(row, Pulse(row, row, (0,), 250.0), 0.0, ["sent"] * 2, [lights[row]] * 2) for row in range(film.rows)
+        FiredPulse(row, Pulse(row, row, (0,), 250.0), 0.0, ["sent"] * 2, [lights[row]] * 2)
+        for row in range(rendered.rows)
     ]
-    return BoardPassage(0, film, 0, 0, fired)
+    return BoardPassage(0, rendered, 0, 0, fired)
 
 
 @pytest.fixture
 def ring(passage: BoardPassage, tmp_path: Path) -> Iterator[Ring]:
-    """It holds the board as it was filmed."""
+    """It holds the board as it was boards."""
     layout = RingLayout(2, passage.rendered.rows + 2, (FrameShape(640, 480, "Mono8"),) * 2)
     with Ring.create(tmp_path / "test.ring", layout) as ring:
         ring.claim(BAY)
@@ -84,12 +85,12 @@ def test_half_a_frame_is_a_half_of_its_own_frame(ring: Ring, passage: BoardPassa
     assert seen.wrong == {(1, 3): "5 pixels of another picture"}
 
 
-def test_only_runs_that_are_filmed_are_looked_at() -> None:
+def test_only_runs_that_are_filmed_are_checked() -> None:
     uses = [("finished", "r1"), ("stitching", "r2"), ("filming", "r3"), ("granted", "r4")]
     bays = [{"bay": n, "use": use, "run": run} for n, (use, run) in enumerate(uses)] + [{"bay": 4, "use": "free"}]
     assert bays_to_check({"ring": {"bays": bays}}) == {"r1": 0, "r2": 1}
 
 
-def test_a_row_nobody_fired_is_wrong(ring: Ring, passage: BoardPassage) -> None:
+def test_a_row_that_was_never_fired_is_wrong(ring: Ring, passage: BoardPassage) -> None:
     put(ring, 0, 99, passage.rendered.map_frames()[0, 0], k=0)
     assert look(ring, passage).wrong == {(0, 99): "a row that was never fired"}

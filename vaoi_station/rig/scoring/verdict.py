@@ -45,8 +45,8 @@ def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
     elif board.proven != board.ok:
         yield f"{where}: {board.ok - board.proven} frame(s) reported as whole are not in the ring"
     if board.affected and (board.sent_late_ms is None or board.sent_late_ms > LATE_MS):
-        late = "without end" if board.sent_late_ms is None else f"{board.sent_late_ms:.0f} ms"
-        yield f"{where}: the rig itself delayed frames by {late}: this machine is too busy for a verdict"
+        late = "without end" if board.sent_late_ms is None else f"by {board.sent_late_ms:.0f} ms"
+        yield f"{where}: the rig itself delayed frames {late}: this machine is too busy for a verdict"
     for cell in board.innocent:
         yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and no fault was injected"
     for cell in board.unnamed:

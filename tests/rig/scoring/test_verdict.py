@@ -1,0 +1,109 @@
+"""What makes a rig run fail, and which faults excuse what."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.rig.known_boards import evidence_of, passage_of, report_of, scored
+from vaoi_station.rig.line.faults import parse_fault
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.scoring.rig_report import LIMIT_PX, READY_LIMIT_S, Recovery
+from vaoi_station.rig.scoring.score import BoardEvidence, score
+from vaoi_station.rig.scoring.verdict import failings
+
+
+def test_a_run_without_faults_does_not_fail(known: RenderedBoard) -> None:
+    assert failings(report_of(scored(known)), [], 1) == ()
+
+
+def test_an_injected_loss_with_a_cause_is_no_failing(known: RenderedBoard) -> None:
+    board = scored(known, {(1, 2): "hit"}, {(1, 2): ("incomplete", "80% arrived")})
+    for status in ("ok", "degraded"):
+        assert failings(report_of(board.model_copy(update={"status": status})), [parse_fault("loss")], 1) == ()
+    failed = board.model_copy(update={"status": "failed", "reasons": ("No fiducial was found.",)})
+    assert failings(report_of(failed), [parse_fault("loss")], 1) == ("board 0 is failed: No fiducial was found.",)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"boards_missed": 2}, "the station missed 2 board(s)"),
+        ({"stray_pulses": 1}, "1 pulse(s) were fired while no board passed"),
+        ({"rms_px": 0.11}, "component positions are off by 0.11 px rms, the limit is 0.1"),
+        (
+            {"recoveries": (Recovery(fault="kill", back_s=5.0, ready_after_s=12.5),)},
+            "after kill it took 12.5 s to be ready, the limit is 12.0",
+        ),
+        (
+            {"recoveries": (Recovery(fault="reset", back_s=5.0, ready_after_s=None),)},
+            "after reset the station did not become ready again",
+        ),
+    ],
+)
+def test_figures_beyond_their_limits(known: RenderedBoard, change: dict[str, Any], sentence: str) -> None:
+    assert failings(report_of(scored(known), **change), [], 1) == (sentence,)
+
+
+def test_figures_at_their_limits_pass(known: RenderedBoard) -> None:
+    recovery = Recovery(fault="kill", back_s=5.0, ready_after_s=READY_LIMIT_S)
+    assert failings(report_of(scored(known), rms_px=LIMIT_PX, recoveries=(recovery,)), [], 1) == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"proven": None}, "board 0: its pixels could not be checked"),
+        ({"proven": 10}, "board 0: 2 frame(s) reported as whole are not in the ring"),
+        ({"wrong": ("camera 0, row 3: noise",)}, "board 0: camera 0, row 3: noise"),
+        ({"notes": ("fired twice",)}, "board 0: fired twice"),
+        ({"innocent": ((1, 2),)}, "board 0: camera 1, row 2 is not whole, and no fault was injected"),
+        ({"unnamed": ((1, 2),)}, "board 0: camera 1, row 2 is not whole, and the station reports no cause"),
+        ({"unfilmed": 3}, "board 0: the station does not list 3 frame(s) that were fired"),
+        ({"reasons": ("Camera 0: slow.",)}, "board 0 is ok, but has reasons: Camera 0: slow."),
+        ({"status": "degraded"}, "board 0 is degraded: "),
+    ],
+)
+def test_what_is_wrong_with_a_board(known: RenderedBoard, change: dict[str, Any], sentence: str) -> None:
+    board = scored(known).model_copy(update=change)
+    assert failings(report_of(board), [], 1) == (sentence,)
+
+
+def test_a_missing_board_is_reported(known: RenderedBoard) -> None:
+    board = score(BoardEvidence(passage_of(known), None, {}, None, [18.0, 18.0]), ())
+    assert failings(report_of(board), [], 2) == ("only 1 of 2 boards passed", "board 0 has no run")
+
+
+def test_missing_rows_need_a_reason_unless_a_fault_explains_them(known: RenderedBoard) -> None:
+    board = scored(known).model_copy(update={"rows": 4})
+    assert failings(report_of(board), [], 1) == (
+        "board 0: only 4 of 6 rows were fired, and the station reports no reason",
+        "board 0: only 4 of 6 rows were fired",
+    )
+    explained = board.model_copy(update={"reasons": ("The controller was reset.",), "status": "failed"})
+    for fault in ("reset:board=0", "stuck:board=0", "stall:board=0,who=acquisition"):
+        assert failings(report_of(explained), [parse_fault(fault)], 1) == ()
+    assert failings(report_of(explained), [parse_fault("reset:board=1")], 1) != ()
+
+
+def test_a_board_missed_after_a_fault_that_stops_the_line_is_no_failing(known: RenderedBoard) -> None:
+    report = report_of(scored(known), boards_missed=1)
+    assert failings(report, [parse_fault("stuck:board=0")], 1) == ()
+    assert failings(report, [parse_fault("kill:board=0")], 1) == ("the station missed 1 board(s)",)
+
+
+@pytest.mark.parametrize(("sent_ms", "words"), [(700.0, "by 700 ms"), (None, "without end")])
+def test_a_rig_that_delays_frames_is_no_judge(known: RenderedBoard, sent_ms: float | None, words: str) -> None:
+    evidence = evidence_of(known, None, {(0, 5): ("missing", "no frame came")})
+    if sent_ms is None:
+        del evidence.passage.fired[5].sent_ms[0]
+    else:
+        evidence.passage.fired[5].sent_ms[0] = sent_ms
+    [sentence] = failings(report_of(score(evidence, ())), [], 1)
+    assert sentence == f"board 0: the rig itself delayed frames {words}: this machine is too busy for a verdict"
+
+
+def test_a_late_rig_that_lost_nothing_passes(known: RenderedBoard) -> None:
+    board = scored(known).model_copy(update={"sent_late_ms": 900.0})
+    assert failings(report_of(board), [], 1) == ()
