@@ -20,7 +20,7 @@ def small() -> Scenario:
 @pytest.fixture(scope="session")
 def boards(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedBoard, ...]:
     """Two boards."""
-    return render_boards(small, [0, 1], tmp_path_factory.mktemp("films"), lambda _: None)
+    return render_boards(small, [0, 1], tmp_path_factory.mktemp("rendered"), lambda _: None)
 
 
 @pytest.fixture(scope="session")

@@ -54,9 +54,10 @@ def test_the_terminal_exists_while_the_chip_runs(built: Path, tmp_path: Path) ->
     terminal = tmp_path / "trigger"
     with Chip(built, terminal, lambda _: None) as chip:
         assert terminal.is_symlink()
-        assert chip.alive
+        states = [chip.alive]
         assert chip.pid > 0
-    assert not chip.alive
+    states.append(chip.alive)
+    assert states == [True, False]
     assert not terminal.exists()
 
 

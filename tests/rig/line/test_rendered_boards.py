@@ -31,7 +31,7 @@ def scenario() -> Scenario:
 
 @pytest.fixture(scope="module")
 def made(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[RenderedBoard, ...]:
-    return render_boards(scenario, [0, 1], tmp_path_factory.mktemp("films"), lambda _: None)
+    return render_boards(scenario, [0, 1], tmp_path_factory.mktemp("rendered"), lambda _: None)
 
 
 def test_frames_are_those_of_the_simulated_station(scenario: Scenario, made: tuple[RenderedBoard, ...]) -> None:
@@ -79,9 +79,9 @@ def test_a_full_disk_is_reported_with_place_and_size(scenario: Scenario, tmp_pat
 
 
 def test_a_file_is_refused_as_a_directory(scenario: Scenario, tmp_path: Path) -> None:
-    (tmp_path / "films").write_text("")
+    (tmp_path / "rendered").write_text("")
     with pytest.raises(DeviceError, match=r"rendered boards cannot be stored: .*: Not a directory\. .*another --films"):
-        render_boards(scenario, [0], tmp_path / "films", lambda _: None)
+        render_boards(scenario, [0], tmp_path / "rendered", lambda _: None)
 
 
 def test_ctrl_c_ends_the_rendering(scenario: Scenario, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

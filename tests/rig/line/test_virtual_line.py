@@ -92,7 +92,7 @@ def test_light_is_what_the_leds_did(line: Line, small: Scenario, boards: tuple[R
     assert "LED channels (1,) were lit, not those of 'ring'" in passage.fired[1].note
 
 
-def test_what_no_film_has_is_rendered_when_it_is_asked_for(
+def test_pulses_at_other_times_are_rendered_on_demand(
     line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
 ) -> None:
     """Pulses 1 ms later than the rendered's, and one while nothing passes."""

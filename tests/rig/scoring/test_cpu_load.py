@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 
 import pytest
 
@@ -17,7 +18,7 @@ class Counters:
         self.spent_s: dict[int, float] = {}
         self.now_s = 100.0
         monkeypatch.setattr(cpu_load, "cpu_s", self.read)
-        monkeypatch.setattr(cpu_load.time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(time, "monotonic", lambda: self.now_s)
 
     def read(self, pid: int) -> float:
         if pid not in self.spent_s:
