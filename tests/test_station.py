@@ -94,7 +94,8 @@ def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason
     with Station(config) as station:
         seen, troubles = 0, list[str]()
         while not troubles or station.coordinator.snapshot().state != "faulted":
-            records = station.coordinator.events(seen, 60.0)
+            # Devices are opened after WARM_S at the latest, even if the workers still compile on a loaded machine.
+            records = station.coordinator.events(seen, 2 * acquisition_link.WARM_S)
             assert records
             seen = records[-1].number
             troubles += [r.message for r in records if r.kind == "trouble" and "recording.json" in r.message]

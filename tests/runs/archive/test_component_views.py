@@ -1,0 +1,81 @@
+"""Components of a finished run: positions, views, and refusals that name what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.model import BoardType, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.runs.archive import component_views
+from vaoi_station.runs.archive.finished_runs import FinishedRun
+
+
+def finished_run(rig: Any, verdicts: dict[int, Verdict] | None = None) -> FinishedRun:
+    grant = rig.arm()
+    rig.board(grant, verdicts=verdicts)
+    rig.result_of(grant.run)
+    finished: FinishedRun = rig.archive.get(grant.run)
+    return finished
+
+
+def test_positions_are_those_of_the_cad_mapping_and_views_are_counted(rig: Any) -> None:
+    finished = finished_run(rig)
+    [component] = component_views.components_of(finished)
+    assert (component.address, component.center_mm, component.tester_mm) == ("U1", (10, 10), (10.0, 20.0))
+    assert component.views == len(component_views.views_of_component(finished, "U1", None, 0.5)) > 0
+
+
+def test_frames_with_holes_are_no_views(rig: Any) -> None:
+    finished = finished_run(rig, {0: Verdict.INCOMPLETE, 1: Verdict.MISSING})
+    views = component_views.views_of_component(finished, "U1", None, 0.0)
+    assert views
+    assert all(view.row != 1 for view in views)
+
+
+def test_without_a_cad_mapping_there_are_no_positions_and_no_views(
+    rig: Any, make_stitch: Callable[..., Stitch]
+) -> None:
+    def unmapped(head: RecordingHead) -> Stitch:
+        return make_stitch(head, Status.FAILED, ("no fiducials",)).model_copy(update={"cad_matrix": None})
+
+    rig.workers.result = unmapped
+    finished = finished_run(rig)
+    [component] = component_views.components_of(finished)
+    assert (component.tester_mm, component.views) == (None, 0)
+    with pytest.raises(StateError):
+        component_views.views_of_component(finished, "U1", None, 0.5)
+
+
+def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(rig: Any, board_type: BoardType) -> None:
+    finished = finished_run(rig)
+    views = component_views.views_of_component(finished, "U1", None, 0.5)
+    first = component_views.view_of_component(finished, "U1", 0, None, 0.5)
+    assert (first.camera, first.row) == (views[0].camera, views[0].row)
+    for k in (-1, len(views)):
+        with pytest.raises(NotFoundError, match=f"has {len(views)} images, numbered from 0; there is no {k}"):
+            component_views.view_of_component(finished, "U1", k, None, 0.5)
+    assert component_views.component_of(board_type, "U1").ref == "U1"
+    with pytest.raises(NotFoundError, match="no component 'R99'"):
+        component_views.component_of(board_type, "R99")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "allowed", "error"),
+    [
+        (Verdict.OK, False, None),
+        (Verdict.INCOMPLETE, True, None),
+        (Verdict.INCOMPLETE, False, StateError),
+        (Verdict.MISSING, True, NotFoundError),
+    ],
+)
+def test_only_whole_frames_or_allowed_incomplete_ones_are_served(
+    verdict: Verdict, allowed: bool, error: type[Exception] | None
+) -> None:
+    if error is None:
+        component_views.refuse_holes(verdict, "cable", "Frame (0, 1)", allowed)
+    else:
+        with pytest.raises(error, match=r"Frame \(0, 1\).*: cable\."):
+            component_views.refuse_holes(verdict, "cable", "Frame (0, 1)", allowed)

@@ -1,0 +1,174 @@
+"""Arming and disarming with a scripted acquisition process: requests, replies, and memory granted ahead of time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.runs.doubles import Acquisition, CountingRing
+from vaoi_station.acquisition.cameras.interface import CameraHealth
+from vaoi_station.acquisition.process import messages
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import BusyError, DeviceError, StateError
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control.line_control import Completion, LineControl
+from vaoi_station.runs.control.station_state import StationStateMachine
+from vaoi_station.runs.run.leases import Leases
+from vaoi_station.runs.run.memory import Memory
+from vaoi_station.runs.run.order import Order
+from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.states.run_ids import RunIds
+from vaoi_station.store import Store
+
+
+class Line:
+    """A line control with its parts, ready and idle."""
+
+    def __init__(self, config: StationConfig, store: Store, order: Order) -> None:
+        events = EventLog(store)
+        self.leases = Leases(600.0)
+        self.memory = Memory(CountingRing(), 2, self.leases)
+        self.machine, self.acquisition, self.order = StationStateMachine(events), Acquisition(), order
+        self.control = LineControl(
+            config, self.acquisition, self.machine, self.memory, RunIds(), Archive(store, events), events
+        )
+        self.control.on_ready()
+
+    def arm(self, runs: int | None = None, health: messages.Health | None = None) -> Completion:
+        armed = Completion()
+        self.control.arm(self.order, runs, health, armed)
+        return armed
+
+    def armed(self) -> None:
+        self.arm()
+        self.control.on_armed()
+
+    @property
+    def state(self) -> str:
+        """State of the station."""
+        return str(self.machine.state)
+
+    def granted(self) -> list[str]:
+        return [bay.run for bay in self.memory.bays() if bay.use == "granted" and bay.run]
+
+
+@pytest.fixture
+def line(config: StationConfig, store: Store, progress: Progress) -> Line:
+    return Line(config, store, progress.order)
+
+
+def test_memory_is_granted_before_the_cameras_are_armed(line: Line) -> None:
+    armed = line.arm()
+    assert line.acquisition.taken() == ["Grant", "Arm"]
+    assert not armed.done()
+    line.control.on_armed()
+    armed.result(0)
+    assert line.state == "armed"
+    assert line.control.has_grant
+
+
+def test_an_order_while_armed_sends_nothing_and_applies_at_once(line: Line) -> None:
+    line.armed()
+    line.acquisition.taken()
+    line.arm(runs=2).result(0)
+    assert line.acquisition.taken() == []
+    assert line.control.orders.runs_left == 2
+
+
+def test_a_lost_camera_refuses_the_order_and_takes_no_memory(line: Line) -> None:
+    health = messages.Health((CameraHealth(True), CameraHealth(False, "cable pulled")), "fine", 1.0)
+    with pytest.raises(DeviceError, match="The array is not complete"):
+        line.arm(health=health).result(0)
+    assert (line.granted(), line.acquisition.taken()) == ([], [])
+    assert line.state == "idle"
+
+
+def test_disarming_returns_unused_memory_and_a_waiting_order_is_armed_afterwards(line: Line) -> None:
+    line.armed()
+    [run] = line.granted()
+    disarmed = Completion()
+    line.control.disarm(disarmed)
+    waiting = line.arm()
+    assert line.acquisition.taken() == ["Grant", "Arm", "Disarm"]
+    line.control.on_disarmed(messages.Disarmed((messages.Grant(run, 0),)), None)
+    disarmed.result(0)
+    assert line.acquisition.taken() == ["Grant", "Arm"]
+    assert run not in line.granted()
+    line.control.on_armed()
+    waiting.result(0)
+
+
+def test_disarming_an_idle_line_is_harmless(line: Line) -> None:
+    disarmed = Completion()
+    line.control.disarm(disarmed)
+    disarmed.result(0)
+    assert line.acquisition.taken() == []
+
+
+def test_an_armed_that_crosses_a_disarm_does_not_arm(line: Line) -> None:
+    armed = line.arm()
+    line.control.disarm(Completion())
+    line.control.on_armed()
+    assert line.state == "arming"
+    line.control.on_disarmed(messages.Disarmed(()), None)
+    with pytest.raises(StateError, match="disarmed before it was armed"):
+        armed.result(0)
+
+
+def test_trouble_while_arming_refuses_the_order_and_disarms(line: Line) -> None:
+    armed = line.arm()
+    line.control.on_trouble(messages.Trouble("clock", "its clock is not known", "Check its cable."))
+    with pytest.raises(DeviceError, match="Arming failed: its clock is not known"):
+        armed.result(0)
+    assert line.acquisition.taken()[-1] == "Disarm"
+    assert line.control.orders.order is None
+
+
+def test_after_a_fault_the_line_is_armed_again_without_a_request(line: Line) -> None:
+    line.armed()
+    line.control.on_acquisition_ended("the acquisition process ended")
+    assert (line.state, line.granted()) == ("faulted", [])
+    line.acquisition.taken()
+    line.control.on_ready()
+    assert line.acquisition.taken() == ["Grant", "Arm"]
+
+
+def test_a_full_ring_blocks_the_line_until_memory_is_free(line: Line) -> None:
+    line.armed()
+    for _ in range(2):
+        [run] = line.granted()
+        assert line.control.take_grant(run, 1e9) is not None
+        line.memory.use(run, "filming")
+        line.control.keep_memory_granted()
+    assert line.state == "blocked"
+    with pytest.raises(BusyError, match="is being filmed"):
+        line.arm().result(0)
+    line.memory.free(run)
+    line.control.keep_memory_granted()
+    assert line.state == "armed"
+    assert line.machine.reasons.all() == ()
+
+
+def test_a_run_without_grant_or_order_has_no_order(line: Line) -> None:
+    assert line.control.take_grant("never", 1.0) is None
+    line.arm(runs=1)
+    [run] = line.granted()
+    assert line.control.take_grant(run, 1e9) is line.order
+    line.control.disarm_after_last_run()
+    assert line.acquisition.taken()[-1] == "Disarm"
+
+
+def test_a_stop_disarms_an_armed_line_once(line: Line) -> None:
+    line.armed()
+    line.acquisition.taken()
+    line.control.disarm_for_stop()
+    line.control.disarm_for_stop()
+    assert line.acquisition.taken() == ["Disarm"]
+
+
+def test_an_impossible_order_names_the_state(line: Line, config: Any) -> None:
+    line.control.on_acquisition_ended("the acquisition process ended")
+    with pytest.raises(StateError, match="The station is faulted"):
+        line.arm().result(0)
