@@ -63,6 +63,7 @@ class Station:
             parts.callback(store.close)
             ring = parts.enter_context(Ring.create(ring_path(config), RingLayout.of(config)))
             events = EventLog(store)
+            # Workers and cameras open the ring by its path: it must exist before either of them starts.
             workers = WorkerPool(config.workers, ring.path)
             link = AcquisitionLink(self._launch or spawn_launcher(config, ring.path))
             archive = Archive(store, events)
@@ -79,6 +80,7 @@ class Station:
                 lambda: (link.status(), *workers.status()),
                 alive,
             )
+            # Callbacks run in reverse: the link stops first, the coordinator last, so that it receives the last events.
             parts.callback(coordinator.close)
             coordinator.start()
             parts.callback(workers.stop)

@@ -203,8 +203,8 @@ class Rig:
     archive: Archive
 
     def ready(self) -> None:
-        self.peer.life(1)
-        self.peer.say(messages.Ready(2))
+        self.peer.wait_for_start(1)
+        self.peer.report(messages.Ready(2))
         self.until("idle")
 
     def until(self, state: str) -> None:
@@ -235,19 +235,19 @@ class Rig:
             outcome = caller.submit(self.coordinator.arm, "small", **options)
             grant = self.peer.expect(messages.Grant)
             self.peer.expect(messages.Arm)
-            self.peer.say(messages.Armed())
+            self.peer.report(messages.Armed())
             outcome.result(PATIENCE_S)
         return grant
 
     def begin(self, grant: messages.Grant, at_s: float | None = None) -> float:
         """Report that a board has interrupted the barrier."""
         at_s = time.monotonic() if at_s is None else at_s
-        self.peer.say(messages.RunStarted(grant.run, grant.bay, at_s))
+        self.peer.report(messages.RunStarted(grant.run, grant.bay, at_s))
         return at_s
 
     def row(self, grant: messages.Grant, row: int, verdicts: dict[int, Verdict] | None = None) -> list[FrameRecord]:
         """One pulse, and a frame per camera filled with its number."""
-        self.peer.say(messages.PulseReported(grant.run, Pulse(index=row, time_s=100 + row * PERIOD_S)))
+        self.peer.report(messages.PulseReported(grant.run, Pulse(index=row, time_s=100 + row * PERIOD_S)))
         records = []
         for camera in range(2):
             verdict = (verdicts or {}).get(camera, Verdict.OK)
@@ -256,7 +256,7 @@ class Rig:
                 self.ring.memory(slot)[:] = 10 + 20 * camera + row
             cause = "" if verdict is Verdict.OK else "scripted"
             records.append(FrameRecord(camera=camera, row=row, verdict=verdict, cause=cause, slot=slot))
-            self.peer.say(messages.FrameSettled(grant.run, records[-1], time.monotonic()))
+            self.peer.report(messages.FrameSettled(grant.run, records[-1], time.monotonic()))
         return records
 
     def finish(self, grant: messages.Grant, records: list[FrameRecord], reason: str = "clear") -> None:
@@ -265,7 +265,7 @@ class Rig:
         missing = tuple((r.camera, r.row) for r in records if r.verdict is not Verdict.OK)
         head = a_head(rows, missing)
         ordered = tuple(sorted(records, key=lambda r: (r.camera, r.row)))
-        self.peer.say(messages.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason))
+        self.peer.report(messages.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason))
 
     def board(self, grant: messages.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:
         """Report one complete passage."""

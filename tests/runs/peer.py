@@ -47,7 +47,7 @@ class Peer:
     """The acquisition process, played by the test."""
 
     def __init__(self) -> None:
-        self.lives: list[tuple[FakeProcess, Connection[Any, Any]]] = []
+        self.processes: list[tuple[FakeProcess, Connection[Any, Any]]] = []
         self._born = threading.Condition()
         self.grants: list[messages.Grant] = []
 
@@ -55,20 +55,20 @@ class Peer:
         here, there = multiprocessing.Pipe()
         process = FakeProcess()
         with self._born:
-            self.lives.append((process, there))
+            self.processes.append((process, there))
             self._born.notify_all()
         return process, here
 
-    def life(self, number: int) -> None:
-        """Wait for the process's n-th life."""
+    def wait_for_start(self, number: int) -> None:
+        """Wait until the process was started `number` times."""
         with self._born:
-            assert self._born.wait_for(lambda: len(self.lives) >= number, PATIENCE_S)
+            assert self._born.wait_for(lambda: len(self.processes) >= number, PATIENCE_S)
 
     @property
     def connection(self) -> Connection[Any, Any]:
-        return self.lives[-1][1]
+        return self.processes[-1][1]
 
-    def say(self, *reports: messages.Report) -> None:
+    def report(self, *reports: messages.Report) -> None:
         for report in reports:
             self.connection.send(report)
 
@@ -79,11 +79,11 @@ class Peer:
         return command
 
     def die(self, code: int = -9) -> None:
-        process, connection = self.lives[-1]
+        process, connection = self.processes[-1]
         connection.close()
         process.die(code)
 
     def close(self) -> None:
-        for process, connection in self.lives:
+        for process, connection in self.processes:
             connection.close()
             process.die(0)

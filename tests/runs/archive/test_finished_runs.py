@@ -91,7 +91,7 @@ def test_a_full_disk_is_reported_and_the_result_stays_available(rig: Any, monkey
     assert any("disk is full" in e.message for e in rig.coordinator.events() if e.kind == "trouble")
 
 
-def test_runs_that_are_not_remembered_are_read_again(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_that_are_not_cached_are_read_from_the_database(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CACHED_RUNS", 1)
     grant, runs = rig.arm(), []
     for _ in range(3):

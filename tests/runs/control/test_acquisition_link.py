@@ -63,14 +63,14 @@ def unstarted(peer: Any) -> Iterator[AcquisitionLink]:
 @pytest.fixture
 def link(unstarted: AcquisitionLink, peer: Any, events: Recorded) -> AcquisitionLink:
     unstarted.start(events)
-    peer.life(1)
+    peer.wait_for_start(1)
     return unstarted
 
 
-def test_commands_go_down_and_reports_come_up(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
+def test_commands_are_sent_and_messages_reported(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     link.send(Disarm())
     peer.expect(Disarm)
-    peer.say(Ready(3))
+    peer.report(Ready(3))
     assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
     status = link.status()
     assert status.alive
@@ -85,8 +85,8 @@ def test_status_states_that_the_first_start_waits_for_the_workers(
     status = unstarted.status()
     assert (status.doing, status.pid, status.alive) == (WAITING, None, False)
     warm.set()
-    peer.life(1)
-    peer.say(Ready(3))
+    peer.wait_for_start(1)
+    peer.report(Ready(3))
     assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
     status = unstarted.status()
     assert (status.doing, status.alive) == ("", True)
@@ -98,20 +98,20 @@ def test_status_states_that_the_first_start_waits_for_the_workers(
 def test_an_unexpected_end_is_reported_and_followed_by_a_restart(
     link: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
-    peer.say(Ready(3))
+    peer.report(Ready(3))
     assert events.messages.get(timeout=PATIENCE_S)
     peer.die(-11)
     assert "the acquisition process ended (code -11)" in events.ends.get(timeout=PATIENCE_S)
     link.send(Disarm())
-    peer.life(2)
-    peer.say(Ready(3))
+    peer.wait_for_start(2)
+    peer.report(Ready(3))
     assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
     assert link.status().restarts == 1
 
 
 def test_messages_sent_before_the_end_are_delivered(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
     for n in range(50):
-        peer.say(Ready(n))
+        peer.report(Ready(n))
     peer.die()
     events.ends.get(timeout=PATIENCE_S)
     assert events.messages.qsize() == 50
@@ -152,13 +152,13 @@ def test_a_process_that_cannot_start_or_ends_when_ready_is_restarted_ever_more_s
     backoff = RecordedBackoff()
     start_link(backoff)
     for attempt in range(1, 7):
-        peer.life(attempt)
+        peer.wait_for_start(attempt)
         ready = attempt in (3, 4)
-        peer.say(Ready(3) if ready else Trouble("port-absent", "There is no serial port.", ""))
+        peer.report(Ready(3) if ready else Trouble("port-absent", "There is no serial port.", ""))
         peer.die(0)
         expected = "ended (code 0)" if ready else "could not start"
         assert events.ends.get(timeout=PATIENCE_S) == f"the acquisition process {expected}"
-    peer.life(7)
+    peer.wait_for_start(7)
     assert backoff.pauses == [0.5, 1, 2, 4, 6, 6]
 
 
@@ -169,8 +169,8 @@ def test_a_process_that_ran_for_long_is_restarted_at_once(
     backoff = Backoff(module.PACE, lambda: now_s)
     start_link(backoff)
     for attempt in (1, 2):
-        peer.life(attempt)
-        peer.say(Ready(3))
+        peer.wait_for_start(attempt)
+        peer.report(Ready(3))
         events.messages.get(timeout=PATIENCE_S)
         now_s += module.PACE.proven_s
         peer.die(-11)
@@ -183,10 +183,10 @@ def test_status_states_when_the_process_is_started_again(
     start_link: Callable[[Backoff], AcquisitionLink], peer: Any, events: Recorded
 ) -> None:
     link = start_link(Backoff(BackoffPolicy(first_s=60.0, longest_s=60.0, proven_s=30.0)))
-    peer.life(1)
+    peer.wait_for_start(1)
     assert link.status().next_try is None, "it runs"
     before = datetime.now(UTC)
-    peer.say(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
+    peer.report(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
     peer.die(0)
     events.ends.get(timeout=PATIENCE_S)
     status = link.status()
@@ -205,10 +205,10 @@ def test_a_process_without_heartbeat_is_killed(
     monkeypatch: pytest.MonkeyPatch, link: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
     monkeypatch.setattr(module, "HEARTBEAT_LIMIT_S", 0.2)
-    peer.say(Ready(3))
+    peer.report(Ready(3))
     events.messages.get(timeout=PATIENCE_S)
     assert "sent no heartbeat" in events.ends.get(timeout=PATIENCE_S)
-    assert peer.lives[0][0].exitcode == -9
+    assert peer.processes[0][0].exitcode == -9
 
 
 def test_stop_sends_shutdown_and_waits(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
@@ -219,10 +219,10 @@ def test_stop_sends_shutdown_and_waits(link: AcquisitionLink, peer: Any, events:
     ending.join(PATIENCE_S)
     assert not ending.is_alive()
     assert events.ends.empty()
-    assert len(peer.lives) == 1
+    assert len(peer.processes) == 1
 
 
 def test_stop_kills_a_process_that_does_not_end(link: AcquisitionLink, peer: Any) -> None:
     link.stop(0.05)
-    assert peer.lives[0][0].exitcode == -9
+    assert peer.processes[0][0].exitcode == -9
     link.stop()

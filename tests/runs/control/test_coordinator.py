@@ -168,11 +168,11 @@ def test_a_new_order_while_armed_is_for_the_boards_that_come_from_then_on(rig: A
     assert rig.result_of(second.run).board_id == "b 2"
 
 
-def test_armed_for_one_run_the_line_disarms_by_itself(rig: Any) -> None:
+def test_armed_for_one_run_the_line_disarms_automatically(rig: Any) -> None:
     grant = rig.arm(runs=1)
     rig.board(grant)
     rig.peer.expect(messages.Disarm)
-    rig.peer.say(messages.Disarmed(()))
+    rig.peer.report(messages.Disarmed(()))
     rig.until("idle")
     assert rig.result_of(grant.run).state == "ready"
     assert rig.coordinator.snapshot().armed_with is None
@@ -184,11 +184,10 @@ def test_arming_while_the_line_disarms_waits_for_that(rig: Any) -> None:
     rig.peer.expect(messages.Disarm)
     again = threading.Thread(target=rig.coordinator.arm, args=("small", "next"))
     again.start()
-    rig.wait_for(lambda: bool(rig.coordinator._core.line._after_disarm), "the order to wait")
-    rig.peer.say(messages.Disarmed(()))
+    rig.peer.report(messages.Disarmed(()))
     rig.peer.expect(messages.Grant)
     rig.peer.expect(messages.Arm)
-    rig.peer.say(messages.Armed())
+    rig.peer.report(messages.Armed())
     again.join(20)
     assert rig.coordinator.snapshot().armed_with.board_id == "next"
 
@@ -198,7 +197,7 @@ def test_disarming_gives_the_unused_memory_back(rig: Any) -> None:
     caller = threading.Thread(target=rig.coordinator.disarm)
     caller.start()
     rig.peer.expect(messages.Disarm)
-    rig.peer.say(messages.Disarmed((grant,)))
+    rig.peer.report(messages.Disarmed((grant,)))
     caller.join(20)
     snapshot = rig.coordinator.snapshot()
     assert snapshot.state == "idle"
@@ -239,7 +238,7 @@ def test_health_is_shown(rig: Any) -> None:
     assert [c.connected for c in rig.coordinator.snapshot().cameras] == [False, False]
     now_s = time.monotonic()
     fine = CameraHealth(True, delivered=7, temperature_c=41.5, last_frame_s=now_s - 2, counters=(("n_failures", 3),))
-    rig.peer.say(messages.Health((fine, CameraHealth(False, "cable pulled")), "controller fine", now_s))
+    rig.peer.report(messages.Health((fine, CameraHealth(False, "cable pulled")), "controller fine", now_s))
     rig.wait_for(lambda: rig.coordinator.snapshot().controller == "controller fine", "health")
     snapshot = rig.coordinator.snapshot()
     assert snapshot.cameras[0].delivered == 7
@@ -254,8 +253,8 @@ def test_health_is_shown(rig: Any) -> None:
 def test_a_trouble_is_published_once_and_shown_while_it_lasts(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     trouble = messages.Trouble("device", "camera c1: does not answer", "Check its cable.")
     for _ in range(3):
-        rig.peer.say(trouble)
-    rig.peer.say(messages.Health((), "after the troubles", time.monotonic()))
+        rig.peer.report(trouble)
+    rig.peer.report(messages.Health((), "after the troubles", time.monotonic()))
     rig.wait_for(lambda: rig.coordinator.snapshot().controller == "after the troubles", "the troubles")
     [reason] = rig.coordinator.snapshot().reasons
     assert (reason.code, reason.action) == ("device", "Check its cable.")
@@ -288,7 +287,7 @@ def test_a_wind_down_does_not_wait_for_ever(rig: Any) -> None:
     assert rig.coordinator.snapshot().state == "stopping"
 
 
-def test_an_armed_line_keeps_its_board_type_when_another_is_taught_and_says_so(rig: Any) -> None:
+def test_an_armed_line_keeps_its_board_type_when_it_is_replaced(rig: Any) -> None:
     grant = rig.arm()
     old = rig.coordinator.board_type("small")
     rig.coordinator.put_board_type(old.model_copy(update={"components": ()}))

@@ -34,7 +34,7 @@ def disarmed(rig: Any) -> None:
 
     while not isinstance(rig.peer.connection.recv(), messages.Disarm):
         pass
-    rig.peer.say(messages.Disarmed(()))
+    rig.peer.report(messages.Disarmed(()))
     rig.until("idle")
 
 

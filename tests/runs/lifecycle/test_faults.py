@@ -46,7 +46,7 @@ def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
     assert rig.result_of(grant.run).board_id == "b 1"
 
 
-def test_a_run_that_was_cut_short_says_where_and_why(rig: Any) -> None:
+def test_a_run_that_ended_early_names_row_and_cause(rig: Any) -> None:
     """It is degraded even if its stitch is ok: the rest of the board was not filmed."""
     grant = rig.arm()
     rig.begin(grant)
@@ -71,7 +71,7 @@ def _lose(rig: Any, *cameras: int) -> None:
     """Report in the next heartbeat that these cameras are not connected."""
     refusal = CameraHealth(False, "it refuses Gain = 99", action="Set a gain that it can do.")
     health = tuple(refusal if k in cameras else CameraHealth(True) for k in range(2))
-    rig.peer.say(messages.Health(health, "controller fine", time.monotonic()))
+    rig.peer.report(messages.Health(health, "controller fine", time.monotonic()))
     complete = not cameras
     rig.wait_for(
         lambda: (seen := rig.coordinator.snapshot()).controller and seen.all_cameras_ready is complete, "the health"
@@ -93,7 +93,7 @@ def test_without_one_of_its_cameras_the_line_is_not_armed_unless_that_is_allowed
     assert [r.code for r in rig.coordinator.snapshot().reasons] == ["camera-lost"]
 
 
-def test_a_line_that_loses_a_camera_goes_on_and_says_so_but_takes_no_further_order(rig: Any) -> None:
+def test_a_line_that_loses_a_camera_continues_but_refuses_new_orders(rig: Any) -> None:
     """What was ordered goes on: the result names the missing frames. A new order is refused, and the old one holds."""
     grant = rig.arm(board_id="b 1")
     _lose(rig, 0)
@@ -114,9 +114,9 @@ def test_a_camera_that_cannot_be_armed(rig: Any) -> None:
     with asked_to_arm(rig) as asked:
         grant = rig.peer.expect(messages.Grant)
         rig.peer.expect(messages.Arm)
-        rig.peer.say(messages.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
+        rig.peer.report(messages.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
         rig.peer.expect(messages.Disarm)
-        rig.peer.say(messages.Disarmed((grant,)))
+        rig.peer.report(messages.Disarmed((grant,)))
         with pytest.raises(DeviceError, match="its clock is not known"):
             asked.result(20)
     rig.until("idle")
@@ -137,14 +137,14 @@ def test_unknown_runs_and_frames(rig: Any) -> None:
         rig.coordinator.views(grant.run, "R99")
 
 
-def test_acquisition_dies_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) -> None:
+def test_acquisition_ends_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) -> None:
     grant = rig.arm(board_id="b 1")
     rig.begin(grant)
     rig.peer.expect(messages.Grant)
     rig.row(grant, 0)
     rig.row(grant, 1)
     rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
-    rig.peer.say(messages.PulseReported(grant.run, Pulse(index=2, time_s=100.2)))
+    rig.peer.report(messages.PulseReported(grant.run, Pulse(index=2, time_s=100.2)))
     rig.wait_run(grant.run, lambda run: run.rows == 3, "three rows")
     rig.peer.die()
     run = rig.result_of(grant.run)
@@ -153,18 +153,18 @@ def test_acquisition_dies_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) 
     assert (run.counts.ok, run.counts.missing) == (4, 2)
     assert {reason.code for reason in run.reasons} == {"frames-missing", "acquisition-lost"}
     assert np.all(rig.coordinator.frame(grant.run, 1, 1)[0] == 31)
-    rig.peer.life(2)
-    rig.peer.say(messages.Ready(2))
+    rig.peer.wait_for_start(2)
+    rig.peer.report(messages.Ready(2))
     rearmed = rig.peer.expect(messages.Grant)
     rig.peer.expect(messages.Arm)
-    rig.peer.say(messages.Armed())
+    rig.peer.report(messages.Armed())
     rig.until("armed")
     rig.board(rearmed)
     assert rig.result_of(rearmed.run).board_id == "b 1"
     assert rig.link.status().restarts == 1
 
 
-def test_acquisition_dies_before_the_first_pulse(rig: Any) -> None:
+def test_acquisition_ends_before_the_first_pulse(rig: Any) -> None:
     grant = rig.arm()
     rig.begin(grant)
     rig.until("filming")
@@ -175,7 +175,7 @@ def test_acquisition_dies_before_the_first_pulse(rig: Any) -> None:
         rig.coordinator.stitch(grant.run)
 
 
-def test_acquisition_dies_while_arming(rig: Any) -> None:
+def test_acquisition_ends_while_arming(rig: Any) -> None:
     with asked_to_arm(rig) as asked:
         rig.peer.expect(messages.Grant)
         rig.peer.die()
@@ -192,16 +192,16 @@ def test_the_cause_of_failed_starts_is_published_once_and_stays(rig: Any) -> Non
     first = rig.coordinator.snapshot().last_event
     rig.peer.die(-11)
     for life, cause in enumerate((absent, absent, refused), start=2):
-        rig.peer.life(life)
-        rig.peer.say(cause)
+        rig.peer.wait_for_start(life)
+        rig.peer.report(cause)
         rig.peer.die(0)
-    rig.peer.life(5)
+    rig.peer.wait_for_start(5)
     rig.wait_for(lambda: rig.coordinator.snapshot().reasons[0].code == refused.code, "the second cause")
     assert [r.code for r in rig.coordinator.snapshot().reasons] == ["setting-refused", "acquisition-lost"]
     reported = [e.message for e in rig.coordinator.events(first) if e.kind == "trouble"]
     lost = "The acquisition process ended (code -11).", "The acquisition process could not start."
     assert reported == [lost[0], absent.message, lost[1], refused.message]
-    rig.peer.say(messages.Ready(2))
+    rig.peer.report(messages.Ready(2))
     rig.until("idle")
     assert rig.coordinator.snapshot().reasons == ()
 
@@ -230,7 +230,9 @@ def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -
 
 
 @pytest.mark.parametrize(("status", "state"), [(Status.DEGRADED, "degraded"), (Status.FAILED, "failed")])
-def test_the_stitchs_verdict_is_the_runs(rig: Any, make_stitch: Callable[..., Any], status: Status, state: str) -> None:
+def test_a_run_takes_the_verdict_of_its_stitch(
+    rig: Any, make_stitch: Callable[..., Any], status: Status, state: str
+) -> None:
     rig.workers.result = lambda head: make_stitch(head, status, ("two fiducials only",))
     grant = rig.arm()
     rig.board(grant)

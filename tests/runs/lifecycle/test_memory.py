@@ -64,7 +64,7 @@ def test_a_full_ring_blocks_arming_names_the_holders_and_loses_nothing(rig: Any)
     assert [reason.code for reason in snapshot.reasons] == ["ring-full"]
     with pytest.raises(BusyError, match=rf"run {runs[0]} is held by tester 3 \(AOI\)"):
         rig.coordinator.arm("small", "b 9")
-    rig.peer.say(messages.BoardMissed(time.monotonic(), "no memory was granted for it: all of it is in use"))
+    rig.peer.report(messages.BoardMissed(time.monotonic(), "no memory was granted for it: all of it is in use"))
     rig.wait_for(lambda: rig.coordinator.snapshot().boards_missed == 1, "a missed board")
     missed = [e for e in rig.coordinator.events() if e.kind == "board-missed"]
     assert len(missed) == 1

@@ -41,7 +41,7 @@ def test_speed_is_that_of_the_boards_middle_however_it_turns(
     assert belt.ratio == pytest.approx(np.hypot(vx, vy) / 100)
 
 
-def test_what_speaks_against_frames_is_a_reason_with_camera_and_row() -> None:
+def test_trigger_findings_are_reasons_with_camera_and_row() -> None:
     """Ignored triggers are missing frames, which have reasons of their own."""
     findings = (
         TriggerFinding(camera=2, row=None, kind="runs-freely", text="it sends a frame every 33.3 ms"),

@@ -43,7 +43,7 @@ def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(config: Stati
     )
 
 
-def test_without_a_pulse_there_is_no_film(config: StationConfig, progress: Progress) -> None:
+def test_without_a_pulse_there_is_no_recording(config: StationConfig, progress: Progress) -> None:
     assert salvage_recording(progress, config) is None
     progress.pulses[1] = Pulse(index=1, time_s=3.0)
     assert salvage_recording(progress, config) is None

@@ -131,6 +131,7 @@ class Archive:
         row = self._store.run(run)
         if row is None:
             raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
+        # The row was written when the run began, but not when it ended: the disk refused the result.
         if row.finish_number is None:
             if (known := self._cached(run)) is not None:  # it ended between the two look-ups
                 return known

@@ -73,6 +73,7 @@ def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
     stitched when the workers are ready.
     """
     workers = [process for process in processes if process.name.startswith("worker ")]
+    # "starting" lasts until a worker has opened the ring and compiled its inner loops.
     away = sum(worker.doing == STARTING for worker in workers)
     if not away:
         return ()

@@ -66,6 +66,7 @@ class Leases:
     def expire(self) -> tuple[Lease, ...]:
         """Remove the leases whose time is over, and return them."""
         now = self._clock()
+        # Expired leases count as ended at once (`all` skips them); this only removes and reports them.
         over = tuple(lease for lease in self._leases.values() if lease.expires_s <= now)
         for lease in over:
             del self._leases[lease.run, lease.holder]

@@ -64,6 +64,7 @@ class Orders:
         # Compared by time, not by arrival: the report of a board may arrive after the next order was accepted.
         if self.order is None or (barrier_s < self.since_s and self._before is not None):
             return self._before
+        # Boards of the earlier order are not counted: the number of runs is that of the present one.
         if self.runs_left is not None:
             self.runs_left = max(self.runs_left - 1, 0)
         return self.order

@@ -117,6 +117,7 @@ def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:
     """Fit a constant velocity to the row-by-row positions of the board's point that was at `about_mm` in row 0."""
     positions_mm = np.array([apply(m, about_mm) for m in stitch.row_motion])
+    # Centred times make the slope of the line independent of its offset: two sums in place of a solver.
     centred_s = times_s - times_s.mean()
     vx, vy = centred_s @ positions_mm / (centred_s @ centred_s)
     ratio = float(np.hypot(vx, vy) / np.hypot(*nominal_mm_s))

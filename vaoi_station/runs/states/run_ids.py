@@ -18,6 +18,7 @@ def utc(moment: datetime | None = None) -> str:
 
 def utc_of_host(host_s: float) -> str:
     """Format a recent time.monotonic() as RFC 3339."""
+    # The clocks are compared at this moment only: an old moment would include every step of the wall clock since.
     return utc(datetime.now(UTC) - timedelta(seconds=time.monotonic() - host_s))
 
 
