@@ -15,21 +15,21 @@ from vaoi_station.rig.line.faults import parse_fault
 
 
 @pytest.fixture
-def victim() -> Iterator[subprocess.Popen[bytes]]:
+def process() -> Iterator[subprocess.Popen[bytes]]:
     with subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE) as process:
         yield process
         process.kill()
 
 
-def test_what_was_stopped_runs_on_even_if_nobody_waits(victim: subprocess.Popen[bytes]) -> None:
+def test_a_stopped_process_resumes_at_the_end_of_the_context(process: subprocess.Popen[bytes]) -> None:
     """The rig is taken down in the middle of a stop of a minute."""
     with FaultInjector([parse_fault("stall:who=acquisition,board=0,row=1,for_s=60")]) as injector:
-        injector.set_process_source(lambda: {"acquisition": victim.pid})
+        injector.set_process_source(lambda: {"acquisition": process.pid})
         injector.on_row(0, 0)
         assert injector.outages == []
         injector.on_row(0, 1)
-        assert os.waitpid(victim.pid, os.WUNTRACED)[0] == victim.pid
-    _, status = os.waitpid(victim.pid, os.WCONTINUED)
+        assert os.waitpid(process.pid, os.WUNTRACED)[0] == process.pid
+    _, status = os.waitpid(process.pid, os.WCONTINUED)
     assert os.WIFCONTINUED(status)
     [outage], [back] = injector.outages, injector.recoveries
     assert outage.reason == "the acquisition process was stopped"
@@ -37,17 +37,17 @@ def test_what_was_stopped_runs_on_even_if_nobody_waits(victim: subprocess.Popen[
     assert injector.outages[0].until_ns == 12345
 
 
-def test_a_station_that_was_stopped_is_no_excuse(victim: subprocess.Popen[bytes]) -> None:
+def test_a_stopped_station_excuses_no_lost_frame(process: subprocess.Popen[bytes]) -> None:
     with FaultInjector([parse_fault("stall:board=0,row=0,for_s=0.01")]) as injector:
-        injector.set_process_source(lambda: {"station": victim.pid})
+        injector.set_process_source(lambda: {"station": process.pid})
         injector.on_row(0, 0)
         injector.on_row(0, 0)
         injector.finish()
     assert injector.outages == []
     assert [type(back) for back in injector.recoveries] == [DeviceRecovery]
     assert injector.failed == []
-    victim.send_signal(signal.SIGTERM)
-    assert victim.wait(10) == -signal.SIGTERM
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == -signal.SIGTERM
 
 
 def test_a_fault_that_never_happened_is_reported() -> None:
@@ -62,7 +62,7 @@ def test_a_missing_process_is_reported() -> None:
     assert injector.failed == ["the station has no process 'worker 7' to stop"]
 
 
-def test_mischief_is_what_the_stage_does_by_itself() -> None:
+def test_faults_of_frames_are_left_to_the_line() -> None:
     words = ("loss:share=0.2", "ignored:camera=1,board=0,row=3", "kill")
     frame_faults = frame_faults_of([parse_fault(word) for word in words])
     assert (frame_faults.loss, frame_faults.ignored) == (0.2, frozenset({(0, 3, 1)}))

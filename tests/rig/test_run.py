@@ -1,0 +1,229 @@
+"""`vaoi rig run` against a scripted station and scripted devices: what it collects, waits for and reports."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.rig.known_boards import CAMERAS, PERIOD_NS, ROWS, known_board, passage_of, run_json
+from vaoi_station.errors import NotFoundError
+from vaoi_station.rig import run as run_module
+from vaoi_station.rig.devices.pulses import Pulse
+from vaoi_station.rig.line import feeder as feeder_module
+from vaoi_station.rig.line.faults import parse_fault
+from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.line.virtual_line import BoardPassage
+from vaoi_station.rig.run import Plan, run_rig
+from vaoi_station.rig.scoring.rig_report import RigReport
+from vaoi_station.rig.scoring.ring_check import RingCheck
+from vaoi_station.simulation import Scenario
+
+TIMES: dict[str, Any] = {"edges": ((0.0, True), (0.001, False)), "views": {"R1": ((0.0, 1.0, 10.0, 20.0),)}}
+
+
+class Station:
+    """A station that finishes one run for every board that passes."""
+
+    def __init__(self) -> None:
+        self.runs: list[dict[str, Any]] = []
+        self.commands: list[str] = []
+        self.boards_missed = 0
+        self.changes: dict[int, dict[str, Any]] = {}
+        """Number of a run → what differs from a good one."""
+        self.skipped: set[int] = set()
+        """Boards of which there is no run."""
+
+    def record(self, passage: BoardPassage) -> None:
+        """Take the run of a passage."""
+        if passage.board in self.skipped:
+            return
+        wall_s = time.time() - time.monotonic() + passage.blocked_ns * 1e-9
+        started = datetime.fromtimestamp(wall_s, UTC).isoformat()
+        run = run_json(passage.rendered) | {
+            "id": f"r{passage.board}",
+            "started": started,
+            "rows": ROWS,
+            "cameras": CAMERAS,
+            "counts": {"ok": CAMERAS * ROWS},
+        }
+        self.runs.append(run | self.changes.get(passage.board, {}))
+
+    def get(self, path: str, **query: Any) -> Any:
+        """Answer a request of the rig."""
+        if path == "/station":
+            bays = [{"run": run["id"], "bay": n, "use": "finished"} for n, run in enumerate(self.runs)]
+            cameras = [{"connected": True}] * CAMERAS
+            return {
+                "state": "armed", "cameras": cameras, "boards_missed": self.boards_missed, "ring": {"bays": bays},
+            }  # fmt: skip
+        if path == "/runs/next":
+            ids = [run["id"] for run in self.runs]
+            place = ids.index(query["after"]) + 1 if query["after"] is not None else len(ids)
+            return self.runs[place] if place < len(ids) else None
+        if path == "/runs/latest":
+            if not self.runs:
+                raise NotFoundError("there is no run.")
+            return self.runs[0]
+        run = next(run for run in self.runs if path.startswith(f"/runs/{run['id']}"))
+        if path.endswith("/matrices"):
+            if run["verdict"] == "failed":
+                raise NotFoundError("the run has no matrices.")
+            return {"components": TIMES["views"]}
+        return run
+
+    def post(self, path: str, **fields: Any) -> None:
+        self.commands.append(f"{path} {fields['board_type']}")
+
+
+class Devices:
+    """Devices whose line records every board at once."""
+
+    def __init__(self, station: Station, folder: Path, on_row: Callable[[int, int], None]) -> None:
+        self.station, self.on_row = station, on_row
+        self.addresses, self.terminal = ("127.0.0.2", "127.0.0.3"), folder / "trigger"
+        self.cameras = [SimpleNamespace(pid=None)] * CAMERAS
+        self.chip = SimpleNamespace(pid=None, send=station.commands.append)
+        self.line, self.unexpected_pulses = self, list[Pulse]()
+        self.boards = 0
+
+    def __enter__(self) -> Devices:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def start_passage(self, rendered: RenderedBoard) -> BoardPassage:
+        passage = passage_of(rendered)
+        passage.board, self.boards = self.boards, self.boards + 1
+        passage.blocked_ns = time.monotonic_ns() + self.boards * 10**9
+        for row, fired in enumerate(passage.fired):
+            self.on_row(passage.board, row)
+            fired.pulse = Pulse(row, passage.blocked_ns + row * PERIOD_NS, (0,), 250.0)
+        self.station.record(passage)
+        return passage
+
+
+class Rig:
+    """Runs `run_rig` with everything scripted."""
+
+    def __init__(self, scenario: Scenario, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.scenario, self.station, self.lines = scenario, Station(), list[str]()
+        self.caches: list[Path] = []
+        self.unexpected = 0
+        station = self.station
+
+        @contextmanager
+        def service(_: Path) -> Iterator[Any]:
+            yield SimpleNamespace(address="http://station", pid=1)
+
+        def devices(_: Scenario, where: Path, __: Any, on_row: Callable[[int, int], None]) -> Devices:
+            made = Devices(station, where, on_row)
+            made.unexpected_pulses += [Pulse(0, 0, (), 0.0)] * self.unexpected
+            return made
+
+        def prepare(_: Any, __: Any, boards: int, ___: int, cache: Path, ____: Any) -> tuple[RenderedBoard, ...]:
+            self.caches.append(cache)
+            board = known_board(folder / "board", pulses_s=(0.001,) * ROWS, **TIMES)
+            return (Typed(board.directory),) * boards
+
+        def check(ring: Any, bay: int, passage: BoardPassage) -> RingCheck:
+            return RingCheck(frozenset((c, r) for c in range(CAMERAS) for r in range(ROWS)), frozenset(), {})
+
+        stand_ins: dict[str, Any] = {
+            "Client": lambda _: station, "Service": service, "Devices": devices, "prepare_boards": prepare,
+            "build_site": lambda *_, **__: folder / "station.toml", "wait_until_idle": lambda _: None,
+            "attach": lambda _: contextmanager(lambda: iter([None]))(), "check_bay": check,
+            "min_interval_s": lambda *_: 0.0, "NEXT_RUN_TIMEOUT_S": 0.2, "READY_TIMEOUT_S": 20.0,
+        }  # fmt: skip
+        for name, stand_in in stand_ins.items():
+            monkeypatch.setattr(run_module, name, stand_in)
+        monkeypatch.setattr(feeder_module, "END_MARGIN_S", 0.0)
+        monkeypatch.setattr("vaoi_station.rig.status_watch.INTERVAL_S", 0.005)
+
+    def run(self, boards: int = 2, faults: tuple[str, ...] = (), cache: Path | None = None) -> RigReport:
+        plan = Plan(self.scenario, "small", boards, tuple(map(parse_fault, faults)), faults, cache)
+        return run_rig(plan, self.lines.append)
+
+
+class Typed(RenderedBoard):
+    """A known board with the name of a board type."""
+
+    @property
+    def board_type(self) -> Any:
+        return SimpleNamespace(name="small")
+
+
+@pytest.fixture
+def rig(small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
+    return Rig(small, tmp_path, monkeypatch)
+
+
+def test_every_board_is_matched_with_its_run(rig: Rig) -> None:
+    report = rig.run(boards=3)
+    assert (report.ok, report.failings) == (True, ())
+    assert [board.run for board in report.boards] == ["r0", "r1", "r2"]
+    assert all(board.faultless for board in report.boards)
+    assert rig.station.commands == ["/station/arm small"]
+    assert [line for line in rig.lines if line.startswith("run")] == [
+        f"run {n}: ok, 12 of 12 frames." for n in (1, 2, 3)
+    ]
+
+
+def test_the_report_states_the_scenario_and_its_rate(rig: Rig) -> None:
+    report = rig.run(boards=1)
+    array = rig.scenario.array
+    assert (report.scenario, report.cameras) == ("small", array.cameras)
+    assert (report.width_px, report.height_px) == (array.width_px, array.height_px)
+    assert report.frames_per_s == pytest.approx(1 / rig.scenario.line.period_s, abs=1e-3)
+    assert report.load is not None
+
+
+def test_a_board_without_a_run_is_reported_after_the_timeout(rig: Rig) -> None:
+    rig.station.skipped = {1}
+    report = rig.run(boards=2)
+    assert not report.ok
+    assert report.failings == ("board 1 has no run",)
+    assert report.boards[1].run is None
+
+
+def test_missed_boards_and_unexpected_pulses_fail(rig: Rig) -> None:
+    rig.station.boards_missed, rig.unexpected = 1, 2
+    report = rig.run(boards=1)
+    assert (report.boards_missed, report.stray_pulses) == (1, 2)
+    assert report.failings == ("the station missed 1 board(s)", "2 pulse(s) were fired while no board passed")
+
+
+def test_a_failed_run_has_no_positions(rig: Rig) -> None:
+    rig.station.changes[0] = {"verdict": "failed", "reasons": [{"message": "No fiducial was found."}]}
+    report = rig.run(boards=2)
+    assert report.boards[0].deviation.views == 0
+    assert report.boards[1].deviation.views == 1
+    assert report.rms_px == 0.0
+    assert report.failings == ("board 0 is failed, but has reasons: No fiducial was found.",)
+
+
+def test_a_fault_that_never_happens_fails_the_run(rig: Rig) -> None:
+    report = rig.run(boards=1, faults=("kill:board=0,row=99",))
+    assert report.failings == ("kill did not happen: board 0 had no row 99",)
+    assert report.faults == ("kill:board=0,row=99",)
+
+
+def test_the_station_recovers_from_a_reset_within_the_limit(rig: Rig) -> None:
+    report = rig.run(boards=1, faults=("reset:board=0,row=3",))
+    assert rig.station.commands[-1] == "reset external"
+    [recovery] = report.recoveries
+    assert recovery.fault == "reset"
+    assert recovery.ready_after_s is not None
+
+
+def test_rendered_boards_are_kept_only_where_asked(rig: Rig, tmp_path: Path) -> None:
+    rig.run(boards=1, cache=tmp_path / "kept")
+    rig.run(boards=1)
+    assert rig.caches[0] == tmp_path / "kept"
+    assert not rig.caches[1].parent.exists()
