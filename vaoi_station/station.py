@@ -21,7 +21,7 @@ from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.host.stop_request import StopRequest
-from vaoi_station.runs.host.systemd import alive, notify
+from vaoi_station.runs.host.systemd import notify, notify_watchdog
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
@@ -78,7 +78,7 @@ class Station:
                 OrderFactory(config.line, calibration, camera_heads(config), store, shelf, config.method),
                 shelf,
                 lambda: (link.status(), *workers.status()),
-                alive,
+                notify_watchdog,
             )
             # Callbacks run in reverse: the link stops first, the coordinator last, so that it receives the last events.
             parts.callback(coordinator.close)

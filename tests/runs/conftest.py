@@ -154,10 +154,13 @@ class ScriptedWorkers:
         elif isinstance(job, ConcludeJob):
             stitch = self.result(job.head)
             self.answer(job, Reply(Concluded(without_components(stitch), stitch_text(stitch)), None, 0.002))
-        elif isinstance(job, CheckJob):
-            self.answer(job, Reply(self.check(job.run), None, 0.003))
+            if job.check is not None:
+                self.answer(job.check, self.check_reply(job.check))
         else:
             self.answer(job, Reply(b"picture", None, 0.001))
+
+    def check_reply(self, job: CheckJob) -> Reply:
+        return Reply(self.check(job.run), None, 0.003)
 
     def check(self, run: str) -> RunCheck:
         """Camera 0 as it was calibrated, camera 1 displaced."""

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
 
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import InternalError
+from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.workers.jobs import CheckJob, Reply
+from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Reply
 
 
 def film(rig: Any, grant: messages.Grant) -> messages.Grant:
@@ -61,24 +62,37 @@ def test_another_calibration_begins_anew(rig: Any, calibration: Any) -> None:
     assert (anew.warnings(), anew.status().runs) == ((), 0)
 
 
-def test_the_result_does_not_wait_for_the_check(rig: Any) -> None:
+def test_every_conclusion_asks_for_a_check_with_its_digests(rig: Any) -> None:
+    rig.board(rig.arm())
+    rig.wait_for(lambda: rig.coordinator.calibration().runs == 1, "the check")
+    (job,) = (job for job in rig.workers.done if isinstance(job, ConcludeJob))
+    assert isinstance(job.check, CheckJob)
+    assert (job.check.run, job.check.calibration) == (job.run, rig.coordinator.calibration().digest)
+
+
+def test_a_check_of_another_calibration_is_kept_and_changes_nothing(rig: Any) -> None:
+    rig.workers.displacement_px = 3.0
+    film(rig, rig.arm())
+    other = rig.store.keep_document("calibration", '{"n": 1}', "2026-01-01T00:00:00Z")
+    (job,) = (job.check for job in rig.workers.done if isinstance(job, ConcludeJob))
+    assert job is not None
+    rig.workers.answer(dataclasses.replace(job, calibration=other), rig.workers.check_reply(job))
+    rig.wait_for(lambda: rig.store.checks.count(other) == 1, "the check")
+    assert rig.coordinator.calibration().runs == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "codes"),
+    [(InternalError("the check failed."), {"calibration-not-checked"}), (StateError("the station stops."), set())],
+    ids=["a fault is an event", "a stop is not"],
+)
+def test_a_check_that_cannot_be_done(
+    rig: Any, monkeypatch: pytest.MonkeyPatch, error: VaoiError, codes: set[str]
+) -> None:
+    monkeypatch.setattr(rig.workers, "check_reply", lambda _: Reply(None, error, 0.0))
     grant = rig.arm()
     rig.board(grant)
     assert rig.result_of(grant.run).state == "ready"
-    kinds = [type(job).__name__ for job in rig.workers.done]
-    assert kinds.index("CheckJob") > kinds.index("ConcludeJob")
-    (job,) = (job for job in rig.workers.done if isinstance(job, CheckJob))
-    assert all(len(e.a_px) <= 24 for e in job.evidence if hasattr(e, "a_px") and e.task.kind == "rows")
-
-
-def test_a_check_that_cannot_be_done_is_an_event(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(job: Any) -> None:
-        if isinstance(job, CheckJob):
-            rig.workers.answer(job, Reply(None, InternalError("the check failed."), 0.0))
-        else:
-            type(rig.workers).submit(rig.workers, job)
-
-    monkeypatch.setattr(rig.workers, "submit", refuse)
-    rig.board(rig.arm())
-    rig.wait_for(lambda: any(e.code == "calibration-not-checked" for e in rig.coordinator.events()), "the event")
+    rig.coordinator.calibration()  # asked of the same thread: every reply before it has been processed
+    assert {e.code for e in rig.coordinator.events() if e.code == "calibration-not-checked"} == codes
     assert rig.coordinator.snapshot().warnings == ()

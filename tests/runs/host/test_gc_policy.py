@@ -1,4 +1,4 @@
-"""Garbage that refers to itself goes when nothing is under way."""
+"""Full garbage collections wait until no board is processed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vaoi_station.runs.host.gc_policy import IDLE_S, LONGEST_S, GcPolicy
 
 
 class Knot:
-    """Refers to itself."""
+    """An object that refers to itself, so that only the collector frees it."""
 
     def __init__(self) -> None:
         self.itself = self
@@ -39,14 +39,14 @@ def policy(clock: Clock) -> Iterator[GcPolicy]:
 
 
 def old_knot() -> weakref.ref[Knot]:
-    """Garbage that only a full look finds."""
+    """Garbage of the oldest generation, which only a full collection finds."""
     knot = Knot()
     gc.collect(1)
     gc.collect(1)
     return weakref.ref(knot)
 
 
-def test_a_full_look_waits_until_nothing_is_under_way(policy: GcPolicy, clock: Clock) -> None:
+def test_a_full_collection_waits_until_no_board_is_processed(policy: GcPolicy, clock: Clock) -> None:
     knot = old_knot()
     clock.now_s += IDLE_S
     policy.tick(busy=True)
@@ -55,21 +55,21 @@ def test_a_full_look_waits_until_nothing_is_under_way(policy: GcPolicy, clock: C
     assert knot() is None
 
 
-def test_a_line_without_a_pause_is_looked_through_all_the_same(policy: GcPolicy, clock: Clock) -> None:
+def test_a_line_without_pauses_is_collected_after_the_longest_time(policy: GcPolicy, clock: Clock) -> None:
     knot = old_knot()
     clock.now_s += LONGEST_S
     policy.tick(busy=True)
     assert knot() is None
 
 
-def test_python_makes_no_full_look_by_itself(policy: GcPolicy) -> None:
-    looks = gc.get_stats()[2]["collections"]
+def test_the_interpreter_runs_no_full_collection(policy: GcPolicy) -> None:
+    collections = gc.get_stats()[2]["collections"]
     kept = [[k] for k in range(400_000)]
-    assert gc.get_stats()[2]["collections"] == looks
+    assert gc.get_stats()[2]["collections"] == collections
     assert len(kept) == 400_000
 
 
-def test_afterwards_all_is_as_before() -> None:
+def test_stopping_restores_the_settings() -> None:
     before, frozen = gc.get_threshold(), gc.get_freeze_count()
     policy = GcPolicy()
     policy.start()

@@ -1,4 +1,4 @@
-"""A service is asked to end at whatever moment, and ends."""
+"""A request to stop ends the wait, whenever it comes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from vaoi_station.runs.host.stop_request import StopRequest
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_the_wait_and_is_named(number: signal.Signals) -> None:
+def test_a_signal_ends_the_wait_with_its_name(number: signal.Signals) -> None:
     with StopRequest() as stop:
         os.kill(os.getpid(), number)
         assert stop.wait() == number.name
 
 
-def test_a_part_that_ends_by_itself_ends_the_wait() -> None:
+def test_a_request_of_a_thread_ends_the_wait() -> None:
     with StopRequest() as stop:
         asking = threading.Thread(target=stop.request)
         asking.start()
@@ -28,7 +28,7 @@ def test_a_part_that_ends_by_itself_ends_the_wait() -> None:
         asking.join()
 
 
-def test_other_signals_are_not_meant() -> None:
+def test_other_signals_do_not_end_the_wait() -> None:
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
     try:
         with StopRequest() as stop:
@@ -39,7 +39,7 @@ def test_other_signals_are_not_meant() -> None:
         signal.signal(signal.SIGUSR1, before)
 
 
-def test_asking_often_and_too_late_is_harmless() -> None:
+def test_repeated_and_late_requests_have_no_effect() -> None:
     with StopRequest() as stop:
         for _ in range(100_000):  # more than a socket holds
             stop.request()
@@ -47,7 +47,7 @@ def test_asking_often_and_too_late_is_harmless() -> None:
     stop.request()
 
 
-def test_handlers_are_put_back() -> None:
+def test_handlers_are_restored() -> None:
     before = [signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGINT)]
     with StopRequest():
         assert signal.getsignal(signal.SIGTERM) not in before
@@ -68,6 +68,6 @@ for _ in range(20_000):
 """
 
 
-def test_a_signal_at_whatever_moment_of_the_wait_ends_it() -> None:
-    """An event set by the handler hangs here within a few thousand tries, and so does a `SimpleQueue`."""
+def test_a_signal_at_any_moment_ends_the_wait() -> None:
+    """A `threading.Event` set by the handler deadlocks here within a few thousand tries, as does a `SimpleQueue`."""
     subprocess.run([sys.executable, "-c", AT_ANY_MOMENT], timeout=120, check=True)

@@ -1,4 +1,4 @@
-"""What systemd hears."""
+"""Messages to systemd."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.runs.host.systemd import alive, notify
+from vaoi_station.runs.host.systemd import notify, notify_watchdog
 
 
-def test_without_systemd_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_systemd_nothing_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     assert notify("READY=1") is False
 
@@ -23,11 +23,11 @@ def test_messages_arrive(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, abstra
         systemd.settimeout(10)
         monkeypatch.setenv("NOTIFY_SOCKET", address)
         assert notify("READY=1")
-        alive()
+        notify_watchdog()
         assert systemd.recv(100) == b"READY=1"
         assert systemd.recv(100) == b"WATCHDOG=1"
 
 
-def test_a_socket_that_is_gone_does_no_harm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+def test_a_missing_socket_is_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "missing"))
     assert notify("READY=1") is False

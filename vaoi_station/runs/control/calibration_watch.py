@@ -8,17 +8,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Protocol
 
 from vaoi_station.drift.checks import CameraCheck, RunCheck
-from vaoi_station.drift.evidence import subsample_links
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
 from vaoi_station.model import Calibration
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
-from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.workers.jobs import CheckJob, Reply
 from vaoi_station.store.calibration_checks import CalibrationChecks
@@ -33,13 +29,6 @@ _UNSEEN_RUNS = 5
 CODE = "calibration-drift"
 
 
-class Workers(Protocol):
-    """What the watch needs of the worker pool."""
-
-    def submit(self, job: CheckJob) -> None:
-        """Have a job done; its reply comes as an event."""
-
-
 class CalibrationWatch:
     """The calibration in force, and what the runs since show of it."""
 
@@ -49,34 +38,12 @@ class CalibrationWatch:
         self._kept, self._events, self._names = checks, events, tuple(names)
         self.digest = digest_of(calibration.model_dump_json())
         self._created = calibration.created
-        self._requested: dict[str, str] = {}
-        """Digests of the calibrations that runs under check were stitched with, by run."""
         known = [
             RunCheck.model_validate_json(text) for text in checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
         ]
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
         self._runs = checks.count(self.digest)
         self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
-
-    def check(self, progress: Progress, workers: Workers) -> None:
-        """Have a finished run's evidence checked by a worker."""
-        stitch, recorded = progress.stitch, progress.recorded
-        # A single camera has no neighbour that could show its displacement.
-        if stitch is None or recorded is None or len(self._names) < 2:
-            return
-        # All links would be megabytes per run; a sample suffices for three parameters per camera.
-        evidence = tuple(subsample_links(linked.evidence) for linked in progress.canonical_evidence.values())
-        job = CheckJob(
-            run=progress.run,
-            time=utc(),
-            board_type=progress.order.board_type_digest,
-            setup=progress.order.setup,
-            times_s=tuple(recorded.head.row_times_s().tolist()),
-            evidence=evidence,
-            stitch=stitch,
-        )
-        self._requested[progress.run] = progress.order.calibration_digest
-        workers.submit(job)
 
     def warnings(self) -> tuple[Reason, ...]:
         """Drifted cameras, and cameras that the latest runs do not show."""
@@ -94,7 +61,7 @@ class CalibrationWatch:
 
     def checked(self, job: CheckJob, reply: Reply) -> None:
         """Keep the outcome of a check, and publish what it changes."""
-        run, digest = job.run, self._requested.pop(job.run)
+        run, digest = job.run, job.calibration
         if reply.error is not None:
             if not isinstance(reply.error, StateError):  # a station that stops does no more checks
                 self._events.add("trouble", reply.error.message, run=run, code="calibration-not-checked")

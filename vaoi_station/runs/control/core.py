@@ -222,10 +222,9 @@ class Core:
             self._after_runs(self.runs.give_up(progress, reason))
 
     def _after_runs(self, ended: list[Progress]) -> None:
-        """Follow up runs that have ended: their memory may be evicted, their calibration is checked."""
+        """Follow up runs that have ended: their memory may be evicted."""
         for progress in ended:
             self.memory.use(progress.run, "finished")
-            self.watch.check(progress, self._parts.workers)
             self.line.keep_memory_granted()
             self._complete_stop_if_drained()
 

@@ -1,1 +1,1 @@
-"""Run processes: set-up, logs, garbage collection, systemd, requests to stop."""
+"""What every process of the station needs from its host: set-up, logs, garbage collection, systemd, stop requests."""

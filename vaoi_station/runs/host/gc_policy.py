@@ -1,9 +1,9 @@
-"""When Python looks for garbage that refers to itself: not while a board waits for its matrices.
+"""Defer full garbage collections while a board is processed.
 
-A full look goes through every object there is. In a station that has filmed boards of 3000 components it took 60 to
-95 ms, during which nothing else went on, and it came when it would, mostly while a result was being unpacked. So what
-is there at the start is left out for good, and full looks are made when nothing is under way. Looks at what is
-young go on by themselves; they take less than a millisecond.
+A full collection scans every tracked object. In a station that had filmed boards of 3000 components it took 60 to 95
+ms, during which no Python thread ran, and it mostly came while a result was unpacked. So objects that exist at the
+start are excluded for good, and full collections run while no board is processed. Collections of young objects stay
+automatic; they take less than a millisecond.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import time
 from collections.abc import Callable
 
 IDLE_S = 10.0
-"""Between two full looks while nothing is under way."""
+"""Time between full collections while no board is processed."""
 LONGEST_S = 60.0
-"""A line without a pause is looked through all the same."""
+"""Time after which a full collection runs even while boards are processed."""
+# gc has no switch for generation 2 alone; a threshold that is never reached stands for one.
 _NEVER = 1_000_000_000
-"""Generations that must pass before Python makes a full look by itself."""
 
 
 class GcPolicy:
-    """Full looks at times of our choosing; used by one thread."""
+    """Full garbage collections at chosen times; used by one thread."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -29,25 +29,27 @@ class GcPolicy:
         self._before: tuple[int, int, int] | None = None
 
     def start(self) -> None:
-        """From now on; everything that is there is taken to stay."""
+        """Take over full collections, and exclude all present objects from them."""
         if self._before is None:
             self._before = gc.get_threshold()
             gc.set_threshold(*self._before[:2], _NEVER)
-            self._look()
+            # Collect first: freezing would otherwise keep present garbage for ever.
+            self._collect()
             gc.freeze()
 
     def tick(self, busy: bool) -> None:
-        """A full look if it is time for one."""
+        """Run a full collection if one is due; `busy`: a board is processed."""
+        # A line without pauses is collected as well: uncollected cycles would grow without a limit.
         if self._before is not None and self._clock() - self._last_s >= (LONGEST_S if busy else IDLE_S):
-            self._look()
+            self._collect()
 
     def stop(self) -> None:
-        """As Python would have it."""
+        """Restore the interpreter's settings."""
         if self._before is not None:
             gc.set_threshold(*self._before)
             gc.unfreeze()
             self._before = None
 
-    def _look(self) -> None:
+    def _collect(self) -> None:
         gc.collect()
         self._last_s = self._clock()

@@ -1,4 +1,4 @@
-"""One line per event to standard output: for people, or JSON for machines; the same in every process."""
+"""Logging to standard output, one line per record, as text or JSON; the same in every process."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import os
 import sys
 
 JSON_VARIABLE = "VAOI_LOG_JSON"
-"""Set in the environment, so that child processes log alike."""
+"""Environment variable that selects JSON; child processes inherit it."""
 
 
 class JsonLines(logging.Formatter):
-    """A record as one JSON object."""
+    """Formatter that writes a record as one JSON object."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Time (UTC), level, who, and what."""
+        """Return the record as JSON: time, level, logger, process, message, exception."""
         entry = {
             "time": self.formatTime(record, "%Y-%m-%dT%H:%M:%S") + f".{int(record.msecs):03d}",
             "level": record.levelname.lower(),
@@ -29,9 +29,10 @@ class JsonLines(logging.Formatter):
 
 
 def configure_logging(as_json: bool | None = None) -> None:
-    """Log to standard output; without a word, as the station that started this process does."""
+    """Log to standard output; None takes the format of the process that started this one."""
     if as_json is not None:
         os.environ[JSON_VARIABLE] = "1" if as_json else ""
+    # Standard output, not a file: systemd and containers collect and rotate it.
     handler = logging.StreamHandler(sys.stdout)
     if os.environ.get(JSON_VARIABLE):
         handler.setFormatter(JsonLines())

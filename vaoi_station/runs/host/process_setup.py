@@ -1,4 +1,4 @@
-"""How every process of the station begins: who may end it, where its log goes, what becomes of its memory."""
+"""Set-up of a child process: signals, number of threads, log and memory allocator."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from vaoi_station.runs.host.logs import configure_logging
 
 _TUNABLES = "GLIBC_TUNABLES"
 _MEMORY = {"hugetlb": 1, "trim_threshold": 512 << 20, "mmap_threshold": 32 << 20}
-"""Of the GNU C library's malloc: ask for large pages, keep so many bytes, take arrays up to that size from them."""
+"""Tunables of the GNU C library's malloc: use large pages, keep 512 MiB, allocate arrays below 32 MiB there."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def set_up_process(one_thread: bool) -> None:
-    """Leave signals to the station, which ends its processes in order; log to where the station logs.
+    """Ignore SIGINT and SIGTERM, limit numerical libraries to one thread if asked, and start the log.
 
-    A terminal sends Ctrl-C, and systemd SIGTERM, to every process of a group: only the station acts on
-    them. A child ends when it is told to, or when its pipe ends because the station is gone.
+    A child ends by a message from the station, or when its pipe ends because the station has died.
     """
+    # A terminal sends Ctrl-C, and systemd SIGTERM, to every process of a group. Only the station acts on them, because
+    # it ends its processes in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if one_thread:
@@ -30,11 +31,13 @@ def set_up_process(one_thread: bool) -> None:
 
 @contextmanager
 def keep_freed_memory() -> Iterator[None]:
-    """Processes that are started meanwhile, by whatever thread, keep the memory they give back, in large pages.
+    """Let processes that start inside the context keep freed memory, in large pages, for the next board.
 
-    The next board needs it. To have it anew, page by page and cleared, and to look up small pages in a large run's
-    arrays takes some ten milliseconds between the last frame and the matrices. Only the GNU C library knows this.
+    Only the GNU C library reads the setting; others ignore it.
     """
+    # Memory returned to the system is mapped again page by page and cleared. That, and address translation through
+    # small pages, took some ten milliseconds between the last frame and the matrices.
+    # The library reads the variable once, at process start, so it must be set in the parent.
     before = os.environ.get(_TUNABLES)
     ours = ":".join(f"glibc.malloc.{key}={value}" for key, value in _MEMORY.items())
     os.environ[_TUNABLES] = f"{before}:{ours}" if before else ours

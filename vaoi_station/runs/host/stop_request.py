@@ -1,4 +1,4 @@
-"""The wish that a service end: said by a signal or by one of its threads, awaited by its main thread."""
+"""A request to stop the service, from a signal or a thread, awaited by the main thread."""
 
 from __future__ import annotations
 
@@ -12,35 +12,39 @@ _BY_ITSELF = b"\0"
 
 
 class StopRequest:
-    """SIGTERM, SIGINT or `request` end `wait`; a context manager of the main thread, which puts everything back.
+    """A context manager of the main thread: SIGTERM, SIGINT or `request` end `wait`.
 
-    Not a `threading.Event` that a handler sets: the handler runs in the thread that waits, and when it comes
-    upon `wait` while that holds the event's lock, both stay for ever. Nor any other lock: a signal between the
-    last look and the wait would be slept through. The interpreter writes the number of every signal into a
-    socket at once (`signal.set_wakeup_fd`), and reading that is all that is waited for.
+    On exit the previous signal handlers are restored.
     """
+
+    # A `threading.Event` set by a signal handler can deadlock: the handler runs in the waiting main thread, possibly
+    # while `wait` holds the event's lock. Other locks have a gap between the last check and the wait, in which a
+    # signal is lost. Therefore the interpreter writes each signal number into a socket (`signal.set_wakeup_fd`), and
+    # `wait` reads from it.
 
     def __init__(self) -> None:
         self._here, self._there = socket.socketpair()
         self._there.setblocking(False)
 
     def request(self) -> None:
-        """Wish for the end, from any thread, at any time."""
-        with contextlib.suppress(OSError):  # full: asked often enough; closed: it has ended
+        """Request the end, from any thread, at any time."""
+        # A full socket already holds requests; a closed one belongs to a service that has ended.
+        with contextlib.suppress(OSError):
             self._there.send(_BY_ITSELF)
 
     def wait(self) -> str:
-        """Wait for the first wish: the name of the signal, or "" if it was `request`."""
+        """Wait for the first request; return the signal's name, or "" for a call of `request`."""
         while True:
             number = self._here.recv(1)[0]
             if number == _BY_ITSELF[0]:
                 return ""
+            # Other signals with a Python handler are written to the socket as well.
             if number in _SIGNALS:
                 return signal.Signals(number).name
 
     def __enter__(self) -> StopRequest:
         self._descriptor = signal.set_wakeup_fd(self._there.fileno(), warn_on_full_buffer=False)
-        self._handlers = {number: signal.signal(number, _noted) for number in _SIGNALS}
+        self._handlers = {number: signal.signal(number, _ignore_signal) for number in _SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -51,5 +55,5 @@ class StopRequest:
         self._there.close()
 
 
-def _noted(_number: int, _frame: FrameType | None) -> None:
-    """Stands for the default action, which would end the process; the socket has the number already."""
+def _ignore_signal(_number: int, _frame: FrameType | None) -> None:
+    """Replace the default action, which would end the process; the socket holds the number already."""

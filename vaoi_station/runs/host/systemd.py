@@ -1,4 +1,4 @@
-"""What systemd is told under `Type=notify`: ready, alive, stopping; silent without NOTIFY_SOCKET."""
+"""Messages to systemd for a unit of `Type=notify`: ready, watchdog, stopping; without NOTIFY_SOCKET nothing is sent."""
 
 from __future__ import annotations
 
@@ -7,20 +7,22 @@ import socket
 
 
 def notify(state: str) -> bool:
-    """Send one message, such as `READY=1`; False if nobody listens."""
+    """Send one message, such as `READY=1` (sd_notify(3)); return False if it cannot be delivered."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return False
+    # "@" stands for the zero byte of an abstract socket (unix(7)).
     if address.startswith("@"):
         address = "\0" + address[1:]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
         try:
             channel.sendto(state.encode(), address)
         except OSError:
+            # The service must not fail because its supervisor has gone.
             return False
     return True
 
 
-def alive() -> None:
-    """The watchdog's ping."""
+def notify_watchdog() -> None:
+    """Send the watchdog's sign of life."""
     notify("WATCHDOG=1")

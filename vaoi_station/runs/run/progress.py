@@ -13,9 +13,10 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Stitch, Verdict
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
+from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Reason, TaskTiming
 from vaoi_station.runs.states.tables import RUN, RunState, RunStep
-from vaoi_station.runs.workers.jobs import Concluded, ConcludeJob, Linked, LinkJob, OpenRun, Reply, RunContext
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Linked, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
 
@@ -159,9 +160,15 @@ class Progress:
         self.concluding = True
         # Tasks still pending are excluded too: their evidence may reach the concluding worker directly.
         excluded = frozenset(self.requested_s).difference(self.canonical_tasks)
-        return ConcludeJob(
-            self.context, self.recorded.head, self._slots(self.present), self.canonical_evidence, excluded
-        )
+        slots = self._slots(self.present)
+        return ConcludeJob(self.context, self.recorded.head, slots, self.canonical_evidence, excluded, self._check())
+
+    def _check(self) -> CheckJob | None:
+        """Return the calibration check to perform with the result; None for a single camera."""
+        # A single camera has no neighbour that could show its displacement.
+        if len(self.order.setup.cameras) < 2:
+            return None
+        return CheckJob(self.run, utc(), self.order.board_type_digest, self.order.calibration_digest)
 
     @property
     def canonical_evidence(self) -> dict[Task, Linked]:

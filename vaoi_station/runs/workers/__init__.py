@@ -1,1 +1,1 @@
-"""Run jobs on worker processes: queues, the pool, what a worker remembers between jobs."""
+"""Worker processes: job queues, the pool that supervises them, and the code that runs inside each worker."""

@@ -1,4 +1,4 @@
-"""What the station asks of a worker, and what it gets back; all of it frozen and picklable."""
+"""Messages between the station and its workers: jobs, replies and run set-up; all frozen and picklable."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vaoi_station.stitching.work import StitchSetup
 
 
 class Priority(IntEnum):
-    """Lower goes first: matrices before pictures, the run that is nearly done before the next one, checks last."""
+    """Order in which jobs are given out, lowest first: results before pictures, an ending run before the next one."""
 
     CONCLUDE = 0
     LINK = 1
@@ -29,7 +29,7 @@ class Priority(IntEnum):
 
 @dataclass(frozen=True)
 class RunContext:
-    """Where the frames of a run are."""
+    """A run and the bay of the ring that holds its frames."""
 
     run: str
     bay: int
@@ -38,14 +38,14 @@ class RunContext:
 
 @dataclass(frozen=True)
 class LinkJob:
-    """Stitching tasks on frames that are in the ring: those that one frame makes possible, so that it is prepared once.
+    """Stitching tasks that one new frame makes possible, in one job so that the frame is prepared once.
 
-    Its answer is one `Linked` per task, in their order.
+    The reply's value is a tuple with one `Linked` per task, in their order.
     """
 
     context: RunContext
     camera: int
-    """Of the frame."""
+    """Camera of the new frame."""
     tasks: tuple[Task, ...]
     slots: Mapping[FrameKey, int]
 
@@ -53,12 +53,12 @@ class LinkJob:
 
     @property
     def run(self) -> str:
-        """The run it belongs to."""
+        """Id of the run."""
         return self.context.run
 
     @property
     def affinity(self) -> int | None:
-        """Neighbouring cameras go to one worker, which has prepared their frames before."""
+        """The camera: neighbouring cameras go to one worker, which has their frames prepared already."""
         return self.camera
 
     def __str__(self) -> str:
@@ -68,7 +68,7 @@ class LinkJob:
 
 @dataclass(frozen=True)
 class GatherJob:
-    """Evidence that another worker found, for the one that will conclude the run: it is there before it is needed."""
+    """Evidence from another worker, sent ahead to the worker that will conclude the run."""
 
     context: RunContext
     linked: Mapping[Task, Linked]
@@ -78,36 +78,41 @@ class GatherJob:
 
     @property
     def run(self) -> str:
-        """The run it belongs to."""
+        """Id of the run."""
         return self.context.run
 
     def __str__(self) -> str:
-        return f"the gathering of evidence of run {self.run}"
+        return f"gathering evidence of run {self.run}"
 
 
 @dataclass(frozen=True)
 class ConcludeJob:
-    """All evidence of a run to one result; frames are needed for a second look at fiducials."""
+    """Compute the result of a run from its evidence; frames are needed to measure the fiducials again.
+
+    The reply's value is a `Concluded`. With `check`, a second reply follows, whose value is a `RunCheck`.
+    """
 
     context: RunContext
     head: RecordingHead
     slots: Mapping[FrameKey, int]
-    """The good frames."""
+    """Slots of the complete frames."""
     linked: Mapping[Task, Linked]
-    """All evidence; what the worker has already need not be sent to it."""
+    """All evidence; see `without` for what the worker holds already."""
     excluded: Set[Task] = frozenset()
-    """What was looked at while filming and does not count in the end: a row was lost, a bridge took its place."""
+    """Tasks performed while filming that the result must not use, because a row was lost and others replace them."""
+    check: CheckJob | None = None
+    """The calibration check to perform with the same evidence, after the result was sent."""
 
     priority = Priority.CONCLUDE
     affinity: int | None = None
 
     @property
     def run(self) -> str:
-        """The run it belongs to."""
+        """Id of the run."""
         return self.context.run
 
     def without(self, there: Collection[Task]) -> ConcludeJob:
-        """For a worker that has the evidence of some tasks."""
+        """Return the job for a worker that holds the evidence of some tasks already."""
         return replace(self, linked={task: linked for task, linked in self.linked.items() if task not in there})
 
     def __str__(self) -> str:
@@ -116,7 +121,7 @@ class ConcludeJob:
 
 @dataclass(frozen=True)
 class RenderJob:
-    """One temporary image, encoded."""
+    """Render one temporary image; the reply's value is the encoded file."""
 
     run: str
     bay: int
@@ -136,22 +141,24 @@ class RenderJob:
 
 @dataclass(frozen=True)
 class CheckJob:
-    """What a finished run tells of its cameras; needs its evidence, no frames."""
+    """The calibration check of a concluded run, performed by the worker that holds its evidence.
+
+    It is never queued: it travels inside its `ConcludeJob`. The reply's value is a `RunCheck`.
+    """
 
     run: str
     time: str
+    """Time of the run's conclusion (UTC), stored with the check."""
     board_type: str
     """Digest."""
-    setup: StitchSetup
-    times_s: tuple[float, ...]
-    evidence: tuple[Evidence, ...]
-    stitch: Stitch
+    calibration: str
+    """Digest of the calibration that the run was stitched with."""
 
     priority = Priority.CHECK
     affinity: int | None = None
 
     def __str__(self) -> str:
-        return f"the check of the cameras by run {self.run}"
+        return f"the calibration check of run {self.run}"
 
 
 Job = LinkJob | GatherJob | ConcludeJob | RenderJob | CheckJob
@@ -159,56 +166,59 @@ Job = LinkJob | GatherJob | ConcludeJob | RenderJob | CheckJob
 
 @dataclass(frozen=True)
 class OpenRun:
-    """A run whose tasks are about to come, and what all of them need; a worker gets it once."""
+    """Announce a run and the set-up that all its tasks need; sent to a worker once."""
 
     context: RunContext
     setup: StitchSetup
     reference: Path | None = None
-    """Directory of the reference that `setup` names."""
+    """Directory of the reference that `setup` names; None without one."""
 
 
 @dataclass(frozen=True)
 class CloseRun:
-    """Nothing more of this run will be asked for; forget what was prepared."""
+    """Instruct a worker to forget a run's evidence and prepared frames."""
 
     run: str
 
 
 @dataclass(frozen=True)
 class Ping:
-    """Are you there?"""
+    """Ask an idle worker for a sign of life."""
 
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """The worker is there: said once it has its ring and its libraries, and whenever it is asked."""
+    """Report that the worker is ready: sent after its warm-up, and in reply to each `Ping`."""
 
     pid: int
 
 
 @dataclass(frozen=True)
 class Linked:
-    """What one task gave, packed by the worker that made it: the station hands it on and need not look at it."""
+    """Evidence of one task, pickled by the worker that found it.
+
+    The station passes the bytes on without unpacking them, which saves time in the coordinator's thread.
+    """
 
     packed: bytes
     worker_s: float
-    """Time it took in the worker."""
+    """Time the worker took."""
 
     @classmethod
     def of(cls, evidence: Evidence, worker_s: float) -> Linked:
-        """Pack it."""
+        """Pack the evidence of a task."""
         return cls(pickle.dumps(evidence, pickle.HIGHEST_PROTOCOL), worker_s)
 
     @property
     def evidence(self) -> Evidence:
-        """Unpacked anew whenever it is asked for."""
+        """The evidence; each access unpacks it again."""
         found: Evidence = pickle.loads(self.packed)
         return found
 
 
 @dataclass(frozen=True)
 class Concluded:
-    """A result: its document as it is kept and served, and what the station itself needs of it."""
+    """The result of a run: its JSON document, and the part that the station itself uses."""
 
     without_components: Stitch
     document: str
@@ -216,9 +226,9 @@ class Concluded:
 
 @dataclass(frozen=True)
 class Reply:
-    """The outcome of a job: a value, or whose fault it is that there is none."""
+    """The outcome of a job: a value or an error."""
 
     value: Any
     error: VaoiError | None
     worker_s: float
-    """Time it took in the worker."""
+    """Time the worker took."""

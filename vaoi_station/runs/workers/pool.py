@@ -1,9 +1,8 @@
-"""k worker processes: who does what next, and what happens when one dies.
+"""The worker pool: it gives jobs to worker processes, and restarts processes that die or hang.
 
-Jobs wait here, not in the workers' pipes: each worker has one job in its hands, and while frames come one more
-of its own, so that it need not wait for us between two. A worker that dies is noticed at once by its
-sentinel; its jobs go to another one and a new worker takes its place. A job that has taken two
-workers with it is given back with the reason.
+Jobs wait in the pool, not in the workers' pipes. A worker has one job, and while frames arrive a second one, so that it
+does not idle between two. The end of a worker is noticed at once by its sentinel. Its jobs go to another worker, and
+the process is restarted. A job is given up with an error after `MAX_ATTEMPTS`.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from vaoi_station.runs.host.process_setup import keep_freed_memory
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
 from vaoi_station.runs.workers.jobs import (
+    CheckJob,
     CloseRun,
     ConcludeJob,
     GatherJob,
@@ -41,17 +41,17 @@ from vaoi_station.runs.workers.worker_process import run_worker
 _log = logging.getLogger(__name__)
 
 JOB_LIMIT_S = 30.0
-"""A worker that takes longer for one job is taken for hung and killed."""
+"""Longest time for one job; after it a worker counts as hung and is killed."""
 START_LIMIT_S = 600.0
-"""The same before it says that it is there: after an installation the first ones compile, under load for minutes."""
-PULSE_S = 1.0
-"""An idle worker is asked for a sign of life so often."""
-LIVES = 2
-"""Workers one job may take with it."""
+"""Longest start of a worker: after an installation the first start compiles, under load for minutes."""
+PING_INTERVAL_S = 1.0
+"""Time without a message after which an idle worker is pinged."""
+MAX_ATTEMPTS = 2
+"""Attempts at a job whose worker dies; a job that kills two workers would kill every further one."""
 
 
 class WorkerPool:
-    """The workers; `submit` from any thread, answers come in the pool's own thread."""
+    """The worker processes; methods may be called from any thread, events come from the pool's own thread."""
 
     def __init__(self, count: int, ring_path: Path) -> None:
         self._ring_path = ring_path
@@ -67,16 +67,17 @@ class WorkerPool:
     def start(self, events: WorkerEvents) -> None:
         """Start the processes and report to `events`; jobs may be submitted before the workers are ready."""
         self._events = events
-        atexit.register(self.stop, 0.0)  # workers leave SIGTERM to the station: nobody else would end them
+        # Workers ignore SIGTERM and SIGINT. Without this call they would survive a station that exits by an exception.
+        atexit.register(self.stop, 0.0)
         self._thread.start()
 
     def all_ready(self) -> bool:
-        """Whether every worker is there and warm; jobs need not wait for that."""
+        """Return whether every worker has finished its warm-up; jobs need not wait for that."""
         with self._lock:
             return all(w.ready for w in self._workers)
 
     def submit(self, job: Job) -> None:
-        """Have a job done; its answer is reported once, with a value or a reason."""
+        """Queue a job; its reply is reported as an event."""
         with self._lock:
             if not self._stopping:
                 self._queues.add(Queued(job))
@@ -85,12 +86,12 @@ class WorkerPool:
         self._report(job, _refused(StateError("The station is stopping; its workers take no more jobs.")))
 
     def open_run(self, opening: OpenRun) -> None:
-        """Jobs of a run are about to come."""
+        """Announce a run, before its first job is submitted."""
         with self._lock:
             self._queues.runs[opening.context.run] = opening
 
     def close_run(self, run: str) -> None:
-        """Nothing more of a run will be asked for: links that still wait are dropped, workers forget it."""
+        """Close a run: drop its waiting link jobs, and have the workers forget it."""
         with self._lock:
             self._queues.forget(run)
             for worker in self._workers:
@@ -100,7 +101,7 @@ class WorkerPool:
                     _send(worker.connection, CloseRun(run))
 
     def status(self) -> tuple[ProcessStatus, ...]:
-        """How every worker does."""
+        """Return the state of every worker."""
         now = time.monotonic()
         with self._lock:
             return tuple(
@@ -117,7 +118,7 @@ class WorkerPool:
             )
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """End the workers and give every waiting job back; no process is left behind."""
+        """End all workers and report every unfinished job with an error; no process is left behind."""
         with self._lock:
             if self._stopping:
                 return
@@ -126,6 +127,7 @@ class WorkerPool:
         self._wake_there.send_bytes(b"stop")
         if self._thread.ident is not None:
             self._thread.join()
+        # All are asked before any is awaited, so that they end at the same time.
         deadline = time.monotonic() + timeout_s
         for worker in self._workers:
             if worker.connection is not None:
@@ -140,25 +142,26 @@ class WorkerPool:
         self._wake_there.close()
 
     def _run(self) -> None:
-        """Start, listen, notice deaths, until stopped; all of the pool's waiting happens here."""
+        """Start workers, receive their messages and reap the dead until stopped."""
         while not self._stopping:
             for worker in self._workers:
                 if worker.process is None and not worker.backoff.remaining_s():
-                    self._begin(worker)
+                    self._start_worker(worker)
             sources: dict[Any, Worker] = {}
             for worker in self._workers:
                 if worker.process is not None:
                     sources[worker.connection] = sources[worker.process.sentinel] = worker
+            # Bounded by 0.5 s for the liveness checks below, and by the earliest restart.
             pauses_s = [w.backoff.remaining_s() for w in self._workers if w.process is None]
             for source in wait([self._wake_here, *sources], timeout=min([0.5, *pauses_s])):
                 if source is self._wake_here:
                     self._wake_here.recv_bytes()
                 elif source is sources[source].connection:
-                    self._listen(sources[source])
+                    self._receive(sources[source])
             for worker in {w.index: w for w in sources.values()}.values():
-                self._look_after(worker)
+                self._supervise(worker)
 
-    def _begin(self, worker: Worker) -> None:
+    def _start_worker(self, worker: Worker) -> None:
         worker.backoff.start_attempt()
         here, there = self._spawn.Pipe()
         process = self._spawn.Process(
@@ -166,117 +169,129 @@ class WorkerPool:
         )
         with keep_freed_memory():
             process.start()
+        # The child has its own copy. With ours open, its death would not close the pipe and `recv` would not end.
         there.close()
         with self._lock:
             worker.process, worker.connection, worker.since_s = process, here, time.monotonic()
 
-    def _listen(self, worker: Worker) -> None:
-        """Take one message of a worker; an end of its pipe is left to its sentinel."""
+    def _receive(self, worker: Worker) -> None:
+        """Process one message of a worker."""
         assert worker.connection is not None
         try:
             message = worker.connection.recv()
         except (EOFError, ConnectionResetError):
+            # Without its pipe a worker is of no use; its sentinel then leads to `_reap`.
             _kill(worker.process)
             return
-        worker.seen_s, worker.asked_s = time.monotonic(), None
+        worker.seen_s, worker.pinged_s = time.monotonic(), None
         queued, complete = None, False
         with self._lock:
             if isinstance(message, Reply) and worker.jobs:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
-                self._queues.pass_on(worker, queued.job, message)
-            if isinstance(message, WorkerReady) and not worker.ready:  # later ones are signs of life
+                self._queues.share_evidence(worker, queued.job, message)
+                if (check := _check_that_follows(queued.job, message)) is not None:
+                    # The worker performs it already. As its job it keeps other jobs away until the second reply, so
+                    # that they go to free workers, and it is bounded by JOB_LIMIT_S. There is at most one per worker.
+                    worker.jobs.appendleft(Queued(check))
+            # Later ones are replies to pings.
+            if isinstance(message, WorkerReady) and not worker.ready:
                 worker.ready = True
                 worker.backoff.record_success()
                 complete = self.all_ready()
             self._dispatch()
+        # Events are reported outside the lock: a receiver may call back into the pool.
         if complete and self._events is not None:
             self._events.workers_ready()
         if isinstance(message, Reply) and queued is not None:
             self._report(queued.job, message)
 
-    def _report(self, job: Job, answer: Reply) -> None:
-        """Report the outcome of a submitted job; gathering is the pool's own work and is not reported."""
+    def _report(self, job: Job, reply: Reply) -> None:
+        """Report the outcome of a job; gathering is internal to the pool and is not reported."""
         if self._events is not None and not isinstance(job, GatherJob):
-            self._events.worker_reply(job, answer)
+            self._events.worker_reply(job, reply)
 
-    def _look_after(self, worker: Worker) -> None:
-        """Notice that a worker has died, and kill one that hangs."""
+    def _supervise(self, worker: Worker) -> None:
+        """Reap a dead worker; kill one that hangs."""
         if worker.process is None:
             return
         if worker.process.is_alive():
-            self._feel_pulse(worker)
+            self._check_liveness(worker)
             return
         while worker.connection is not None and worker.job is not None and worker.connection.poll():
-            before = worker.job  # its last answer may still lie in the pipe
-            self._listen(worker)
+            # It may have sent a reply before it died; a finished job must not be repeated.
+            before = worker.job
+            self._receive(worker)
             if worker.job is before:
                 break
-        self._bury(worker)
+        self._reap(worker)
 
-    def _feel_pulse(self, worker: Worker) -> None:
-        """Ask an idle worker for a sign of life; kill one that hangs."""
+    def _check_liveness(self, worker: Worker) -> None:
+        """Ping an idle worker; kill one that exceeds its time limit."""
         now = time.monotonic()
         busy = worker.job is not None or not worker.ready
-        since_s = worker.since_s if busy else worker.asked_s
+        since_s = worker.since_s if busy else worker.pinged_s
         limit_s = JOB_LIMIT_S if worker.ready else START_LIMIT_S
         if since_s is not None and now - since_s > limit_s:
             _kill(worker.process)
-        elif not busy and worker.asked_s is None and now - (worker.seen_s or now) > PULSE_S:
-            worker.asked_s = now
+        elif not busy and worker.pinged_s is None and now - (worker.seen_s or now) > PING_INTERVAL_S:
+            worker.pinged_s = now
             assert worker.connection is not None
             with self._lock:
                 _send(worker.connection, Ping())
 
-    def _bury(self, worker: Worker) -> None:
+    def _reap(self, worker: Worker) -> None:
+        """Collect a dead worker, put its jobs back, and schedule its restart."""
         assert worker.process is not None
         process, code = worker.process, worker.process.exitcode
         with self._lock:
             queued = worker.job
+            # Only the job under way can be the cause of death; the second one is put back without a mark.
             for waiting in reversed([*worker.jobs][1:]):
                 self._queues.put_back(waiting)
             worker.jobs.clear()
             _end(process, worker.connection)
             worker.process = worker.connection = None
-            worker.ready, worker.asked_s = False, None
+            worker.ready, worker.pinged_s = False, None
             worker.opened.clear()
             worker.evidence.clear()
             worker.restarts += 1
             worker.backoff.record_failure()
-            spent = queued is not None and self._again(queued)
+            given_up = queued is not None and not self._retry(queued)
             self._dispatch()
-        sentence = f"Worker {worker.index} ended with code {code}" + (
-            f" while doing {queued.job}; another one does it." if queued and not spent else "; it is started again."
-        )
+        repeated = f" while doing {queued.job}, which another worker repeats" if queued and not given_up else ""
+        sentence = f"Worker {worker.index} ended with code {code}{repeated}; it is restarted."
         _log.warning(sentence)
         if self._events is not None:
             self._events.worker_ended(sentence)
-        if queued is not None and spent:
-            fault = f"{queued.job} took {LIVES} workers with it; the last ended with code {code}."
+        if queued is not None and given_up:
+            fault = f"{queued.job} was given up after {queued.deaths} attempt(s); its worker ended with code {code}."
             self._report(queued.job, _refused(InternalError(fault, code="worker-lost")))
 
-    def _again(self, queued: Queued) -> bool:
-        """Put a dead worker's job in front of the queue; True if it has had all its lives."""
+    def _retry(self, queued: Queued) -> bool:
+        """Put a dead worker's job at the front of its queue; return False if it must be given up."""
         queued.deaths += 1
-        if queued.deaths >= LIVES:
-            return True
+        # The evidence for a check died with the worker; the next run's check replaces it.
+        if queued.deaths >= MAX_ATTEMPTS or isinstance(queued.job, CheckJob):
+            return False
         self._queues.put_back(queued)
-        return False
+        return True
 
     def _dispatch(self) -> None:
-        """Give every idle worker the job that suits it best."""
+        """Give each idle worker a job, and a worker that performs links possibly a second one."""
         for worker in self._workers:
             if worker.idle and (queued := self._queues.choose(worker)) is not None:
-                self._hand(worker, queued)
+                self._give(worker, queued)
             if worker.ready and len(worker.jobs) == 1 and (queued := self._queues.next_link(worker)) is not None:
-                self._hand(worker, queued)
+                self._give(worker, queued)
 
-    def _hand(self, worker: Worker, queued: Queued) -> None:
+    def _give(self, worker: Worker, queued: Queued) -> None:
         assert worker.connection is not None
         if not worker.jobs:
             worker.since_s = time.monotonic()
         worker.jobs.append(queued)
         job = queued.job
         if isinstance(job, LinkJob | GatherJob | ConcludeJob):
+            # The set-up travels in the same pipe before the first job of its run, so that it is always there.
             if job.run not in worker.opened:
                 worker.opened.add(job.run)
                 _send(worker.connection, self._queues.runs[job.run])
@@ -284,6 +299,7 @@ class WorkerPool:
             if isinstance(job, GatherJob):
                 there.update(job.linked)
             if isinstance(job, ConcludeJob):
+                # The conclusion carries all evidence that the worker lacks; gathering the rest would be repeated work.
                 self._queues.drop(Priority.GATHER, job.run)
                 job = job.without(there)
         _send(worker.connection, job)
@@ -296,6 +312,11 @@ class WorkerPool:
             return left
 
 
+def _check_that_follows(job: Job, reply: Reply) -> CheckJob | None:
+    """Return the check whose reply comes next from the same worker; see `WorkerRuntime.replies`."""
+    return job.check if isinstance(job, ConcludeJob) and reply.error is None else None
+
+
 def _refused(error: StateError | InternalError) -> Reply:
     return Reply(None, error, 0.0)
 
@@ -304,7 +325,8 @@ def _send(connection: Connection[Any, Any], message: object) -> None:
     try:
         connection.send(message)
     except (BrokenPipeError, ConnectionResetError):
-        return  # the worker has died; its sentinel says so in a moment, and its job is given to another
+        # The worker has died. `_reap` follows in a moment and gives its job to another worker.
+        return
 
 
 def _kill(process: BaseProcess | None) -> None:
@@ -313,7 +335,7 @@ def _kill(process: BaseProcess | None) -> None:
 
 
 def _end(process: BaseProcess, connection: Connection[Any, Any] | None) -> None:
-    """Make sure a process is gone, and give back what it held here."""
+    """Kill a process if it still runs, wait for its end, and close its handles."""
     if process.is_alive():
         process.kill()
     process.join()

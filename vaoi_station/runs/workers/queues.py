@@ -1,4 +1,4 @@
-"""Jobs that wait for a worker, and which worker is to do which; confined to the pool's lock."""
+"""Waiting jobs and the choice of the worker for each; every call needs the pool's lock."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.runs.workers.jobs import ConcludeJob, GatherJob, Job, LinkJob, OpenRun, Priority, Reply
 from vaoi_station.stitching.matching.evidence import Task
 
-PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
-"""How soon a worker that died is started again."""
+RESTART_POLICY = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
+"""Pauses before a worker that died is restarted."""
 
 
 @dataclass(eq=False)
 class Queued:
-    """A job, and how many workers it took with it."""
+    """A job, and the number of workers that died while they performed it."""
 
     job: Job
     deaths: int = 0
@@ -27,73 +27,78 @@ class Queued:
 
 @dataclass
 class Worker:
-    """One process and what is in its hands."""
+    """One worker process, the jobs it was given, and the data it holds."""
 
     index: int
     process: BaseProcess | None = None
     connection: Connection[Any, Any] | None = None
     ready: bool = False
     jobs: deque[Queued] = field(default_factory=deque)
-    """In its hands: what it does, and perhaps what it does next."""
+    """Jobs given to it: the one under way, and possibly the next one."""
     since_s: float = 0.0
+    """Start of the job under way, or of the process, time.monotonic()."""
     opened: set[str] = field(default_factory=set)
+    """Runs whose set-up it has received."""
     evidence: dict[str, set[Task]] = field(default_factory=dict)
-    """Of each run, the tasks whose evidence it has: found itself, or gathered."""
+    """Tasks whose evidence it holds, by run: its own, and what was gathered from other workers."""
     restarts: int = 0
-    backoff: Backoff = field(default_factory=lambda: Backoff(PACE))
+    backoff: Backoff = field(default_factory=lambda: Backoff(RESTART_POLICY))
     seen_s: float | None = None
-    asked_s: float | None = None
-    """When it was asked for a sign of life it has not given yet."""
+    """Time of its latest message; None before the first."""
+    pinged_s: float | None = None
+    """Time of an unanswered ping; None without one."""
 
     @property
     def idle(self) -> bool:
-        """There, with nothing to do."""
+        """Whether it is ready and has no job."""
         return self.ready and not self.jobs
 
     @property
     def job(self) -> Queued | None:
-        """What it does."""
+        """The job under way; None without one."""
         return self.jobs[0] if self.jobs else None
 
 
 class JobQueues:
-    """One queue per priority."""
+    """One queue of waiting jobs per priority."""
 
     def __init__(self, workers: Sequence[Worker]) -> None:
         self._workers = workers
         self._queues: dict[Priority, deque[Queued]] = {p: deque() for p in Priority}
         self.runs: dict[str, OpenRun] = {}
-        """Whose jobs may come."""
+        """Open runs by id."""
         self.concluder = len(workers) - 1
-        """The worker that concludes runs, if it can: it has gathered their evidence."""
+        """Index of the worker that gathers the evidence of all runs, and concludes them if it is free."""
 
     def add(self, queued: Queued) -> None:
-        """At the end of its queue."""
+        """Append a job to its queue."""
         self._queues[queued.job.priority].append(queued)
 
     def put_back(self, queued: Queued) -> None:
-        """In front, for its worker has died."""
+        """Put a job at the front of its queue, because its worker has died."""
         self._queues[queued.job.priority].appendleft(queued)
 
     def forget(self, run: str) -> None:
-        """Nothing more of a run will be asked for."""
+        """Close a run: drop its waiting link and gather jobs."""
         self.runs.pop(run, None)
         self.drop(Priority.LINK, run)
         self.drop(Priority.GATHER, run)
 
     def emptied(self) -> list[Queued]:
-        """All that waited."""
+        """Remove and return all waiting jobs."""
         left = [queued for queue in self._queues.values() for queued in queue]
         for queue in self._queues.values():
             queue.clear()
         return left
 
     def next_link(self, worker: Worker) -> Queued | None:
-        """Links of its own for a worker that does some; none where something more urgent waits for whoever is free.
+        """Take out a second link job for a worker that performs one, so that it does not wait for the pool in between.
 
-        Only what fits into the pipe: while a worker works it reads nothing, and were we to wait for it while it sends
-        an answer, neither would go on. So the run must have been opened there.
+        Returns None while a conclusion waits, which goes to the next free worker.
         """
+        # A busy worker does not read its pipe. A message larger than the pipe's buffer would block the pool until the
+        # worker reads, while the worker may block sending its reply: a deadlock. A link job is small; the set-up of a
+        # run (OpenRun) is not, so the run must be open there already.
         if worker.jobs[0].job.priority is not Priority.LINK or self._queues[Priority.CONCLUDE]:
             return None
         links = self._queues[Priority.LINK]
@@ -102,21 +107,22 @@ class JobQueues:
             links.remove(mine)
         return mine
 
-    def pass_on(self, worker: Worker, job: Job, answer: Reply) -> None:
-        """What a worker found is wanted by the one that will conclude the run."""
-        if not isinstance(job, LinkJob) or answer.error is not None or job.run not in self.runs:
+    def share_evidence(self, worker: Worker, job: Job, reply: Reply) -> None:
+        """Note whose evidence a worker holds now, and queue it for the worker that will conclude the run."""
+        # A reply that arrives after the run was closed must not bring its entry back: nothing would remove it again.
+        if not isinstance(job, LinkJob) or reply.error is not None or job.run not in self.runs:
             return
         worker.evidence.setdefault(job.run, set()).update(job.tasks)
         if worker.index != self.concluder:
-            linked = dict(zip(job.tasks, answer.value, strict=True))
+            linked = dict(zip(job.tasks, reply.value, strict=True))
             self._queues[Priority.GATHER].append(Queued(GatherJob(job.context, linked)))
 
     def drop(self, priority: Priority, run: str) -> None:
-        """Leave jobs of one kind undone."""
+        """Drop the waiting jobs of one priority and run."""
         self._queues[priority] = deque(q for q in self._queues[priority] if q.job.run != run)
 
     def choose(self, worker: Worker) -> Queued | None:
-        """The job that suits an idle worker best, taken out."""
+        """Take out the most urgent job that an idle worker may perform, preferring jobs assigned to it."""
         for queue in self._queues.values():
             homes = [self._home(q) for q in queue]
             waiting = Counter(homes)
@@ -129,9 +135,10 @@ class JobQueues:
         return None
 
     def _home(self, queued: Queued) -> int | None:
-        """The worker that has this job's frames prepared: each has a part of the array, side by side.
+        """Return the index of the worker that has this job's frames prepared; None if any worker will do.
 
-        Only where two parts meet are frames prepared by both.
+        Each worker serves a block of neighbouring cameras, so that only frames at the border between two blocks are
+        prepared twice.
         """
         job, opening = queued.job, self.runs.get(queued.job.run)
         if isinstance(job, GatherJob | ConcludeJob):
@@ -141,10 +148,13 @@ class JobQueues:
         return job.affinity * len(self._workers) // len(opening.setup.cameras)
 
     def _may_take(self, job: Job, home: int | None, waiting: Counter[int | None]) -> bool:
-        """Whether another worker than its own should do a job: its own is away, or has more than it can do next."""
+        """Whether a worker other than the assigned one may take a job."""
         if home is None:
             return True
         own = self._workers[home]
         if isinstance(job, ConcludeJob):
+            # Another worker would first have to receive all evidence. That costs less than to wait for a picture or a
+            # check, and more than to wait for a link or gather job.
             return not own.ready or (own.job is not None and own.job.job.priority > Priority.GATHER)
+        # One waiting job is left to its worker, which prepares its frames only once; a second one would wait too long.
         return not isinstance(job, GatherJob) and (not own.ready or waiting[home] > 1)

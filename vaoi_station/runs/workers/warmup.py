@@ -1,6 +1,7 @@
-"""Warming up: a small board of noise and three discs is stitched before a worker says that it is there.
+"""Warm-up of a worker: stitch a small synthetic board before the worker reports that it is ready.
 
-What is compiled on first use is compiled now, libraries are paged in, and the first real frame is as fast as the last.
+Functions that are compiled on first use are compiled now and libraries are loaded, so that the first real frame takes
+no longer than later ones.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _SUBPIXEL_BITS = 4
 
 
 def warm_up() -> Stitch:
-    """Stitch the board; its result is of no use but to see that it is one."""
+    """Stitch the synthetic board and return its result, which serves tests only."""
     setup, times_s = _setup(), np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
     present = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
     runner = TaskRunner(setup, partial(_frame, _picture()))
@@ -33,6 +34,7 @@ def warm_up() -> Stitch:
 
 
 def _setup() -> StitchSetup:
+    # A distorted lens and a full board type, so that no branch of the stitching stays uncompiled.
     lens = Lens(((_WIDTH_PX - 1) / 2, (_HEIGHT_PX - 1) / 2), float(np.hypot(_WIDTH_PX, _HEIGHT_PX)) / 2, (-1e-4,))
     matrices = (
         np.array([[_PX_PER_MM, 0, -_PX_PER_MM * _PITCH_MM * i], [0, _PX_PER_MM, 0], [0, 0, 1]]) for i in range(_CAMERAS)
@@ -52,9 +54,10 @@ def _board_type() -> BoardType:
 
 
 def _picture() -> NDArray[np.uint8]:
-    """What lies on the belt from where the last row begins to where the first ends, (h, w)."""
+    """Draw belt and board, (h, w), from the start of the last row to the end of the first."""
     g = np.random.default_rng(0)
     height, width = (round(mm * _PX_PER_MM) for mm in (_SIZE_MM[1] + _STEP_MM * (_ROWS - 1), _SIZE_MM[0]))
+    # Blurred noise has corners everywhere, so that every kind of link finds something to refine.
     noise = cv2.GaussianBlur(g.normal(0, 60, (height, width)), (0, 0), 1.5)
     image: NDArray[np.uint8] = np.clip(90 + noise, 0, 255).astype(np.uint8)
     image[: round(_STEP_MM * (_ROWS - 1) * _PX_PER_MM)] = _BELT
@@ -68,5 +71,6 @@ def _picture() -> NDArray[np.uint8]:
 
 
 def _frame(picture: NDArray[np.uint8], camera: int, row: int) -> NDArray[np.uint8]:
+    # The board moves up in the picture by one step per row, as the conveyor carries it.
     x, y = round(_PITCH_MM * camera * _PX_PER_MM), round(_STEP_MM * (_ROWS - 1 - row) * _PX_PER_MM)
     return picture[y : y + _HEIGHT_PX, x : x + _WIDTH_PX]

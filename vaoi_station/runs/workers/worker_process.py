@@ -1,4 +1,4 @@
-"""The process of one worker: a job comes, an answer goes, until the pipe ends."""
+"""The main loop of a worker process: receive a message, send its replies, until the pipe ends."""
 
 from __future__ import annotations
 
@@ -10,23 +10,28 @@ from vaoi_station.runs.host.process_setup import set_up_process
 
 
 def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
-    """Do jobs until there are no more; heavy imports only after the number of threads is set."""
+    """Perform jobs until the station sends None or closes the pipe."""
     set_up_process(one_thread=True)
+    # Imported only now: OpenBLAS and OpenMP read the number of threads from the environment when they are loaded.
     from vaoi_station.runs.workers.jobs import CloseRun, Ping
     from vaoi_station.runs.workers.warmup import warm_up
     from vaoi_station.runs.workers.worker_runtime import WorkerRuntime
 
-    with connection, WorkerRuntime(ring_path) as bench:
+    with connection, WorkerRuntime(ring_path) as runtime:
         try:
             warm_up()
+            # Imported and compiled objects stay for ever: frozen, they are not scanned again. Automatic collections
+            # are off, because a full one would delay a result; they run after a run is closed and while idle.
             gc.collect()
-            gc.freeze()  # what was imported and compiled stays
-            gc.disable()  # and nothing is looked through while a board waits
-            connection.send(bench.hello())
+            gc.freeze()
+            gc.disable()
+            connection.send(runtime.ready())
             while (message := connection.recv()) is not None:
-                if (answer := bench.take(message)) is not None:
-                    connection.send(answer)
+                # Each reply is sent before the next one is computed: a result does not wait for the check behind it.
+                for reply in runtime.replies(message):
+                    connection.send(reply)
                 if isinstance(message, CloseRun | Ping):
                     gc.collect()
         except (EOFError, BrokenPipeError, ConnectionResetError):
-            return  # the station is gone, and so is the reason to be here
+            # The station has ended without a message; a worker must not outlive it.
+            return

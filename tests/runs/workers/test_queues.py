@@ -1,0 +1,205 @@
+"""The choice of the worker for each job, with workers that are plain data."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.runs.workers.conftest import CHECK, RingBoard
+from vaoi_station.errors import GoneError
+from vaoi_station.runs.workers.jobs import (
+    ConcludeJob,
+    GatherJob,
+    Job,
+    Linked,
+    LinkJob,
+    OpenRun,
+    Priority,
+    RenderJob,
+    Reply,
+    RunContext,
+)
+from vaoi_station.runs.workers.queues import JobQueues, Queued, Worker
+from vaoi_station.stitching.matching.evidence import Links, Task
+
+
+class Hall:
+    """Queues over k ready workers, with one open run of three cameras."""
+
+    def __init__(self, board: RingBoard, count: int) -> None:
+        self.board = board
+        self.workers = [Worker(k, ready=True) for k in range(count)]
+        self.queues = JobQueues(self.workers)
+        self.queues.runs["r1"] = board.opening
+
+    def link(self, camera: int, row: int = 0, run: str = "r1") -> LinkJob:
+        context = RunContext(run, 0, 1)
+        return LinkJob(context, camera, (Task("rows", (camera, row), (camera, row + 1), 0.1),), {})
+
+    def picture(self) -> RenderJob:
+        return RenderJob("r1", 0, 1, 0, None, "png")  # type: ignore[arg-type]  # the queues do not read the view
+
+    def add(self, *jobs: Job) -> None:
+        for job in jobs:
+            self.queues.add(Queued(job))
+
+    def choose(self, worker: int) -> Job | None:
+        queued = self.queues.choose(self.workers[worker])
+        if queued is not None:
+            self.workers[worker].jobs.append(queued)
+        return None if queued is None else queued.job
+
+    def reply(self, worker: int, job: LinkJob, error: GoneError | None = None) -> None:
+        value = tuple(Linked.of(Links.empty(task, ""), 0.0) for task in job.tasks)
+        self.queues.share_evidence(self.workers[worker], job, Reply(None if error else value, error, 0.0))
+
+
+@pytest.fixture
+def hall(ring_board: RingBoard) -> Hall:
+    return Hall(ring_board, 3)
+
+
+def test_each_camera_has_one_worker(hall: Hall) -> None:
+    hall.add(*(hall.link(camera) for camera in (0, 1, 2)))
+    assert [hall.choose(k) for k in (2, 1, 0)] == [hall.link(2), hall.link(1), hall.link(0)]
+
+
+def test_one_waiting_job_is_left_to_its_worker_and_a_second_one_is_not(hall: Hall) -> None:
+    hall.add(hall.link(0, 0))
+    assert hall.choose(1) is None
+    hall.add(hall.link(0, 1))
+    assert hall.choose(1) == hall.link(0, 0)
+
+
+def test_jobs_of_a_worker_that_is_not_ready_go_to_others(hall: Hall) -> None:
+    hall.workers[0].ready = False
+    hall.add(hall.link(0))
+    assert hall.choose(2) == hall.link(0)
+
+
+def test_urgent_jobs_are_chosen_first(hall: Hall) -> None:
+    conclusion = hall.board.conclusion({})
+    gather = GatherJob(hall.board.context, {})
+    hall.add(hall.picture(), gather, hall.link(2), conclusion)
+    chosen = []
+    for _ in range(4):
+        chosen.append(hall.choose(2))
+        hall.workers[2].jobs.clear()
+    assert chosen == [conclusion, hall.link(2), gather, hall.picture()]
+
+
+def test_a_conclusion_goes_to_the_worker_with_the_evidence(hall: Hall) -> None:
+    hall.add(hall.board.conclusion({}))
+    assert hall.choose(0) is None
+    assert isinstance(hall.choose(2), ConcludeJob)
+
+
+@pytest.mark.parametrize("busy_with", ["picture", "check"])
+def test_a_conclusion_does_not_wait_for_a_picture_or_a_check(hall: Hall, busy_with: str) -> None:
+    hall.workers[2].jobs = deque([Queued(hall.picture() if busy_with == "picture" else CHECK)])
+    hall.add(hall.board.conclusion({}))
+    assert isinstance(hall.choose(0), ConcludeJob)
+
+
+def test_a_conclusion_waits_for_links_of_its_worker(hall: Hall) -> None:
+    hall.workers[2].jobs = deque([Queued(hall.link(2))])
+    hall.add(hall.board.conclusion({}))
+    assert hall.choose(0) is None
+
+
+def test_links_of_the_next_board_do_not_wait_for_a_check(hall: Hall) -> None:
+    """The worker that checks keeps one waiting job; free workers take the others."""
+    hall.workers[2].jobs = deque([Queued(CHECK)])
+    hall.add(hall.link(2, 0), hall.link(2, 1), hall.link(0))
+    assert hall.queues.next_link(hall.workers[2]) is None
+    assert hall.choose(0) == hall.link(0)
+    assert hall.choose(1) == hall.link(2, 0)
+
+
+def test_a_busy_worker_gets_its_next_link_if_the_run_is_open_there(hall: Hall) -> None:
+    worker = hall.workers[0]
+    worker.jobs.append(Queued(hall.link(0)))
+    hall.add(hall.link(0, 1))
+    assert hall.queues.next_link(worker) is None
+    worker.opened.add("r1")
+    found = hall.queues.next_link(worker)
+    assert found is not None
+    assert found.job == hall.link(0, 1)
+    assert hall.queues.next_link(worker) is None
+
+
+def test_no_second_job_while_a_conclusion_waits(hall: Hall) -> None:
+    worker = hall.workers[0]
+    worker.jobs.append(Queued(hall.link(0)))
+    worker.opened.add("r1")
+    hall.add(hall.link(0, 1), hall.board.conclusion({}))
+    assert hall.queues.next_link(worker) is None
+
+
+def test_evidence_is_sent_ahead_to_the_concluding_worker(hall: Hall) -> None:
+    job = hall.link(0)
+    hall.reply(0, job)
+    assert hall.workers[0].evidence == {"r1": set(job.tasks)}
+    gather = hall.choose(2)
+    assert isinstance(gather, GatherJob)
+    assert set(gather.linked) == set(job.tasks)
+
+
+def test_its_own_evidence_is_not_gathered(hall: Hall) -> None:
+    hall.reply(2, hall.link(2))
+    assert hall.workers[2].evidence["r1"]
+    assert hall.choose(2) is None
+
+
+def test_failed_links_and_closed_runs_leave_no_evidence(hall: Hall) -> None:
+    hall.reply(0, hall.link(0), GoneError("gone."))
+    hall.queues.forget("r1")
+    hall.reply(0, hall.link(0))
+    assert hall.workers[0].evidence == {}
+    assert hall.queues.emptied() == []
+
+
+def test_closing_a_run_drops_its_links_and_keeps_its_pictures(hall: Hall) -> None:
+    hall.queues.runs["r2"] = OpenRun(replace(hall.board.context, run="r2"), hall.board.setup)
+    hall.add(hall.link(0), GatherJob(hall.board.context, {}), hall.link(0, run="r2"), hall.picture())
+    hall.queues.forget("r1")
+    assert [q.job for q in hall.queues.emptied()] == [hall.link(0, run="r2"), hall.picture()]
+    assert set(hall.queues.runs) == {"r2"}
+
+
+def test_a_job_that_is_put_back_is_the_next_one(hall: Hall) -> None:
+    hall.add(hall.link(0, 1))
+    hall.queues.put_back(Queued(hall.link(0, 0), deaths=1))
+    assert hall.choose(0) == hall.link(0, 0)
+
+
+def test_a_worker_is_idle_when_it_is_ready_without_a_job(hall: Hall) -> None:
+    job = Queued(hall.link(0))
+    found = [(w.idle, w.job) for w in (Worker(0), Worker(0, ready=True), Worker(0, ready=True, jobs=deque([job])))]
+    assert found == [(False, None), (True, None), (False, job)]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    cameras=st.lists(st.integers(0, 2), max_size=12),
+    order=st.lists(st.integers(0, 2), min_size=40, max_size=40),
+    count=st.integers(1, 3),
+)
+def test_every_job_is_given_out_exactly_once(
+    ring_board: RingBoard, cameras: list[int], order: list[int], count: int
+) -> None:
+    """Whatever the order in which workers become idle, no job is lost, repeated, or left to a worker that waits."""
+    hall = Hall(ring_board, count)
+    jobs: list[Job] = [hall.link(camera, row) for row, camera in enumerate(cameras)]
+    hall.add(*jobs, hall.picture())
+    chosen: list[Job] = []
+    for worker in [*(k % count for k in order), *(list(range(count)) * 14)]:
+        if (job := hall.choose(worker)) is not None:
+            chosen.append(job)
+        hall.workers[worker].jobs.clear()
+    assert sorted(map(repr, chosen)) == sorted(map(repr, [*jobs, hall.picture()]))
+    assert {job.priority for job in chosen} <= {Priority.LINK, Priority.RENDER}
