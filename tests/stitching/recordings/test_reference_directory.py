@@ -1,0 +1,163 @@
+"""A reference as a directory: written whole, opened with the same result, refused where it does not fit."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station.errors import InputError
+from vaoi_station.files import (
+    open_recording,
+    read_board_type,
+    read_calibration,
+    read_stitch,
+    write_calibration,
+    write_stitch,
+)
+from vaoi_station.model import BoardType, Calibration, Status, Stitch
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation.recording_writer import write_passage
+from vaoi_station.stitching.recordings.reference_directory import (
+    RESULT,
+    StoredReference,
+    open_reference,
+    teach,
+    with_reference,
+    write_reference,
+)
+from vaoi_station.stitching.work import StitchSetup
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("reference") / "run"
+    write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), out, with_truth=True)
+    return out
+
+
+@pytest.fixture(scope="module")
+def taught(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("taught") / "small"
+    stitch = teach(recording, recording / "calibration.json", recording / "board.json", out)
+    assert stitch.status is Status.OK
+    return out
+
+
+def opened(directory: Path, board_type: BoardType | None = None, calibration: Path | None = None) -> StoredReference:
+    head = open_recording(directory).head
+    cameras = read_calibration(calibration or directory / "calibration.json", head.cameras).cameras(head.cameras)
+    return open_reference(directory, cameras, board_type or read_board_type(directory / "board.json"))
+
+
+def changed(board: Path, **keys: object) -> BoardType:
+    return BoardType.model_validate(json.loads(board.read_text()) | keys)
+
+
+def test_teaching_keeps_everything_but_the_truth(recording: Path, taught: Path) -> None:
+    assert (recording / "truth.json").is_file()
+    assert not (taught / "truth.json").exists()
+    for name in ("calibration.json", "board.json", "recording.json"):
+        assert (taught / name).read_bytes() == (recording / name).read_bytes()
+    assert read_stitch(taught / RESULT).cad_matrix is not None
+
+
+def test_an_existing_directory_is_not_overwritten(recording: Path, taught: Path) -> None:
+    with pytest.raises(InputError, match="exists already"):
+        teach(recording, recording / "calibration.json", recording / "board.json", taught)
+
+
+def test_a_run_that_is_not_ok_is_not_taught(recording: Path, tmp_path: Path) -> None:
+    """Two fiducials alone leave it open how the board lies, so the result is degraded."""
+    bare = json.loads((recording / "board.json").read_text())
+    bare = {key: value for key, value in bare.items() if key != "outline"}
+    bare |= {"fiducials": bare["fiducials"][:2], "components": []}
+    (tmp_path / "board.json").write_text(json.dumps(bare))
+    with pytest.raises(InputError, match="cannot be a reference"):
+        teach(recording, recording / "calibration.json", tmp_path / "board.json", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_opened_reference_has_the_kept_result(taught: Path) -> None:
+    stored, kept = opened(taught), read_stitch(taught / RESULT)
+    assert np.array_equal(stored.reference.stitch.row_motion, kept.row_motion)
+    assert stored.reference.stitch.components is None, "what linking does not need stays behind"
+    head = stored.recording.head
+    assert len(stored.reference.present) == len(head.cameras) * head.rows
+    assert len(stored.reference.name) == 16
+
+
+def test_a_reference_without_a_result_is_stitched_when_opened(recording: Path, taught: Path) -> None:
+    np.testing.assert_allclose(
+        opened(recording).reference.stitch.row_motion, opened(taught).reference.stitch.row_motion, atol=1e-9
+    )
+
+
+def test_another_calibration_is_refused(taught: Path, tmp_path: Path) -> None:
+    known: Calibration = read_calibration(taught / "calibration.json")
+    matrices = list(known.camera_matrices)
+    matrices[1] = np.array([[1, 0, 0.2], [0, 1, 0], [0, 0, 1]]) @ matrices[1]
+    write_calibration(tmp_path / "c.json", known.model_copy(update={"camera_matrices": tuple(matrices)}))
+    with pytest.raises(InputError, match=r"another calibration: camera 1 differs by 0\.20 px \(limit 0\.05\)"):
+        opened(taught, calibration=tmp_path / "c.json")
+
+
+def test_another_number_of_cameras_is_refused(taught: Path) -> None:
+    head = open_recording(taught).head
+    cameras = read_calibration(taught / "calibration.json", head.cameras).cameras(head.cameras)
+    with pytest.raises(InputError, match=f"was filmed by {len(cameras)} cameras, this run by 1"):
+        open_reference(taught, cameras[:1], read_board_type(taught / "board.json"))
+
+
+def test_a_board_type_with_other_components_is_refused(taught: Path) -> None:
+    with pytest.raises(InputError, match="whose components are not those of"):
+        opened(taught, changed(taught / "board.json", components=[]))
+
+
+def test_a_board_type_whose_fiducials_changed_is_refused(taught: Path) -> None:
+    marks = json.loads((taught / "board.json").read_text())["fiducials"]
+    with pytest.raises(InputError, match="had other fiducials"):
+        opened(taught, changed(taught / "board.json", fiducials=marks[:2]))
+
+
+def test_a_stitched_run_is_written_with_some_of_its_frames(recording: Path, taught: Path, tmp_path: Path) -> None:
+    source = open_recording(recording)
+    head = source.head
+    kept = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i + j) % 2 == 0]
+    missing = tuple((i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in kept)
+    out = tmp_path / "some"
+    write_reference(
+        out,
+        head.model_copy(update={"missing": missing, "x_run": "r-17"}),
+        ((i, j, pixels) for i, j in kept if (pixels := source.frame(i, j)) is not None),
+        read_calibration(recording / "calibration.json", head.cameras),
+        read_board_type(recording / "board.json"),
+        read_stitch(taught / RESULT),
+    )
+    stored = opened(out)
+    assert stored.reference.present == frozenset(kept)
+    assert stored.reference.name == "r-17"
+    ours, theirs = stored.recording.frame(*kept[1]), source.frame(*kept[1])
+    assert ours is not None
+    assert theirs is not None
+    assert np.array_equal(ours, theirs)
+
+
+def test_a_failed_result_is_no_reference(taught: Path, tmp_path: Path) -> None:
+    shutil.copytree(taught, tmp_path / "failed")
+    failed: Stitch = read_stitch(taught / RESULT).model_copy(update={"cad_matrix": None, "reasons": ("no fiducials",)})
+    write_stitch(tmp_path / "failed" / RESULT, failed)
+    with pytest.raises(InputError, match="has no CAD mapping: no fiducials"):
+        opened(tmp_path / "failed")
+
+
+def test_a_setup_without_a_reference_stays_as_it_is(taught: Path) -> None:
+    head = open_recording(taught).head
+    cameras = read_calibration(taught / "calibration.json", head.cameras).cameras(head.cameras)
+    setup = StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, None)
+    assert with_reference(setup, None) is setup
+    stored = opened(taught)
+    assert with_reference(setup, stored).reference is stored.reference
