@@ -1,4 +1,4 @@
-"""Commands as the shell runs them, and a small recording to run them on."""
+"""Run commands as a shell does, on a small recording."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from vaoi_station.simulation.recording_writer import write_passage
 
 
 @dataclass(frozen=True)
-class Said:
-    """How a command ended."""
+class Result:
+    """Exit code and output of a command."""
 
     code: int
     out: str
@@ -25,23 +25,23 @@ class Said:
 
 
 @pytest.fixture
-def vaoi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
-    """Runs `vaoi …` in this process."""
+def vaoi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
+    """A function that runs `vaoi …` in this process."""
 
-    def run(*arguments: object) -> Said:
+    def run(*arguments: object) -> Result:
         monkeypatch.setattr(sys, "argv", ["vaoi", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             main()
         code = ended.value.code
         out, err = capsys.readouterr()
-        return Said(code if isinstance(code, int) else 0, out, err)
+        return Result(code if isinstance(code, int) else 0, out, err)
 
     return run
 
 
 @pytest.fixture(scope="session")
 def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A board of the small scenario, without its truth; not to be changed."""
+    """A board of the small scenario without its truth; tests do not change it."""
     directory = tmp_path_factory.mktemp("small")
     write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), directory, with_truth=False)
     return directory
@@ -49,5 +49,5 @@ def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def recording(small_recording: Path, tmp_path: Path) -> Path:
-    """A copy of it, to be spoilt."""
+    """A copy of the small recording, which a test may change."""
     return Path(shutil.copytree(small_recording, tmp_path / "recording"))

@@ -158,7 +158,7 @@ def until_ended(pid: int) -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--json"], "belong to --once"),
+        (["--json"], "need --once"),
         (["--scenario", "smal"], "there is no scenario 'smal'"),
         (["--once", "--out", "README.md"], "is a file"),
     ],

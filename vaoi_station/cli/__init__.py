@@ -1,4 +1,4 @@
-"""`vaoi …`: one module per command; heavy imports happen inside the commands, so that `--help` is quick."""
+"""The command line `vaoi`, one module per command; heavy imports are inside the commands, so that `--help` is fast."""
 
 from __future__ import annotations
 
@@ -31,16 +31,17 @@ from vaoi_station.version import __version__
 # the cores that cameras and workers need. Child processes inherit this; it must be set before numpy loads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Rich tracebacks are off: `main` prints errors itself, in one sentence.
 app = typer.Typer(
     name="vaoi",
-    help="Inline Video-AOI station: plan it, simulate it, film boards, stitch them, hand out component images.",
+    help="Inline Video-AOI station: plan it, simulate it, film boards, stitch them, cut component images.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 
 
-def _tell_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"vaoi_station {__version__}")
         raise typer.Exit
@@ -49,10 +50,10 @@ def _tell_version(wanted: bool) -> None:
 @app.callback()
 def vaoi(
     version: Annotated[
-        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Say which version this is.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Options of `vaoi` itself; `vaoi COMMAND` stays the form of every call."""
+    """Accept the options of `vaoi` itself; every other call has the form `vaoi COMMAND`."""
 
 
 app.command()(plan)
@@ -74,18 +75,21 @@ app.add_typer(rig, name="rig")
 
 
 def main() -> None:
-    """Run a command; a refusal is a sentence on stderr and exit code 2 (input), 3 (device, state) or 4 (ours)."""
+    """Run a command. An error is one sentence on stderr, and exit code 2 (input), 3 (device, state) or 4 (internal)."""
     try:
         app()
     except VaoiError as error:
         sys.stderr.write(f"vaoi: {error}\n")
         sys.exit(2 if isinstance(error, InputError | NotFoundError) else 4 if isinstance(error, InternalError) else 3)
     except OSError as error:
+        # An error of a file or device that no layer below has described; its path is the best information there is.
         sys.stderr.write(f"vaoi: {error.filename or 'the system'}: {error.strerror or error}.\n")
         sys.exit(2)
-    except Exception as error:  # whatever is left is our mistake; a user is told in a sentence all the same
+    except Exception as error:  # any other exception is an internal error; the user still gets one sentence
         if os.environ.get("VAOI_TRACEBACK"):
             raise
         kind = type(error).__name__
-        sys.stderr.write(f"vaoi: our own mistake: {kind}: {error}. VAOI_TRACEBACK=1 shows where; please report it.\n")
+        sys.stderr.write(
+            f"vaoi: internal error: {kind}: {error}. Report it with the traceback that VAOI_TRACEBACK=1 shows.\n"
+        )
         sys.exit(4)

@@ -32,7 +32,7 @@ def _run(*arguments: str | Path) -> str:
     return result.output
 
 
-def test_a_calibration_with_its_picture(film: Path, tmp_path: Path) -> None:
+def test_calibration_with_its_picture(film: Path, tmp_path: Path) -> None:
     out = tmp_path / "made" / "calibration.json"
     said = _run(film, "--out", out, "--working-distance-mm", "300")
     assert "camera 1: 16 of 16 marks, residuals 0.0" in said
@@ -46,7 +46,7 @@ def test_a_calibration_with_its_picture(film: Path, tmp_path: Path) -> None:
     assert sorted(p.name for p in out.parent.iterdir()) == ["calibration-report.png", "calibration.json"]
 
 
-def test_a_refusal_leaves_the_picture_and_no_calibration(film: Path, tmp_path: Path) -> None:
+def test_refusal_writes_the_picture_and_no_calibration(film: Path, tmp_path: Path) -> None:
     layout = json.loads((film / "layout.json").read_text())
     layout["marks"] = [{"x": m["x"], "y": m["y"] + 60} for m in layout["marks"]]
     wrong = tmp_path / "layout.json"
@@ -58,7 +58,7 @@ def test_a_refusal_leaves_the_picture_and_no_calibration(film: Path, tmp_path: P
     assert [p.name for p in pictures.iterdir()] == ["calibration-report.png"]
 
 
-def test_an_older_calibration_survives_a_refusal(film: Path, tmp_path: Path) -> None:
+def test_refusal_does_not_overwrite_a_calibration(film: Path, tmp_path: Path) -> None:
     out = tmp_path / "calibration.json"
     _run(film, "--out", out)
     before = out.read_bytes()
@@ -78,10 +78,10 @@ def test_two_calibrations_are_compared_as_a_map(film: Path, tmp_path: Path) -> N
     assert (tmp_path / "maps" / "one-difference.png").exists()
 
 
-def test_what_is_missing_is_said(film: Path, tmp_path: Path) -> None:
+def test_missing_options_are_named(film: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--out is missing"):
         _run(film)
-    with pytest.raises(InputError, match="--existing makes no calibration"):
+    with pytest.raises(InputError, match="--existing is given without --compare"):
         _run(film, "--existing", film / "layout.json")
     with pytest.raises(NotFoundError, match=r"no\.json"):
         _run(film, "--out", tmp_path / "c.json", "--layout", tmp_path / "no.json")
@@ -89,7 +89,7 @@ def test_what_is_missing_is_said(film: Path, tmp_path: Path) -> None:
         _run(film, "--out", tmp_path / "c.json", "--row", "3")
 
 
-def test_of_a_longer_recording_one_row_must_be_chosen(film: Path, tmp_path: Path) -> None:
+def test_recording_of_several_rows_needs_a_row(film: Path, tmp_path: Path) -> None:
     copy = tmp_path / "film"
     shutil.copytree(film, copy)
     head = json.loads((copy / "recording.json").read_text())

@@ -56,14 +56,14 @@ def test_pictures_of_components_with_their_matrices(
     assert listing[0]["coverage"] == 1
 
 
-def test_resolution_and_least_coverage(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
+def test_resolution_and_minimum_coverage(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
     options = ("--component", "R1", "--px-per-mm", 9, "--min-coverage", 1)
     assert vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path).code == 0
     listing = json.loads((tmp_path / "R1.json").read_text())
     assert {(v["px_per_mm"], v["coverage"]) for v in listing} == {(9.0, 1.0)}
 
 
-def test_an_unknown_component_is_refused_with_those_there_are(
+def test_unknown_component_is_refused_with_a_list_of_components(
     vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
 ) -> None:
     said = vaoi("cut", small_recording, "--result", result, "--component", "U99", "--out", tmp_path)
@@ -72,9 +72,7 @@ def test_an_unknown_component_is_refused_with_those_there_are(
     assert not list(tmp_path.glob("*.png"))
 
 
-def test_a_run_without_cad_mapping_cannot_be_cut(
-    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
-) -> None:
+def test_run_without_cad_mapping_cannot_be_cut(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
     data = json.loads(result.read_text())
     data.update(cad_matrix=None, status="failed", reasons=["the fiducials were not found"])
     (tmp_path / "failed.json").write_text(json.dumps(data))
@@ -99,7 +97,7 @@ def test_too_large_a_picture_is_refused(vaoi: Any, small_recording: Path, result
         (lambda d: d["image_matrices"][1][0][0].__setitem__(2, 7.0), "camera 1 has another calibration"),
     ],
 )
-def test_a_result_of_another_recording_is_refused(
+def test_result_of_another_recording_is_refused(
     vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, change: Any, words: str
 ) -> None:
     data = json.loads(result.read_text())
@@ -112,6 +110,6 @@ def test_a_result_of_another_recording_is_refused(
     assert not list(tmp_path.glob("*.png"))
 
 
-def test_the_version_is_told(vaoi: Any) -> None:
+def test_version_is_printed(vaoi: Any) -> None:
     said = vaoi("--version")
     assert (said.code, said.out, said.err) == (0, f"vaoi_station {__version__}\n", "")

@@ -1,4 +1,4 @@
-"""`vaoi report` from the outside: a file, a bundle, or both; refusals come before the work."""
+"""`vaoi report`: a file, a bundle, or both."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_report_is_one_file(run: Path, tmp_path: Path) -> None:
+def test_report_is_one_file(run: Path, tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     done = CliRunner().invoke(app, ["report", str(run), "--out", str(out)])
     assert done.exit_code == 0, done.output
@@ -27,13 +27,13 @@ def test_a_report_is_one_file(run: Path, tmp_path: Path) -> None:
     assert out.read_text().startswith("<!doctype html>")
 
 
-def test_by_default_it_lies_where_one_stands(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_default_is_the_working_directory(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert CliRunner().invoke(app, ["report", str(run), "--method", "features"]).exit_code == 0
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_a_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) -> None:
+def test_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     done = CliRunner().invoke(app, ["report", str(run), "--bundle", str(kept)])
     assert done.exit_code == 0, done.output
@@ -47,5 +47,5 @@ def test_a_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) 
     assert isinstance(refused.exception, StateError)
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+def test_directory_without_a_recording_is_refused(tmp_path: Path) -> None:
     assert isinstance(CliRunner().invoke(app, ["report", str(tmp_path)]).exception, NotFoundError)

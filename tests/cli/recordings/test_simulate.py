@@ -16,7 +16,7 @@ def _run(*arguments: str) -> str:
     return result.output
 
 
-def test_a_recording_with_everything_that_belongs_to_it(tmp_path: Path) -> None:
+def test_recording_is_complete(tmp_path: Path) -> None:
     out = tmp_path / "board"
     said = _run("small", "--out", str(out), "--board", "1")
     recording = open_recording(out)
@@ -29,7 +29,7 @@ def test_a_recording_with_everything_that_belongs_to_it(tmp_path: Path) -> None:
         _run("small", "--out", str(out))
 
 
-def test_lost_frames_are_missing_and_the_truth_may_be_left_out(tmp_path: Path) -> None:
+def test_missing_frames_are_listed_and_the_truth_is_optional(tmp_path: Path) -> None:
     scenario = tmp_path / "lossy.toml"
     scenario.write_text(
         "[array]\nwidth_px = 64\nheight_px = 48\npx_per_mm = 4.0\n"
@@ -43,12 +43,12 @@ def test_lost_frames_are_missing_and_the_truth_may_be_left_out(tmp_path: Path) -
     assert not (out / "truth.json").exists()
 
 
-def test_the_calibration_board(tmp_path: Path) -> None:
+def test_calibration_board(tmp_path: Path) -> None:
     _run("small", "--out", str(tmp_path), "--calibration-board")
     assert open_recording(tmp_path).head.rows == 1
     assert (tmp_path / "layout.json").exists()
 
 
-def test_an_unknown_scenario_is_refused(tmp_path: Path) -> None:
+def test_unknown_scenario_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match="no scenario 'nothing'"):
         _run("nothing", "--out", str(tmp_path))

@@ -21,18 +21,18 @@ def edit(path: Path, change: Callable[[Any], Any]) -> None:
     path.write_text(json.dumps(data))
 
 
-def test_a_recording_becomes_a_result(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
+def test_recording_becomes_a_result(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "results" / "result.json"
     said = vaoi("stitch", small_recording, "--out", out)
     assert (said.code, said.err) == (0, "")
-    assert said.out.startswith(f"ok: 6 rows × 2 cameras → {out}\npositions are good to 0.0")
+    assert said.out.startswith(f"ok: 6 rows × 2 cameras → {out}\nstandard deviation of positions: 0.0")
     result = read_stitch(out)
     assert result.status is Status.OK
     assert result.components
     assert result.quality["timings_ms"]
 
 
-def test_calibration_and_board_type_may_lie_elsewhere(
+def test_calibration_and_board_type_of_other_directories(
     vaoi: Any, recording: Path, small_recording: Path, tmp_path: Path
 ) -> None:
     for name in ("calibration.json", "board.json"):
@@ -45,7 +45,7 @@ def test_calibration_and_board_type_may_lie_elsewhere(
     assert first["cad_matrix"] == second["cad_matrix"]
 
 
-def test_without_a_board_type_the_frames_are_placed_and_the_reason_is_said(
+def test_without_a_board_type_frames_are_placed_and_a_reason_is_given(
     vaoi: Any, recording: Path, tmp_path: Path
 ) -> None:
     (recording / "board.json").unlink()
@@ -133,20 +133,20 @@ def test_bad_input_is_one_sentence_that_names_the_file(
     assert not out.exists(), "nothing half done is left behind"
 
 
-def test_a_directory_that_is_no_recording(vaoi: Any, tmp_path: Path) -> None:
+def test_directory_without_a_recording_is_refused(vaoi: Any, tmp_path: Path) -> None:
     said = vaoi("stitch", tmp_path / "nowhere", "--out", tmp_path / "r.json")
     assert said.code == 2
     assert "nowhere/recording.json: there is no such file" in said.err
 
 
-def test_a_frame_listed_as_missing_is_no_mistake(vaoi: Any, recording: Path, tmp_path: Path) -> None:
+def test_frame_listed_as_missing_is_accepted(vaoi: Any, recording: Path, tmp_path: Path) -> None:
     lose_a_frame(recording)
     edit(recording / "recording.json", lambda d: d.update(missing=[[1, 3]]))
     assert vaoi("stitch", recording, "--out", tmp_path / "r.json").code == 0
     assert read_stitch(tmp_path / "r.json").status is Status.OK
 
 
-def test_an_unknown_method_is_refused(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
+def test_unknown_method_is_refused(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
     said = vaoi("stitch", small_recording, "--out", tmp_path / "r.json", "--method", "magic")
     assert said.code == 2
     assert "magic" in said.err

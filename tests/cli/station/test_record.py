@@ -77,7 +77,7 @@ def test_runs_are_kept_with_their_calibration(config: Path, tmp_path: Path) -> N
     assert "ended by 'clear'" in done.output
 
 
-def test_one_run_is_the_directory_itself_and_never_overwrites(config: Path, tmp_path: Path) -> None:
+def test_one_run_is_written_to_the_directory_itself_and_never_overwrites(config: Path, tmp_path: Path) -> None:
     out = tmp_path / "one"
     arguments = ["record", "--config", str(config), "--out", str(out)]
     assert CliRunner().invoke(app, arguments).exit_code == 0
@@ -87,7 +87,7 @@ def test_one_run_is_the_directory_itself_and_never_overwrites(config: Path, tmp_
     assert "exists already" in str(refused.exception)
 
 
-def test_a_board_at_rest_is_filmed_without_a_calibration_and_makes_the_first_one(config: Path, tmp_path: Path) -> None:
+def test_board_at_rest_is_filmed_without_a_calibration(config: Path, tmp_path: Path) -> None:
     """The simulated cameras show the calibration board; what `vaoi calibrate` makes of it lets the station film."""
     twin = Twin(read_scenario(tmp_path / "scenario.toml"))
     keys = f"nominal_px_per_mm = {twin.scenario.array.px_per_mm}\nnominal_center_mm = [0.0, 0.0]\n"
@@ -107,7 +107,7 @@ def test_a_board_at_rest_is_filmed_without_a_calibration_and_makes_the_first_one
     assert again.exit_code == 0, again.output
 
 
-def test_several_pictures_at_rest_have_the_calibration_that_is_there(config: Path, tmp_path: Path) -> None:
+def test_several_pictures_at_rest_keep_the_present_calibration(config: Path, tmp_path: Path) -> None:
     arguments = ["record", "--config", str(config), "--out", str(tmp_path / "out"), "--runs", "2", "--still"]
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 
-def test_figures_are_printed_and_kept(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
+def test_figures_are_printed_and_written(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
     said = vaoi("bench", "--case", small_recording, "--repetitions", 1, "--json", tmp_path / "bench.json")
     assert (said.code, said.err) == (0, "")
     figures = json.loads((tmp_path / "bench.json").read_text())
@@ -25,20 +25,20 @@ def test_figures_are_printed_and_kept(vaoi: Any, small_recording: Path, tmp_path
     assert (figures["cameras"], figures["rows"], figures["frame_px"]) == (2, 6, [640, 480])
 
 
-def test_a_recording_that_is_not_there(vaoi: Any, tmp_path: Path) -> None:
+def test_absent_recording_is_refused(vaoi: Any, tmp_path: Path) -> None:
     said = vaoi("bench", "--case", tmp_path / "nothing")
     assert said.code == 2
     assert "there is no such file" in said.err
 
 
-def test_a_plot_is_of_marks(vaoi: Any, tmp_path: Path) -> None:
+def test_plot_needs_marks(vaoi: Any, tmp_path: Path) -> None:
     said = vaoi("bench", "--plot", tmp_path / "curve.svg")
     assert said.code == 2
-    assert "--plot belongs to --marks" in said.err
+    assert "--plot needs --marks" in said.err
     assert not (tmp_path / "curve.svg").exists()
 
 
-def test_a_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path) -> None:
+def test_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path) -> None:
     options = ("--scenario", "small", "--rates", "1,3", "--boards", 1, "--films", tmp_path, "--ring", tmp_path)
     said = vaoi("bench", "--station", *options, "--json", tmp_path / "station.json")
     assert (said.code, said.err) == (0, "")
@@ -49,7 +49,7 @@ def test_a_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path) -> None:
     assert (tmp_path / "small" / "frames.raw").is_file(), "kept for the next time"
 
 
-def test_growth_is_measured_for_the_rows_asked_for(vaoi: Any, tmp_path: Path) -> None:
+def test_growth_is_measured_for_the_given_rows(vaoi: Any, tmp_path: Path) -> None:
     said = vaoi("bench", "--growth", "--rows", "4", "--json", tmp_path / "growth.json")
     assert (said.code, said.err) == (0, "")
     assert [b["frames"] for b in json.loads((tmp_path / "growth.json").read_text())["boards"]] == [12]
@@ -57,15 +57,15 @@ def test_growth_is_measured_for_the_rows_asked_for(vaoi: Any, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "words"),
     [
-        (("--station", "--growth"), "one at a time"),
+        (("--station", "--growth"), "exclude each other"),
         (("--station", "--rates", "1,fast"), "--rates"),
         (("--growth", "--rows", "0"), "--rows"),
         (("--station", "--scenario", "nowhere"), "nowhere"),
     ],
 )
-def test_what_cannot_be_measured_is_refused(vaoi: Any, arguments: tuple[str, ...], told: str) -> None:
+def test_impossible_measurements_are_refused(vaoi: Any, arguments: tuple[str, ...], words: str) -> None:
     said = vaoi("bench", *arguments)
     assert said.code == 2
-    assert told in said.err
+    assert words in said.err

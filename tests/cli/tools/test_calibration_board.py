@@ -54,7 +54,7 @@ def test_artwork_for_a_configured_station(tmp_path: Path) -> None:
     assert max(m.x for m in layout.marks) == pytest.approx(3 * 33.14 + 13.4, abs=1.0)
 
 
-def test_a_station_that_does_not_say_where_its_cameras_look_needs_the_rest(tmp_path: Path) -> None:
+def test_station_without_nominal_centres_needs_the_other_options(tmp_path: Path) -> None:
     config = _station(tmp_path / "station.toml", nominal=False)
     with pytest.raises(InputError, match="--pitch-mm, --field-mm must be given"):
         _run("--out", tmp_path, "--config", config)
@@ -63,6 +63,6 @@ def test_a_station_that_does_not_say_where_its_cameras_look_needs_the_rest(tmp_p
 
 
 @pytest.mark.parametrize("field", ["34", "0x3", "ax3", "3..1x2"])
-def test_sizes_are_two_numbers(tmp_path: Path, field: str) -> None:
+def test_malformed_sizes_are_refused(tmp_path: Path, field: str) -> None:
     with pytest.raises(InputError, match="two numbers above 0"):
         _run("--out", tmp_path, "--cameras", "2", "--pitch-mm", "33", "--field-mm", field)

@@ -15,7 +15,7 @@ def vaoi_plan(*options: str) -> Result:
     return CliRunner().invoke(app, ["plan", *options])
 
 
-def test_the_papers_figures_for_programs() -> None:
+def test_figures_of_the_paper_as_json() -> None:
     result = vaoi_plan("--example", "paper", "--json")
     assert result.exit_code == 0
     document = json.loads(result.stdout)
@@ -37,7 +37,7 @@ def test_the_papers_figures_for_programs() -> None:
         assert figures[name]["computed"] == pytest.approx(figures[name]["paper"], rel=1e-3)
 
 
-def test_the_papers_figures_for_people() -> None:
+def test_figures_of_the_paper_as_text() -> None:
     text = vaoi_plan("--example", "paper").stdout
     for figure in (
         "77.7 mm",
@@ -59,7 +59,7 @@ def test_options_change_an_example() -> None:
     assert "paper" not in document
 
 
-def test_requirements_of_ones_own() -> None:
+def test_own_requirements() -> None:
     result = vaoi_plan(
         *("--width-mm", "200", "--resolution-px-per-mm", "20", "--speed-mm-s", "50", "--sensor-width-mm", "11.3"),
         *("--sensor-px-h", "2448", "--sensor-px-v", "2048", "--distance-max-mm", "600", "--json"),
@@ -70,20 +70,20 @@ def test_requirements_of_ones_own() -> None:
     assert document["data"]["rows"] is None
 
 
-def test_what_is_missing_is_named_by_its_option() -> None:
+def test_missing_requirements_are_named_by_their_options() -> None:
     result = vaoi_plan("--width-mm", "200", "--sensor-px-h", "2448")
     assert isinstance(result.exception, InputError)
     assert "--resolution-px-per-mm, --speed-mm-s, --sensor-px-v" in str(result.exception)
     assert "--width-mm" not in str(result.exception)
 
 
-def test_nonsense_is_refused_by_field_value_and_limit() -> None:
+def test_impossible_values_are_refused_with_field_value_and_limit() -> None:
     result = vaoi_plan("--example", "paper", "--speed-mm-s", "0")
     assert isinstance(result.exception, InputError)
     assert "speed_mm_s is 0.0, but must be a finite number above 0" in str(result.exception)
 
 
-def test_an_unknown_example_is_refused() -> None:
+def test_unknown_example_is_refused() -> None:
     result = vaoi_plan("--example", "line 3")
     assert isinstance(result.exception, NotFoundError)
     assert "example 'line 3' does not exist. The only example is 'paper'." in str(result.exception)

@@ -35,21 +35,21 @@ def test_faults_are_listed_with_their_keys() -> None:
         (("run", "--boards", "1", "--fault", "reset"), "board is 1, but must be from 0 to 0"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_starts(arguments: tuple[str, ...], words: str) -> None:
+def test_impossible_arguments_are_refused_before_the_start(arguments: tuple[str, ...], words: str) -> None:
     error = refusal(*arguments)
     assert isinstance(error, InputError)
     assert words in error.message
 
 
-def test_a_scenario_must_exist() -> None:
+def test_scenario_must_exist() -> None:
     assert isinstance(refusal("run", "--scenario", "atlantis"), NotFoundError)
 
 
-def test_up_does_not_write_into_what_others_have_written(tmp_path: Path) -> None:
+def test_up_refuses_a_directory_with_files(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("…")
     error = refusal("up", "--out", str(tmp_path))
     assert isinstance(error, InputError)
-    assert "must be a new or empty directory" in error.message
+    assert "is not a new or empty directory" in error.message
 
 
 @pytest.mark.parametrize("arguments", [("run",), ("up", "--out", "rig")])

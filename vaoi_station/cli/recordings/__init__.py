@@ -1,1 +1,1 @@
-"""Commands that work on recordings."""
+"""The commands that work on recordings."""

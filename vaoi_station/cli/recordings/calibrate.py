@@ -1,4 +1,4 @@
-"""`vaoi calibrate CASE --out calibration.json`: camera matrices from a recording of the calibration board."""
+"""`vaoi calibrate CASE --out calibration.json`: estimate camera matrices from a recording of the calibration board."""
 
 from __future__ import annotations
 
@@ -15,24 +15,28 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    case: Annotated[Path, typer.Argument(help="Directory of the recording that shows the calibration board.")],
+    case: Annotated[Path, typer.Argument(help="Recording of the calibration board (a directory).")],
     *,
-    out: Annotated[Path | None, typer.Option(help="Where the calibration is written.")] = None,
-    layout: Annotated[Path | None, typer.Option(help="Marks of the board; by default layout.json beside it.")] = None,
-    row: Annotated[int | None, typer.Option(min=0, help="Row to use, in a recording of several.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the calibration to this file.")] = None,
+    layout: Annotated[
+        Path | None, typer.Option(help="Read the marks of the board from this file [CASE/layout.json].")
+    ] = None,
+    row: Annotated[int | None, typer.Option(min=0, help="Use this row of a recording of several rows.")] = None,
     working_distance_mm: Annotated[
-        float | None, typer.Option(min=1, max=1e5, help="Of the cameras above the board's surface.")
+        float | None, typer.Option(min=1, max=1e5, help="Distance of the cameras from the surface of the board.")
     ] = None,
     residual_limit_px: Annotated[
-        float, typer.Option(min=0.001, max=100, help="Refuse a camera whose marks fit worse (rms).")
+        float, typer.Option(min=0.001, max=100, help="Refuse a camera whose residuals are larger (rms).")
     ] = 0.2,
-    report: Annotated[Path | None, typer.Option(help="Directory for the pictures; by default that of --out.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the pictures to this directory [that of --out].")] = None,
     compare: Annotated[
-        Path | None, typer.Option(help="Another calibration of the array: where do they differ, in px?")
+        Path | None, typer.Option(help="Compare with this calibration of the same array, in px.")
     ] = None,
-    existing: Annotated[Path | None, typer.Option(help="Make no calibration; take this one, to --compare it.")] = None,
+    existing: Annotated[
+        Path | None, typer.Option(help="Do not calibrate; compare this calibration (with --compare).")
+    ] = None,
 ) -> None:
-    """Calibrate the camera array: N_i and lenses from marks, with residuals, or a refusal with a picture."""
+    """Calibrate the camera array: estimate N_i and lenses from marks. Refuse bad fits with a picture."""
     from vaoi_station.files import open_recording, read_calibration
 
     recording = open_recording(case)
@@ -40,17 +44,19 @@ def calibrate(
     other = None if compare is None else read_calibration(compare, head.cameras)
     if existing is not None:
         if other is None or out is not None:
-            raise InputError("--existing makes no calibration.", action="Give --compare with it, and no --out.")
+            raise InputError(
+                "--existing is given without --compare, or with --out.", action="Give --compare with it, and no --out."
+            )
         _compare(read_calibration(existing, head.cameras), other, head, report, f"{existing.stem}")
         return
     if out is None:
-        raise InputError("--out is missing.", action="Say where the calibration is to be written.")
-    made = _calibrated(case, out, layout, row, working_distance_mm, residual_limit_px, report or out.parent)
+        raise InputError("--out is missing.", action="Give the file to which the calibration is written.")
+    made = _calibrate(case, out, layout, row, working_distance_mm, residual_limit_px, report or out.parent)
     if other is not None:
         _compare(made, other, head, report or out.parent, out.stem)
 
 
-def _calibrated(
+def _calibrate(
     case: Path,
     out: Path,
     layout: Path | None,
@@ -66,6 +72,7 @@ def _calibrated(
     from vaoi_station.files.images import write_image
     from vaoi_station.files.layouts import read_layout
 
+    # A calibration needs one row: the board must lie still in exactly the frames that are used together.
     recording = open_recording(case)
     rows = recording.head.rows
     if row is None and rows != 1:
@@ -76,23 +83,24 @@ def _calibrated(
     limits = Limits(residual_limit_px, working_distance_mm)
     outcome = calibrate_array(recording.head.cameras, lambda i: recording.frame(i, row or 0), marks, limits)
     picture = report / f"{out.stem}-report.png"
+    # The picture is written before a refusal too: it shows why the camera was refused.
     write_image(picture, draw(outcome))
     if outcome.refused:
         error = outcome.error()
         raise InputError(error.message, action=f"{error.action} The picture is {picture}.", code=error.code)
     calibration = outcome.calibration()
     write_calibration(out, calibration)
-    _say(outcome, out, picture)
+    _print_fits(outcome, out, picture)
     return calibration
 
 
-def _say(outcome: Outcome, out: Path, picture: Path) -> None:
+def _print_fits(outcome: Outcome, out: Path, picture: Path) -> None:
     for c in outcome.cameras:
         assert c.fit is not None
-        bent = "".join(f", a{k + 1} = {a:.3g}" for k, a in enumerate(c.fit.lens.radial)) or ", no distortion seen"
+        bent = "".join(f", a{k + 1} = {a:.3g}" for k, a in enumerate(c.fit.lens.radial)) or ", no distortion detected"
         typer.echo(
             f"camera {c.camera}: {c.used} of {len(c.marks)} marks, residuals {c.fit.rms_px:.4f} px rms, "
-            f"corners good to {c.corner_sigma_px:.3f} px (1 σ){bent}"
+            f"frame corners known to {c.corner_sigma_px:.3f} px (1 σ){bent}"
         )
     for note in outcome.notes:
         typer.echo(f"- {note}")

@@ -1,4 +1,4 @@
-"""`vaoi cut CASE --result result.json --component U1 --out DIR`: temporary images of one component."""
+"""`vaoi cut CASE --result result.json --component U1 --out DIR`: write the temporary images of components."""
 
 from __future__ import annotations
 
@@ -9,16 +9,22 @@ import typer
 
 
 def cut(
-    case: Annotated[Path, typer.Argument(help="Directory of the recording.")],
-    result: Annotated[Path, typer.Option(help="Result of `vaoi stitch`.")],
-    component: Annotated[list[str], typer.Option(help="Reference designator; may be given several times.")],
-    out: Annotated[Path, typer.Option(help="Directory for the pictures.")],
-    calibration: Annotated[Path | None, typer.Option(help="By default the recording's own.")] = None,
-    board: Annotated[Path | None, typer.Option(help="By default the recording's own.")] = None,
-    px_per_mm: Annotated[float | None, typer.Option(min=0.1, max=1000, help="By default the cameras'.")] = None,
-    min_coverage: Annotated[float, typer.Option(min=0, max=1, help="Leave out frames that show less of it.")] = 0.5,
+    case: Annotated[Path, typer.Argument(help="Recording (a directory).")],
+    result: Annotated[Path, typer.Option(help="Read the result of `vaoi stitch` from this file.")],
+    component: Annotated[
+        list[str], typer.Option(help="Cut this component (reference designator); repeat the option for several.")
+    ],
+    out: Annotated[Path, typer.Option(help="Write the images to this directory.")],
+    calibration: Annotated[Path | None, typer.Option(help="Use this calibration [CASE/calibration.json].")] = None,
+    board: Annotated[Path | None, typer.Option(help="Use this board type [CASE/board.json].")] = None,
+    px_per_mm: Annotated[
+        float | None, typer.Option(min=0.1, max=1000, help="Resolution of the images [that of the cameras].")
+    ] = None,
+    min_coverage: Annotated[
+        float, typer.Option(min=0, max=1, help="Skip frames that show a smaller share of it.")
+    ] = 0.5,
 ) -> None:
-    """Cut upright, CAD-aligned pictures of components out of every frame that sees them."""
+    """Cut upright, CAD-aligned images of components from every frame that shows them."""
     from vaoi_station.errors import NotFoundError
     from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
     from vaoi_station.files.documents import write_json
@@ -42,9 +48,11 @@ def cut(
         views = compute_views(part, board_type, stitch, cameras, px_per_mm=px_per_mm, min_coverage=min_coverage)
         listing = []
         for k, view in enumerate(views):
+            # The result may place a frame that is missing: the other frames of its row determine its matrix.
             frame = recording.frame(view.camera, view.row)
             if frame is None:
                 continue
+            # On a panel the address is panel/ref, and a slash would make a directory.
             stem = address.replace("/", "_")
             name = f"{stem}_{k:02d}_c{view.camera:02d}_r{view.row:03d}.png"
             write_image(out / name, render(view, frame))

@@ -1,4 +1,4 @@
-"""`vaoi recalibrate`: corrected N_i from runs of production, as a proposal."""
+"""`vaoi recalibrate`: propose corrected N_i from runs of boards."""
 
 from __future__ import annotations
 
@@ -17,21 +17,24 @@ if TYPE_CHECKING:
 
 
 def recalibrate(
-    cases: Annotated[list[Path] | None, typer.Argument(help="Directories of recordings of boards.")] = None,
+    cases: Annotated[list[Path] | None, typer.Argument(help="Recordings of boards (directories).")] = None,
     *,
-    out: Annotated[Path, typer.Option(help="Where the proposed calibration is written; a new file.")],
+    out: Annotated[Path, typer.Option(help="Write the proposed calibration to this new file.")],
     config: Annotated[
-        Path | None, typer.Option(help="station.toml: take the runs this station has filmed, in place of recordings.")
+        Path | None,
+        typer.Option(help="Use the runs that the station of this station.toml has filmed, instead of recordings."),
     ] = None,
     runs: Annotated[
-        int | None, typer.Option(min=1, help="So many of the latest runs [all since a camera moved, 50 at most].")
+        int | None,
+        typer.Option(min=1, help="Use this number of the latest runs [all since a camera moved, at most 50]."),
     ] = None,
 ) -> None:
-    """Propose corrected camera matrices N_i from runs of boards; the calibration in force stays as it is."""
+    """Propose corrected camera matrices N_i from runs of boards. The calibration in use is not changed."""
     if bool(cases) == (config is not None):
-        raise InputError("recalibrate takes recordings or --config, one of the two.", action="Give one of them.")
+        raise InputError("recalibrate needs either recordings or --config.", action="Give exactly one of them.")
+    # Checked before the work; a calibration in use must never be replaced unnoticed.
     if out.exists():
-        raise StateError(f"{out}: exists already.", action="Choose another --out; put it in force by hand.")
+        raise StateError(f"{out}: exists already.", action="Choose another --out; put the proposal into use by hand.")
     from vaoi_station.drift.recalibrate import recalibrate as propose
     from vaoi_station.files import write_calibration
 
@@ -42,19 +45,20 @@ def recalibrate(
     for line in proposal.lines():
         typer.echo(line)
     if not proposal.corrected:
-        typer.echo("no camera has moved; the calibration holds, and nothing is written")
+        typer.echo("no camera has moved; the calibration remains valid, and nothing is written")
         return
     write_calibration(out, proposal.calibration)
     _show(calibration, proposal.calibration, heads, out)
 
 
 def _chosen(checks: Sequence[RunCheck], runs: int | None) -> Sequence[RunCheck]:
-    """The latest runs: so many, or all since the last camera moved."""
+    """Choose the latest `runs` runs, or without a number all since the last camera moved."""
     from vaoi_station.drift.recalibrate import MOST_RUNS
     from vaoi_station.drift.watch import find_drifts
 
     if runs is not None:
         return checks[-runs:]
+    # Runs from before a displacement would average the old and the new position of the camera.
     since = max((drift.since for drift in find_drifts(checks)), default=0)
     return checks[since:][-MOST_RUNS:]
 
@@ -65,12 +69,13 @@ def _recorded(cases: Sequence[Path]) -> tuple[Calibration, tuple[CameraHead, ...
 
     opened = [open_run(case) for case in cases]
     first = opened[0]
-    in_force = first.calibration.model_dump_json()
+    # Compared by value: every recording holds a copy of the calibration file.
+    in_use = first.calibration.model_dump_json()
     for other, case in zip(opened, cases, strict=True):
-        if other.calibration.model_dump_json() != in_force:
+        if other.calibration.model_dump_json() != in_use:
             raise InputError(
-                f"{case / 'calibration.json'}: is another calibration than {first.calibration_path}.",
-                action="Take runs that were filmed under one calibration.",
+                f"{case / 'calibration.json'}: differs from {first.calibration_path}.",
+                action="Give runs that were filmed with one calibration.",
             )
     return first.calibration, first.recording.head.cameras, [check_recording(o) for o in opened]
 
@@ -88,7 +93,7 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
     calibration = read_calibration(station.calibration, [c.head for c in station.cameras])
     path = station.data / DATABASE
     if not path.is_file():
-        raise InputError(f"{path}: is not there; this station has filmed nothing.", action="Let boards pass first.")
+        raise InputError(f"{path}: does not exist; this station has filmed no board.", action="Film boards first.")
     store = Store(Database(path))
     try:
         kept = store.checks.documents(digest_of(calibration.model_dump_json()), FIRST_CHECKS, LATEST_CHECKS)
@@ -96,8 +101,8 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
         store.close()
     if not kept:
         raise InputError(
-            f"{path}: has no run under {station.calibration}.",
-            action="Let boards pass under this calibration, or give recordings.",
+            f"{path}: has no run with the calibration {station.calibration}.",
+            action="Film boards with this calibration, or give recordings.",
             code="too-little-evidence",
         )
     return calibration, tuple(c.head for c in station.cameras), [RunCheck.model_validate_json(text) for text in kept]

@@ -1,4 +1,4 @@
-"""`vaoi report RUN --out report.html`: how a recorded run was stitched, as one HTML file."""
+"""`vaoi report RUN --out report.html`: show how a recorded run is stitched, as one HTML file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 
 class Evidence(StrEnum):
-    """Ways to stitch that can tell how they came to their result."""
+    """The methods of stitching that keep their evidence; the paper's method does not."""
 
     AUTO = "auto"
     FIDUCIALS = "fiducials"
@@ -19,24 +19,27 @@ class Evidence(StrEnum):
 
 
 def report(
-    run: Annotated[Path, typer.Argument(help="Directory of the recording.")],
+    run: Annotated[Path, typer.Argument(help="Recording (a directory).")],
     out: Annotated[
-        Path | None, typer.Option(help="Where the report is written [report.html, unless --bundle].")
+        Path | None, typer.Option(help="Write the report to this file [report.html, unless --bundle].")
     ] = None,
     bundle: Annotated[
-        Path | None, typer.Option(help="Directory to make: recording, documents, result, links, report.")
+        Path | None, typer.Option(help="Create this directory with recording, documents, result, links and report.")
     ] = None,
-    calibration: Annotated[Path | None, typer.Option(help="By default the recording's own.")] = None,
-    board: Annotated[Path | None, typer.Option(help="Board type; by default the recording's own.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="Directory made by `vaoi teach`.")] = None,
-    method: Annotated[Evidence, typer.Option(help="Evidence to use.")] = Evidence.AUTO,
+    calibration: Annotated[Path | None, typer.Option(help="Use this calibration [RUN/calibration.json].")] = None,
+    board: Annotated[Path | None, typer.Option(help="Use this board type [RUN/board.json].")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="Use this reference, a directory written by `vaoi teach`.")
+    ] = None,
+    method: Annotated[Evidence, typer.Option(help="Use this evidence.")] = Evidence.AUTO,
 ) -> None:
-    """Stitch a recorded run and show how: one HTML file that needs nothing else."""
+    """Stitch a recorded run and show the evidence in one HTML file."""
     from vaoi_station.errors import StateError
     from vaoi_station.reporting import restitch, write_bundle, write_report
     from vaoi_station.reporting.bundle import REPORT, replay_command
     from vaoi_station.stitching.recordings.opening import open_run
 
+    # Checked before the run is stitched, which takes seconds.
     if bundle is not None and bundle.exists():
         raise StateError(f"{bundle}: exists already.", action="Choose another directory, or remove this one.")
     opened = open_run(run, calibration=calibration, board=board, reference=reference, method=method.value)
@@ -44,7 +47,7 @@ def report(
     if bundle is not None:
         write_bundle(bundle, stitched)
         typer.echo(
-            f"{stitched.result.status}: {bundle / REPORT}; stitched again by: {replay_command(bundle, stitched)}"
+            f"{stitched.result.status}: {bundle / REPORT}; to stitch it again: {replay_command(bundle, stitched)}"
         )
     if out is not None or bundle is None:
         path = out or Path("report.html")

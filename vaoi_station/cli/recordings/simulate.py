@@ -1,4 +1,4 @@
-"""`vaoi simulate`: film a board of the digital twin into a recording, with the truth to score against."""
+"""`vaoi simulate`: film a board of the digital twin, and write the recording and its truth."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ import typer
 
 def simulate(
     scenario: Annotated[
-        str, typer.Argument(help="Scenario file (TOML), or the name of one that comes with the software: demo, small.")
+        str, typer.Argument(help="Scenario file (TOML), or the name of a shipped scenario: demo, small.")
     ] = "demo",
     *,
-    out: Annotated[Path, typer.Option(help="Directory of the recording; made if need be.")],
-    board: Annotated[int, typer.Option(min=0, help="Which of the scenario's boards, counted from 0.")] = 0,
-    truth: Annotated[bool, typer.Option(help="Write truth.json, to score results against.")] = True,
+    out: Annotated[Path, typer.Option(help="Write the recording to this directory; it is created if necessary.")],
+    board: Annotated[int, typer.Option(min=0, help="Film this board of the scenario, counted from 0.")] = 0,
+    truth: Annotated[bool, typer.Option(help="Write truth.json, with which results can be compared.")] = True,
     calibration_board: Annotated[
-        bool, typer.Option("--calibration-board", help="Film the calibration board instead, with its layout.json.")
+        bool, typer.Option("--calibration-board", help="Film the calibration board instead, and write its layout.json.")
     ] = False,
 ) -> None:
-    """Film a board with simulated cameras: a recording, its calibration, its board type, and the truth."""
+    """Film a board with simulated cameras; write recording, calibration, board type and truth."""
     from vaoi_station.errors import InputError
     from vaoi_station.simulation import Twin, read_scenario, scenario_path
     from vaoi_station.simulation.calibration_board import write_calibration_recording
     from vaoi_station.simulation.recording_writer import write_passage
 
+    # Frames of two boards in one directory would pass as one recording.
     if (out / "recording.json").exists():
-        raise InputError(f"{out}: already holds a recording.", action="Give another directory, or remove this one.")
+        raise InputError(f"{out}: already holds a recording.", action="Give another --out, or remove this directory.")
     named = Path(scenario).suffix == "" and not Path(scenario).exists()
     twin = Twin(read_scenario(scenario_path(scenario) if named else Path(scenario)))
     if calibration_board:

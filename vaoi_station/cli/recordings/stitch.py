@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Method(StrEnum):
-    """Ways to stitch."""
+    """The methods of stitching."""
 
     AUTO = "auto"
     FIDUCIALS = "fiducials"
@@ -23,25 +23,29 @@ class Method(StrEnum):
 
 
 def stitch(
-    case: Annotated[Path, typer.Argument(help="Directory of the recording.")],
-    out: Annotated[Path, typer.Option(help="Where the result is written.")],
-    calibration: Annotated[Path | None, typer.Option(help="By default the recording's own.")] = None,
-    board: Annotated[Path | None, typer.Option(help="Board type; by default the recording's own.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="Directory made by `vaoi teach`.")] = None,
-    method: Annotated[Method, typer.Option(help="Evidence to use.")] = Method.AUTO,
+    case: Annotated[Path, typer.Argument(help="Recording (a directory).")],
+    out: Annotated[Path, typer.Option(help="Write the result to this file.")],
+    calibration: Annotated[Path | None, typer.Option(help="Use this calibration [CASE/calibration.json].")] = None,
+    board: Annotated[Path | None, typer.Option(help="Use this board type [CASE/board.json].")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="Use this reference, a directory written by `vaoi teach`.")
+    ] = None,
+    method: Annotated[Method, typer.Option(help="Use this evidence, or the paper's method.")] = Method.AUTO,
 ) -> None:
-    """Stitch a recorded run: one matrix per frame, and C from CAD to tester."""
+    """Stitch a recorded run: compute one matrix per frame, and C from CAD to tester."""
     from vaoi_station.errors import InputError
     from vaoi_station.files import write_stitch
     from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
     from vaoi_station.stitching.recordings.offline import stitch_frames
     from vaoi_station.stitching.recordings.opening import open_run
 
+    # The paper's method takes no evidence of ours, but the run is opened in the same way.
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
     opened = open_run(case, calibration=calibration, board=board, reference=reference, method=evidence)
     recording = opened.recording
+    # A result in place of its own input would make the recording unusable.
     if out.resolve() in {(case / name).resolve() for name in ("recording.json", "calibration.json", "board.json")}:
-        raise InputError(f"{out}: belongs to the recording and is left as it is.", action="Name another --out.")
+        raise InputError(f"{out}: is a file of the recording and is not overwritten.", action="Give another --out.")
     if method is Method.PAPER:
         result = stitch_by_paper(opened.setup, recording.head, recording.frame)
     else:
@@ -51,6 +55,6 @@ def stitch(
     sigma = result.quality.get("cad_sigma_px")
     typer.echo(f"{result.status}: {recording.head.rows} rows × {len(recording.head.cameras)} cameras → {out}")
     if sigma is not None:
-        typer.echo(f"positions are good to {sigma:.3f} px (1 σ, worst corner of the board)")
+        typer.echo(f"standard deviation of positions: {sigma:.3f} px (worst corner of the board)")
     for reason in result.reasons:
         typer.echo(f"- {reason}")

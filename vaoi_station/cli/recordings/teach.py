@@ -9,13 +9,13 @@ import typer
 
 
 def teach(
-    case: Annotated[Path, typer.Argument(help="Directory of the recording.")],
-    out: Annotated[Path, typer.Option(help="Directory of the reference; must not exist.")],
-    calibration: Annotated[Path | None, typer.Option(help="By default the recording's own.")] = None,
-    board: Annotated[Path | None, typer.Option(help="Board type; by default the recording's own.")] = None,
+    case: Annotated[Path, typer.Argument(help="Recording (a directory).")],
+    out: Annotated[Path, typer.Option(help="Write the reference to this directory, which must not exist.")],
+    calibration: Annotated[Path | None, typer.Option(help="Use this calibration [CASE/calibration.json].")] = None,
+    board: Annotated[Path | None, typer.Option(help="Use this board type [CASE/board.json].")] = None,
 ) -> None:
-    """Stitch a recording once and keep it; later runs of its board type are placed against it."""
+    """Stitch a recording and keep it as the reference against which later runs of its board type are placed."""
     from vaoi_station.stitching.recordings.reference_directory import teach as keep
 
     stitch = keep(case, calibration or case / "calibration.json", board or case / "board.json", out)
-    typer.echo(f"{stitch.status}: positions are good to {stitch.quality['cad_sigma_px']:.3f} px (1 σ) → {out}")
+    typer.echo(f"{stitch.status}: standard deviation of positions {stitch.quality['cad_sigma_px']:.3f} px → {out}")

@@ -1,1 +1,1 @@
-"""Commands that run a station or its devices."""
+"""The commands that run a station or its devices."""

@@ -1,4 +1,4 @@
-"""`vaoi demo`: the whole service on the digital twin, in one command."""
+"""`vaoi demo`: run the whole service on the digital twin."""
 
 from __future__ import annotations
 
@@ -11,24 +11,26 @@ import typer
 def demo(
     *,
     scenario: Annotated[
-        str, typer.Option(help="Scenario file (TOML), or the name of one that comes with the software: demo, small.")
+        str, typer.Option(help="Scenario file (TOML), or the name of a shipped scenario: demo, small.")
     ] = "demo",
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Where the service listens; by default 8350 if that is free, else any."),
+        typer.Option(min=0, max=65535, help="Port of the service [8350 if it is free, else any; with --once any]."),
     ] = None,
-    once: Annotated[bool, typer.Option("--once", help="Film one board, report, and end.")] = False,
-    out: Annotated[Path | None, typer.Option(help="With --once: directory to write to [vaoi-demo].")] = None,
+    once: Annotated[bool, typer.Option("--once", help="Film one board, print a report, and exit.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="With --once: write the output to this directory [vaoi-demo].")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="With --once: print one JSON document.")] = False,
 ) -> None:
-    """Run the whole station on simulated cameras: boards keep coming, the page shows them, until Ctrl-C."""
+    """Run the whole station with simulated cameras, board after board, until Ctrl-C."""
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
     from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.errors import InputError
 
     path = resolve_scenario(scenario)
     if not once and (as_json or out is not None):
-        raise InputError("--out and --json belong to --once.", action="Add --once, or leave them out.")
+        raise InputError("--out and --json need --once.", action="Add --once, or omit them.")
     code = 0
     try:
         with interruptible():
@@ -39,12 +41,13 @@ def demo(
 
                 run_continuously(path, port, lambda line: print(line, flush=True))
     except KeyboardInterrupt:
+        # Ctrl-C is the normal end of the endless demo, but it cuts a single board short.
         code = INTERRUPTED if once else 0
     raise typer.Exit(code)
 
 
 def _once(scenario: Path, out: Path, port: int | None, as_json: bool) -> int:
-    """0 if the run is ok, else 1."""
+    """Film one board and print the report; return 0 if the run is ok, else 1."""
     from vaoi_station.demo.demo_report import as_text
     from vaoi_station.demo.single_board import film_single_board
 

@@ -1,4 +1,4 @@
-"""`vaoi doctor --config station.toml`: is everything there that a station needs?"""
+"""`vaoi doctor --config station.toml`: check everything that a station needs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import typer
 
 
 def doctor(
-    config: Annotated[Path, typer.Option(help="The station's configuration.")] = Path("station.toml"),
+    config: Annotated[Path, typer.Option(help="Check the station of this station.toml.")] = Path("station.toml"),
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
 ) -> None:
-    """Look at machine, files and devices; tell what is wrong and what to do. Changes nothing.
+    """Check machine, files and devices, and propose an action for each problem. Nothing is changed.
 
-    Exit code 0: nothing to do, 1: warnings, 2: faults.
+    The exit code is 0 without problems, 1 with warnings, 2 with faults.
     """
     from vaoi_station.doctor import run_checks
     from vaoi_station.doctor.text_report import as_text

@@ -1,4 +1,4 @@
-"""`vaoi record`: film boards and keep them as recordings, without the rest of the station."""
+"""`vaoi record`: film boards and keep them as recordings, without stitching and REST."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from typing import Annotated
 import typer
 
 STILL_RATE_HZ = 1.0
-"""Of several pictures of a board at rest."""
+"""Pulse rate for several pictures of a board at rest."""
 
 
 def record(
-    config: Annotated[Path, typer.Option(help="station.toml: cameras, controller and line.")],
-    out: Annotated[Path, typer.Option(help="The recording to write; with several runs, the directory of run-001 ….")],
-    runs: Annotated[int, typer.Option(min=1, help="How many boards to film.")] = 1,
+    config: Annotated[Path, typer.Option(help="Read cameras, controller and line from this station.toml.")],
+    out: Annotated[
+        Path, typer.Option(help="Write the recording to this directory; several runs to its subdirectories run-001 ….")
+    ],
+    runs: Annotated[int, typer.Option(min=1, help="Film this number of boards.")] = 1,
     still: Annotated[
-        bool, typer.Option("--still", help="Fire once instead, whatever the barrier shows: a board at rest.")
+        bool, typer.Option("--still", help="Fire one pulse at once, without the light barrier: a board at rest.")
     ] = False,
 ) -> None:
     """Film boards with the configured devices and keep each as a recording."""
@@ -32,10 +34,12 @@ def record(
     station = read_config(config)
     copies = {"calibration.json": station.calibration}
     if still and not station.calibration.exists():
-        copies = {}  # how the first one is made
+        # The first calibration is made from such a recording, so none can be required here.
+        copies = {}
     else:
         read_calibration(station.calibration, [c.head for c in station.cameras])
     targets = [out] if runs == 1 else [out / f"run-{n:03d}" for n in range(1, runs + 1)]
+    # All targets are checked before the first board: a board on the line cannot be filmed again.
     for target in targets:
         if target.exists():
             raise StateError(f"{target}: exists already.", action="Choose another --out, or remove it.")
@@ -53,6 +57,7 @@ def record(
                 print(f"  camera {frame.camera}, row {frame.row}: {frame.verdict}: {frame.cause}")
 
     def notice(sentence: str) -> None:
+        # stderr, because stdout lists the recordings.
         print(sentence, file=sys.stderr)
 
     if still:

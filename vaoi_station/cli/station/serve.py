@@ -1,4 +1,4 @@
-"""`vaoi serve --config station.toml`: the whole service."""
+"""`vaoi serve --config station.toml`: run the whole service."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ import typer
 
 
 def serve(
-    config: Annotated[Path, typer.Option(help="The station's configuration.")] = Path("station.toml"),
+    config: Annotated[Path, typer.Option(help="Run the station of this station.toml.")] = Path("station.toml"),
     port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="In place of the configured port; 0: any free one.")
+        int | None,
+        typer.Option(min=0, max=65535, help="Listen at this port instead of the configured one; 0: any free one."),
     ] = None,
     log_json: Annotated[bool, typer.Option("--log-json", help="Log JSON objects, one per line.")] = False,
 ) -> None:
-    """Film boards, stitch them, and answer by REST, until stopped."""
+    """Film boards, stitch them, and serve results by REST, until Ctrl-C or SIGTERM."""
     from vaoi_station import station
     from vaoi_station.acquisition.process.backends import check_backends
     from vaoi_station.config import read_config
     from vaoi_station.runs.host.logs import configure_logging
 
     settings = read_config(config)
+    # Before the processes start: a wrong scenario is one sentence here, and a restart loop later.
     check_backends(settings)
     configure_logging(log_json)
     station.serve(settings, port)

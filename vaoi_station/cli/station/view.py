@@ -1,4 +1,4 @@
-"""`vaoi view --config station.toml`: live frames with focus, exposure and marks."""
+"""`vaoi view --config station.toml`: show live frames with focus, exposure and marks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 
 class Mark(StrEnum):
-    """Shapes of marks."""
+    """The shapes of marks."""
 
     CROSS = "cross"
     CIRCLE = "circle"
@@ -21,21 +21,24 @@ class Mark(StrEnum):
 
 
 def view(
-    config: Annotated[Path, typer.Option(help="station.toml: cameras, controller and line.")],
+    config: Annotated[Path, typer.Option(help="Read cameras, controller and line from this station.toml.")],
     *,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page, on loopback; 0: any free one.")] = 8351,
-    mark: Annotated[Mark | None, typer.Option(help="Marks to look for; with --mark-size-mm.")] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page, on loopback; 0: any free one.")] = 8351,
+    mark: Annotated[Mark | None, typer.Option(help="Search for marks of this shape; needs --mark-size-mm.")] = None,
     mark_size_mm: Annotated[float | None, typer.Option(min=0.01, max=1000, help="Size of a mark.")] = None,
-    layout: Annotated[Path | None, typer.Option(help="Of the calibration board: what its marks are like.")] = None,
+    layout: Annotated[
+        Path | None, typer.Option(help="Read shape and size of the marks from this layout of a calibration board.")
+    ] = None,
     px_per_mm: Annotated[
-        float | None, typer.Option(min=0.1, max=10000, help="By default that of the calibration, else the nominal one.")
+        float | None,
+        typer.Option(min=0.1, max=10000, help="Resolution [that of the calibration, else the nominal one]."),
     ] = None,
     rate: Annotated[
-        float, typer.Option(min=0.1, max=10, help="Pulses per second, fired whether a board passes or not.")
+        float, typer.Option(min=0.1, max=10, help="Fire this number of pulses per second, without the light barrier.")
     ] = 2.0,
     boards: Annotated[bool, typer.Option("--boards", help="Film boards that pass the light barrier instead.")] = False,
-    once: Annotated[bool, typer.Option("--once", help="Film once, tell the figures of one row, and end.")] = False,
-    row: Annotated[int | None, typer.Option(min=0, help="With --once --boards: which row [the middle one].")] = None,
+    once: Annotated[bool, typer.Option("--once", help="Film once, print the figures of one row, and exit.")] = False,
+    row: Annotated[int | None, typer.Option(min=0, help="With --once --boards: use this row [the middle one].")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="With --once: print one JSON document.")] = False,
 ) -> None:
     """Show live frames of every camera, for mounting and focusing, until Ctrl-C."""
@@ -47,9 +50,9 @@ def view(
     from vaoi_station.viewing.mark_spec import mark_specs
 
     if not once and as_json:
-        raise InputError("--json belongs to --once.", action="Add --once, or leave it out.")
+        raise InputError("--json needs --once.", action="Add --once, or omit --json.")
     if row is not None and not (once and boards):
-        raise InputError("--row belongs to --once --boards.", action="Add both, or leave it out.")
+        raise InputError("--row needs --once and --boards.", action="Add both, or omit --row.")
     station = read_config(config)
     specs = mark_specs(station, mark.value if mark else None, mark_size_mm, layout, px_per_mm)
     rate_hz = None if boards else rate
@@ -57,10 +60,11 @@ def view(
     try:
         with interruptible():
             if once:
-                told = one_row(station, specs, row, lambda sentence: print(sentence, file=sys.stderr), rate_hz)
-                print(json.dumps(told, indent=1) if as_json else row_text(told))
+                figures = one_row(station, specs, row, lambda sentence: print(sentence, file=sys.stderr), rate_hz)
+                print(json.dumps(figures, indent=1) if as_json else row_text(figures))
             else:
                 show(station, specs, port, lambda sentence: print(sentence, flush=True), rate_hz)
     except KeyboardInterrupt:
+        # Ctrl-C is the normal end of the live view, but it cuts a single measurement short.
         code = INTERRUPTED if once else 0
     raise typer.Exit(code)

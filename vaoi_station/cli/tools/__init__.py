@@ -1,1 +1,1 @@
-"""Commands for planning, artwork, the virtual rig and benchmarks."""
+"""The commands for planning, artwork, the virtual rig and benchmarks."""

@@ -1,4 +1,4 @@
-"""`vaoi bench [--json FILE]`: how fast stitching and rendering are here, as ratios in one run; or a whole station."""
+"""`vaoi bench [--json FILE]`: measure the speed of stitching and rendering, of a whole station, and the accuracy."""
 
 from __future__ import annotations
 
@@ -12,50 +12,55 @@ from vaoi_station.errors import InputError
 
 def bench(
     json: Annotated[Path | None, typer.Option(help="Also write the figures to this file.")] = None,
-    case: Annotated[Path | None, typer.Option(help="Recording to measure on; by default a board of the twin.")] = None,
-    repetitions: Annotated[int, typer.Option(min=1, max=100, help="Of each measurement; the median counts.")] = 5,
-    marks: Annotated[bool, typer.Option("--marks", help="Measure how well and how fast marks are found.")] = False,
-    links: Annotated[bool, typer.Option("--links", help="Measure how whole pixels pull at links.")] = False,
+    case: Annotated[Path | None, typer.Option(help="Measure on this recording [a board of the twin].")] = None,
+    repetitions: Annotated[
+        int, typer.Option(min=1, max=100, help="Repeat each measurement this number of times; the median counts.")
+    ] = 5,
+    marks: Annotated[
+        bool, typer.Option("--marks", help="Measure accuracy and speed of the detection of marks.")
+    ] = False,
+    links: Annotated[bool, typer.Option("--links", help="Measure the bias of links towards whole pixels.")] = False,
     plot: Annotated[
         Path | None,
-        typer.Option(help="With --marks, --links or --consistency: draw what was measured to this SVG file."),
+        typer.Option(help="With --marks, --links or --consistency: write a plot to this SVG file."),
     ] = None,
     consistency: Annotated[
-        int | None, typer.Option(min=1, max=1000, help="Compare predicted and real errors of so many boards.")
+        int | None, typer.Option(min=1, max=1000, help="Compare predicted and real errors of this number of boards.")
     ] = None,
     recordings: Annotated[
-        Path | None, typer.Option(help="For --consistency: also every recording with a truth in this directory.")
+        Path | None, typer.Option(help="With --consistency: also use every recording with a truth in this directory.")
     ] = None,
-    station: Annotated[bool, typer.Option("--station", help="Let boards pass a whole station in real time.")] = False,
-    growth: Annotated[bool, typer.Option("--growth", help="Stitch longer and longer boards.")] = False,
+    station: Annotated[
+        bool, typer.Option("--station", help="Measure a whole station with boards in real time.")
+    ] = False,
+    growth: Annotated[
+        bool, typer.Option("--growth", help="Measure time and memory over the length of the board.")
+    ] = False,
     scenario: Annotated[
-        str | None, typer.Option(help="For --station (paper) and --growth (small): a shipped scenario, or a file.")
+        str | None, typer.Option(help="With --station [paper] or --growth [small]: a shipped scenario, or a file.")
     ] = None,
-    rates: Annotated[str, typer.Option(help="For --station: multiples of the scenario's own rate.")] = "1,2,4",
-    boards: Annotated[int, typer.Option(min=1, max=1000, help="For --station: how many pass at each rate.")] = 12,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="For --station: worker processes.")] = 2,
-    rows: Annotated[str, typer.Option(help="For --growth: rows of three cameras.")] = "4,10,33,100,333",
+    rates: Annotated[str, typer.Option(help="With --station: multiples of the scenario's own rate.")] = "1,2,4",
+    boards: Annotated[int, typer.Option(min=1, max=1000, help="With --station: number of boards at each rate.")] = 12,
+    workers: Annotated[int, typer.Option(min=1, max=64, help="With --station: number of worker processes.")] = 2,
+    rows: Annotated[str, typer.Option(help="With --growth: numbers of rows of three cameras.")] = "4,10,33,100,333",
     films: Annotated[
-        Path | None, typer.Option(help="Where rendered boards are kept for the next time; else they are not kept.")
+        Path | None, typer.Option(help="Keep rendered boards in this directory for the next call [not kept].")
     ] = None,
-    ring: Annotated[Path, typer.Option(help="For --station: directory of the ring.")] = Path("/dev/shm"),  # noqa: S108  (as [ring] directory has it)
+    ring: Annotated[Path, typer.Option(help="With --station: directory of the ring.")] = Path("/dev/shm"),  # noqa: S108  (as [ring] directory has it)
 ) -> None:
-    """Measure stitching and rendering on frames in memory, one thread, beside the paper's method.
+    """Measure stitching and rendering on frames in memory, in one thread, and compare with the paper's method.
 
-    With --marks, --links, --consistency, --station or --growth the marks, the links, the predicted uncertainty, a
-    whole station, or the growth of cost and memory instead.
+    With --marks, --links, --consistency, --station or --growth, measure marks, links, the predicted uncertainty, a
+    whole station, or the growth of time and memory instead.
     """
     from vaoi_station.files.documents import write_json
 
     if marks + links + station + growth + (consistency is not None) > 1:
         raise InputError(
-            "--marks, --links, --consistency, --station and --growth are measured one at a time.",
-            action="Give one of them.",
+            "--marks, --links, --consistency, --station and --growth exclude each other.", action="Give one of them."
         )
     if plot is not None and not marks and not links and consistency is None:
-        raise InputError(
-            "--plot belongs to --marks, --links or --consistency.", action="Add one of them, or leave it out."
-        )
+        raise InputError("--plot needs --marks, --links or --consistency.", action="Add one of them, or omit --plot.")
     if marks:
         document = _marks(plot)
     elif links:
@@ -132,6 +137,7 @@ def _station(
     from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import read_scenario
 
+    # Films given by --films are kept: to render a large board takes longer than all measurements.
     with temporary_folder("bench") as temporary:
         board = film(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
         figures = []
@@ -166,5 +172,7 @@ def _numbers(option: str, given: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if not numbers or not all(0 < n <= 10_000 for n in numbers):
-        raise InputError.field("vaoi bench", option, given, "numbers above 0, at most 10000, with commas between them")
+        raise InputError.field(
+            "vaoi bench", option, given, "a comma-separated list of numbers above 0 and at most 10000"
+        )
     return numbers

@@ -1,4 +1,4 @@
-"""`vaoi calibration-board`: artwork of a calibration board, tailored to an array."""
+"""`vaoi calibration-board`: write the artwork of a calibration board for an array."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ _DEFAULT_MARKS = "5x4"
 
 def calibration_board(
     *,
-    out: Annotated[Path, typer.Option(help="Directory of the artwork; made if need be.")],
+    out: Annotated[Path, typer.Option(help="Write the artwork to this directory; it is created if necessary.")],
     config: Annotated[
-        Path | None, typer.Option(help="station.toml: number of cameras, frame sizes, and where they look.")
+        Path | None,
+        typer.Option(help="Read number of cameras, frame sizes and nominal centres from this station.toml."),
     ] = None,
     cameras: Annotated[int | None, typer.Option(min=1, max=64, help="Number of cameras (n).")] = None,
-    pitch_mm: Annotated[float | None, typer.Option(help="Distance of neighbouring cameras.")] = None,
-    field_mm: Annotated[str | None, typer.Option(help="View of one camera, as 34.8x26.")] = None,
+    pitch_mm: Annotated[float | None, typer.Option(help="Distance between neighbouring cameras.")] = None,
+    field_mm: Annotated[str | None, typer.Option(help="Field of view of one camera, as 34.8x26.")] = None,
     px_per_mm: Annotated[
-        float | None, typer.Option(min=0.1, max=1000, help="With --config: resolution, to find the view.")
+        float | None, typer.Option(min=0.1, max=1000, help="With --config: resolution, which gives the field of view.")
     ] = None,
-    marks_per_camera: Annotated[str, typer.Option(help="Across x down, as 5x4.")] = _DEFAULT_MARKS,
-    mark_mm: Annotated[float, typer.Option(min=0.1, max=50, help="Size of a cross.")] = 2.0,
+    marks_per_camera: Annotated[str, typer.Option(help="Marks per camera, columns x rows, as 5x4.")] = _DEFAULT_MARKS,
+    mark_mm: Annotated[float, typer.Option(min=0.1, max=50, help="Size of a mark (a cross).")] = 2.0,
     tolerance_mm: Annotated[
-        float, typer.Option(min=0, max=50, help="Marks keep so far from the edge of a view.")
+        float, typer.Option(min=0, max=50, help="Distance of marks from the edge of a view.")
     ] = 3.0,
-    light: Annotated[bool, typer.Option("--light", help="Light marks on a dark board.")] = False,
+    light: Annotated[bool, typer.Option("--light", help="Make light marks on a dark board.")] = False,
 ) -> None:
-    """Make a calibration board for an array: SVG, PDF (1:1, with a scale bar), Gerber, and its layout.json."""
+    """Make a calibration board for an array: SVG, PDF (1:1, with a scale bar), Gerber files, and layout.json."""
     from vaoi_station.calibration.artwork import ArrayDesign, design_board, gerber_marks, gerber_outline, pdf, svg
     from vaoi_station.files.documents import write_bytes
     from vaoi_station.files.layouts import write_layout
@@ -72,11 +73,12 @@ def _array(
     field_mm: str | None,
     px_per_mm: float | None,
 ) -> tuple[int, float, tuple[float, float]]:
-    """Number of cameras, their distance and view: as given, else as configured."""
+    """Return number, distance and field of view of the cameras: as given, else as configured."""
     view = None if field_mm is None else _pair(field_mm, "--field-mm")
     if config is not None:
         found = _configured(config, px_per_mm)
         cameras, pitch_mm, view = cameras or found[0], pitch_mm or found[1], view or found[2]
+    # One camera has no neighbour; any distance gives the same artwork.
     if cameras == 1:
         pitch_mm = pitch_mm or 1.0
     given = {"--cameras": cameras, "--pitch-mm": pitch_mm, "--field-mm": view}
@@ -84,13 +86,13 @@ def _array(
     if cameras is None or pitch_mm is None or view is None:
         raise InputError(
             f"{', '.join(missing)} must be given.",
-            action="Or give --config with a station whose cameras have nominal_center_mm and nominal_px_per_mm.",
+            action="Give them, or --config with a station whose cameras have nominal_center_mm and nominal_px_per_mm.",
         )
     return cameras, pitch_mm, view
 
 
 def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | None, tuple[float, float] | None]:
-    """What a station says: from its cameras' nominal views."""
+    """Return number, distance and field of view from the nominal values of a station's cameras."""
     import numpy as np
 
     from vaoi_station.config import read_config
@@ -100,7 +102,9 @@ def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | Non
     pitch = None
     if len(cameras) > 1 and None not in centers:
         pitch = float(np.hypot(*np.diff(np.array(centers, dtype=np.float64), axis=0).T).max())
+    # A camera without a nominal resolution makes r zero: then the field of view must be given.
     r = px_per_mm or min((c.nominal_px_per_mm or 0.0 for c in cameras), default=0.0)
+    # The smallest frame: the same marks must fit into the view of every camera.
     small = min(c.width for c in cameras), min(c.height for c in cameras)
     return len(cameras), pitch, (small[0] / r, small[1] / r) if r else None
 

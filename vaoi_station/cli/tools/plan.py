@@ -1,4 +1,4 @@
-"""`vaoi plan`: from requirements to cameras, lenses, exposure and pulses; section 2 of the paper."""
+"""`vaoi plan`: compute cameras, lens, exposure and pulses from requirements (section 2 of the paper)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Int = int | None
 def plan(
     *,
     example: Annotated[
-        str | None, typer.Option(help="Start from an example ('paper': section 2.6); other options change it.")
+        str | None, typer.Option(help="Start from this example ('paper': section 2.6); other options change it.")
     ] = None,
     width_mm: Annotated[Float, typer.Option(help="Widest board, across the motion (w).")] = None,
     resolution_px_per_mm: Annotated[Float, typer.Option(help="Pixels per mm on the board (r).")] = None,
@@ -27,11 +27,13 @@ def plan(
     sensor_px_h: Annotated[Int, typer.Option(help="Pixels of a frame across the motion (p_h).")] = None,
     sensor_px_v: Annotated[Int, typer.Option(help="Pixels of a frame along the motion (p_v).")] = None,
     sensor_width_mm: Annotated[Float, typer.Option(help="Width of the sensor, along p_h (w_s).")] = None,
-    distance_max_mm: Annotated[Float, typer.Option(help="Highest place of the cameras (d_max).")] = None,
-    distance_min_mm: Annotated[Float, typer.Option(help="Lowest place of the cameras (d_min).")] = None,
-    multiplicity_h: Annotated[Float, typer.Option(help="Cameras that see each point (m_h).  [1.05]")] = None,
-    multiplicity_v: Annotated[Float, typer.Option(help="Frames of a camera that see each point (m_v).  [2.1]")] = None,
-    depth_of_field_mm: Annotated[Float, typer.Option(help="Height of the highest part (d_f).")] = None,
+    distance_max_mm: Annotated[Float, typer.Option(help="Largest distance of the cameras (d_max).")] = None,
+    distance_min_mm: Annotated[Float, typer.Option(help="Smallest distance of the cameras (d_min).")] = None,
+    multiplicity_h: Annotated[Float, typer.Option(help="Number of cameras that see each point (m_h).  [1.05]")] = None,
+    multiplicity_v: Annotated[
+        Float, typer.Option(help="Number of frames of a camera that see each point (m_v).  [2.1]")
+    ] = None,
+    depth_of_field_mm: Annotated[Float, typer.Option(help="Height of the highest component (d_f).")] = None,
     circle_of_confusion_mm: Annotated[Float, typer.Option(help="Acceptable blur spot on the sensor (c).")] = None,
     blur_px: Annotated[Float, typer.Option(help="Acceptable motion during an exposure (τ).  [1]")] = None,
     lens_mm: Annotated[Float, typer.Option(help="Focal length of the lens in stock.")] = None,
@@ -42,12 +44,12 @@ def plan(
     readout_us: Annotated[Float, typer.Option(help="Readout time that exposures cannot overlap.  [0]")] = None,
     bits_per_pixel: Annotated[Int, typer.Option(help="Bits per pixel on the links.  [8]")] = None,
     longest_board_mm: Annotated[Float, typer.Option(help="Longest board, along the motion.")] = None,
-    runs_in_memory: Annotated[Int, typer.Option(help="Boards the ring holds at once.  [3]")] = None,
-    link_mbit_s: Annotated[Float, typer.Option(help="What the links of all cameras carry together.")] = None,
+    runs_in_memory: Annotated[Int, typer.Option(help="Number of boards that the ring holds at once.  [3]")] = None,
+    link_mbit_s: Annotated[Float, typer.Option(help="Total rate of the links of all cameras.")] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")] = False,
 ) -> None:
     """Plan the optics: cameras, lens, exposure, pulses and memory, with the margin of every constraint."""
-    # every option but the two that steer the command is a requirement of the same name
+    # Every option except these two is a requirement with the same name.
     given = {k: v for k, v in locals().items() if k not in ("example", "json_") and v is not None}
     from vaoi_station.optics import make_plan
     from vaoi_station.optics.paper import PAPER, paper_figures
@@ -56,6 +58,7 @@ def plan(
     if example not in (None, "paper"):
         raise NotFoundError(f"example {example!r} does not exist.", action="The only example is 'paper'.")
     made = make_plan(_requirements(given, PAPER if example else None))
+    # The comparison with the paper holds only for its own requirements, without changes.
     figures = paper_figures(made) if example and not given else ()
     typer.echo(json.dumps(plan_document(made, figures), indent=1) if json_ else plan_text(made, figures), nl=json_)
 
@@ -70,5 +73,7 @@ def _requirements(given: dict[str, Any], base: Requirements | None) -> Requireme
     required = [f.name for f in fields(Requirements) if f.default is MISSING]
     missing = [f"--{name.replace('_', '-')}" for name in required if name not in given]
     if missing:
-        raise InputError(f"requirements: {', '.join(missing)} must be given.", action="Or start from --example paper.")
+        raise InputError(
+            f"requirements: {', '.join(missing)} must be given.", action="Give them, or start from --example paper."
+        )
     return Requirements(**given)

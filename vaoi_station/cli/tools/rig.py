@@ -1,4 +1,4 @@
-"""`vaoi rig up` and `vaoi rig run`: the station's real backends, on devices that are emulated."""
+"""`vaoi rig up` and `vaoi rig run`: run the station's real backends on emulated devices."""
 
 from __future__ import annotations
 
@@ -12,14 +12,22 @@ rig = typer.Typer(
     no_args_is_help=True,
 )
 
-SCENARIO = Annotated[str, typer.Option(help="Scenario file (TOML), or one by name: demo, small, paper.")]
-CAMERAS = Annotated[int | None, typer.Option(min=1, max=200, help="In place of the scenario's; the board grows too.")]
+SCENARIO = Annotated[
+    str, typer.Option(help="Scenario file (TOML), or the name of a shipped scenario: demo, small, paper.")
+]
+CAMERAS = Annotated[
+    int | None, typer.Option(min=1, max=200, help="Number of cameras instead of the scenario's; the board grows too.")
+]
 FAULTS = Annotated[
     list[str] | None,
-    typer.Option("--fault", help="NAME or NAME:KEY=VALUE,…; several may be given. `vaoi rig faults` lists them."),
+    typer.Option(
+        "--fault", help="Inject a fault: NAME or NAME:KEY=VALUE,…; repeat for several. `vaoi rig faults` lists them."
+    ),
 ]
-FILMS = Annotated[Path | None, typer.Option(help="Where filmed boards are kept for the next time; else they are not.")]
-DIFFERENT = Annotated[int, typer.Option(min=1, max=1000, help="Boards that are filmed; they pass in turn.")]
+FILMS = Annotated[
+    Path | None, typer.Option(help="Keep rendered boards in this directory for the next call [not kept].")
+]
+DIFFERENT = Annotated[int, typer.Option(min=1, max=1000, help="Number of different boards; they pass in turn.")]
 
 
 @rig.command()
@@ -27,14 +35,14 @@ def run(
     *,
     scenario: SCENARIO = "demo",
     cameras: CAMERAS = None,
-    boards: Annotated[int, typer.Option(min=1, max=1000, help="How many pass.")] = 3,
+    boards: Annotated[int, typer.Option(min=1, max=1000, help="Number of boards that pass.")] = 3,
     fault: FAULTS = None,
     films: FILMS = None,
     different: DIFFERENT = 3,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="The station's worker processes.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, max=64, help="Number of worker processes of the station.")] = 2,
     json: Annotated[Path | None, typer.Option(help="Also write the report to this file.")] = None,
 ) -> None:
-    """Start rig and service, let boards pass, score them against the truth, take all down; 1 if something is wrong."""
+    """Start rig and service, let boards pass, score the results with the truth, and stop; exit code 1 on a failure."""
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
     from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.files.documents import write_json
@@ -65,6 +73,7 @@ def run(
         with interruptible():
             report = run_rig(plan, lambda line: typer.echo(line, err=True))
     except KeyboardInterrupt:
+        # An interrupted run has no score, so it must not count as passed.
         raise typer.Exit(INTERRUPTED) from None
     typer.echo(as_text(report))
     if json is not None:
@@ -75,20 +84,23 @@ def run(
 @rig.command()
 def up(
     *,
-    out: Annotated[Path, typer.Option(help="A new or empty directory for station.toml, port and data.")],
+    out: Annotated[Path, typer.Option(help="Write station.toml, port and data to this new or empty directory.")],
     scenario: SCENARIO = "demo",
     cameras: CAMERAS = None,
     fault: FAULTS = None,
     films: FILMS = None,
     different: DIFFERENT = 3,
     still: Annotated[
-        bool, typer.Option("--still", help="No board passes: for `vaoi record --still`, to calibrate.")
+        bool, typer.Option("--still", help="Let no board pass; for `vaoi record --still`, to calibrate.")
     ] = False,
     own_network: Annotated[
-        bool, typer.Option("--own-network", help="Do not touch this machine's loopback, even if that is allowed.")
+        bool,
+        typer.Option(
+            "--own-network", help="Use an own network name space, even if this machine's loopback may be changed."
+        ),
     ] = False,
 ) -> None:
-    """Devices only, until Ctrl-C: start `vaoi serve` beside them, with the station.toml that is written."""
+    """Run only the devices, until Ctrl-C; start `vaoi serve` beside them with the station.toml that is written."""
     from vaoi_station.demo.signal_handling import interruptible
     from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.errors import InputError
@@ -100,12 +112,13 @@ def up(
     from vaoi_station.simulation import read_scenario
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: must be a new or empty directory.", action="Give another --out.")
+        raise InputError(f"{out}: is not a new or empty directory.", action="Give another --out.")
     faults = tuple(map(parse_fault, fault or ()))
     chosen = with_cameras(read_scenario(resolve_scenario(scenario)), cameras)
     check_supported(chosen)
     check_faults(faults, chosen.array.cameras, different)
     check_sources()
+    # Addresses on loopback need a privilege; a name space of its own gives it inside.
     if own_network or not may_add_addresses():
         enter_namespace()
     out.mkdir(parents=True, exist_ok=True)
@@ -120,7 +133,7 @@ def up(
 
 @rig.command()
 def faults() -> None:
-    """What can go wrong, and its keys with their defaults."""
+    """List the faults that can be injected, and their keys with defaults."""
     from vaoi_station.rig.line.faults import KINDS
 
     for name, (fault, keys, what) in KINDS.items():

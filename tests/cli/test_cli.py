@@ -1,0 +1,65 @@
+"""Exit codes and error sentences of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.cli.conftest import Result
+from vaoi_station import __version__
+from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
+
+
+def test_version_is_printed(vaoi: Callable[..., Result]) -> None:
+    assert vaoi("--version").out == f"vaoi_station {__version__}\n"
+
+
+def test_help_names_every_command(vaoi: Callable[..., Result]) -> None:
+    text = vaoi("--help").out
+    for command in ("plan", "simulate", "serve", "record", "calibrate", "calibration-board", "recalibrate", "stitch",
+                    "report", "teach", "cut", "bench", "demo", "view", "doctor", "rig"):  # fmt: skip
+        assert command in text
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "sentence"),
+    [
+        (InputError("f.json: rows is 0.", action="Correct it."), 2, "vaoi: f.json: rows is 0. Correct it.\n"),
+        (NotFoundError("f.json: there is no such file."), 2, "vaoi: f.json: there is no such file.\n"),
+        (DeviceError("camera 0: is lost."), 3, "vaoi: camera 0: is lost.\n"),
+        (StateError("out: exists already."), 3, "vaoi: out: exists already.\n"),
+        (InternalError("the task failed."), 4, "vaoi: the task failed.\n"),
+        (OSError(28, "No space left on device", "/data"), 2, "vaoi: /data: No space left on device.\n"),
+    ],
+)
+def test_errors_are_one_sentence_with_an_exit_code(
+    vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, error: Exception, code: int, sentence: str
+) -> None:
+    fail_with(monkeypatch, error)
+    done = vaoi("stitch", "case", "--out", "out.json")
+    assert (done.code, done.out, done.err) == (code, "", sentence)
+
+
+def test_any_other_exception_is_an_internal_error(vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("VAOI_TRACEBACK", raising=False)
+    fail_with(monkeypatch, ZeroDivisionError("division by zero"))
+    done = vaoi("stitch", "case", "--out", "out.json")
+    assert done.code == 4
+    assert done.err.startswith("vaoi: internal error: ZeroDivisionError: division by zero. Report it")
+
+
+def test_traceback_is_shown_on_request(vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VAOI_TRACEBACK", "1")
+    fail_with(monkeypatch, ZeroDivisionError("division by zero"))
+    with pytest.raises(ZeroDivisionError):
+        vaoi("stitch", "case", "--out", "out.json")
+
+
+def fail_with(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    """Make `vaoi stitch` raise an error when it opens its recording."""
+
+    def raise_it(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("vaoi_station.stitching.recordings.opening.open_run", raise_it)
