@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from vaoi_station import model
 from vaoi_station.geometry import System
-from vaoi_station.model import BoardType, Calibration, Component, FrameRecord, Noun, Stitch, Verdict
+from vaoi_station.model import BoardType, Calibration, Component, FrameRecord, FrozenModel, Stitch, Verdict
 
 
 def board(**change: Any) -> BoardType:
@@ -24,7 +24,9 @@ def component(**change: Any) -> dict[str, Any]:
     return {"ref": "U1", "center": [10, 20], "width": 4, "height": 2} | change
 
 
-@pytest.mark.parametrize("noun", [c for c in vars(model).values() if isinstance(c, type) and issubclass(c, Noun)])
+@pytest.mark.parametrize(
+    "noun", [c for c in vars(model).values() if isinstance(c, type) and issubclass(c, FrozenModel)]
+)
 def test_every_noun_is_frozen(noun: type[BaseModel]) -> None:
     assert noun.model_config.get("frozen") is True
 

@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station.benchmarks.marks import Curve, MarkFigures, _curve, _rows
 from vaoi_station.benchmarks.painted import bound_px, film, paint
-from vaoi_station.marks.artwork import Shape
+from vaoi_station.marks.mark_shape import Shape
 
 SHAPES: list[Shape] = ["circle", "cross", "square", "diamond"]
 

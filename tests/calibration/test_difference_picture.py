@@ -10,23 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.calibration.compare import Difference, compare
-from vaoi_station.calibration.difference_picture import BAND, MARGIN, WIDTH, draw, round_down, round_up
+from vaoi_station.calibration.calibration_difference import CalibrationDifference, compare_calibrations
+from vaoi_station.calibration.difference_picture import BAND, MARGIN, WIDTH, draw_difference, round_down, round_up
 
 _WHITE, _INK = (255, 255, 255), (30, 30, 30)
 
 
 @pytest.fixture
-def knocked(rig: Any) -> Difference:
+def knocked(rig: Any) -> CalibrationDifference:
     """Camera 1 looks 2 px further to the right than it did; nothing is taken out."""
     one = rig.calibrate().calibration()
     n0, n1 = one.camera_matrices
     moved = np.array([[1, 0, -2.0], [0, 1, 0], [0, 0, 1]]) @ n1
-    return compare(one, one.model_copy(update={"camera_matrices": (n0, moved)}), rig.heads, one_board=True)
+    return compare_calibrations(one, one.model_copy(update={"camera_matrices": (n0, moved)}), rig.heads, one_board=True)
 
 
-def test_arrows_at_the_border_are_drawn_whole(knocked: Difference, rig: Any) -> None:
-    picture = draw(knocked, rig.heads)
+def test_arrows_at_the_border_are_drawn_whole(knocked: CalibrationDifference, rig: Any) -> None:
+    picture = draw_difference(knocked, rig.heads)
     tile = picture[:, WIDTH + 2 * MARGIN + 8 :]
     height = round(rig.heads[1].height * WIDTH / rig.heads[1].width)
     right = tile[BAND + MARGIN : BAND + MARGIN + height, MARGIN + WIDTH :]
@@ -36,8 +36,8 @@ def test_arrows_at_the_border_are_drawn_whole(knocked: Difference, rig: Any) -> 
     assert (left == 250).all(), "they point to the right"
 
 
-def test_colours_mean_the_same_in_every_camera_and_on_the_bar(knocked: Difference, rig: Any) -> None:
-    picture = draw(knocked, rig.heads)
+def test_colours_mean_the_same_in_every_camera_and_on_the_bar(knocked: CalibrationDifference, rig: Any) -> None:
+    picture = draw_difference(knocked, rig.heads)
     at = BAND + MARGIN + round(rig.heads[0].height * WIDTH / rig.heads[0].width / 13)  # between two lines of arrows
     calm, loud = (picture[at, k * (WIDTH + 2 * MARGIN + 8) + MARGIN + WIDTH // 2 + 13] for k in (0, 1))
     foot = picture[-86 + 16]
@@ -47,12 +47,12 @@ def test_colours_mean_the_same_in_every_camera_and_on_the_bar(knocked: Differenc
 
 def test_calibrations_that_agree_are_drawn_too(rig: Any) -> None:
     one = rig.calibrate().calibration()
-    assert draw(compare(one, one, rig.heads), rig.heads).shape[2] == 3
+    assert draw_difference(compare_calibrations(one, one, rig.heads), rig.heads).shape[2] == 3
 
 
-def test_many_cameras_are_broken_into_rows(knocked: Difference, rig: Any) -> None:
+def test_many_cameras_are_broken_into_rows(knocked: CalibrationDifference, rig: Any) -> None:
     many = replace(knocked, grid_px=knocked.grid_px * 14, difference_px=knocked.difference_px * 14)
-    picture = draw(many, rig.heads * 14)
+    picture = draw_difference(many, rig.heads * 14)
     assert picture.shape[1] == 4 * (WIDTH + 2 * MARGIN) + 3 * 8
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.calibration import Outcome, calibrate
-from vaoi_station.calibration.report import draw
+from vaoi_station.calibration.calibration_picture import draw_calibration
 from vaoi_station.files.layouts import Layout
 from vaoi_station.simulation import Twin, calibration_board
 from vaoi_station.simulation.scenario import ArraySection, CalibrationBoardSection, Scenario
@@ -96,7 +96,7 @@ def test_of_four_marks_one_covered_is_refused_with_its_place(four: Film, share: 
 
 
 def test_the_picture_of_a_covered_mark_shows_in_red_which_it_is(four: Film) -> None:
-    picture = draw(four.covered(four.first, 0.5, 120))
+    picture = draw_calibration(four.covered(four.first, 0.5, 120))
     width = (picture.shape[1] - 16) // 3
     frame = picture[74:, width + 8 : 2 * width + 8].astype(int)
     scale = width / four.twin.heads[SPOILT].width

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vaoi_station.marks.artwork import Shape, coverage
-from vaoi_station.marks.disc import FITTED, NO_EDGE, TOO_FAR, fit_disc
-from vaoi_station.marks.equations import solve, variance
-from vaoi_station.marks.likeness import SHAPE_CODE, likeness
-from vaoi_station.marks.scan import RING, alike, best_apart, ring_offsets
-from vaoi_station.marks.symmetry import fit_symmetry
+from vaoi_station.marks.candidate_kernels import RING, ring_offsets, scan_candidates, suppress_non_maxima
+from vaoi_station.marks.disc_fit import FITTED, NO_EDGE, TOO_FAR, fit_disc
+from vaoi_station.marks.mark_shape import Shape, coverage
+from vaoi_station.marks.small_cholesky import position_variance, solve_cholesky
+from vaoi_station.marks.symmetry_fit import fit_symmetry
+from vaoi_station.marks.template_correlation import SHAPE_CODE, correlate_with_shape
 
 SHAPES = get_args(Shape)
 Paint = Callable[..., Any]
@@ -32,17 +32,17 @@ def test_normal_equations_are_solved_as_numpy_solves_them(seed: int, unknowns: i
     square = design.T @ design
     table = np.zeros((4, 5))
     table[:unknowns, :unknowns], table[:unknowns, 4] = np.triu(square), design.T @ right
-    assert solve(table, unknowns)
+    assert solve_cholesky(table, unknowns)
     assert np.allclose(table[:unknowns, 4], np.linalg.solve(square, design.T @ right), rtol=1e-6, atol=1e-9)
     if unknowns == 4:
-        assert variance(table) == pytest.approx(np.diag(np.linalg.inv(square))[:2].mean(), rel=1e-6)
+        assert position_variance(table) == pytest.approx(np.diag(np.linalg.inv(square))[:2].mean(), rel=1e-6)
 
 
 def test_equations_that_fix_nothing_are_told() -> None:
     table = np.zeros((4, 5))
     table[:2, :2] = 1.0
-    assert not solve(table, 2)
-    assert not solve(np.zeros((4, 5)), 1)
+    assert not solve_cholesky(table, 2)
+    assert not solve_cholesky(np.zeros((4, 5)), 1)
 
 
 def test_every_pixel_with_a_bare_rim_and_no_other_is_correlated(paint: Paint) -> None:
@@ -51,7 +51,7 @@ def test_every_pixel_with_a_bare_rim_and_no_other_is_correlated(paint: Paint) ->
     template -= template.mean()
     template /= np.sqrt((template**2).sum())
     ring = ring_offsets(5.0)
-    found = alike(image, template, ring, 1, 0.5)
+    found = scan_candidates(image, template, ring, 1, 0.5)
     expected = []
     for y in range(5, image.shape[0] - 5):
         for x in range(5, image.shape[1] - 5):
@@ -71,14 +71,14 @@ def test_every_pixel_with_a_bare_rim_and_no_other_is_correlated(paint: Paint) ->
 
 def test_of_hits_side_by_side_the_best_is_kept() -> None:
     hits = np.array([[10.0, 10, 0.9], [12, 11, 0.8], [20, 10, 0.7], [10, 14, 0.6]])
-    assert best_apart(hits, 3, 9).tolist() == [0, 2, 3]
-    assert best_apart(hits, 3, 2).tolist() == [0, 2]
+    assert suppress_non_maxima(hits, 3, 9).tolist() == [0, 2, 3]
+    assert suppress_non_maxima(hits, 3, 2).tolist() == [0, 2]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_likeness_is_the_weighted_correlation_with_the_artwork(paint: Paint, shape: Shape) -> None:
     image, at = paint([(shape, 48.3, 40.6, 18.0)], noise=4.0), (48.3, 40.6)
-    score, contrast = likeness(image, *at, SHAPE_CODE[shape], 18.0, 0.25, 36.0)
+    score, contrast = correlate_with_shape(image, *at, SHAPE_CODE[shape], 18.0, 0.25, 36.0)
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
     u, v = np.abs(x - at[0]), np.abs(y - at[1])
     outside = {
@@ -93,7 +93,7 @@ def test_likeness_is_the_weighted_correlation_with_the_artwork(paint: Paint, sha
     q = q - np.average(q, weights=w)
     assert contrast == pytest.approx((w * p * q).sum() / (w * q * q).sum(), rel=1e-9)
     assert score == pytest.approx((w * p * q).sum() / np.sqrt((w * p * p).sum() * (w * q * q).sum()), rel=1e-9)
-    assert likeness(np.full((80, 96), 7, np.uint8), *at, SHAPE_CODE[shape], 18.0, 0.25, 36.0) == (0.0, 0.0)
+    assert correlate_with_shape(np.full((80, 96), 7, np.uint8), *at, SHAPE_CODE[shape], 18.0, 0.25, 36.0) == (0.0, 0.0)
 
 
 @COMPILES

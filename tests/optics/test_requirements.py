@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.optics.paper import PAPER
+from vaoi_station.optics.paper_example import PAPER
 
 
 @pytest.mark.parametrize(

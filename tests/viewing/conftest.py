@@ -20,7 +20,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.files import write_recording
 from vaoi_station.files.layouts import Layout, write_layout
-from vaoi_station.marks.artwork import Shape, coverage
+from vaoi_station.marks.mark_shape import Shape, coverage
 from vaoi_station.model import RecordingHead
 
 FINE = 4

@@ -17,9 +17,9 @@ from vaoi_station.benchmarks.painted import CONDITIONS, Condition, bound_px, fil
 from vaoi_station.benchmarks.s_curve import Panel, draw
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.marks import Mark, locate
-from vaoi_station.marks.artwork import Shape
-from vaoi_station.marks.baseline import center_of_gravity
+from vaoi_station.marks import Mark, locate_mark
+from vaoi_station.marks.centre_of_gravity import locate_by_centre_of_gravity
+from vaoi_station.marks.mark_shape import Shape
 from vaoi_station.stitching.board.fiducial_detection import detect_marks
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
@@ -137,13 +137,13 @@ def _row(
         image, variance = film(picture, condition, g)
         near = truth + g.uniform(-_OFF_SHARE, _OFF_SHARE, 2) * size_px
         start = time.process_time()
-        mark = locate(image, near, shape, size_px)
+        mark = locate_mark(image, near, shape, size_px)
         times.append((time.process_time() - start) * 1e3)
         bounds.append(bound_px(picture, variance))
         if isinstance(mark, Mark):
             errors.append(mark.px - truth)
             claims.append(mark.sigma_px)
-        other = center_of_gravity(image, near, shape, size_px, light=light, reach_px=0.2 * size_px)
+        other = locate_by_centre_of_gravity(image, near, shape, size_px, light=light, reach_px=0.2 * size_px)
         if not isinstance(other, Failure):
             theirs.append(other - truth)
     e = np.array(errors).reshape(-1, 2)
@@ -172,9 +172,9 @@ def _curve(shape: Shape, steps: int = 20) -> Curve:
     for fraction in fractions:
         truth = np.array([(side - 1) / 2 + fraction, (side - 1) / 2 + 0.2])
         image, _ = film(paint(shape, True, _S_CURVE_PX, truth, side, False), "clean", g)
-        mark = locate(image, truth, shape, _S_CURVE_PX)
+        mark = locate_mark(image, truth, shape, _S_CURVE_PX)
         ours.append(round(float(mark.px[0] - truth[0]), 5) if isinstance(mark, Mark) else float("nan"))
-        other = center_of_gravity(image, truth, shape, _S_CURVE_PX, light=True, reach_px=4.0)
+        other = locate_by_centre_of_gravity(image, truth, shape, _S_CURVE_PX, light=True, reach_px=4.0)
         theirs.append(None if isinstance(other, Failure) else round(float(other[0] - truth[0]), 5))
     return Curve(shape, _S_CURVE_PX, tuple(float(f) for f in fractions), tuple(ours), tuple(theirs))
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.marks.artwork import Shape
+from vaoi_station.marks.mark_shape import Shape
 
 Condition = Literal["clean", "noise", "slope", "copper"]
 CONDITIONS: dict[Condition, str] = {

@@ -4,7 +4,7 @@ Artwork of such a board, marks found and identified by themselves, camera matric
 their covariance, and the map of the difference of two calibrations.
 """
 
-from vaoi_station.calibration.calibrate import Outcome, calibrate
-from vaoi_station.calibration.camera import CameraResult, Limits
+from vaoi_station.calibration.array_calibration import Outcome, calibrate
+from vaoi_station.calibration.camera_fit import CameraResult, Limits
 
 __all__ = ["CameraResult", "Limits", "Outcome", "calibrate"]

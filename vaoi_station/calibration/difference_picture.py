@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from vaoi_station.calibration.compare import Difference
-from vaoi_station.calibration.sheet import Picture, arrange
+from vaoi_station.calibration.calibration_difference import CalibrationDifference
+from vaoi_station.calibration.tile_sheet import Picture, arrange_tiles
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
@@ -28,16 +28,16 @@ _INK, _PAPER, _ARROW = (30, 30, 30), (250, 250, 250), (255, 255, 255)
 _STEPS = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
-def draw(difference: Difference, heads: Sequence[CameraHead]) -> Picture:
+def draw_difference(difference: CalibrationDifference, heads: Sequence[CameraHead]) -> Picture:
     """All cameras, (h, w, 3) BGR, above a bar of the colours; everything is told in px of the frames."""
     top_px = round_up(max(*difference.max_px, 1e-3))
     factor = round_down(min((MARGIN - 4) / (most_px(difference) * WIDTH / head.width) for head in heads))
-    sheet = arrange([_tile(difference, i, head, top_px, factor) for i, head in enumerate(heads)])
+    sheet = arrange_tiles([_tile(difference, i, head, top_px, factor) for i, head in enumerate(heads)])
     foot = _foot(sheet.shape[1], top_px, factor, difference.one_board)
     return np.vstack([sheet, foot])
 
 
-def most_px(difference: Difference) -> float:
+def most_px(difference: CalibrationDifference) -> float:
     """The longest of all differences, but never 0."""
     return max(*difference.max_px, 1e-9)
 
@@ -54,7 +54,7 @@ def round_down(value: float) -> float:
     return next(s * power for s in reversed(_STEPS) if s * power <= value * (1 + 1e-9))
 
 
-def _tile(difference: Difference, camera: int, head: CameraHead, top_px: float, factor: float) -> Picture:
+def _tile(difference: CalibrationDifference, camera: int, head: CameraHead, top_px: float, factor: float) -> Picture:
     """One camera: caption, and its frame within a margin."""
     scale, d_px = WIDTH / head.width, difference.difference_px[camera]
     size = (WIDTH, max(round(head.height * scale), 1))

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from vaoi_station.files.documents import parse, read_json, write_json
-from vaoi_station.model import MM_PER_UNIT, Noun, Place, Positive
+from vaoi_station.model import MM_PER_UNIT, FrozenModel, Place, Positive
 
 
-class LayoutMark(Noun):
+class LayoutMark(FrozenModel):
     """How every mark of the board looks, in the unit of the layout."""
 
     shape: Literal["cross"] = "cross"
@@ -21,7 +21,7 @@ class LayoutMark(Noun):
     polarity: Literal["dark", "light"] = "dark"
 
 
-class Layout(Noun):
+class Layout(FrozenModel):
     """Where the marks are, in coordinates that become the tester's."""
 
     unit: Literal["mm", "inch", "mil"] = "mm"

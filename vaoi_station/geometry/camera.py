@@ -63,11 +63,11 @@ class Camera:
 
     def ground(self, raw_px: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
         """Where points seen at raw pixels (..., 2) are, in mm (..., 2), if they stand `height_mm` above the plane."""
-        from vaoi_station.geometry.rays import ground
+        from vaoi_station.geometry.projection_kernels import image_to_ground
 
         raw, height, out = _paired(raw_px, height_mm)
         n = self.row_from_image.matrix
-        ground(raw, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        image_to_ground(raw, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
         return out
 
     def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
@@ -101,11 +101,11 @@ class Camera:
 
     def project(self, place_mm: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
         """Raw pixels (..., 2) of points at places (..., 2) in mm, `height_mm` above the plane."""
-        from vaoi_station.geometry.rays import project
+        from vaoi_station.geometry.projection_kernels import ground_to_image
 
         place, height, out = _paired(place_mm, height_mm)
         n = self.image_from_row.matrix
-        project(place, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        ground_to_image(place, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
         return out
 
     @cached_property

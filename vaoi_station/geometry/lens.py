@@ -36,10 +36,10 @@ class Lens:
         p = np.asarray(raw_px, dtype=np.float64)
         if self.ideal:
             return p
-        from vaoi_station.geometry.rays import undistort
+        from vaoi_station.geometry.projection_kernels import undistort_points
 
         out = np.empty(p.shape)
-        undistort(p.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
+        undistort_points(p.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
         return out
 
     def distort(self, undistorted_px: ArrayLike) -> Floats:
@@ -51,15 +51,15 @@ class Lens:
         u = np.asarray(undistorted_px, dtype=np.float64)
         if self.ideal:
             return u
-        from vaoi_station.geometry.rays import distort
+        from vaoi_station.geometry.projection_kernels import distort_points
 
         out = np.empty(u.shape)
-        distort(u.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
+        distort_points(u.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
         return out
 
     @cached_property
     def coefficients(self) -> Floats:
-        """a1, a2, … as `geometry.rays` wants them: none for an ideal lens."""
+        """a1, a2, … as `geometry.projection_kernels` wants them: none for an ideal lens."""
         return np.array(() if self.ideal else self.radial, dtype=np.float64)
 
     @cached_property

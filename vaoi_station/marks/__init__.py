@@ -1,6 +1,6 @@
 """Fiducial marks: their artwork, finding look-alikes in a frame, and their place to a few hundredths of a pixel."""
 
-from vaoi_station.marks.locate import Mark, locate
-from vaoi_station.marks.search import search
+from vaoi_station.marks.candidate_search import find_candidates
+from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
 
-__all__ = ["Mark", "locate", "search"]
+__all__ = ["Mark", "find_candidates", "locate_mark"]

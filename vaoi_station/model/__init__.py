@@ -6,10 +6,10 @@ with `x_` belong to the user: they are kept and ignored. Cameras and rows count 
 
 from vaoi_station.model.board_type import MM_PER_UNIT, BoardType, Component, Fiducial, FixtureMarkShape, Place
 from vaoi_station.model.calibration import Calibration, Distortion
-from vaoi_station.model.noun import Finite, Noun, Positive, Strict, Whole
+from vaoi_station.model.frame_record import FrameRecord, Pulse, Verdict
+from vaoi_station.model.frozen_model import Finite, FrozenModel, Positive, Strict, Whole
 from vaoi_station.model.recording import CameraHead, RecordingHead
-from vaoi_station.model.run import FrameRecord, Pulse, Verdict
-from vaoi_station.model.stitch import Status, Stitch, Surface
+from vaoi_station.model.stitch_result import Status, Stitch, Surface
 
 __all__ = [
     "MM_PER_UNIT",
@@ -22,7 +22,7 @@ __all__ = [
     "Finite",
     "FixtureMarkShape",
     "FrameRecord",
-    "Noun",
+    "FrozenModel",
     "Place",
     "Positive",
     "Pulse",

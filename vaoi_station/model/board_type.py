@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from vaoi_station.geometry.outline import crossing, encloses
-from vaoi_station.model.noun import Finite, Noun, Point, Positive
+from vaoi_station.geometry.polygon import encloses, find_crossing_edges
+from vaoi_station.model.frozen_model import Finite, FrozenModel, Point, Positive
 
 _MOST = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
 """How much of a kind a board type may have."""
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
 
-class Fiducial(Noun):
+class Fiducial(FrozenModel):
     """A mark of the board at known CAD coordinates."""
 
     name: str
@@ -28,7 +28,7 @@ class Fiducial(Noun):
     diameter: Positive
 
 
-class Component(Noun):
+class Component(FrozenModel):
     """One part: its footprint's centre, size before rotation, and rotation, in CAD units and degrees."""
 
     ref: Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
@@ -45,7 +45,7 @@ class Component(Noun):
         return self.ref if self.panel is None else f"{self.panel}/{self.ref}"
 
 
-class FixtureMarkShape(Noun):
+class FixtureMarkShape(FrozenModel):
     """How the marks of the fixture look."""
 
     shape: Literal["cross", "circle", "square", "diamond"] = "cross"
@@ -54,14 +54,14 @@ class FixtureMarkShape(Noun):
     polarity: Literal["dark", "light"] = "light"
 
 
-class Place(Noun):
+class Place(FrozenModel):
     """A point with named coordinates."""
 
     x: Finite
     y: Finite
 
 
-class BoardType(Noun):
+class BoardType(FrozenModel):
     """board.json: a product of the line, in its own unit and axes."""
 
     name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
@@ -85,7 +85,7 @@ class BoardType(Noun):
             low, high = self.extent()
             if (high <= low).any():
                 raise ValueError(f"outline has no area: from {low.tolist()} to {high.tolist()}")
-            if edges := crossing(self.outline):
+            if edges := find_crossing_edges(self.outline):
                 raise ValueError(f"outline crosses itself: its edges from corners {edges[0]} and {edges[1]} meet")
             for f in self.fiducials:
                 if not encloses(self.outline, (f.x, f.y)):

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.model.noun import Finite, Matrix, Noun, Point, Positive
+from vaoi_station.model.frozen_model import Finite, FrozenModel, Matrix, Point, Positive
 from vaoi_station.model.recording import CameraHead
 
 
-class Distortion(Noun):
+class Distortion(FrozenModel):
     """Radial distortion of one lens; see `geometry.Lens`."""
 
     center: Point
@@ -19,7 +19,7 @@ class Distortion(Noun):
     radial: tuple[Finite, ...]
 
 
-class Calibration(Noun):
+class Calibration(FrozenModel):
     """calibration.json: the camera matrices N_i (tester → undistorted image) and what belongs to them."""
 
     format: Literal["vaoi-calibration"]

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from vaoi_station.model.noun import Finite, Noun, Point, Positive, Whole
+from vaoi_station.model.frozen_model import Finite, FrozenModel, Point, Positive, Whole
 
 
-class CameraHead(Noun):
+class CameraHead(FrozenModel):
     """What a recording says of one camera."""
 
     width: Annotated[Whole, Field(ge=16, le=65536)]
@@ -21,7 +21,7 @@ class CameraHead(Noun):
     nominal_px_per_mm: Positive | None = None
 
 
-class RecordingHead(Noun):
+class RecordingHead(FrozenModel):
     """recording.json: what was filmed, without the pictures."""
 
     format: Literal["vaoi-recording"]

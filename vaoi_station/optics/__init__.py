@@ -4,32 +4,37 @@ One function per numbered equation, the arithmetic of data and time around them,
 requirements into figures and constraints. Knows nothing of files and devices.
 """
 
-from vaoi_station.optics.array import achieved_multiplicity_h, camera_pitch_mm, cameras_needed, field_of_view_mm
+from vaoi_station.optics.array_equations import (
+    achieved_multiplicity_h,
+    camera_pitch_mm,
+    cameras_needed,
+    field_of_view_mm,
+)
 from vaoi_station.optics.constraint import Constraint
-from vaoi_station.optics.data import buffer_bytes, data_rate_mbit_s, frame_bytes
-from vaoi_station.optics.lens import (
+from vaoi_station.optics.data_rates import buffer_bytes, data_rate_mbit_s, frame_bytes
+from vaoi_station.optics.lens_equations import (
     airy_disc_px,
     depth_of_field_mm,
     f_number,
     focal_length_mm,
     working_distance_mm,
 )
-from vaoi_station.optics.motion import (
+from vaoi_station.optics.motion_equations import (
     longest_exposure_us,
     lowest_frame_rate_hz,
     motion_blur_px,
     parallax_px,
     parallax_px_per_mm,
 )
-from vaoi_station.optics.plan import Plan, make_plan
-from vaoi_station.optics.requirements import Requirements
-from vaoi_station.optics.timing import (
+from vaoi_station.optics.optics_plan import Plan, make_plan
+from vaoi_station.optics.pulse_timing import (
     achieved_multiplicity_v,
     capture_duration_s,
     rows_per_board,
     spare_time_us,
     trigger_period_us,
 )
+from vaoi_station.optics.requirements import Requirements
 
 __all__ = [
     "Constraint",

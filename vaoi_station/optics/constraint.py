@@ -37,7 +37,7 @@ def at_least(name: str, equation: str, value: float, limit: float, *, unit: str,
     return Constraint(name, equation, value, "≥", limit, margin, unit, margin >= 0, note)
 
 
-def not_judged(
+def not_checked(
     name: str, equation: str, relation: Literal["≤", "≥"], *, unit: str, note: str, value: float | None = None
 ) -> Constraint:
     """A constraint for which a quantity is missing; `note` says which."""

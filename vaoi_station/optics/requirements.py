@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from vaoi_station.optics.limits import is_number, require, require_not_negative, require_positive
+from vaoi_station.optics.quantity_checks import is_number, require, require_non_negative, require_positive
 
 _WHERE = "requirements"
 _WHOLE = frozenset({"sensor_px_h", "sensor_px_v", "cameras", "bits_per_pixel", "runs_in_memory"})
@@ -81,7 +81,7 @@ class Requirements:
                 require(ok, field.name, value, "a whole number, 1 or above", _WHERE)
             else:
                 require_positive(_WHERE, **{field.name: value})
-        require_not_negative(_WHERE, readout_us=self.readout_us)
+        require_non_negative(_WHERE, readout_us=self.readout_us)
         require(self.bits_per_pixel <= 64, "bits_per_pixel", self.bits_per_pixel, "at most 64", _WHERE)
         for name in ("multiplicity_h", "multiplicity_v"):
             value = getattr(self, name)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.calibration.sight import to_grey
+from vaoi_station.calibration.mark_detection import to_grey
 from vaoi_station.files.images import Image
 
 TILES = 3

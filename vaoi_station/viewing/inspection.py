@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.calibration.sight import SURROUND, MarkKind, sight, to_grey
+from vaoi_station.calibration.mark_detection import SURROUND, MarkAppearance, detect_marks, to_grey
 from vaoi_station.files.images import Image
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.marks import locate, search
-from vaoi_station.marks.search import reduction
+from vaoi_station.marks import find_candidates, locate_mark
+from vaoi_station.marks.candidate_search import reduction_factor
 from vaoi_station.viewing.image_quality import ImageQuality, measure
 from vaoi_station.viewing.mark_spec import MarkSpec
 
@@ -58,16 +58,16 @@ def inspect_frame(pixels: Image, spec: MarkSpec | None) -> FrameInspection:
 def find_marks(grey: NDArray[np.uint8], spec: MarkSpec) -> tuple[MarkDetection, ...]:
     """All marks of a frame; those of a calibration board are found as `vaoi calibrate` finds them."""
     if spec.shape == "cross" and spec.light is not None:
-        found = sight(grey, MarkKind(spec.size_px, spec.arm, spec.light))
+        found = detect_marks(grey, MarkAppearance(spec.size_px, spec.arm, spec.light))
         sure = [MarkDetection(float(x), float(y), float(s)) for (x, y), s in zip(found.px, found.score, strict=True)]
         return (*sure, *(MarkDetection(x, y, 0.0, why) for (x, y), why in found.doubtful))
-    factor = reduction(spec.size_px)
+    factor = reduction_factor(spec.size_px)
     h, w = (side // factor * factor for side in grey.shape)
     small = grey[:h, :w].reshape(h // factor, factor, w // factor, factor).mean(axis=(1, 3)).astype(np.uint8)
-    places, _ = search(small, spec.shape, spec.size_px / factor, _MOST, arm=spec.arm)
+    places, _ = find_candidates(small, spec.shape, spec.size_px / factor, _MOST, arm=spec.arm)
     marks: list[MarkDetection] = []
     for place in (places + 0.5) * factor - 0.5:
-        mark = locate(grey, place, spec.shape, spec.size_px, arm=spec.arm, surround=SURROUND)
+        mark = locate_mark(grey, place, spec.shape, spec.size_px, arm=spec.arm, surround=SURROUND)
         if isinstance(mark, Failure):
             continue
         x, y = (float(v) for v in mark.px)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from vaoi_station.calibration.nominal import marks_in_view
+from vaoi_station.calibration.nominal_view import marks_in_view
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.layouts import Layout, read_layout
-from vaoi_station.marks.artwork import CROSS_ARM, Shape
+from vaoi_station.marks.mark_shape import CROSS_ARM, Shape
 
 SMALLEST_PX = 5.0
 

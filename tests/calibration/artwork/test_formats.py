@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.calibration.artwork import ArrayDesign, Board, design_board, gerber_marks, gerber_outline, pdf, svg
+from vaoi_station.calibration.artwork import (
+    ArrayDesign,
+    Board,
+    design_board,
+    render_gerber_marks,
+    render_gerber_outline,
+    render_pdf,
+    render_svg,
+)
 from vaoi_station.errors import InputError
 from vaoi_station.files.layouts import read_layout
 
@@ -101,15 +109,15 @@ def _check(board: Board, marks: Shapes, origin: tuple[float, float]) -> None:
 
 
 def test_svg_shows_the_layout(board: Board) -> None:
-    marks, strokes, size = _read_svg(svg(board, TITLE))
+    marks, strokes, size = _read_svg(render_svg(board, TITLE))
     _check(board, marks, (0, 0))
     assert size == pytest.approx(board.size_mm)
     assert np.hypot(*(strokes[0][1] - strokes[0][0])) == pytest.approx(50.0, abs=1e-6)
-    assert "three &lt;cameras&gt;" in svg(board, TITLE)
+    assert "three &lt;cameras&gt;" in render_svg(board, TITLE)
 
 
 def test_pdf_prints_the_layout_one_to_one(board: Board) -> None:
-    document = pdf(board, TITLE)
+    document = render_pdf(board, TITLE)
     marks, strokes, size = _read_pdf(document)
     _check(board, marks, board.low_mm)
     assert size == pytest.approx(board.size_mm, abs=1e-3)
@@ -119,22 +127,24 @@ def test_pdf_prints_the_layout_one_to_one(board: Board) -> None:
 
 
 def test_gerber_flashes_the_layout_with_y_up(board: Board) -> None:
-    flashes, aperture, strokes = _read_gerber(gerber_marks(board))
+    flashes, aperture, strokes = _read_gerber(render_gerber_marks(board))
     assert np.abs(flashes - board.places_mm * (1, -1)).max() < 1e-3
     assert aperture == (2.0, 0.5)
     assert np.hypot(*(strokes[0][1] - strokes[0][0])) == pytest.approx(50.0)
-    outline = np.array([[int(v) / 1e6 for v in xy] for xy in re.findall(r"X(-?\d+)Y(-?\d+)D01", gerber_outline(board))])
+    outline = np.array(
+        [[int(v) / 1e6 for v in xy] for xy in re.findall(r"X(-?\d+)Y(-?\d+)D01", render_gerber_outline(board))]
+    )
     assert np.ptp(outline, axis=0) == pytest.approx(board.size_mm)
 
 
 def test_light_marks_stand_on_dark_ground() -> None:
     board = design_board(ArrayDesign(1, 30.0, (34.8, 26.0), polarity="light"))
-    assert 'fill="#000000"/>' in svg(board, "")
-    assert b"\n0 g " in pdf(board, "")
+    assert 'fill="#000000"/>' in render_svg(board, "")
+    assert b"\n0 g " in render_pdf(board, "")
     assert board.layout.mark.polarity == "light"
 
 
-@pytest.mark.parametrize("read", [lambda b: svg(b, ""), lambda b: pdf(b, "")])
+@pytest.mark.parametrize("read", [lambda b: render_svg(b, ""), lambda b: render_pdf(b, "")])
 def test_the_scale_bar_keeps_off_the_views(board: Board, read: Callable[[Board], Any]) -> None:
     content = read(board)
     strokes = (_read_svg(content) if isinstance(content, str) else _read_pdf(content))[1]
@@ -144,12 +154,12 @@ def test_the_scale_bar_keeps_off_the_views(board: Board, read: Callable[[Board],
 
 def test_a_board_too_long_for_a_page_is_refused() -> None:
     with pytest.raises(InputError, match="at most 5080 mm"):
-        pdf(design_board(ArrayDesign(60, 100.0, (110.0, 80.0))), "")
+        render_pdf(design_board(ArrayDesign(60, 100.0, (110.0, 80.0))), "")
 
 
 def test_the_example_is_what_the_software_makes_now(board: Board) -> None:
     assert read_layout(EXAMPLE / "layout.json") == board.layout
-    assert (EXAMPLE / "calibration-board.gbr").read_text() == gerber_marks(board)
-    assert (EXAMPLE / "calibration-board-outline.gbr").read_text() == gerber_outline(board)
+    assert (EXAMPLE / "calibration-board.gbr").read_text() == render_gerber_marks(board)
+    assert (EXAMPLE / "calibration-board-outline.gbr").read_text() == render_gerber_outline(board)
     _check(board, _read_svg((EXAMPLE / "calibration-board.svg").read_text())[0], (0, 0))
     _check(board, _read_pdf((EXAMPLE / "calibration-board.pdf").read_bytes())[0], board.low_mm)

@@ -14,7 +14,7 @@ from typing import Literal
 from vaoi_station.acquisition.causes import Gap, in_counting_order
 from vaoi_station.acquisition.pairing.clock_fit import free_running_interval_s, median, residuals_s
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
-from vaoi_station.model import Noun
+from vaoi_station.model import FrozenModel
 
 RESIDUAL_LIMIT_S = 200e-6
 """Largest residual of a triggered camera's frame against the pulses, s; real jitter is some 10 µs."""
@@ -23,7 +23,7 @@ QUESTIONING_KINDS: frozenset[Kind] = frozenset({"runs-freely", "exchanged", "off
 """Kinds of findings by which a frame may belong to another moment than its row's pulse."""
 
 
-class TriggerFinding(Noun):
+class TriggerFinding(FrozenModel):
     """A deviation of one camera, or of one of its rows, from one frame per pulse."""
 
     camera: int
@@ -33,7 +33,7 @@ class TriggerFinding(Noun):
     text: str
 
 
-class CameraProof(Noun):
+class CameraProof(FrozenModel):
     """The figures of one camera."""
 
     camera: int
@@ -49,7 +49,7 @@ class CameraProof(Noun):
     proven: bool
 
 
-class TriggerProof(Noun):
+class TriggerProof(FrozenModel):
     """The check that every frame of a run belongs to its pulse; `findings` state what contradicts it."""
 
     proven: bool

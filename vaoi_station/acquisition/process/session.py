@@ -39,7 +39,7 @@ from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import Verdict
-from vaoi_station.optics.timing import spare_time_us
+from vaoi_station.optics.pulse_timing import spare_time_us
 
 CLOCK_LIMIT_S = 2e-3
 """Largest bound of a clock with which the station is armed, s ..."""

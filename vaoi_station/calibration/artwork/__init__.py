@@ -4,9 +4,17 @@ Coordinates of the layout are those the cameras see: x to the right, y down. For
 that the print looks to the camera as the layout says.
 """
 
-from vaoi_station.calibration.artwork.design import ArrayDesign, Board, design_board
-from vaoi_station.calibration.artwork.gerber import gerber_marks, gerber_outline
-from vaoi_station.calibration.artwork.pdf import pdf
-from vaoi_station.calibration.artwork.svg import svg
+from vaoi_station.calibration.artwork.board_design import ArrayDesign, Board, design_board
+from vaoi_station.calibration.artwork.gerber_artwork import render_gerber_marks, render_gerber_outline
+from vaoi_station.calibration.artwork.pdf_artwork import render_pdf
+from vaoi_station.calibration.artwork.svg_artwork import render_svg
 
-__all__ = ["ArrayDesign", "Board", "design_board", "gerber_marks", "gerber_outline", "pdf", "svg"]
+__all__ = [
+    "ArrayDesign",
+    "Board",
+    "design_board",
+    "render_gerber_marks",
+    "render_gerber_outline",
+    "render_pdf",
+    "render_svg",
+]

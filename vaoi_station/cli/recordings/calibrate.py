@@ -67,7 +67,7 @@ def _calibrate(
 ) -> Calibration:
     from vaoi_station.calibration import Limits
     from vaoi_station.calibration import calibrate as calibrate_array
-    from vaoi_station.calibration.report import draw
+    from vaoi_station.calibration.calibration_picture import draw_calibration
     from vaoi_station.files import open_recording, write_calibration
     from vaoi_station.files.images import write_image
     from vaoi_station.files.layouts import read_layout
@@ -84,7 +84,7 @@ def _calibrate(
     outcome = calibrate_array(recording.head.cameras, lambda i: recording.frame(i, row or 0), marks, limits)
     picture = report / f"{out.stem}-report.png"
     # The picture is written before a refusal too: it shows why the camera was refused.
-    write_image(picture, draw(outcome))
+    write_image(picture, draw_calibration(outcome))
     if outcome.refused:
         error = outcome.error()
         raise InputError(error.message, action=f"{error.action} The picture is {picture}.", code=error.code)
@@ -108,14 +108,14 @@ def _print_fits(outcome: Outcome, out: Path, picture: Path) -> None:
 
 
 def _compare(this: Calibration, other: Calibration, head: RecordingHead, report: Path | None, stem: str) -> None:
-    from vaoi_station.calibration.compare import compare
-    from vaoi_station.calibration.difference_picture import draw
+    from vaoi_station.calibration.calibration_difference import compare_calibrations
+    from vaoi_station.calibration.difference_picture import draw_difference
     from vaoi_station.files.images import write_image
 
-    difference = compare(this, other, head.cameras)
+    difference = compare_calibrations(this, other, head.cameras)
     for line in difference.lines():
         typer.echo(line)
     if report is not None:
         picture = report / f"{stem}-difference.png"
-        write_image(picture, draw(difference, head.cameras))
+        write_image(picture, draw_difference(difference, head.cameras))
         typer.echo(f"→ {picture}")

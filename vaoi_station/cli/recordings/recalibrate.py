@@ -109,13 +109,13 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
 
 
 def _show(before: Calibration, after: Calibration, heads: Sequence[CameraHead], out: Path) -> None:
-    from vaoi_station.calibration.compare import compare
-    from vaoi_station.calibration.difference_picture import draw
+    from vaoi_station.calibration.calibration_difference import compare_calibrations
+    from vaoi_station.calibration.difference_picture import draw_difference
     from vaoi_station.files.images import write_image
 
-    difference = compare(before, after, heads, one_board=True)
+    difference = compare_calibrations(before, after, heads, one_board=True)
     for line in difference.lines():
         typer.echo(line)
     picture = out.with_name(f"{out.stem}-difference.png")
-    write_image(picture, draw(difference, heads))
+    write_image(picture, draw_difference(difference, heads))
     typer.echo(f"→ {out}, picture {picture}")

@@ -34,7 +34,14 @@ def calibration_board(
     light: Annotated[bool, typer.Option("--light", help="Make light marks on a dark board.")] = False,
 ) -> None:
     """Make a calibration board for an array: SVG, PDF (1:1, with a scale bar), Gerber files, and layout.json."""
-    from vaoi_station.calibration.artwork import ArrayDesign, design_board, gerber_marks, gerber_outline, pdf, svg
+    from vaoi_station.calibration.artwork import (
+        ArrayDesign,
+        design_board,
+        render_gerber_marks,
+        render_gerber_outline,
+        render_pdf,
+        render_svg,
+    )
     from vaoi_station.files.documents import write_bytes
     from vaoi_station.files.layouts import write_layout
 
@@ -54,10 +61,10 @@ def calibration_board(
     w, h = board.size_mm
     title = f"{count} x {pitch:g} mm, {len(board.layout.marks)} marks"
     files = {
-        "calibration-board.svg": svg(board, title).encode(),
-        "calibration-board.pdf": pdf(board, title),
-        "calibration-board.gbr": gerber_marks(board).encode(),
-        "calibration-board-outline.gbr": gerber_outline(board).encode(),
+        "calibration-board.svg": render_svg(board, title).encode(),
+        "calibration-board.pdf": render_pdf(board, title),
+        "calibration-board.gbr": render_gerber_marks(board).encode(),
+        "calibration-board-outline.gbr": render_gerber_outline(board).encode(),
     }
     for name, content in files.items():
         write_bytes(out / name, content)

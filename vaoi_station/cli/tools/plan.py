@@ -52,15 +52,15 @@ def plan(
     # Every option except these two is a requirement with the same name.
     given = {k: v for k, v in locals().items() if k not in ("example", "json_") and v is not None}
     from vaoi_station.optics import make_plan
-    from vaoi_station.optics.paper import PAPER, paper_figures
-    from vaoi_station.optics.report import plan_document, plan_text
+    from vaoi_station.optics.paper_example import PAPER, compare_with_paper
+    from vaoi_station.optics.plan_report import format_plan, plan_to_json
 
     if example not in (None, "paper"):
         raise NotFoundError(f"example {example!r} does not exist.", action="The only example is 'paper'.")
     made = make_plan(_requirements(given, PAPER if example else None))
     # The comparison with the paper holds only for its own requirements, without changes.
-    figures = paper_figures(made) if example and not given else ()
-    typer.echo(json.dumps(plan_document(made, figures), indent=1) if json_ else plan_text(made, figures), nl=json_)
+    figures = compare_with_paper(made) if example and not given else ()
+    typer.echo(json.dumps(plan_to_json(made, figures), indent=1) if json_ else format_plan(made, figures), nl=json_)
 
 
 def _requirements(given: dict[str, Any], base: Requirements | None) -> Requirements:

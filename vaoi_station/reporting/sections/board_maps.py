@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vaoi_station.geometry.outline import encloses
+from vaoi_station.geometry.polygon import encloses
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component
 from vaoi_station.reporting.drawing.html_page import Section, figures, folded, table

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
-from vaoi_station.geometry.rays import undistorted
+from vaoi_station.geometry.projection_kernels import undistort_point
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links
 
@@ -198,7 +198,9 @@ def _project_links(links: PixelLinks, cameras: CameraArrays) -> tuple[Floats, Fl
         for end in range(2):
             i = camera_a[k] if end == 0 else camera_b[k]
             x, y = (a_px[k, 0], a_px[k, 1]) if end == 0 else (b_px[k, 0], b_px[k, 1])
-            u, v = undistorted(x, y, cameras.radial[i], (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4]))
+            u, v = undistort_point(
+                x, y, cameras.radial[i], (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
+            )
             n = cameras.row_from_image[i]
             w = n[2, 0] * u + n[2, 1] * v + n[2, 2]
             x, y = (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.marks import Mark, locate, search
-from vaoi_station.marks.artwork import Shape
-from vaoi_station.marks.search import reduction
+from vaoi_station.marks import Mark, find_candidates, locate_mark
+from vaoi_station.marks.candidate_search import reduction_factor
+from vaoi_station.marks.mark_shape import Shape
 from vaoi_station.model import BoardType, Fiducial
 from vaoi_station.stitching.adjustment.motion import Motion, points_in_box
 from vaoi_station.stitching.matching.evidence import Detections, FrameKey, Task
@@ -62,7 +62,7 @@ def detect_marks(
         marks: Iterable[Mark | Failure] = rough
         # Fiducials are located precisely later, by `relocate_fiducials`; marks of the fixture are not.
         if kind == len(kinds):
-            marks = (locate(frame.grey, mark.px, shape, size_px) for mark in rough)
+            marks = (locate_mark(frame.grey, mark.px, shape, size_px) for mark in rough)
         found += [(mark, kind) for mark in marks if isinstance(mark, Mark)]
     return Detections(
         task,
@@ -76,14 +76,14 @@ def detect_marks(
 def _search_kind(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> list[Mark]:
     """Search marks of one kind where they are some 5 to 9 px wide, and locate them where they are twice as wide."""
     # Good to some hundredths of a pixel, which is enough for a first C, at a few hundred pixels per mark.
-    coarse = reduction(_SMALL * size_px)
+    coarse = reduction_factor(_SMALL * size_px)
     fine = max(coarse // 2, 1)
-    places, _ = search(downsampled(frame, coarse), shape, size_px / coarse, most)
+    places, _ = find_candidates(downsampled(frame, coarse), shape, size_px / coarse, most)
     medium = downsampled(frame, fine) if len(places) else None
     marks = []
     for place in (places + 0.5) * (coarse / fine) - 0.5:
         assert medium is not None
-        mark = locate(medium, place, shape, size_px / fine, precise=False)
+        mark = locate_mark(medium, place, shape, size_px / fine, precise=False)
         if isinstance(mark, Mark):
             marks.append(replace(mark, px=(mark.px + 0.5) * fine - 0.5, sigma_px=mark.sigma_px * fine))
     return marks
@@ -146,7 +146,7 @@ def _relocated(
         near = np.hypot(*(s.px - px).T) < size_px / 3
         # From the detection if there is one: C from two fiducials may be off by some pixels elsewhere.
         start = s.px[near][s.score[near].argmax()] if near.any() else px
-        mark = locate(grey, start, shape, size_px)
+        mark = locate_mark(grey, start, shape, size_px)
         if isinstance(mark, Mark):
             s = _with(s, ~near, mark, kind[n])
     return s

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
-from vaoi_station.geometry.rays import distorted
+from vaoi_station.geometry.projection_kernels import distort_point
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Ints
@@ -34,7 +34,7 @@ class FrameArrays:
     radial: Floats
     """(c, r) a1, a2, … of the lenses."""
     lens: Floats
-    """(c, 5) the other parameters of the lenses, as `geometry.rays` takes them."""
+    """(c, 5) the other parameters of the lenses, as `geometry.projection_kernels` takes them."""
     view_mm: Floats
     """(c, 4) lowest x and y and highest x and y of each camera's view."""
     size_px: Floats
@@ -115,7 +115,7 @@ def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats) 
             w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
             u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
             shape = (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
-            u, v = distorted(u, v, radial[i], shape)
+            u, v = distort_point(u, v, radial[i], shape)
             if min(u, v) < margin or u > last_x - margin or v > last_y - margin:
                 continue
             off = (u - last_x / 2) ** 2 + (v - last_y / 2) ** 2
@@ -144,5 +144,5 @@ def _projected(board_mm: Floats, number: Ints, poses: _Poses) -> Floats:
             y = d[1, 0] * board_mm[k, s, 0] + d[1, 1] * board_mm[k, s, 1] + d[1, 2]
             w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
             u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
-            out[k, s, 0], out[k, s, 1] = distorted(u, v, radial[i], shape)
+            out[k, s, 0], out[k, s, 1] = distort_point(u, v, radial[i], shape)
     return out

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from vaoi_station.geometry import Camera
-from vaoi_station.geometry.rays import carry
+from vaoi_station.geometry.projection_kernels import transfer_points
 from vaoi_station.geometry.transforms import Floats
 
 Box = tuple[int, int, int, int]
@@ -17,7 +17,7 @@ Box = tuple[int, int, int, int]
 def predict(a_px: Floats, a: Camera, b: Camera, shift_mm: Floats) -> Floats:
     """Return the raw pixels in frame b of points of the plane at raw pixels (k, 2) of frame a, after a shift (2,)."""
     shift = np.asarray(shift_mm, dtype=np.float64)
-    return carry(a_px, a.row_from_image.matrix, *_lens(a), shift, b.image_from_row.matrix, *_lens(b))
+    return transfer_points(a_px, a.row_from_image.matrix, *_lens(a), shift, b.image_from_row.matrix, *_lens(b))
 
 
 def _lens(camera: Camera) -> tuple[Floats, tuple[float, float, float, float, float]]:

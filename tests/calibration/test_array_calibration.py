@@ -1,0 +1,220 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from vaoi_station.calibration import Outcome
+from vaoi_station.errors import InputError
+from vaoi_station.files.layouts import Layout
+
+
+def _moved(layout: Layout, change: Callable[[Any], Any]) -> Layout:
+    """A layout with other places: `change` takes and gives (k, 2)."""
+    places = change(np.array([(m.x, m.y) for m in layout.marks]))
+    marks = [{"x": float(x), "y": float(y)} for x, y in places]
+    return Layout.model_validate(layout.model_dump() | {"marks": marks})
+
+
+def _refused(outcome: Outcome) -> str:
+    assert outcome.refused
+    with pytest.raises(InputError) as caught:
+        outcome.calibration()
+    assert caught.value.code == "not-calibrated"
+    return str(caught.value)
+
+
+def test_every_camera_is_right_over_its_whole_frame(rig: Any) -> None:
+    outcome = rig.calibrate(working_distance_mm=300.0)
+    calibration = outcome.calibration()
+    assert max(rig.errors_px(calibration)) < 0.015
+    assert calibration.working_distance_mm == 300
+    assert calibration.distortion is None
+    assert calibration.principal_point == ((239.5, 179.5),) * 2
+    assert calibration.residual_px is not None
+    assert max(calibration.residual_px) < 0.02
+    assert np.array(calibration.covariances[0]).shape == (8, 8)
+    assert calibration.created is not None
+    assert outcome.notes == ()
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10_000), distortion_px=st.sampled_from([0.0, 0.8]), turned=st.floats(0, 2))
+def test_wherever_the_cameras_hang(film: Any, seed: int, distortion_px: float, turned: float) -> None:
+    rig = film(seed, shift_mm=1.0, roll_deg=turned, distortion_px=distortion_px, cameras=1)
+    outcome = rig.calibrate()
+    assert max(rig.errors_px(outcome.calibration())) < 0.04
+    bent = outcome.calibration().distortion
+    assert (bent is not None) or not distortion_px
+
+
+def test_four_marks_suffice_and_say_that_nothing_checks_them(film: Any) -> None:
+    marks = [{"x": x, "y": y} for x in (-7.0, 7.3) for y in (-5.5, 5.2)]
+    layout = Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": marks})
+    rig = film(layout=layout, cameras=1, distortion_px=0.0)
+    outcome = rig.calibrate()
+    assert max(rig.errors_px(outcome.calibration())) < 0.04
+    assert "four marks fix N" in outcome.notes[0]
+
+
+def test_a_covered_mark_is_told_and_the_rest_suffice(rig: Any) -> None:
+    x, y = np.round(rig.seen_at(1, rig.in_view(1)[4])).astype(int)
+
+    def cover(camera: int, frame: Any) -> Any:
+        if camera == 1:
+            frame[y - 20 : y + 20, x - 20 : x + 20] = 180
+        return frame
+
+    outcome = rig.calibrate(change=cover)
+    assert max(rig.errors_px(outcome.calibration())) < 0.015
+    (note,) = outcome.notes
+    assert note.startswith("camera 1: the mark that belongs at")
+    assert "not used" in note
+
+
+def test_too_few_marks_are_refused_by_camera_and_number(rig: Any) -> None:
+    def cover(camera: int, frame: Any) -> Any:
+        for k in rig.in_view(0)[3:] if camera == 0 else ():
+            x, y = np.round(rig.seen_at(0, k)).astype(int)
+            frame[y - 20 : y + 20, x - 20 : x + 20] = 180
+        return frame
+
+    said = _refused(rig.calibrate(change=cover))
+    assert "camera 0: it shows 3 marks" in said
+    assert "at least 4 are needed" in said
+    assert "camera 1" not in said
+
+
+def test_collinear_marks_are_refused(rig: Any) -> None:
+    line = np.array([(m.x, m.y) for m in rig.layout.marks])
+    keep = [k for k in rig.in_view(0) if abs(line[k][1] - line[rig.in_view(0)[0]][1]) < 1.5]
+    assert len(keep) >= 4
+
+    def cover(camera: int, frame: Any) -> Any:
+        for k in set(rig.in_view(0)) - set(keep) if camera == 0 else ():
+            x, y = np.round(rig.seen_at(0, k)).astype(int)
+            frame[y - 20 : y + 20, x - 20 : x + 20] = 180
+        return frame
+
+    said = _refused(rig.calibrate(layout=_moved(rig.layout, lambda p: p), change=cover))
+    assert "camera 0" in said
+    assert "collinear" in said or "at least" in said
+
+
+@pytest.mark.parametrize(
+    ("way", "name"),
+    [
+        ((-1, 1), "mirrored in x"),
+        ((1, -1), "mirrored in y"),
+        ((-1, -1), "turned by 180°"),
+    ],
+)
+def test_a_mirrored_or_turned_layout_is_refused_by_name(rig: Any, way: tuple[int, int], name: str) -> None:
+    said = _refused(rig.calibrate(layout=_moved(rig.layout, lambda p: p * way)))
+    assert f"The marks do fit the layout {name}" in said
+
+
+def test_another_boards_layout_is_refused(rig: Any) -> None:
+    g = np.random.default_rng(4)
+    off = _moved(rig.layout, lambda p: p + g.normal(0, 0.1, p.shape))
+    said = _refused(rig.calibrate(layout=off))
+    assert "residuals are" in said
+    assert "the limit is 0.20 px" in said
+    assert "layout.json belongs to this board" in said
+    assert not rig.calibrate(layout=off, residual_px=50.0).cameras[0].refusal
+    _refused(rig.calibrate(layout=_moved(rig.layout, lambda p: p * 1.3)))
+
+
+def test_a_wrong_layout_of_four_marks_shows_as_a_view_no_camera_has(film: Any) -> None:
+    marks = np.array([(-7.0, -5.5), (7.3, -5.5), (-7.0, 5.2), (7.3, 5.2)])
+
+    def layout(places: np.ndarray) -> Layout:
+        listed = [{"x": float(x), "y": float(y)} for x, y in places]
+        return Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": listed})
+
+    rig = film(layout=layout(marks), cameras=1)
+    said = _refused(rig.calibrate(layout=layout(marks * (1.01, 1.0))))
+    assert "stretched by" in said
+
+
+def test_a_layout_of_which_the_board_shows_a_few_marks_only_is_refused(rig: Any, film: Any) -> None:
+    few = Layout.model_validate(rig.layout.model_dump() | {"marks": rig.layout.model_dump()["marks"][:40:4]})
+    said = _refused(film(layout=few).calibrate(layout=rig.layout))
+    assert "of the 20 marks that the layout puts into its frame" in said or "fit the layout" in said
+    said = _refused(rig.calibrate(layout=few))
+    assert "marks that are not in the layout" in said or "fit the layout" in said
+
+
+def test_a_wrong_unit_and_a_wrong_polarity_are_named(rig: Any) -> None:
+    inches = Layout.model_validate(rig.layout.model_dump() | {"unit": "inch"})
+    assert "Correct unit and mark.size" in _refused(rig.calibrate(layout=inches))
+    light = Layout.model_validate(
+        rig.layout.model_dump() | {"mark": rig.layout.mark.model_dump() | {"polarity": "light"}}
+    )
+    assert "Correct mark.polarity" in _refused(rig.calibrate(layout=light))
+
+
+@pytest.mark.parametrize("sigma", [2.5, 8.0])
+def test_a_blurred_camera_is_refused(rig: Any, sigma: float) -> None:
+    said = _refused(rig.calibrate(change=lambda i, f: cv2.GaussianBlur(f, (0, 0), sigma) if i else f))
+    assert "camera 1: " in said
+    assert "the limit is 2.0 px" in said
+    assert "Focus the lens" in said
+
+
+def test_a_dark_camera_is_refused(rig: Any) -> None:
+    assert "contrast" in _refused(rig.calibrate(change=lambda i, f: f // 20))
+
+
+def test_a_print_out_of_scale_is_calibrated_and_told(rig: Any) -> None:
+    outcome = rig.calibrate(layout=_moved(rig.layout, lambda p: p * 0.97))
+    outcome.calibration()
+    assert "check the scale bar of the print" in outcome.notes[-1]
+
+
+def test_without_a_nominal_view_nothing_can_be_known(rig: Any) -> None:
+    from vaoi_station.calibration import calibrate
+
+    heads = [h.model_copy(update={"nominal_center_mm": None}) for h in rig.heads]
+    with pytest.raises(InputError, match=r"cameras\.0\.nominal_center_mm is missing"):
+        calibrate(heads, lambda i: rig.frames[i], rig.layout)
+    with pytest.raises(InputError, match=r"camera 1: its frame .* is listed as missing"):
+        calibrate(rig.heads, lambda i: None if i else rig.frames[i], rig.layout)
+
+
+def test_strangers_do_no_harm(rig: Any) -> None:
+    def add(camera: int, frame: Any) -> Any:
+        g, free = np.random.default_rng(camera), [rig.seen_at(camera, k) for k in rig.in_view(camera)]
+        for _ in range(40):
+            p = g.uniform(30, (450, 330))
+            if min(np.hypot(*(np.array(free) - p).T)) > 34:
+                free.append(p)
+                x, y = p.astype(int)
+                frame[y - 3 : y + 3, x - 12 : x + 12] = 25
+                frame[y - 12 : y + 12, x - 3 : x + 3] = 25
+                around = np.s_[y - 15 : y + 15, x - 15 : x + 15]
+                frame[around] = cv2.GaussianBlur(frame[around], (0, 0), 0.6)
+        return frame
+
+    outcome = rig.calibrate(change=add)
+    assert any(len(c.detected.px) > c.used for c in outcome.cameras)
+    assert max(rig.errors_px(outcome.calibration())) < 0.02
+
+
+def test_a_layout_that_is_its_own_mirror_image_is_told(film: Any) -> None:
+    """Nothing could tell it from itself, so it is no error; but its symmetry hides how layout.json is written."""
+    places = [(x, y) for x in (-7.0, 0.0, 7.0) for y in (-5.0, 5.0)]
+
+    def laid(*more: tuple[float, float]) -> Layout:
+        marks = [{"x": x, "y": y} for x, y in (*places, *more)]
+        return Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": marks})
+
+    told = film(layout=laid(), cameras=1, distortion_px=0.0).calibrate().notes
+    assert any("mirrored in x or mirrored in y or turned by 180° is the same layout" in note for note in told)
+    cured = film(layout=laid((3.1, 1.2)), cameras=1, distortion_px=0.0).calibrate().notes
+    assert not any("is the same layout" in note for note in cured)

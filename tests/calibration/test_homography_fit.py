@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.calibration.homography_fit import IN_COMMON_MARKS, MARK_SIGMA_PX, Fit, estimate_homography, fit_camera
+from vaoi_station.calibration.outlier_removal import remove_outliers
+from vaoi_station.geometry import Lens
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats, apply
+
+CENTER, RADIUS = (695.5, 519.5), 868.8
+FRAME = np.stack(np.meshgrid(np.linspace(0, 1391, 9), np.linspace(0, 1039, 9)), -1).reshape(-1, 2)
+
+
+def _matrix(x_mm: float, turn: float, tilt_x: float, tilt_y: float) -> Floats:
+    """A camera 483 mm above (x, 0) at 40 px/mm."""
+    c, s = math.cos(turn), math.sin(turn)
+    up = np.array([[40 * c, -40 * s, CENTER[0]], [40 * s, 40 * c, CENTER[1]], [tilt_x / 483, tilt_y / 483, 1]])
+    n = up @ np.array([[1, 0, -x_mm], [0, 1, 0], [0, 0, 1.0]])
+    return np.asarray(n / n[2, 2])
+
+
+def _grid(x_mm: float, columns: int = 5, rows: int = 4) -> Floats:
+    x, y = np.linspace(-13, 13, columns) + x_mm, np.linspace(-9, 9, rows)
+    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+
+
+def _fit(marks_mm: Floats, px: Floats) -> Fit:
+    fit = fit_camera(marks_mm, px, CENTER, RADIUS)
+    assert isinstance(fit, Fit)
+    return fit
+
+
+@given(
+    x_mm=st.floats(-500, 500),
+    turn=st.floats(-0.1, 0.1),
+    tilts=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    a1=st.sampled_from([0.0, -0.002, 0.01]),
+)
+def test_exact_marks_give_the_camera_back(x_mm: float, turn: float, tilts: tuple[float, float], a1: float) -> None:
+    n, lens = _matrix(x_mm, turn, *tilts), Lens(CENTER, RADIUS, (a1,) if a1 else ())
+    marks = _grid(x_mm)
+    fit = _fit(marks, lens.distort(apply(n, marks)))
+    off = apply(n, apply(np.linalg.inv(fit.matrix), fit.lens.undistort(FRAME))) - lens.undistort(FRAME)
+    assert np.abs(off).max() < 1e-6
+    assert len(fit.lens.radial) == (1 if a1 else 0)
+
+
+def test_four_marks_fix_n_and_leave_nothing_over() -> None:
+    n = _matrix(0, 0.01, 0.002, -0.003)
+    marks = _grid(0, 2, 2)
+    fit = _fit(marks, apply(n, marks))
+    assert fit.freedom == 0
+    assert fit.rms_px < 1e-9
+    assert fit.sigma_px == pytest.approx(MARK_SIGMA_PX)
+
+
+@pytest.mark.parametrize("a1", [0.0, -0.001])
+def test_the_covariance_is_that_of_many_repetitions(a1: float) -> None:
+    """Offsets over the frame, in units of what the covariance predicts, have mean square 1.
+
+    But for what it is raised by for errors that marks have in common; these here are independent.
+    """
+    n, lens, marks = _matrix(66, -0.004, 0.002, 0.001), Lens(CENTER, RADIUS, (a1,) if a1 else ()), _grid(66, 7, 6)
+    g, scores = np.random.default_rng(5), []
+    for _ in range(60):
+        fit = _fit(marks, lens.distort(apply(n, marks)) + g.normal(0, MARK_SIGMA_PX, marks.shape))
+        if len(fit.lens.radial) != (1 if a1 else 0):
+            continue  # a coefficient seen by chance
+        off = apply(fit.matrix, apply(np.linalg.inv(n), lens.undistort(FRAME))) - fit.lens.undistort(FRAME)
+        scores.append(((off**2).sum(1) / fit.sigma_at_px(FRAME) ** 2).mean())
+    assert len(scores) > 55
+    assert 0.75 < np.mean(scores) * (1 + len(marks) / IN_COMMON_MARKS) < 1.3
+
+
+def test_distortion_is_modelled_where_marks_see_it_and_only_there() -> None:
+    n, bent = _matrix(0, 0, 0, 0), Lens(CENTER, RADIUS, (-0.0012,))
+    g = np.random.default_rng(1)
+
+    def order(marks: Floats, lens: Lens) -> int:
+        px = lens.distort(apply(n, marks)) + g.normal(0, 0.005, marks.shape)
+        return len(_fit(marks, px).lens.radial)
+
+    assert order(_grid(0, 2, 2), bent) == 0
+    assert order(_grid(0, 3, 3), bent) == 1
+    assert order(_grid(0, 7, 7), bent) == 1
+    assert order(_grid(0, 7, 7), Lens(CENTER, RADIUS, (-0.01, 0.02))) == 2
+    assert sum(order(_grid(0, 7, 7), Lens(CENTER, RADIUS)) for _ in range(20)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("marks", "reason"),
+    [
+        ([(0, 0), (10, 0), (0, 10)], "3 marks do not fix"),
+        ([(0, 0), (5, 0.01), (10, 0), (15, 0)], "its 4 marks are collinear: they lie within 0.00 mm"),
+        ([(0, 0), (5, 0), (10, 0), (15, 0), (3, 9)], "all but one of its 5 marks are collinear"),
+    ],
+)
+def test_marks_that_fix_no_plane_are_refused(marks: list[tuple[float, float]], reason: str) -> None:
+    places = np.array(marks, dtype=np.float64)
+    failure = fit_camera(places, places * 40, CENTER, RADIUS)
+    assert isinstance(failure, Failure)
+    assert reason in failure.reason
+
+
+def test_a_degenerate_homography_is_none() -> None:
+    line = np.array([[0, 0], [1, 0], [2, 0], [3, 0.0]])
+    assert estimate_homography(line, line) is None
+
+
+def test_marks_that_do_not_fit_the_others_are_left_out() -> None:
+    n, marks = _matrix(0, 0.01, 0.001, 0), _grid(0)
+    px = apply(n, marks) + np.random.default_rng(2).normal(0, 0.005, marks.shape)
+    px[3] += (0.8, 0)
+    px[11] -= (0, 2.0)
+    fit, kept = remove_outliers(_fit(marks, px), marks, px)
+    assert sorted(set(range(20)) - set(kept)) == [3, 11]
+    assert fit.rms_px < 0.01
+
+
+def test_of_five_marks_none_can_be_blamed() -> None:
+    marks = np.vstack([_grid(0, 2, 2), [[1.0, 2.0]]])
+    px = apply(_matrix(0, 0, 0, 0), marks)
+    px[4] += 5
+    fit, kept = remove_outliers(_fit(marks, px), marks, px)
+    assert kept == [0, 1, 2, 3, 4]
+    assert fit.rms_px > 0.5
+
+
+def test_marks_seen_all_in_one_place_are_a_reason() -> None:
+    marks = _grid(0.0)
+    refused = fit_camera(marks, np.full_like(marks, 500.0), CENTER, RADIUS)
+    assert isinstance(refused, Failure)
+    assert "in one place, which fixes no view" in refused.reason

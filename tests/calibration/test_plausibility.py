@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vaoi_station.calibration.plausibility import find_implausibility, local_scales, print_scale_note
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import CameraHead
+
+HEAD = CameraHead(width=1392, height=1040, exposure_us=1.0, nominal_center_mm=(0.0, 0.0), nominal_px_per_mm=40.0)
+
+
+def _view(x: float = 40.0, y: float = 40.0, tilt_per_mm: float = 0.0) -> Floats:
+    middle = np.array([[1, 0, 695.5], [0, 1, 519.5], [0, 0, 1]])
+    return np.asarray(middle @ np.array([[x, 0, 0], [0, y, 0], [tilt_per_mm, 0, 1.0]]))
+
+
+def test_a_camera_as_designed_is_believed() -> None:
+    assert find_implausibility(_view(), HEAD, 483.0) is None
+    assert find_implausibility(_view(40.05, 40.0, 3e-6), HEAD, 483.0) is None
+    assert local_scales(_view(), HEAD) == pytest.approx((40, 40))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "reason"),
+    [
+        (_view(44, 44), "44.00 px/mm, more than 8% off the nominal 40.00"),
+        (_view(40.4, 40.0), "stretched by 1.00% in one direction"),
+        (_view(40, -40), "mirrored"),
+        (_view(40, 40, 4e-4), "changes by 1.4% over the frame, but a camera 483 mm away that is tilted by at most 6°"),
+        (_view(40, 40, 0.06), "horizon"),
+    ],
+)
+def test_views_no_camera_has_are_refused(matrix: Floats, reason: str) -> None:
+    said = find_implausibility(matrix, HEAD, 483.0)
+    assert said is not None
+    assert reason in said
+
+
+def test_a_print_out_of_scale_is_told() -> None:
+    assert print_scale_note(1.01) is None
+    said = print_scale_note(0.97)
+    assert said is not None
+    assert "3.0% smaller" in said

@@ -1,0 +1,67 @@
+"""Marks that are whole are trusted as they are; others say by how much they may be off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
+
+PLACE, SIZE = np.array([60.3, 59.6]), 26.0
+Paint = Callable[..., Any]
+
+
+def marked(paint: Paint, shape: str = "circle", **light: float) -> Any:
+    return paint([(shape, *PLACE, SIZE)], size=(120, 120), **light)
+
+
+def found(picture: Any, shape: Any = "circle") -> Mark:
+    mark = locate_mark(picture, PLACE + 1.0, shape, SIZE)
+    assert isinstance(mark, Mark)
+    return mark
+
+
+@pytest.mark.parametrize("shape", ["circle", "square", "diamond", "cross"])
+@pytest.mark.parametrize(("contrast", "noise"), [(150.0, 0.0), (150.0, 3.0), (60.0, 3.0)])
+def test_a_whole_mark_is_as_sure_as_its_noise_lets_it_be(
+    paint: Paint, shape: str, contrast: float, noise: float
+) -> None:
+    mark = found(marked(paint, shape, mark=60 + contrast, noise=noise), shape)
+    assert mark.sigma_px < 0.01 + 0.8 * noise / contrast
+    assert np.hypot(*(mark.px - PLACE)) < 4 * mark.sigma_px + 0.01
+
+
+def test_vignetting_is_no_glare(paint: Paint) -> None:
+    y, x = np.mgrid[:120, :120]
+    picture = marked(paint) * (1 + 0.001 * (x - 60) - 0.0005 * (y - 60))
+    assert found(picture.clip(0, 255).astype(np.uint8)).sigma_px < 0.02
+
+
+@pytest.mark.parametrize("covered", [0.38, 0.34, 0.3])
+@pytest.mark.parametrize("turn", [0, 1])
+def test_a_covered_mark_admits_what_it_is_off(paint: Paint, covered: float, turn: int) -> None:
+    picture = marked(paint)
+    from_px = round(PLACE[turn] + covered * SIZE)
+    if turn:
+        picture[from_px:, :] = 60
+    else:
+        picture[:, from_px:] = 60
+    mark = locate_mark(picture, PLACE, "circle", SIZE)
+    if isinstance(mark, Mark):
+        assert np.hypot(*(mark.px - PLACE)) < 3 * mark.sigma_px
+        assert mark.sigma_px > 0.1
+
+
+@pytest.mark.parametrize("levels", [60, 120, 180])
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
+def test_a_mark_in_a_glare_admits_what_it_is_off(paint: Paint, levels: float, angle: float) -> None:
+    y, x = np.mgrid[:120, :120]
+    u, v = (x - PLACE[0]) / SIZE - 0.45 * np.cos(angle), (y - PLACE[1]) / SIZE - 0.45 * np.sin(angle)
+    picture = (marked(paint) + levels * np.exp(-2 * (u**2 + v**2))).clip(0, 255).astype(np.uint8)
+    mark = locate_mark(picture, PLACE, "circle", SIZE)
+    if isinstance(mark, Mark):
+        assert np.hypot(*(mark.px - PLACE)) < (3 if levels < 180 else 5) * mark.sigma_px
+        assert levels < 180 or mark.sigma_px > 0.5, "half of it is white: it has no say"

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.marks import Mark, find_candidates, locate_mark
+from vaoi_station.marks.candidate_search import reduction_factor
+from vaoi_station.marks.mark_shape import Shape
+
+SHAPES = get_args(Shape)
+Paint = Callable[..., Any]
+PLACES = [(20.3, 25.6), (70.8, 22.1), (45.0, 50.5), (102.4, 61.2)]
+
+
+@pytest.mark.parametrize("light", [True, False])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("size", [6.0, 9.0])
+def test_every_mark_is_found(paint: Paint, shape: Shape, light: bool, size: float) -> None:
+    grey = {"mark": 210.0, "ground": 60.0} if light else {"mark": 30.0, "ground": 170.0}
+    image = paint([(shape, x, y, size) for x, y in PLACES], size=(128, 88), noise=2.0, **grey)
+    places, scores = find_candidates(image, shape, size)
+    for truth in PLACES:
+        distance = np.hypot(*(places - truth).T)
+        assert distance.min() < 0.9
+        assert scores[distance.argmin()] > 0.8
+        assert isinstance(locate_mark(image, places[distance.argmin()], shape, size), Mark)
+    assert (np.diff(scores) <= 0).all(), "the best first"
+
+
+def test_no_more_than_asked_for_and_those_the_best(paint: Paint) -> None:
+    image = paint([("circle", x, y, 6.0) for x, y in PLACES], size=(128, 88), noise=1.0)
+    all_of_them, scores = find_candidates(image, "circle", 6.0)
+    two, best = find_candidates(image, "circle", 6.0, most=2)
+    assert np.array_equal(two, all_of_them[:2])
+    assert np.array_equal(best, scores[:2])
+
+
+def test_bare_ground_has_no_marks() -> None:
+    places, scores = find_candidates(np.full((60, 80), 90, dtype=np.uint8), "circle", 6.0)
+    assert places.shape == (0, 2)
+    assert len(scores) == 0
+
+
+def test_a_picture_smaller_than_a_mark() -> None:
+    assert len(find_candidates(np.zeros((5, 80), dtype=np.uint8), "circle", 6.0)[0]) == 0
+
+
+@given(st.floats(0.5, 400))
+def test_frames_are_reduced_as_long_as_marks_keep_five_pixels(size: float) -> None:
+    factor = reduction_factor(size)
+    assert factor & (factor - 1) == 0
+    assert factor == 1 or size / factor >= 5
+    assert size / factor < 10 or factor == 1
+    assert size < 10 or factor > 1

@@ -1,0 +1,166 @@
+"""From a recording of the calibration board to the calibration of the array; section 3.2, equation 10."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from vaoi_station.calibration.camera_fit import CameraResult, Limits, calibrate_camera
+from vaoi_station.calibration.layout_variants import find_symmetries, vary_layout
+from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, detect_marks, to_grey
+from vaoi_station.calibration.mark_identification import choose_hypotheses, find_hypotheses, find_rival
+from vaoi_station.calibration.nominal_view import nominal_matrix
+from vaoi_station.calibration.plausibility import local_scales, print_scale_note
+from vaoi_station.errors import InputError, InternalError
+from vaoi_station.files.images import Image
+from vaoi_station.files.layouts import Layout
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Calibration, CameraHead, Distortion
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """All cameras of an array: calibrated, or refused with the reasons."""
+
+    cameras: tuple[CameraResult, ...]
+    limits: Limits
+    hint: str = ""
+    """What would make the refused cameras fit."""
+    ambiguous: tuple[str, ...] = ()
+    """Ways of writing the layout that change nothing, so that no picture could tell them from the right one."""
+
+    @property
+    def refused(self) -> bool:
+        """Whether any camera could not be calibrated; then there is no calibration."""
+        return any(c.refusal for c in self.cameras)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the operator should know, camera by camera."""
+        whose: dict[str, list[int]] = {}
+        for c in self.cameras:
+            for note in c.notes:
+                whose.setdefault(note, []).append(c.camera)
+        notes = [f"camera{'s' * (len(n) > 1)} {', '.join(map(str, n))}: {note}" for note, n in whose.items()]
+        fits = [(c.fit.matrix, c.head) for c in self.cameras if c.fit is not None]
+        ratios = [np.sqrt(np.prod(local_scales(n, head))) / (head.nominal_px_per_mm or 1.0) for n, head in fits]
+        about_print = print_scale_note(float(np.median(ratios))) if ratios else None
+        about_layout = (
+            f"the layout {' or '.join(self.ambiguous)} is the same layout: whether layout.json is written as the "
+            "cameras see the board cannot be checked; one mark more, off the pattern, would tell"
+        )
+        return (*notes, *([about_print] if about_print else []), *([about_layout] if self.ambiguous else []))
+
+    def error(self) -> InputError:
+        """Every refused camera in a sentence, and what to do."""
+        refused = [c for c in self.cameras if c.refusal]
+        said = "; ".join(f"camera {c.camera}: {c.refusal}" for c in refused)
+        actions = " ".join(dict.fromkeys(c.action for c in refused))
+        return InputError(f"{said}.", action=self.hint or actions, code="not-calibrated")
+
+    def calibration(self, created: datetime | None = None) -> Calibration:
+        """The calibration, with residuals and covariances; raises `error()` if a camera was refused."""
+        if self.refused:
+            raise self.error()
+        fits = [c.fit for c in self.cameras if c.fit is not None]
+        if len(fits) != len(self.cameras):
+            raise InternalError("a camera was neither calibrated nor refused")
+        bent = any(fit.lens.radial for fit in fits)
+        return Calibration(
+            format="vaoi-calibration",
+            version=1,
+            unit="mm",
+            camera_matrices=tuple(fit.matrix for fit in fits),
+            working_distance_mm=self.limits.working_distance_mm,
+            residual_px=tuple(round(fit.rms_px, 5) for fit in fits),
+            principal_point=tuple(fit.lens.center_px for fit in fits),
+            created=(created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            covariances=[fit.covariance.tolist() for fit in fits],
+            distortion=tuple(
+                Distortion(center=fit.lens.center_px, radius=fit.lens.radius_px, radial=fit.lens.radial) for fit in fits
+            )
+            if bent
+            else None,
+        )
+
+
+def calibrate(
+    heads: Sequence[CameraHead],
+    frame_of: Callable[[int], Image | None],
+    layout: Layout,
+    limits: Limits | None = None,
+) -> Outcome:
+    """Calibrate an array from one frame per camera that shows the calibration board.
+
+    Args:
+        heads: of the cameras, with the nominal view of each.
+        frame_of: the pixels of one camera's frame; None if it never arrived.
+        layout: of the board; its coordinates become the tester's.
+        limits: what the result must keep to, and the working distance.
+
+    Raises:
+        InputError: if a frame or a camera's nominal view is missing. What the pictures themselves do not allow is
+            in the outcome, with all there is to draw.
+    """
+    limits = limits or Limits()
+    kinds, detections = [], []
+    for camera, head in enumerate(heads):
+        kinds.append(MarkAppearance.of(layout, nominal_matrix(head, camera)[0, 0]))
+        frame = frame_of(camera)
+        if frame is None:
+            raise InputError(
+                f"camera {camera}: its frame of the calibration board is listed as missing.",
+                action="Film the board again; every camera is needed.",
+            )
+        detections.append(detect_marks(to_grey(frame), kinds[camera]))
+    marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
+    results = _solved(heads, detections, kinds, marks_mm, limits)
+    hint = _hint(heads, detections, kinds, marks_mm, limits) if any(c.refusal for c in results) else ""
+    return Outcome(results, limits, hint, find_symmetries(marks_mm, layout.mark.size * layout.mm_per_unit / 4))
+
+
+def _solved(
+    heads: Sequence[CameraHead],
+    detections: list[DetectedMarks],
+    kinds: list[MarkAppearance],
+    marks_mm: Floats,
+    limits: Limits,
+) -> tuple[CameraResult, ...]:
+    options = [find_hypotheses(detections[i].px, marks_mm, head, i, kinds[i].size_px) for i, head in enumerate(heads)]
+    results = []
+    for i, (head, option) in enumerate(zip(heads, choose_hypotheses(options), strict=True)):
+        result = calibrate_camera(i, head, detections[i], option, marks_mm, kinds[i], limits)
+        other = None if option is None else find_rival(options[i], option)
+        if option is not None and other is not None:
+            x, y = other.offset_mm - option.offset_mm
+            told = (
+                f"the layout shifted by ({x:.1f}, {y:.1f}) mm explains its marks as well; "
+                "nominal_center_mm decided: it must be good to half of that"
+            )
+            result = replace(result, notes=(*result.notes, told))
+        results.append(result)
+    return tuple(results)
+
+
+def _hint(
+    heads: Sequence[CameraHead],
+    detections: list[DetectedMarks],
+    kinds: list[MarkAppearance],
+    marks_mm: Floats,
+    limits: Limits,
+) -> str:
+    """The way of writing the layout under which every camera fits, where there is one."""
+    fitting = [
+        said
+        for said, changed in vary_layout(marks_mm, heads)
+        if not any(c.refusal for c in _solved(heads, detections, kinds, changed, limits))
+    ]
+    if not fitting:
+        return ""
+    ways = " or ".join(dict.fromkeys(fitting))
+    return (
+        f"The marks do fit the layout {ways}: write layout.json as the cameras see the board, or lay the board right."
+    )

@@ -1,0 +1,151 @@
+"""Where the marks of a calibration board go, for a given array: every camera sees enough, wherever it really looks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from vaoi_station.calibration.artwork.drawing_elements import LABEL_MM
+from vaoi_station.errors import InputError
+from vaoi_station.files.layouts import Layout, LayoutMark
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Place
+
+_GOLDEN = (math.sqrt(5) - 1) / 2
+_STRAY = 0.12
+"""By how much of their spacing marks leave the grid: no two views look alike, however the board lies."""
+_CLEAR = 1.6
+"""Distance of neighbouring marks, in sizes, at least."""
+_MICRON = 1e-3
+
+
+@dataclass(frozen=True)
+class ArrayDesign:
+    """What the board must fit."""
+
+    cameras: int
+    pitch_mm: float
+    """Distance of neighbouring cameras, along tester x."""
+    field_mm: tuple[float, float]
+    """View of one camera, width × height."""
+    columns: int = 5
+    rows: int = 4
+    """Marks that every camera sees, across and down."""
+    mark_mm: float = 2.0
+    arm: float = 0.25
+    tolerance_mm: float = 3.0
+    """How far cameras and board may be off: marks keep so far from the edge of a view."""
+    border_mm: float = 5.0
+    polarity: Literal["dark", "light"] = "dark"
+
+    def __post_init__(self) -> None:
+        low = {"pitch_mm": self.pitch_mm, "mark_mm": self.mark_mm, "field_mm": min(self.field_mm)}
+        for key, value in low.items():
+            if not (math.isfinite(value) and value > 0):
+                raise InputError.field("calibration board", key, value, "above 0")
+        if self.cameras < 1:
+            raise InputError.field("calibration board", "cameras", self.cameras, "at least 1")
+        if min(self.columns, self.rows) < 2:
+            raise InputError.field(
+                "calibration board", "marks per camera", f"{self.columns}×{self.rows}", "at least 2×2"
+            )
+        if not 0.05 <= self.arm <= 0.5:
+            raise InputError.field("calibration board", "arm", self.arm, "0.05 … 0.5 of the mark")
+
+    @property
+    def span_mm(self) -> tuple[float, float]:
+        """Across and down a view, where the centres of marks may be."""
+        lost = 2 * self.tolerance_mm + self.mark_mm
+        return self.field_mm[0] - lost, self.field_mm[1] - lost
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """A calibration board: its layout, and the rectangle it is cut to."""
+
+    layout: Layout
+    low_mm: tuple[float, float]
+    """Least x and y of the outline, in coordinates of the layout."""
+    high_mm: tuple[float, float]
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height."""
+        return self.high_mm[0] - self.low_mm[0], self.high_mm[1] - self.low_mm[1]
+
+    @property
+    def places_mm(self) -> Floats:
+        """Centres of the marks, (k, 2), coordinates of the layout."""
+        return np.array([(m.x, m.y) for m in self.layout.marks]) * self.layout.mm_per_unit
+
+
+def design_board(design: ArrayDesign) -> Board:
+    """A board on which every camera of an array sees its marks.
+
+    The origin lies under camera 0, x runs along the array, y as the cameras' images.
+
+    Raises:
+        InputError: if so many marks do not fit into a view.
+    """
+    x, y = _columns(design), _line(design.span_mm[1], design.rows)
+    spacing = min(_least_gap(x), _least_gap(y))
+    room = (1 - 2 * _STRAY) * spacing
+    if room < _CLEAR * design.mark_mm:
+        raise InputError(
+            f"{design.columns}×{design.rows} marks of {design.mark_mm:g} mm come within {room:.2f} mm of one another "
+            f"in a view of {design.field_mm[0]:g}×{design.field_mm[1]:g} mm, the limit is "
+            f"{_CLEAR * design.mark_mm:.2f} mm.",
+            action="Ask for fewer or smaller marks, or for less tolerance.",
+        )
+    stray = _STRAY * spacing
+    places = [
+        (round(u + stray * dx, 3), round(v + stray * dy, 3))
+        for n, (u, v) in enumerate((u, v) for u in x for v in y)
+        for dx, dy in [_off_grid(n)]
+    ]
+    mark = LayoutMark(size=design.mark_mm, width=round(design.mark_mm * design.arm, 6), polarity=design.polarity)
+    layout = Layout(unit="mm", mark=mark, marks=tuple(Place(x=u, y=v) for u, v in places))
+    width, height = design.field_mm
+    edge = design.border_mm
+    low = -width / 2 - edge, -height / 2 - edge
+    high = (design.cameras - 1) * design.pitch_mm + width / 2 + edge, height / 2 + edge + LABEL_MM
+    return Board(layout, (_micron(low[0]), _micron(low[1])), (_micron(high[0]), _micron(high[1])))
+
+
+def _columns(design: ArrayDesign) -> Floats:
+    """x of the columns: a group under every camera, or one even row where views overlap too much for groups."""
+    span = design.span_mm[0]
+    group = _line(span, design.columns)
+    gap = group[1] - group[0]
+    if design.cameras == 1 or design.pitch_mm - span >= 0.5 * gap:
+        return np.concatenate([i * design.pitch_mm + group for i in range(design.cameras)])
+    step = span / design.columns
+    length = (design.cameras - 1) * design.pitch_mm + span
+    return np.asarray(-span / 2 + np.linspace(0, length, math.ceil(length / step) + 1))
+
+
+def _line(span: float, count: int) -> Floats:
+    if span <= 0:
+        raise InputError(
+            f"the view leaves {span:.1f} mm for marks after tolerance and mark size.",
+            action="Ask for less tolerance or smaller marks.",
+        )
+    inner = span / (1 + 2 * _STRAY / (count - 1))  # what strays outwards stays within the span
+    return np.linspace(-inner / 2, inner / 2, count)
+
+
+def _least_gap(line: Floats) -> float:
+    return float(np.diff(line).min())
+
+
+def _off_grid(n: int) -> tuple[float, float]:
+    """A pair of numbers in −1 … 1 that differs from mark to mark without a pattern; always the same for the same n."""
+    angle, length = 2 * math.pi * ((n + 1) * _GOLDEN % 1.0), math.sqrt((n + 1) * _GOLDEN * math.e % 1.0)
+    return length * math.cos(angle), length * math.sin(angle)
+
+
+def _micron(value: float) -> float:
+    return round(value / _MICRON) * _MICRON

@@ -1,0 +1,187 @@
+"""N_i and the lens from marks: equation 10 solved by least squares, for any number of marks from four on.
+
+A normalised direct linear transform gives the start, Gauss-Newton on pixel residuals the result and its
+covariance. Coefficients of radial distortion are added one by one, as long as the marks see them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vaoi_station.geometry.lens import Lens
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats, apply
+
+MARK_SIGMA_PX = 0.007
+"""What a mark's place is good to per axis, before the residuals of a fit say better."""
+_PRIOR_FREEDOM = 4.0
+"""Weight of that expectation, in degrees of freedom."""
+IN_COMMON_MARKS = 48.0
+"""Marks do not err independently (print, sampling, what the lens model leaves out): beyond so many, more add little."""
+_STEPS = 12
+_SEEN = 12.0
+"""A coefficient is seen when it lowers the sum of squares by so many variances: about 3.5 sigma."""
+_LEAST_MARKS = (4, 6, 16)
+"""Marks that 0, 1 and 2 coefficients of distortion ask for."""
+_DEGENERATE = 1e-3
+_SINGULAR = 1e-8
+"""Least singular value of the adjustment, in the largest: below, equation 10 has no one solution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A camera's N_i (`matrix`, N_33 = 1), its lens, and how well both are known."""
+
+    matrix: Floats
+    lens: Lens
+    residuals_px: Floats
+    """(k, 2) measured minus predicted, in undistorted pixels, which differ from raw ones by less than a thousandth."""
+    covariance: Floats
+    """Of n11 n12 n13 n21 n22 n23 n31 n32 and the radial coefficients."""
+    sigma_px: float
+    """Standard deviation of a mark's place per axis."""
+    freedom: int
+    """Measurements minus parameters."""
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square length of the residuals."""
+        return float(np.sqrt((self.residuals_px**2).sum(1).mean()))
+
+    def sigma_at_px(self, raw_px: Floats) -> Floats:
+        """Standard deviation (k,) of where raw pixels (k, 2) lie, as a length in px: what the marks leave open."""
+        undistorted = self.lens.undistort(raw_px)
+        ground = apply(np.linalg.inv(self.matrix), undistorted)
+        rows = np.concatenate([-_slopes(self.matrix, ground), _powers(self.lens, raw_px)], axis=2)
+        return np.asarray(np.sqrt(np.einsum("kip,pq,kiq->k", rows, self.covariance, rows)))
+
+
+def fit_camera(marks_mm: Floats, px: Floats, center_px: tuple[float, float], radius_px: float) -> Fit | Failure:
+    """N_i and as much radial distortion as the marks can tell.
+
+    Args:
+        marks_mm: (k, 2) tester coordinates, k ≥ 4.
+        px: (k, 2) raw pixels.
+        center_px: principal point, the centre of the distortion.
+        radius_px: R of the distortion polynomial.
+    """
+    if len(marks_mm) < _LEAST_MARKS[0]:
+        return Failure(f"{len(marks_mm)} marks do not fix the eight parameters of N; {_LEAST_MARKS[0]} are needed")
+    if (flat := _flatness(marks_mm)) is not None:
+        return flat
+    best: Fit | None = None
+    for order, least in enumerate(_LEAST_MARKS):
+        if len(marks_mm) < least:
+            break
+        fit = _adjust(marks_mm, px, Lens(center_px, radius_px, (0.0,) * order))
+        if isinstance(fit, Failure):
+            if best is None:
+                return fit
+            break
+        if best is not None and not _sees_more(best, fit):
+            break
+        best = fit
+    assert best is not None
+    return best
+
+
+def estimate_homography(target: Floats, source: Floats) -> Floats | None:
+    """Normalised direct linear transform: (3, 3) with target ~ H source for (k, 2) each; None if degenerate."""
+    to_source, to_target = _normalizer(source), _normalizer(target)
+    p, q = apply(to_source, source), apply(to_target, target)
+    one, nil = np.ones(len(p)), np.zeros((len(p), 3))
+    s = np.column_stack([p, one])
+    design = np.vstack([np.hstack([s, nil, -q[:, :1] * s]), np.hstack([nil, s, -q[:, 1:] * s])])
+    _, singular, vt = np.linalg.svd(design)
+    if singular[7] < _DEGENERATE * singular[0]:
+        return None
+    h = np.linalg.inv(to_target) @ vt[8].reshape(3, 3) @ to_source
+    return np.asarray(h / h[2, 2])
+
+
+def _flatness(marks_mm: Floats) -> Failure | None:
+    """Marks on one line, or all but one of them, fix no plane."""
+    offsets = marks_mm - marks_mm.mean(0)
+    spread = np.linalg.svd(offsets, compute_uv=False) / np.sqrt(len(offsets))
+    if spread[1] < 0.02 * spread[0]:
+        return Failure(
+            f"its {len(marks_mm)} marks are collinear: they lie within {spread[1]:.2f} mm (rms) of one line "
+            f"of {spread[0]:.1f} mm (rms)"
+        )
+    if estimate_homography(marks_mm, marks_mm) is None:
+        return Failure(f"all but one of its {len(marks_mm)} marks are collinear, which fixes no plane")
+    return None
+
+
+def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
+    """Gauss-Newton over the eight entries of N (source normalised) and the coefficients of `lens`."""
+    normal_from_mm = _normalizer(marks_mm)
+    p, order = apply(normal_from_mm, marks_mm), len(lens.radial)
+    h = estimate_homography(px, p)
+    if h is None:
+        return Failure(f"its {len(p)} marks are seen in one place, which fixes no view of a plane")
+    freedom = 2 * len(p) - 8 - order
+    for _ in range(_STEPS):
+        residual = lens.undistort(px) - apply(h, p)
+        design = np.concatenate([_slopes(h, p), -_powers(lens, px)], axis=2).reshape(-1, 8 + order)
+        scale = np.sqrt((design**2).sum(0))
+        step = np.linalg.lstsq(design / scale, residual.ravel(), rcond=None)[0] / scale
+        h = h + np.append(step[:8], 0).reshape(3, 3)
+        lens = replace(lens, radial=tuple(float(a + d) for a, d in zip(lens.radial, step[8:], strict=True)))
+        if np.abs(step * scale).max() < 1e-9:
+            break
+    residual = lens.undistort(px) - apply(h, p)
+    variance = float((residual**2).sum() + _PRIOR_FREEDOM * MARK_SIGMA_PX**2) / (freedom + _PRIOR_FREEDOM)
+    scaled = design / scale
+    _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
+    if not singular[-1] > _SINGULAR * singular[0]:
+        return Failure(f"its {len(p)} marks fix no view of a plane: some of them are mistaken for others")
+    in_common = 1 + len(p) / IN_COMMON_MARKS
+    covariance = (vt.T / singular**2) @ vt / np.outer(scale, scale) * variance * in_common
+    matrix, jacobian = _in_mm(h, normal_from_mm, order)
+    return Fit(matrix, lens, residual, jacobian @ covariance @ jacobian.T, float(np.sqrt(variance)), freedom)
+
+
+def _in_mm(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats, Floats]:
+    """N = H T with N_33 = 1, and its derivative by the eight entries of H; coefficients pass through."""
+    full = h @ normal_from_mm
+    n = full / full[2, 2]
+    spread = np.kron(np.eye(3), normal_from_mm.T)[:, :8]  # d vec(H T) / d vec(H), row-major
+    by_h = (spread - np.outer(n.ravel(), spread[8])) / full[2, 2]
+    jacobian = np.eye(8 + order)
+    jacobian[:8, :8] = by_h[:8]
+    return n, jacobian
+
+
+def _sees_more(less: Fit, more: Fit) -> bool:
+    """Whether one coefficient more lowers the sum of squares by more than noise does."""
+    gain = float((less.residuals_px**2).sum() - (more.residuals_px**2).sum())
+    return gain > _SEEN * more.sigma_px**2
+
+
+def _slopes(h: Floats, p: Floats) -> Floats:
+    """Derivative (k, 2, 8) of H p by the first eight entries of H."""
+    w = p @ h[2, :2] + h[2, 2]
+    q = apply(h, p)
+    s, nil = np.column_stack([p, np.ones(len(p))]) / w[:, None], np.zeros((len(p), 3))
+    x = np.hstack([s, nil, -q[:, :1] * s[:, :2]])
+    y = np.hstack([nil, s, -q[:, 1:] * s[:, :2]])
+    return np.stack([x, y], axis=1)
+
+
+def _powers(lens: Lens, raw_px: Floats) -> Floats:
+    """Derivative (k, 2, q) of undistorted pixels by the radial coefficients."""
+    offset = raw_px - lens.center_px
+    rho2 = (offset**2).sum(1) / lens.radius_px**2
+    columns = [offset * (rho2 ** (k + 1))[:, None] for k in range(len(lens.radial))]
+    return np.stack(columns, axis=2) if columns else np.zeros((len(raw_px), 2, 0))
+
+
+def _normalizer(points: Floats) -> Floats:
+    """Similarity (3, 3) that brings points to mean 0 and mean distance √2."""
+    middle = points.mean(0)
+    size = float(np.hypot(*(points - middle).T).mean()) / np.sqrt(2)
+    k = 1 / max(size, 1e-12)
+    return np.array([[k, 0, -k * middle[0]], [0, k, -k * middle[1]], [0, 0, 1.0]])

@@ -1,0 +1,58 @@
+"""The paper's way to a mark (section 3.2): template matching, thresholding, centre of gravity.
+
+Kept to compare with: shading over the mark pulls the centre of gravity, and so does what lies beside it.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.marks.mark_shape import CROSS_ARM, Shape, coverage
+
+_LEAST_SCORE = 0.6
+
+
+def locate_by_centre_of_gravity(
+    image: NDArray[np.uint8],
+    near_px: Floats,
+    shape: Shape,
+    size_px: float,
+    *,
+    light: bool,
+    arm: float = CROSS_ARM,
+    reach_px: float = 20.0,
+) -> Floats | Failure:
+    """Place (2,) of a mark in raw pixels.
+
+    Args:
+        image: (h, w) full frame.
+        near_px: (2,) where it is looked for.
+        shape: of the mark.
+        size_px: its size in this image.
+        light: whether it is lighter than its surroundings.
+        arm: width of a cross' arm as a share of its size.
+        reach_px: how far from there it may be.
+    """
+    side = 2 * int(np.ceil(0.6 * size_px)) + 1
+    half = side // 2 + int(np.ceil(reach_px))
+    x, y = (round(float(v)) for v in near_px)
+    low = max(x - half, 0), max(y - half, 0)
+    patch = image[low[1] : y + half + 1, low[0] : x + half + 1]
+    if min(patch.shape) < side:
+        return Failure(f"the mark near ({x}, {y}) px is cut off by the frame's border")
+    template = np.round(coverage(shape, size_px, side, arm=arm) * (200 if light else -200) + (20 if light else 220))
+    surface = cv2.matchTemplate(patch, template.astype(np.uint8), cv2.TM_CCOEFF_NORMED)
+    _, score, _, (left, top) = cv2.minMaxLoc(surface)
+    if not score >= _LEAST_SCORE:
+        return Failure(f"correlation {score:.2f} near ({x}, {y}) px is below {_LEAST_SCORE}")
+    window = patch[top : top + side, left : left + side]
+    kind = cv2.THRESH_BINARY if light else cv2.THRESH_BINARY_INV
+    _, mask = cv2.threshold(np.ascontiguousarray(window), 0, 1, kind | cv2.THRESH_OTSU)
+    v, u = np.nonzero(mask)
+    if not len(u):
+        return Failure(f"nothing stands out near ({x}, {y}) px")
+    return np.array([low[0] + left + u.mean(), low[1] + top + v.mean()])

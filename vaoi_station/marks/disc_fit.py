@@ -1,0 +1,232 @@
+"""The centre of a disc: its picture, as lens and light make it, fitted to the pixels; compiled.
+
+Grey level = (ground + contrast · ½ erfc((r − R) / (√2 σ))) · (1 + gx·u + gy·v), with (u, v) and r from the centre:
+place, light on both sides, radius, blur and the slope of the light are all unknown. What the model leaves out (the bend
+of vignetting, a lens' real blur) is even about the centre, while a shift is odd: it pulls nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.marks.small_cholesky import position_variance, solve_cholesky
+
+FITTED, NO_EDGE, TOO_FAR = 0, 1, 2
+_COARSE_STEPS = 8
+_COARSE_BLUR, _COARSE_REACH, _COARSE_SAMPLES = 0.3, 1.45, 3.0
+"""In radii; and samples per radius: from afar a disc is looked at as a blurred one, through few pixels."""
+_LEAST_BLUR_PX, _RIM_PX, _WIDEST = 0.4, 3.5, 1.9
+"""The last in radii: further away nothing is looked at."""
+_LEAST_CONTRAST = 1.0
+_OUTLIER = 0.1
+"""Of the contrast: pixels off the model by more lose weight, so that a reflection or a smudge pulls little."""
+
+
+@compiled
+def fit_disc(
+    image: NDArray[np.uint8],
+    x: float,
+    y: float,
+    radius: float,
+    furthest: float,
+    stride: int,
+    enough_px: float,
+    most_steps: int,
+) -> tuple[int, float, float, float, float, float, float, float]:
+    """Centre of a disc near (x, y).
+
+    Args:
+        image: (h, w); the disc and its rim must lie inside.
+        x: near its centre, px.
+        y: near its centre, px.
+        radius: about that of the disc, px.
+        furthest: how far from (x, y) it may be.
+        stride: 1: every pixel counts; 2: every second one of every second line.
+        enough_px: smaller steps end the search.
+        most_steps: the search ends after so many anyway; a bare disc takes three.
+
+    Returns:
+        Code, x, y, standard deviation per axis, radius, blur (σ), ground and contrast in grey levels.
+    """
+    p = np.zeros(8)  # x, y, gx, gy | ground, contrast, radius, blur
+    p[0], p[1], p[6], p[7] = x, y, radius, max(_COARSE_BLUR * radius, 1.0)
+    odd, even = np.zeros((4, 5)), np.zeros((4, 5))
+    side = 2 * math.ceil(_WIDEST * radius) + 3
+    pixels = np.empty((3, min(side * side, image.size)))
+    coarse = max(math.ceil(radius / _COARSE_SAMPLES), 1)
+    for step in range(_COARSE_STEPS):
+        _normal_equations(image, p, _COARSE_REACH * radius, coarse, np.inf, pixels, odd, even)
+        if not _move(p, odd, even, step > 0, False):
+            return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
+        if np.hypot(p[0] - x, p[1] - y) > furthest:
+            return TOO_FAR, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
+        if step > 1 and max(abs(odd[0, 4]), abs(odd[1, 4])) < 0.1 * coarse:
+            break
+    if abs(p[5]) < _LEAST_CONTRAST:
+        return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
+    p[7], noise = 1.0, np.inf
+    for step in range(most_steps):
+        rim = min(radius + max(3 * p[7], _RIM_PX), _WIDEST * radius)
+        limit = max(3 * noise, _OUTLIER * abs(p[5])) if step > 1 else np.inf
+        noise = _normal_equations(image, p, rim, stride, limit, pixels, odd, even)
+        if not _move(p, odd, even, True, True):
+            return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
+        p[6] = min(max(p[6], 0.6 * radius), 1.5 * radius)
+        p[7] = min(max(p[7], _LEAST_BLUR_PX), 0.5 * radius)
+        if np.hypot(p[0] - x, p[1] - y) > furthest:
+            return TOO_FAR, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
+        if step > 1 and max(abs(odd[0, 4]), abs(odd[1, 4])) < enough_px:
+            break
+    return FITTED, p[0], p[1], noise * math.sqrt(position_variance(odd)), p[6], p[7], p[4], p[5]
+
+
+@inlined
+def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
+    image: NDArray[np.uint8],
+    p: NDArray[np.float64],
+    reach: float,
+    stride: int,
+    limit: float,
+    pixels: NDArray[np.float64],
+    odd: NDArray[np.float64],
+    even: NDArray[np.float64],
+) -> float:
+    """Sums for the parameters that are odd about the centre (x, y, gx, gy) and the even ones, right side in column 4.
+
+    Pixels are first brought together in `pixels` (3, n), room for x and y from the centre and grey levels, so that the
+    compiler makes one vector loop of what is done with each. Returns the standard deviation of a pixel.
+    """
+    cx, cy, gx, gy, ground, contrast, radius, blur = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]
+    a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = a0e = a1e = a2e = a3e = 0.0
+    b00 = b01 = b02 = b03 = b11 = b12 = b13 = b22 = b23 = b33 = b0e = b1e = b2e = b3e = 0.0
+    us, vs, greys = pixels[0], pixels[1], pixels[2]
+    count = _within(image, cx, cy, reach, stride, us, vs, greys)
+    total = weights = 0.0
+    for n in range(count):
+        u, v = us[n], vs[n]
+        r = math.sqrt(u * u + v * v)
+        z = (r - radius) / blur
+        cover, bell = _step(z)
+        light = 1 + gx * u + gy * v
+        plain = ground + contrast * cover
+        e = greys[n] - plain * light
+        weight = min(reach - r, 1.0) / (1 + (e / limit) ** 2)
+        slope = contrast * bell / blur * light  # along −r
+        toward = slope / max(r, 1e-9)
+        a0, a1, a2, a3 = toward * u, toward * v, plain * u, plain * v
+        b0, b1, b2, b3 = light, cover * light, slope, slope * z
+        w0, w1, w2, w3 = weight * a0, weight * a1, weight * a2, weight * a3
+        a00 += w0 * a0
+        a01 += w0 * a1
+        a02 += w0 * a2
+        a03 += w0 * a3
+        a11 += w1 * a1
+        a12 += w1 * a2
+        a13 += w1 * a3
+        a22 += w2 * a2
+        a23 += w2 * a3
+        a33 += w3 * a3
+        a0e += w0 * e
+        a1e += w1 * e
+        a2e += w2 * e
+        a3e += w3 * e
+        w0, w1, w2, w3 = weight * b0, weight * b1, weight * b2, weight * b3
+        b00 += w0 * b0
+        b01 += w0 * b1
+        b02 += w0 * b2
+        b03 += w0 * b3
+        b11 += w1 * b1
+        b12 += w1 * b2
+        b13 += w1 * b3
+        b22 += w2 * b2
+        b23 += w2 * b3
+        b33 += w3 * b3
+        b0e += w0 * e
+        b1e += w1 * e
+        b2e += w2 * e
+        b3e += w3 * e
+        total += weight * e * e
+        weights += weight
+    odd[0, 0], odd[0, 1], odd[0, 2], odd[0, 3], odd[0, 4] = a00, a01, a02, a03, a0e
+    odd[1, 1], odd[1, 2], odd[1, 3], odd[1, 4] = a11, a12, a13, a1e
+    odd[2, 2], odd[2, 3], odd[2, 4] = a22, a23, a2e
+    odd[3, 3], odd[3, 4] = a33, a3e
+    even[0, 0], even[0, 1], even[0, 2], even[0, 3], even[0, 4] = b00, b01, b02, b03, b0e
+    even[1, 1], even[1, 2], even[1, 3], even[1, 4] = b11, b12, b13, b1e
+    even[2, 2], even[2, 3], even[2, 4] = b22, b23, b2e
+    even[3, 3], even[3, 4] = b33, b3e
+    return math.sqrt(total / max(weights, 1.0))
+
+
+@inlined
+def _within(
+    image: NDArray[np.uint8],
+    cx: float,
+    cy: float,
+    reach: float,
+    stride: int,
+    us: NDArray[np.float64],
+    vs: NDArray[np.float64],
+    greys: NDArray[np.float64],
+) -> int:
+    """Every stride-th pixel of every stride-th line within reach of the centre; how many there are."""
+    left, right = max(math.ceil(cx - reach), 0), min(math.floor(cx + reach), image.shape[1] - 1)
+    top, bottom = max(math.ceil(cy - reach), 0), min(math.floor(cy + reach), image.shape[0] - 1)
+    count = 0
+    for row in range(top, bottom + 1, stride):
+        v, line = row - cy, image[row]
+        for column in range(left, right + 1, stride):
+            u = column - cx
+            us[count], vs[count], greys[count] = u, v, line[column]
+            count += u * u + v * v < reach * reach
+    return count
+
+
+@inlined
+def _step(z: float) -> tuple[float, float]:
+    """½ erfc(z / √2) to 1e-7 (Abramowitz and Stegun 7.1.26), and the normal density; beyond 4 the one ends.
+
+    The exponential is that of a 64th, by its series, squared six times: the compiler puts it into vectors.
+    """
+    far = min(abs(z), 4.0)
+    t, q = 1 / (1 + 0.2316418882 * far), -0.5 / 64 * far * far
+    e = 1 + q * (1 + q / 2 * (1 + q / 3 * (1 + q / 4 * (1 + q / 5 * (1 + q / 6)))))
+    e = e * e
+    e = e * e
+    e = e * e
+    e = e * e
+    e = e * e
+    density = e * e if far < 4 else 0.0
+    tail = t * (0.127414796 + t * (-0.142248368 + t * (0.7107068705 + t * (-0.7265760135 + t * 0.5307027145))))
+    tail *= density
+    return (tail if z >= 0 else 1 - tail), 0.3989422804014327 * density
+
+
+@inlined
+def _move(
+    p: NDArray[np.float64], odd: NDArray[np.float64], even: NDArray[np.float64], moves: bool, shapes: bool
+) -> bool:
+    """One step of Gauss-Newton: light always, the place if it moves, slope, radius and blur if shapes are free.
+
+    False if nothing fixes them.
+    """
+    if moves:
+        unknowns = 4 if shapes else 2
+        if not solve_cholesky(odd, unknowns):
+            return False
+        longest = max(abs(odd[0, 4]), abs(odd[1, 4]))
+        share = min(1.0, 0.5 * p[6] / max(longest, 1e-12))
+        for k in range(unknowns):
+            p[k] += share * odd[k, 4]
+    if not solve_cholesky(even, 4 if shapes else 2):
+        return False
+    p[4] += even[0, 4]
+    p[5] += even[1, 4]
+    if shapes:
+        p[6] += min(max(even[2, 4], -0.2 * p[6]), 0.2 * p[6])
+        p[7] += min(max(even[3, 4], -0.4 * p[7]), 0.4 * p[7])
+    return True

@@ -1,0 +1,68 @@
+"""How alike the artwork a place of the picture is, compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled
+from vaoi_station.marks.mark_shape import Shape
+
+SHAPE_CODE: dict[Shape, int] = {"circle": 0, "square": 1, "diamond": 2, "cross": 3}
+_EDGE_PX = 2.85
+"""Width of the S-shaped step that stands for a sharp camera's edge; as steep as a blur of 0.76 px."""
+
+
+@compiled
+def correlate_with_shape(
+    image: NDArray[np.uint8], x: float, y: float, code: int, size: float, arm: float, disc: float
+) -> tuple[float, float]:
+    """Correlation with the artwork at a place, 0…1, and contrast (mark less ground) in grey levels.
+
+    Args:
+        image: (h, w).
+        x: of the mark's centre, px.
+        y: of the mark's centre, px.
+        code: of the shape, see `SHAPE_CODE`.
+        size: of the mark, px.
+        arm: width of a cross' arm as a share of its size.
+        disc: diameter of what is compared, px.
+    """
+    reach = 0.5 * disc + 0.5
+    left, right = max(math.ceil(x - reach), 0), min(math.floor(x + reach), image.shape[1] - 1)
+    top, bottom = max(math.ceil(y - reach), 0), min(math.floor(y + reach), image.shape[0] - 1)
+    weights = p1 = q1 = pp = qq = pq = 0.0
+    r, thin = 0.5 * size, 0.5 * size * arm
+    for row in range(top, bottom + 1):
+        v, line = abs(row - y), image[row]
+        for column in range(left, right + 1):
+            u = abs(column - x)
+            far = math.sqrt(u * u + v * v)
+            weight = min(reach - far, 1.0)
+            if weight <= 0:
+                continue
+            if code == 0:
+                outside = far - r
+            elif code == 1:
+                outside = max(u, v) - r
+            elif code == 2:
+                outside = (u + v - r) * 0.7071067811865476
+            else:
+                outside = min(max(u - r, v - thin), max(u - thin, v - r))
+            t = min(max(0.5 - outside / _EDGE_PX, 0.0), 1.0)
+            q, p = t * t * (3 - 2 * t), float(line[column])
+            weights += weight
+            p1 += weight * p
+            q1 += weight * q
+            pp += weight * p * p
+            qq += weight * q * q
+            pq += weight * p * q
+    if weights <= 0:
+        return 0.0, 0.0
+    covariance = pq - p1 * q1 / weights
+    of_picture, of_artwork = pp - p1 * p1 / weights, qq - q1 * q1 / weights
+    if of_picture <= 1e-6 or of_artwork <= 1e-6:
+        return 0.0, 0.0
+    return abs(covariance) / math.sqrt(of_picture * of_artwork), covariance / of_artwork

@@ -1,0 +1,66 @@
+"""What nouns and other documents are made of: frozen, and numbers that were written as numbers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+
+
+class Strict(BaseModel):
+    """Frozen; unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FrozenModel(BaseModel):
+    """Frozen; unknown keys are refused but for the user's own `x_…`."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", arbitrary_types_allowed=True)
+
+    @model_validator(mode="after")
+    def _only_known_keys(self) -> Self:
+        unknown = [k for k in self.model_extra or {} if not k.startswith("x_")]
+        if unknown:
+            raise ValueError(f"unknown key(s) {', '.join(map(repr, unknown))}; own keys must begin with 'x_'")
+        return self
+
+
+def _matrix(value: Any) -> NDArray[np.float64]:
+    try:
+        m = np.array(value)
+    except ValueError as error:
+        raise ValueError("has rows of different lengths, must be 3×3") from error
+    if m.dtype.kind not in "iuf":
+        raise ValueError("is not a matrix of numbers, must be 3×3 numbers")
+    m = m.astype(np.float64)
+    if m.shape != (3, 3):
+        raise ValueError(f"has shape {m.shape}, must be 3×3")
+    if not np.isfinite(m).all():
+        raise ValueError("has NaN or infinite entries, all must be finite")
+    if _is_singular(m):
+        raise ValueError("is singular, must be invertible")
+    m.setflags(write=False)
+    return m
+
+
+def _is_singular(m: NDArray[np.float64]) -> bool:
+    """By the determinant after rows and columns are brought to size 1: px, mm and 1/mm stand in one matrix."""
+    for axis in (1, 0):
+        size = np.abs(m).max(axis=axis, keepdims=True)
+        if not size.all():
+            return True
+        m = m / size
+    return bool(abs(np.linalg.det(m)) < 1e-12)
+
+
+Matrix = Annotated[NDArray[np.float64], BeforeValidator(_matrix), PlainSerializer(lambda m: m.tolist())]
+"""A finite, invertible 3×3 matrix; row-major nested lists in files."""
+
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+Whole = Annotated[int, Field(strict=True)]
+"""Whole numbers that are written as numbers; texts and truth values are refused, as for the others."""
+Point = tuple[Finite, Finite]

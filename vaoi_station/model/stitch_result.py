@@ -1,0 +1,76 @@
+"""A stitch: where every frame of a run lies, and how good that is."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, model_validator
+
+from vaoi_station.geometry import Projective, System
+from vaoi_station.model.frozen_model import Finite, FrozenModel, Matrix, Point
+
+
+class Status(StrEnum):
+    """The verdict on a stitch."""
+
+    OK = "ok"
+    DEGRADED = "degraded"
+    FAILED = "failed"
+
+
+class Surface(FrozenModel):
+    """The board's height above the calibrated plane, mm; `about` (CAD) and `half_span` scale the polynomial."""
+
+    lift_mm: Finite
+    tilt_mm: Point = (0.0, 0.0)
+    bow_mm: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    about: Point = (0.0, 0.0)
+    half_span: Point = (1.0, 1.0)
+
+    def height_mm(self, cad: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height (…,) of the board's surface at CAD points (…, 2)."""
+        at = np.clip((np.asarray(cad) - self.about) / self.half_span, -1.2, 1.2)
+        u, v = at[..., 0], at[..., 1]
+        terms = (*self.tilt_mm, *self.bow_mm)
+        return np.asarray(self.lift_mm + sum(c * b for c, b in zip(terms, (u, v, u * u, u * v, v * v), strict=True)))
+
+
+class Stitch(FrozenModel):
+    """A result: M_ij, C, D_j, the verdict and its evidence; immutable once written."""
+
+    model_config = ConfigDict(ser_json_inf_nan="constants")
+    """So that a number that JSON does not have is noticed, not turned into null."""
+
+    format: Literal["vaoi-stitch"] = "vaoi-stitch"
+    version: Literal[1] = 1
+    method: str
+    image_matrices: tuple[tuple[Matrix | None, ...], ...]
+    cad_matrix: Matrix | None
+    row_motion: tuple[Matrix, ...]
+    status: Status
+    reasons: tuple[str, ...] = ()
+    quality: dict[str, Any] = Field(default_factory=dict)
+    surface: Surface | None = None
+    components: dict[str, tuple[tuple[int, int, float, float], ...]] | None = None
+
+    @model_validator(mode="after")
+    def _one_matrix_per_frame(self) -> Self:
+        lengths = sorted({len(rows) for rows in self.image_matrices})
+        if len(lengths) > 1:
+            raise ValueError(f"image_matrices has cameras of {lengths} rows; all must have the same number")
+        if lengths and self.row_motion and len(self.row_motion) != lengths[0]:
+            raise ValueError(f"row_motion has {len(self.row_motion)} entries, must have one per row: {lengths[0]}")
+        return self
+
+    def image_from_tester(self, camera: int, row: int) -> Projective | None:
+        """M_ij, or None where the frame could not be placed."""
+        m = self.image_matrices[camera][row]
+        return None if m is None else Projective(m, System.IMAGE, System.TESTER)
+
+    @property
+    def tester_from_cad(self) -> Projective | None:
+        """C, or None where the board's fiducials could not be matched."""
+        return None if self.cad_matrix is None else Projective(self.cad_matrix, System.TESTER, System.CAD)

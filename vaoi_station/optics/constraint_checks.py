@@ -1,0 +1,100 @@
+"""Every constraint of section 2 judged for the parts of a plan."""
+
+from __future__ import annotations
+
+from vaoi_station.optics.constraint import Constraint, at_least, at_most, not_checked
+from vaoi_station.optics.plan_sections import ArrayPlan, DataPlan, LensPlan, MotionPlan
+from vaoi_station.optics.quantity_checks import ceil_to_whole
+from vaoi_station.optics.requirements import Requirements
+
+
+def check_constraints(
+    q: Requirements, array: ArrayPlan, lens: LensPlan, motion: MotionPlan, data: DataPlan
+) -> tuple[Constraint, ...]:
+    """All constraints, in the order of section 2.4; none is left out where a quantity is missing."""
+    return (
+        _cameras(q, array),
+        _highest(q, lens),
+        _lowest(q, lens),
+        _depth(q, lens),
+        _diffraction(q, lens),
+        _blur(q, motion),
+        _exposure(motion),
+        _frame_rate(motion),
+        _period(q, motion),
+        _links(q, data),
+    )
+
+
+def _cameras(q: Requirements, array: ArrayPlan) -> Constraint:
+    asked = q.width_mm * q.resolution_px_per_mm * q.multiplicity_h
+    n = array.cameras
+    reached = f"{n} camera{'s' if n > 1 else ''} reach{'es' if n == 1 else ''} m_h = {array.multiplicity_h:.3f}"
+    note = f"{array.cameras_needed:.2f} needed, {ceil_to_whole(array.cameras_needed)} whole ones; {reached}"
+    return at_least("cameras", "w·r·m_h ≤ n·p_h", float(n * q.sensor_px_h), asked, unit="px", note=note)
+
+
+def _highest(q: Requirements, lens: LensPlan) -> Constraint:
+    note = f"equation (1) at d_max: f = {lens.focal_length_mm:.1f} mm; used: {lens.lens_mm:.1f} mm"
+    return at_most("highest place", "d ≤ d_max, (1)", lens.working_distance_mm, q.distance_max_mm, unit="mm", note=note)
+
+
+def _lowest(q: Requirements, lens: LensPlan) -> Constraint:
+    name, equation, d = "lowest place", "d ≥ d_min, (1)", lens.working_distance_mm
+    if q.distance_min_mm is None:
+        return not_checked(name, equation, "≥", unit="mm", note="no d_min given", value=d)
+    return at_least(name, equation, d, q.distance_min_mm, unit="mm")
+
+
+def _depth(q: Requirements, lens: LensPlan) -> Constraint:
+    name, equation = "depth of field", "d_f of (2), N of (3)"
+    if q.circle_of_confusion_mm is None:
+        return not_checked(name, equation, "≥", unit="mm", note="no circle of confusion given: the f-number stays open")
+    if lens.f_number is None or lens.depth_of_field_mm is None:
+        return not_checked(name, equation, "≥", unit="mm", note="neither a depth of field nor an f-number given")
+    if q.depth_of_field_mm is None:
+        note = f"at f/{lens.f_number:.1f}; no depth of field asked for"
+        return not_checked(name, equation, "≥", unit="mm", note=note, value=lens.depth_of_field_mm)
+    note = f"at f/{lens.f_number:.1f}" + (" of equation (3)" if q.f_number is None else "")
+    return at_least(name, equation, lens.depth_of_field_mm, q.depth_of_field_mm, unit="mm", note=note)
+
+
+def _diffraction(q: Requirements, lens: LensPlan) -> Constraint:
+    name, equation = "diffraction", "Airy disc ≤ c"
+    if lens.airy_disc_px is None or q.circle_of_confusion_mm is None:
+        missing = "circle of confusion" if q.circle_of_confusion_mm is None else "f-number"
+        return not_checked(
+            name, equation, "≤", unit="px", note=f"no {missing} to compare with", value=lens.airy_disc_px
+        )
+    acceptable_px = q.circle_of_confusion_mm * q.sensor_px_h / q.sensor_width_mm
+    note = f"at f/{lens.f_number:.1f}; not in the paper"
+    return at_most(name, equation, lens.airy_disc_px, acceptable_px, unit="px", note=note)
+
+
+def _blur(q: Requirements, motion: MotionPlan) -> Constraint:
+    return at_most("motion blur", "v·r·s ≤ τ, (4)", motion.motion_blur_px, q.blur_px, unit="px")
+
+
+def _exposure(motion: MotionPlan) -> Constraint:
+    return at_most("exposure", "s ≤ τ/(v·r), (5)", motion.exposure_us, motion.longest_exposure_us, unit="µs")
+
+
+def _frame_rate(motion: MotionPlan) -> Constraint:
+    lowest, rate = motion.lowest_frame_rate_hz, motion.frame_rate_hz
+    note = f"{lowest:.2f} frames/s needed; {rate:.2f} reach m_v = {motion.multiplicity_v:.3f}"
+    return at_least("frame rate", "t ≥ v·r·m_v/p_v, (6)", rate, lowest, unit="1/s", note=note)
+
+
+def _period(q: Requirements, motion: MotionPlan) -> Constraint:
+    busy = motion.exposure_us + q.readout_us
+    note = f"exposure {motion.exposure_us:.0f} µs, readout {q.readout_us:.0f} µs"
+    return at_most("pulse period", "s + readout ≤ 1/t", busy, motion.trigger_period_us, unit="µs", note=note)
+
+
+def _links(q: Requirements, data: DataPlan) -> Constraint:
+    name, equation = "links", "n·p_h·p_v·bits·t"
+    if q.link_mbit_s is None:
+        return not_checked(
+            name, equation, "≤", unit="Mbit/s", note="no capacity of the links given", value=data.data_rate_mbit_s
+        )
+    return at_most(name, equation, data.data_rate_mbit_s, q.link_mbit_s, unit="Mbit/s")

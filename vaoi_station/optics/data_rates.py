@@ -1,0 +1,43 @@
+"""How many bits flow and how many bytes wait; section 2.5. Prefixes are decimal: 1 Mbit = 10⁶ bit."""
+
+from __future__ import annotations
+
+from vaoi_station.optics.quantity_checks import ceil_to_whole, require_positive
+
+
+def frame_bytes(sensor_px_h: int, sensor_px_v: int, bits_per_pixel: int) -> int:
+    """Size of one frame; pixels of more than 8 bit that are packed end on a whole byte per frame.
+
+    Raises:
+        InputError: if a quantity is not above 0.
+    """
+    require_positive(sensor_px_h=sensor_px_h, sensor_px_v=sensor_px_v, bits_per_pixel=bits_per_pixel)
+    return ceil_to_whole(sensor_px_h * sensor_px_v * bits_per_pixel / 8)
+
+
+def data_rate_mbit_s(
+    cameras: int, sensor_px_h: int, sensor_px_v: int, bits_per_pixel: int, frame_rate_hz: float
+) -> float:
+    """Data rate of all cameras while a board passes, in 10⁶ bit/s.
+
+    Raises:
+        InputError: if a quantity is not above 0.
+    """
+    require_positive(
+        cameras=cameras,
+        sensor_px_h=sensor_px_h,
+        sensor_px_v=sensor_px_v,
+        bits_per_pixel=bits_per_pixel,
+        frame_rate_hz=frame_rate_hz,
+    )
+    return cameras * sensor_px_h * sensor_px_v * bits_per_pixel * frame_rate_hz * 1e-6
+
+
+def buffer_bytes(cameras: int, rows: int, one_frame_bytes: int, runs: int = 1) -> int:
+    """Memory for all frames of a number of runs: what the ring must hold.
+
+    Raises:
+        InputError: if a quantity is not above 0.
+    """
+    require_positive(cameras=cameras, rows=rows, one_frame_bytes=one_frame_bytes, runs=runs)
+    return cameras * rows * one_frame_bytes * runs

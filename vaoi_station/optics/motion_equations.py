@@ -1,0 +1,85 @@
+"""What the board's motion does to the pictures: equations (4), (5) and (6), and parallax."""
+
+from __future__ import annotations
+
+from vaoi_station.optics.quantity_checks import require, require_non_negative, require_positive
+
+
+def motion_blur_px(speed_mm_s: float, resolution_px_per_mm: float, exposure_us: float) -> float:
+    """Distance v·r·s in pixels that the board moves during one exposure; left side of equation (4).
+
+    Args:
+        speed_mm_s: conveyor speed v.
+        resolution_px_per_mm: r.
+        exposure_us: exposure time s.
+
+    Raises:
+        InputError: if a quantity is not above 0.
+    """
+    require_positive(speed_mm_s=speed_mm_s, resolution_px_per_mm=resolution_px_per_mm, exposure_us=exposure_us)
+    return speed_mm_s * resolution_px_per_mm * exposure_us * 1e-6
+
+
+def longest_exposure_us(blur_px: float, speed_mm_s: float, resolution_px_per_mm: float) -> float:
+    """Longest exposure time s with at most `blur_px` (τ) of motion blur; equation (5).
+
+    Raises:
+        InputError: if a quantity is not above 0.
+    """
+    require_positive(blur_px=blur_px, speed_mm_s=speed_mm_s, resolution_px_per_mm=resolution_px_per_mm)
+    return blur_px / (speed_mm_s * resolution_px_per_mm) * 1e6
+
+
+def lowest_frame_rate_hz(
+    speed_mm_s: float, resolution_px_per_mm: float, sensor_px_v: float, multiplicity_v: float
+) -> float:
+    """Lowest frame rate t that shows every point in m_v frames of a camera; equation (6).
+
+    Args:
+        speed_mm_s: v.
+        resolution_px_per_mm: r.
+        sensor_px_v: pixels of a frame along the motion, p_v.
+        multiplicity_v: m_v.
+
+    Raises:
+        InputError: if a quantity is not above 0.
+    """
+    require_positive(
+        speed_mm_s=speed_mm_s,
+        resolution_px_per_mm=resolution_px_per_mm,
+        sensor_px_v=sensor_px_v,
+        multiplicity_v=multiplicity_v,
+    )
+    return speed_mm_s * resolution_px_per_mm / sensor_px_v * multiplicity_v
+
+
+def parallax_px(height_mm: float, shift_mm: float, distance_mm: float, resolution_px_per_mm: float) -> float:
+    """How many pixels more than the board's surface a point moves that stands above it: r·s·h / (d − h).
+
+    Between two rows the shift is the board's motion, between two neighbouring cameras their pitch. It is
+    the error of a stitch that ignores a height, and the signal from which a height is measured.
+
+    Args:
+        height_mm: of the point above the calibrated plane, h; below the distance.
+        shift_mm: between the two views, s.
+        distance_mm: of the cameras above the plane, d.
+        resolution_px_per_mm: in the plane, r.
+
+    Raises:
+        InputError: if a quantity is out of its range.
+    """
+    require_positive(distance_mm=distance_mm, resolution_px_per_mm=resolution_px_per_mm)
+    require_non_negative(height_mm=height_mm, shift_mm=shift_mm)
+    require(height_mm < distance_mm, "height_mm", height_mm, f"below the distance, {distance_mm} mm")
+    return resolution_px_per_mm * shift_mm * height_mm / (distance_mm - height_mm)
+
+
+def parallax_px_per_mm(shift_mm: float, distance_mm: float, resolution_px_per_mm: float) -> float:
+    """Parallax per mm of height for parts that are low against the distance: r·s / d.
+
+    Raises:
+        InputError: if the distance or the resolution is not above 0, or the shift below 0.
+    """
+    require_positive(distance_mm=distance_mm, resolution_px_per_mm=resolution_px_per_mm)
+    require_non_negative(shift_mm=shift_mm)
+    return resolution_px_per_mm * shift_mm / distance_mm

@@ -1,0 +1,175 @@
+"""The parts of a plan: array, lens, motion and data, each worked out from the requirements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vaoi_station.optics import array_equations, data_rates, lens_equations, motion_equations, pulse_timing
+from vaoi_station.optics.quantity_checks import ceil_to_whole
+from vaoi_station.optics.requirements import Requirements
+
+
+@dataclass(frozen=True)
+class ArrayPlan:
+    """The cameras side by side."""
+
+    cameras_needed: float
+    """w·r·m_h / p_h, a fraction."""
+    cameras: int
+    """n: chosen, or the next whole number."""
+    multiplicity_h: float
+    """m_h that these cameras reach."""
+    field_width_mm: float
+    field_height_mm: float
+    camera_pitch_mm: float
+    parallax_px_per_mm: float
+    """Per mm of part height, from one camera to its neighbour."""
+
+
+@dataclass(frozen=True)
+class LensPlan:
+    """Lens, distance and aperture; None where the requirements leave a figure open."""
+
+    focal_length_mm: float
+    """f of equation (1) at d_max."""
+    lens_mm: float
+    """Focal length used: of the lens in stock, or that of equation (1)."""
+    working_distance_mm: float
+    """d at which the lens used reaches r; equations (2) and (3) are taken there."""
+    f_number: float | None
+    """N: chosen, or from equation (3)."""
+    depth_of_field_mm: float | None
+    """d_f of equation (2) with that N."""
+    airy_disc_px: float | None
+    """Blur by diffraction with that N."""
+
+
+@dataclass(frozen=True)
+class MotionPlan:
+    """Exposure and pulses."""
+
+    longest_exposure_us: float
+    """Equation (5)."""
+    exposure_us: float
+    """s: chosen, or the longest."""
+    motion_blur_px: float
+    """v·r·s of equation (4)."""
+    lowest_frame_rate_hz: float
+    """Equation (6)."""
+    frame_rate_hz: float
+    """t: chosen, or the lowest."""
+    trigger_period_us: float
+    spare_time_us: float
+    """Of a period, after exposure and readout."""
+    row_step_mm: float
+    """How far the board moves between two rows."""
+    multiplicity_v: float
+    """m_v that this frame rate reaches."""
+    parallax_px_per_mm: float
+    """Per mm of part height, from one row to the next."""
+
+
+@dataclass(frozen=True)
+class DataPlan:
+    """Bits per second, and bytes of the longest board; None where its length is not known."""
+
+    frame_bytes: int
+    data_rate_mbit_s: float
+    capture_duration_s: float | None
+    rows: int | None
+    """m: pulses while the longest board is in view."""
+    run_bytes: int | None
+    """Frames of the longest board."""
+    ring_bytes: int | None
+    """Frames of all boards in memory."""
+
+
+def plan_lens(q: Requirements) -> LensPlan:
+    """Lens, distance and aperture that reach the resolution.
+
+    Raises:
+        InputError: if quantities that are sound by themselves contradict each other.
+    """
+    sensor = (q.sensor_px_h, q.resolution_px_per_mm, q.sensor_width_mm)
+    ideal = lens_equations.focal_length_mm(q.distance_max_mm, *sensor)
+    used = q.lens_mm or ideal
+    distance = lens_equations.working_distance_mm(used, *sensor)
+    c, depth, aperture = q.circle_of_confusion_mm, None, q.f_number
+    if aperture is None and c is not None and q.depth_of_field_mm is not None:
+        aperture = lens_equations.f_number(q.depth_of_field_mm, distance, used, c)
+    if aperture is not None and c is not None:
+        depth = lens_equations.depth_of_field_mm(distance, used, aperture, c)
+    airy = None
+    if aperture is not None:
+        airy = lens_equations.airy_disc_px(aperture, distance, used, q.sensor_px_h, q.sensor_width_mm)
+    return LensPlan(ideal, used, distance, aperture, depth, airy)
+
+
+def plan_motion(q: Requirements, distance_mm: float) -> MotionPlan:
+    """Exposure and pulses at a working distance, which parallax depends on.
+
+    Raises:
+        InputError: if quantities that are sound by themselves contradict each other.
+    """
+    longest = motion_equations.longest_exposure_us(q.blur_px, q.speed_mm_s, q.resolution_px_per_mm)
+    exposure = q.exposure_us or longest
+    lowest = motion_equations.lowest_frame_rate_hz(
+        q.speed_mm_s, q.resolution_px_per_mm, q.sensor_px_v, q.multiplicity_v
+    )
+    rate = q.frame_rate_hz or lowest
+    period, step = pulse_timing.trigger_period_us(rate), q.speed_mm_s / rate
+    return MotionPlan(
+        longest_exposure_us=longest,
+        exposure_us=exposure,
+        motion_blur_px=motion_equations.motion_blur_px(q.speed_mm_s, q.resolution_px_per_mm, exposure),
+        lowest_frame_rate_hz=lowest,
+        frame_rate_hz=rate,
+        trigger_period_us=period,
+        spare_time_us=pulse_timing.spare_time_us(period, exposure, q.readout_us),
+        row_step_mm=step,
+        multiplicity_v=pulse_timing.achieved_multiplicity_v(rate, q.sensor_px_v, q.speed_mm_s, q.resolution_px_per_mm),
+        parallax_px_per_mm=motion_equations.parallax_px_per_mm(step, distance_mm, q.resolution_px_per_mm),
+    )
+
+
+def plan_array(q: Requirements, distance_mm: float) -> ArrayPlan:
+    """The cameras side by side at a working distance.
+
+    Raises:
+        InputError: if quantities that are sound by themselves contradict each other.
+    """
+    needed = array_equations.cameras_needed(q.width_mm, q.resolution_px_per_mm, q.multiplicity_h, q.sensor_px_h)
+    cameras = q.cameras or ceil_to_whole(needed)
+    width = array_equations.field_of_view_mm(q.sensor_px_h, q.resolution_px_per_mm)
+    pitch = array_equations.camera_pitch_mm(cameras, q.width_mm, width)
+    return ArrayPlan(
+        cameras_needed=needed,
+        cameras=cameras,
+        multiplicity_h=array_equations.achieved_multiplicity_h(
+            cameras, q.sensor_px_h, q.width_mm, q.resolution_px_per_mm
+        ),
+        field_width_mm=width,
+        field_height_mm=array_equations.field_of_view_mm(q.sensor_px_v, q.resolution_px_per_mm),
+        camera_pitch_mm=pitch,
+        parallax_px_per_mm=motion_equations.parallax_px_per_mm(pitch, distance_mm, q.resolution_px_per_mm),
+    )
+
+
+def plan_data(q: Requirements, cameras: ArrayPlan, pulses: MotionPlan) -> DataPlan:
+    """What these cameras and pulses make flow, and what has to be kept.
+
+    Raises:
+        InputError: if quantities that are sound by themselves contradict each other.
+    """
+    size = data_rates.frame_bytes(q.sensor_px_h, q.sensor_px_v, q.bits_per_pixel)
+    rate = data_rates.data_rate_mbit_s(
+        cameras.cameras, q.sensor_px_h, q.sensor_px_v, q.bits_per_pixel, pulses.frame_rate_hz
+    )
+    if q.longest_board_mm is None:
+        return DataPlan(size, rate, None, None, None, None)
+    duration = pulse_timing.capture_duration_s(q.longest_board_mm, cameras.field_height_mm, q.speed_mm_s)
+    rows = pulse_timing.rows_per_board(duration, pulses.frame_rate_hz)
+    run = data_rates.buffer_bytes(cameras.cameras, rows, size)
+    return DataPlan(
+        size, rate, duration, rows, run, data_rates.buffer_bytes(cameras.cameras, rows, size, q.runs_in_memory)
+    )
