@@ -1,6 +1,6 @@
-"""What tests need of the machine they run on.
+"""Requirements of tests on the machine.
 
-Where a verdict hangs on it, what is lacking is an error; at a desk the test is skipped and says what to install.
+In CI a missing requirement is a failure; elsewhere the test is skipped, and the reason names what to install.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from vaoi_station.errors import DeviceError
 
 
 def is_yes(setting: str) -> bool:
-    """Whether a variable of the environment is set, and not to what means no."""
+    """Return whether an environment variable is set to a value other than 0, false, no or off."""
     return setting.strip().lower() not in {"", "0", "false", "no", "off"}
 
 
 VERDICT = is_yes(os.environ.get("CI", ""))
-"""Whether a verdict hangs on this session."""
+"""True in CI, where a test must not be skipped for a missing requirement."""
 FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
-"""Beside the checkout: `make.py` films a case, `score.py` compares a result with the truth."""
+"""Directory beside the checkout: `make.py` renders a recorded case, `score.py` compares a result with its truth."""
 _PACKAGES = {
     "avr-gcc": "gcc-avr avr-libc",
     "cc": "gcc",
@@ -35,30 +35,30 @@ _PACKAGES = {
     "make": "make",
     "simavr/sim_avr.h": "libsimavr-dev libelf-dev",
 }
-"""The distribution's, by the program or the header that is looked for."""
+"""Packages of the distribution, by the program or header that they provide."""
 
 
 def lacking(what: str) -> NoReturn:
-    """Leave the test out, or let it fail where a verdict hangs on it."""
+    """Skip the test, or fail it in CI."""
     if VERDICT:
         pytest.fail(what)
     pytest.skip(f"platform: {what}")
 
 
 def need(*wanted: str) -> None:
-    """Programs and headers."""
+    """Require programs and headers."""
     missing = [_PACKAGES[name] for name in wanted if not _is_there(name)]
     if missing:
         lacking(f"install the distribution's packages {' '.join(missing)}")
 
 
 def need_emulator() -> None:
-    """What the firmware and the chip that it runs on are built with."""
+    """Require the tools that build the firmware and the emulated chip."""
     need("avr-gcc", "make", "gcc", "simavr/sim_avr.h")
 
 
 def need_aravis() -> None:
-    """Aravis, and a PyGObject for this Python."""
+    """Require Aravis, and PyGObject for this Python."""
     try:
         aravis()
     except DeviceError as refusal:
@@ -66,13 +66,13 @@ def need_aravis() -> None:
 
 
 def need_films() -> None:
-    """The programs that film the recorded cases and score what is made of them."""
+    """Require the programs that render the recorded cases and score their results."""
     if not (FILMS / "make.py").is_file():
         lacking(f"the recorded cases are not beside this checkout, in {FILMS}")
 
 
 def chromium() -> str:
-    """Path of the distribution's browser; playwright's own would have to be downloaded."""
+    """Return the path of the distribution's browser; playwright's own would have to be downloaded."""
     need("chromium")
     path = shutil.which("chromium")
     assert path is not None

@@ -10,7 +10,7 @@ from vaoi_station import config
 from vaoi_station.config import Line, Section, read_config
 from vaoi_station.errors import InputError, NotFoundError
 
-SOUND = """
+VALID = """
 name = "line 3"
 calibration = "calibration.json"
 board_types = "boards"
@@ -62,7 +62,7 @@ port = 8350
 
 
 def written(directory: Path, *changes: tuple[str, str]) -> Path:
-    text = SOUND
+    text = VALID
     for old, new in changes:
         assert old in text, f"the sound file has no {old!r}"
         text = text.replace(old, new)
@@ -71,7 +71,7 @@ def written(directory: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
-def test_a_sound_file_is_read_whole(tmp_path: Path) -> None:
+def test_valid_file_is_read_completely(tmp_path: Path) -> None:
     station = read_config(written(tmp_path))
     assert station.name == "line 3"
     assert station.line.speed_mm_s == 100
@@ -108,7 +108,7 @@ def test_replay_paths_are_relative_to_the_file_too(tmp_path: Path) -> None:
     assert station.replay.pace == "original"
 
 
-def test_real_devices_come_together(tmp_path: Path) -> None:
+def test_real_cameras_need_the_real_controller(tmp_path: Path) -> None:
     """Lights are used in the order of the file, if none is given."""
     real = (
         ('exposure_us = 250.0\n', 'exposure_us = 250.0\nbackend = "aravis"\nserial = "A17"\n'),
@@ -125,7 +125,7 @@ def test_real_devices_come_together(tmp_path: Path) -> None:
     assert read_config(written(tmp_path, *real, *ordered)).controller.light_sequence == ("low", "top", "low")
 
 
-def test_the_configuration_is_frozen(tmp_path: Path) -> None:
+def test_configuration_is_frozen(tmp_path: Path) -> None:
     station = read_config(written(tmp_path))
     with pytest.raises(ValidationError, match="frozen"):
         station.line.tail_s = 1.0  # type: ignore[misc]
@@ -140,7 +140,7 @@ def test_rows_of_the_longest_board(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("delay", "rows"), [(0.0, 1 + 5), (0.45, 1 + 1), (0.4, 1 + 1), (0.3999, 1 + 2), (0.5, 1)])
-def test_no_pulse_of_the_longest_board_lacks_a_slot(delay: float, rows: int) -> None:
+def test_every_pulse_of_the_longest_board_has_a_slot(delay: float, rows: int) -> None:
     line = Line(
         conveyor_mm_s=(0.0, -100.0), barrier_mm=0.0, start_delay_s=delay, trigger_period_s=0.1, tail_s=0.1,
         longest_board_mm=40.0,
@@ -158,7 +158,7 @@ def test_no_pulse_of_the_longest_board_lacks_a_slot(delay: float, rows: int) -> 
         ("workers = 2", "workers = 65", r"workers: .*less than or equal to 64 \(given: 65\)"),
         ("workers = 2", 'workers = "2"', r"workers: .*valid integer \(given: '2'\)"),
         ('calibration = "calibration.json"', "", "calibration: Field required"),
-        ("conveyor_mm_s = [0.0, 100.0]", "conveyor_mm_s = [0, 0]", r"line: conveyor_mm_s is \[0, 0\]; boards would"),
+        ("conveyor_mm_s = [0.0, 100.0]", "conveyor_mm_s = [0, 0]", r"line: conveyor_mm_s is \[0, 0\], but must"),
         ("conveyor_mm_s = [0.0, 100.0]", "conveyor_mm_s = [nan, 1]", r"line\.conveyor_mm_s\.0: .*finite"),
         ("conveyor_mm_s = [0.0, 100.0]", "conveyor_mm_s = [100]", r"line\.conveyor_mm_s"),
         ("start_delay_s = 0.3", "start_delay_s = -0.1", r"line\.start_delay_s: .*equal to 0 \(given: -0\.1\)"),
@@ -204,13 +204,13 @@ def test_impossible_values_are_refused_with_file_key_value_and_limit(
 
 
 def test_cameras_are_needed(tmp_path: Path) -> None:
-    text = re.sub(r"\[\[cameras\]\][^\[]*", "", SOUND)
+    text = re.sub(r"\[\[cameras\]\][^\[]*", "", VALID)
     (tmp_path / "station.toml").write_text(text)
     with pytest.raises(InputError, match="cameras: Field required"):
         read_config(tmp_path / "station.toml")
 
 
-def test_an_absent_file_is_named(tmp_path: Path) -> None:
+def test_absent_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match=r"station\.toml: there is no such file"):
         read_config(tmp_path / "station.toml")
 

@@ -1,4 +1,4 @@
-"""What is shipped for the machine is enough for the array that is shipped as an example."""
+"""The deployment files suffice for the example array."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def lines(name: str) -> list[str]:
     return [line for line in text.splitlines() if line and not line.startswith("#")]
 
 
-def test_the_socket_buffers_hold_a_second_of_the_papers_cameras() -> None:
+def test_socket_buffers_hold_one_second_of_the_papers_cameras() -> None:
     (line,) = lines("60-vaoi.conf")
     key, value = line.split(" = ")
     needed = max(socket_bytes(camera, PAPER.line.trigger_period_s) for camera in PAPER.cameras)
@@ -31,7 +31,7 @@ def test_the_socket_buffers_hold_a_second_of_the_papers_cameras() -> None:
     assert judge_buffers(int(value), needed).level is Level.OK
 
 
-def test_the_usb_memory_serves_as_many_cameras() -> None:
+def test_usb_memory_suffices_for_the_array() -> None:
     (line,) = lines("vaoi-usb-memory.conf")
     kind, path, *_, value = line.split()
     assert (kind, path) == ("w", f"/{PARAMETER}")
@@ -42,7 +42,7 @@ def test_the_usb_memory_serves_as_many_cameras() -> None:
     ("interfaces", "given"),
     [(":ef0500:ef0501:ef0502:", True), (":ef0500:", True), (":030101:030102:", False), (":ef0201:", False)],
 )
-def test_the_rule_knows_usb3_vision_cameras_by_their_interface(interfaces: str, given: bool) -> None:
+def test_udev_rule_matches_usb3_vision_interfaces(interfaces: str, given: bool) -> None:
     """Class EF, subclass 05, protocol 00 controls a device of USB3 Vision; udev matches as a shell does."""
     (line,) = lines("70-vaoi-cameras.rules")
     pairs = re.findall(r'(?:^|, )([A-Z]+(?:\{\w+\})?)(==|\+?=)"([^"]*)"', line)
@@ -57,7 +57,7 @@ def service(key: str) -> list[str]:
     return value.split()
 
 
-def test_the_service_may_lock_its_ring_and_use_its_port() -> None:
+def test_service_may_lock_its_ring_and_use_its_port() -> None:
     assert service("LimitMEMLOCK") == ["infinity"]
     port = (DEPLOY / "71-vaoi-controller.rules").read_text(encoding="utf-8")
     (group,) = set(re.findall(r'GROUP="(\w+)"', port))

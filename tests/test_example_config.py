@@ -1,4 +1,4 @@
-"""The example station.toml and its page: they fit the shipped scenario and say every key."""
+"""The example configurations fit the shipped scenario, and the documentation names every key."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from vaoi_station.simulation import scenario_path
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_the_example_is_a_station_of_the_shipped_scenario() -> None:
+def test_example_fits_the_shipped_scenario() -> None:
     config = read_config(ROOT / "deploy" / "station.toml")
     assert config.simulation is not None
     shipped = config.simulation.model_copy(update={"scenario": scenario_path("demo")})
     check_backends(config.model_copy(update={"simulation": shipped}))
 
 
-def test_the_papers_array_is_the_one_that_is_planned() -> None:
+def test_example_of_the_paper_agrees_with_the_plan() -> None:
     """Pitch, view, rate and memory of deploy/station-paper.toml are those of `vaoi plan --example paper`."""
     config = read_config(ROOT / "deploy" / "station-paper.toml")
     plan = make_plan(PAPER)
@@ -55,6 +55,6 @@ def keys_of(model: type[BaseModel]) -> set[str]:
     return keys
 
 
-def test_the_page_says_every_key() -> None:
+def test_documentation_names_every_key() -> None:
     page = (ROOT / "docs" / "configuration.md").read_text()
     assert [key for key in keys_of(StationConfig) if key not in page] == []

@@ -46,7 +46,7 @@ def test_a_device_or_directory_is_not_overwritten(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for place in (pipe, tmp_path):
-        with pytest.raises(InputError, match="is not a file and is left as it is"):
+        with pytest.raises(InputError, match="is not a file and is not overwritten"):
             write_json(place, {})
     assert pipe.is_fifo()
 

@@ -1,4 +1,4 @@
-"""`station.toml` → one frozen `StationConfig`; unknown keys and impossible values are refused.
+"""Read `station.toml` into one frozen `StationConfig`; refuse unknown keys and impossible values.
 
 Relative paths in the file are relative to the file. Lengths along the line are in tester
 coordinates (mm in the conveyor's plane, axes and origin of the calibration board).
@@ -17,39 +17,39 @@ from vaoi_station.model import CameraHead, Finite, Positive, Whole
 from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormatName
 
 MethodName = Literal["auto", "fiducials", "features", "reference"]
-"""Ways to stitch; `stitching.method` says what each looks at."""
+"""Methods of stitching; `stitching.method` describes the evidence that each uses."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Pixels = Annotated[Whole, Field(ge=0)]
 Word = Annotated[str, Field(min_length=1)]
 
 CAMERAS_OF = {"simulated": "simulated", "replay": "replay", "serial": "aravis"}
-"""Backend of the controller → that of its cameras: they stand for one world."""
+"""Backend of the controller → backend of its cameras: a simulated pulse cannot fire a real camera."""
 TABLE_OF = {"simulated": "simulation", "replay": "replay"}
-"""Backend of the controller → the table that describes what it stands in for."""
+"""Backend of the controller → the table that configures the scenario or the recordings."""
 
 LONGEST_GAP_S = 2147.0
 """The protocol's 32 bits of ticks of 0.5 µs (hw/protocol.md), whole seconds of them."""
 
 
 class Section(BaseModel):
-    """A table of the file: frozen, no unknown keys."""
+    """A table of the file: frozen, without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class ExpectedBoard(Section):
-    """Where the board lies when the first row is filmed, and how well that is known.
+    """Position of the board when the first row is filmed, with tolerances.
 
-    The leading edge follows from barrier, delay and speed; across the line a fixed rail or the middle
-    of the conveyor guides the board.
+    The leading edge follows from barrier, delay and speed. Across the line, a fixed rail or the middle of the
+    conveyor guides the board.
     """
 
     rail_mm: Finite | None = None
-    """Tester coordinate, across the motion, of the board's edge at the fixed rail (its lower edge there)."""
+    """Tester coordinate, across the motion, of the board's lower edge at the fixed rail."""
     center_mm: Finite | None = None
-    """The same for the board's middle, on lines that centre boards."""
+    """Tester coordinate of the board's middle, on lines that centre boards."""
     rotation_deg: Literal[0, 90, 180, 270] = 0
-    """Quarter turns by which the board lies turned on the belt, from CAD-upright, as the camera sees it."""
+    """Rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
     tolerance_mm: Positive = 4.0
     rotation_tolerance_deg: Annotated[Positive, Field(le=30)] = 3.0
 
@@ -61,26 +61,27 @@ class ExpectedBoard(Section):
 
 
 class Line(Section):
-    """The mechanics of the line."""
+    """The geometry and the timing of the line."""
 
     conveyor_mm_s: tuple[Finite, Finite]
     """Nominal velocity of the board in tester coordinates."""
     barrier_mm: Finite
     """Tester coordinate, along the motion, of the light barrier."""
     start_delay_s: NotNegative
-    """From the barrier's interruption to the first pulse."""
+    """Time from the interruption of the barrier to the first pulse."""
     trigger_period_s: Positive
     tail_s: NotNegative
-    """How long the pulses go on after the board has left the barrier."""
+    """Time for which pulses continue after the board has left the barrier."""
     longest_board_mm: Positive
     debounce_s: NotNegative = 0.005
-    """Shorter interruptions of the barrier are bounces."""
+    """Shorter interruptions of the barrier are ignored as bounces."""
     expected_board: ExpectedBoard = ExpectedBoard()
 
     @model_validator(mode="after")
     def _moves(self) -> Self:
         if self.speed_mm_s == 0:
-            raise ValueError("conveyor_mm_s is [0, 0]; boards would never pass")
+            raise ValueError("conveyor_mm_s is [0, 0], but must not be zero")
+        # The controller would end such a run before its first pulse.
         if self.start_delay_s > self.passing_s:
             raise ValueError(
                 f"start_delay_s is {self.start_delay_s}, but the longest board has passed the barrier and "
@@ -90,17 +91,17 @@ class Line(Section):
 
     @property
     def speed_mm_s(self) -> float:
-        """The paper's v."""
+        """The speed of the belt (the paper's v)."""
         return math.hypot(*self.conveyor_mm_s)
 
     @property
     def passing_s(self) -> float:
-        """From the barrier's interruption by the longest board to the end of its tail."""
+        """Time from the interruption of the barrier by the longest board to the end of its tail."""
         return self.longest_board_mm / self.speed_mm_s + self.tail_s
 
     @property
     def rows_of_longest_board(self) -> int:
-        """Pulses of the longest passage: while it covers the barrier, and the tail. The paper's m."""
+        """Number of pulses for the longest board, from start delay to end of tail (the paper's m)."""
         return 1 + math.ceil((self.passing_s - self.start_delay_s) / self.trigger_period_s)
 
 
@@ -113,35 +114,35 @@ class CameraConfig(Section):
     height: Annotated[Whole, Field(ge=16, le=65536)]
     exposure_us: Positive
     readout_us: NotNegative = 0.0
-    """How long after an exposure the next one may begin; 0: it exposes while it reads out."""
+    """Time from the end of an exposure to the earliest next one; 0 for sensors that expose while they read out."""
     pixel_format: PixelFormatName = "Mono8"
     serial: Word | None = None
-    """An Aravis camera's serial number."""
+    """Serial number of an Aravis camera."""
     address: Word | None = None
-    """In place of it: its IP address or host name, which finds it without a search."""
+    """Instead of the serial number: IP address or host name, with which the camera is found without a search."""
     offset_px: tuple[Pixels, Pixels] = (0, 0)
-    """Column and row of the sensor where the frame begins."""
+    """Column and row of the sensor at which the frame begins."""
     gain_db: Finite = 0.0
     trigger_line: Word | None = None
-    """The camera's input the trigger is wired to; None: the one usual for its make."""
+    """Input of the camera to which the trigger is wired; None for the usual one of its vendor."""
     packet_bytes: Annotated[Whole, Field(ge=576, le=65535)] | None = None
-    """Largest packet; None: what the interface takes, 9000 at most."""
+    """Largest packet in bytes; None for the MTU of the interface, at most 9000."""
     link_mbit_s: Positive | None = None
-    """Of the port whose cameras share one cable; None: what the interface says."""
+    """Speed of the port, which its cameras share; None for the speed that the interface reports."""
     features: dict[str, bool | Whole | Finite | str] = {}
-    """Further settings by their GenICam names, written in this order before the trigger's."""
+    """Further settings by their GenICam names, written in this order before the trigger settings."""
     nominal_center_mm: tuple[Finite, Finite] | None = None
-    """Where it is meant to look, by the mechanical design; calibration needs it to a few mm."""
+    """Centre of its view by the mechanical design, in tester coordinates; calibration needs it to a few mm."""
     nominal_px_per_mm: Positive | None = None
 
     @property
     def label(self) -> str:
-        """How sentences call it: "camera left", but "camera 0" where that is its name already."""
+        """The camera's name in messages: "camera left", or the name itself if it begins with "camera"."""
         return self.name if self.name.lower().startswith("camera") else f"camera {self.name}"
 
     @property
     def head(self) -> CameraHead:
-        """What a recording says of it."""
+        """The camera's entry in the head of a recording."""
         return CameraHead(
             width=self.width,
             height=self.height,
@@ -152,7 +153,7 @@ class CameraConfig(Section):
 
     @property
     def frame_bytes(self) -> int:
-        """Size of one frame in the ring."""
+        """Size of one frame in the ring, in bytes."""
         return PIXEL_FORMATS[self.pixel_format].nbytes(self.width, self.height)
 
     @model_validator(mode="after")
@@ -162,13 +163,14 @@ class CameraConfig(Section):
                 raise ValueError(f"camera {self.name!r} needs a serial or an address, and not both")
         elif self.serial is not None or self.address is not None:
             raise ValueError(f"camera {self.name!r} has backend {self.backend!r}, which has no serial and no address")
+        # Only frames of Aravis cameras are unpacked; the others are written to the ring as they are.
         elif not PIXEL_FORMATS[self.pixel_format].in_place:
             raise ValueError(f"camera {self.name!r} has backend {self.backend!r}, which sends Mono8 or Mono16 only")
         return self
 
 
 class LightConfig(Section):
-    """A light pattern: LED channels that are lit together, and for how long."""
+    """A light pattern: LED channels that are lit together, and their on-time."""
 
     channels: Annotated[tuple[Annotated[Whole, Field(ge=0, le=7)], ...], Field(min_length=1)]
     on_us: Positive
@@ -179,15 +181,15 @@ class ControllerConfig(Section):
 
     backend: Literal["simulated", "replay", "serial"] = "simulated"
     port: Word = "/dev/vaoi-trigger"
-    """Its serial port, by a name that stays: deploy/71-vaoi-controller.rules makes this one."""
+    """Serial port by a name that does not change; deploy/71-vaoi-controller.rules creates this one."""
     baud: Annotated[Whole, Field(ge=9600, le=2_000_000)] = 250_000
     trigger_us: Annotated[Positive, Field(ge=50, le=2000)] = 100.0
-    """Width of the cameras' trigger, within the limits of hw/protocol.md."""
+    """Width of the camera trigger, within the limits of hw/protocol.md."""
     min_gap_s: Annotated[NotNegative, Field(le=LONGEST_GAP_S)] = 0.0
-    """A board that comes sooner after the last one's end is not filmed."""
+    """A board that arrives sooner after the end of the previous run is not filmed."""
     lights: dict[str, LightConfig] = {}
     order: tuple[str, ...] = ()
-    """Lights of the rows, in turn; empty: all in the order of the file. Without lights only cameras are fired."""
+    """Lights of consecutive rows; empty for all in the order of the file. Without lights only cameras are triggered."""
 
     @model_validator(mode="after")
     def _lights_exist(self) -> Self:
@@ -197,65 +199,65 @@ class ControllerConfig(Section):
 
     @property
     def light_sequence(self) -> tuple[str, ...]:
-        """Names of the lights of rows 0, 1, …, then from the start again."""
+        """Names of the lights of rows 0, 1, …; the sequence repeats."""
         return self.order or tuple(self.lights)
 
 
 class SimulationConfig(Section):
-    """The digital twin that stands in for line, cameras and controller."""
+    """The digital twin that simulates line, cameras and controller."""
 
     scenario: Path
     boards: Annotated[Whole, Field(ge=0)] = 0
-    """How many boards pass; 0: they keep coming."""
+    """Number of boards that pass; 0 for no end."""
     interval_s: Positive = 5.0
-    """Time between the leading edges of two boards, at least; frames are rendered beforehand."""
+    """Minimum time between the leading edges of two boards; frames are rendered in advance."""
 
 
 class ReplayConfig(Section):
-    """Recordings that are played in place of line, cameras and controller."""
+    """Recordings that are replayed instead of line, cameras and controller."""
 
     recordings: Annotated[tuple[Path, ...], Field(min_length=1)]
     runs: Annotated[Whole, Field(ge=0)] = 0
-    """How many runs are played, going round the recordings; 0: they keep coming."""
+    """Number of runs that are replayed, in a cycle over the recordings; 0 for no end."""
     pace: Literal["original", "fast"] = "original"
-    """With the original timing, or as fast as the frames are taken."""
+    """With the original timing, or as fast as frames are processed."""
     pause_s: NotNegative = 1.0
-    """Time between two runs at the original pace; a fast replay does not pause."""
+    """Pause between two runs at the original pace; a fast replay does not pause."""
 
 
 class RingConfig(Section):
-    """The shared memory for frames."""
+    """The ring, the shared memory for frames."""
 
     directory: Path = Path("/dev/shm")  # noqa: S108  (the ring is made exclusively, mode 0640)
     runs: Annotated[Whole, Field(ge=2, le=64)] = 3
-    """Runs it holds at once; one is being filmed while others are used."""
+    """Number of runs that the ring holds at once; one is filmed while the others are used."""
     spare_rows: Annotated[Whole, Field(ge=0, le=64)] = 2
-    """Slots per camera beyond the longest board, for frames nobody asked for."""
+    """Slots per camera beyond the longest board, for unassigned frames."""
     lease_s: Positive = 600.0
-    """A run that somebody holds is given up after this time without a sign of life."""
+    """Time after which a hold on a run ends, unless the caller renews it."""
 
 
 class ApiConfig(Section):
-    """Where the REST service listens."""
+    """The address at which the REST service listens."""
 
     host: str = "127.0.0.1"
     port: Annotated[Whole, Field(ge=0, le=65535)] = 8350
     names: tuple[str, ...] = ()
-    """Further names by which callers may address the station; loopback, the machine's own and addresses always do."""
+    """Further host names by which callers may address the station, besides its own name and addresses."""
 
 
 class StationConfig(Section):
-    """Everything the station is told before it starts."""
+    """The whole configuration of a station."""
 
     name: str = "vaoi"
     calibration: Path
     board_types: Path
-    """Directory of board types, NAME.json each."""
+    """Directory of board types, one NAME.json each."""
     data: Path
     """Directory for the database, results and kept recordings."""
     workers: Annotated[Whole, Field(ge=1, le=64)] = 2
     method: MethodName = "auto"
-    """How runs are stitched whose board type has no way of its own; `auto` uses a reference where one was taught."""
+    """Method for board types without a method of their own; `auto` uses a reference if there is one."""
     line: Line
     cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1)]
     controller: ControllerConfig = ControllerConfig()
@@ -266,13 +268,14 @@ class StationConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        # Names identify cameras in messages, in REST and on the page.
         names = [c.name for c in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"cameras have the names {names}; they must differ")
         for key in ("serial", "address"):
             given = [v for c in self.cameras if (v := getattr(c, key)) is not None]
             if twice := sorted({v for v in given if given.count(v) > 1}):
-                raise ValueError(f"several cameras have the {key} {', '.join(twice)}; each is one camera's")
+                raise ValueError(f"several cameras have the {key} {', '.join(twice)}; each may be given once")
         wanted = CAMERAS_OF[self.controller.backend]
         if wrong := sorted({c.backend for c in self.cameras} - {wanted}):
             raise ValueError(
@@ -282,6 +285,7 @@ class StationConfig(Section):
         if self.controller.backend != "serial" and getattr(self, TABLE_OF[self.controller.backend]) is None:
             needed = TABLE_OF[self.controller.backend]
             raise ValueError(f"backend {self.controller.backend!r} needs a table [{needed}]")
+        # A sensor that still exposes ignores the next trigger, and every second frame would be missing.
         for camera in self.cameras:
             if camera.exposure_us * 1e-6 >= self.line.trigger_period_s:
                 raise ValueError(
@@ -292,18 +296,19 @@ class StationConfig(Section):
 
     @property
     def rows_per_run(self) -> int:
-        """Slots per camera and run in the ring."""
+        """Number of slots per camera and run in the ring."""
         return self.line.rows_of_longest_board + self.ring.spare_rows
 
 
 def read_config(path: Path) -> StationConfig:
-    """Read `station.toml`; paths in it become absolute."""
+    """Read `station.toml`, and make its paths absolute."""
+    # Relative to the file, not to the working directory: systemd starts the service in /.
     config = parse(StationConfig, read_toml(path), path)
     return config.model_copy(update=_absolute(config, path.resolve().parent))
 
 
 def _absolute(section: BaseModel, base: Path) -> dict[str, Any]:
-    """The paths of a section, and of the sections inside it, made relative to the file's directory."""
+    """Return the paths of a table and of its nested tables, resolved from the directory of the file."""
     changed: dict[str, Any] = {}
     for key in type(section).model_fields:
         value = getattr(section, key)

@@ -1,4 +1,4 @@
-"""Small documents, sound as they are; tests break one thing at a time."""
+"""Small valid documents; each test changes one value."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vaoi_station.model import RecordingHead
 
 @pytest.fixture
 def calibration_document() -> dict[str, Any]:
-    """Two cameras side by side, everything that is optional given."""
+    """Two cameras side by side, with all optional keys."""
     return {
         "format": "vaoi-calibration",
         "version": 1,
@@ -36,7 +36,7 @@ def calibration_document() -> dict[str, Any]:
 
 @pytest.fixture
 def board_document() -> dict[str, Any]:
-    """A board of 3 × 2 inch with two fiducials and two components, everything that is optional given."""
+    """A board of 3 × 2 inch with two fiducials and two components, with all optional keys."""
     return {
         "name": "demo",
         "unit": "inch",
@@ -76,7 +76,7 @@ def recording_document() -> dict[str, Any]:
 
 @pytest.fixture
 def recording(tmp_path: Path, recording_document: dict[str, Any]) -> Recording:
-    """The recording of that document, written to disk with noise for frames."""
+    """The recording of that document on disk, with noise as frames."""
     g = np.random.default_rng(3)
     head = RecordingHead.model_validate(recording_document)
     frames = [
@@ -90,7 +90,7 @@ def recording(tmp_path: Path, recording_document: dict[str, Any]) -> Recording:
 
 @pytest.fixture
 def write(tmp_path: Path) -> Any:
-    """Writes a document as JSON text, without any of the product's checks, and gives its path."""
+    """A function that writes a document as JSON text without any check, and returns its path."""
 
     def write(document: Any, name: str = "document.json") -> Path:
         path = tmp_path / name

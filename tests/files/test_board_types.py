@@ -1,3 +1,5 @@
+"""Read and write board types."""
+
 from __future__ import annotations
 
 from collections.abc import Callable

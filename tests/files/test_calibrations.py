@@ -1,3 +1,5 @@
+"""Read and write calibrations."""
+
 from __future__ import annotations
 
 import re
@@ -16,13 +18,13 @@ from vaoi_station.model import CameraHead
 Write = Callable[..., Path]
 
 
-def test_a_calibration_round_trips(tmp_path: Path, write: Write, calibration_document: dict[str, Any]) -> None:
+def test_calibration_round_trips(tmp_path: Path, write: Write, calibration_document: dict[str, Any]) -> None:
     calibration = read_calibration(write(calibration_document), cameras=2)
     write_calibration(tmp_path / "again.json", calibration)
     assert read_json(tmp_path / "again.json") == calibration_document
 
 
-def test_what_is_optional_may_be_absent(tmp_path: Path, write: Write, calibration_document: dict[str, Any]) -> None:
+def test_optional_keys_may_be_absent(tmp_path: Path, write: Write, calibration_document: dict[str, Any]) -> None:
     required = ("format", "version", "unit", "camera_matrices")
     bare = {k: calibration_document[k] for k in required}
     calibration = read_calibration(write(bare))
@@ -33,7 +35,7 @@ def test_what_is_optional_may_be_absent(tmp_path: Path, write: Write, calibratio
     assert read_json(tmp_path / "again.json") == bare
 
 
-def test_cameras_are_made_of_their_own_entries(write: Write, calibration_document: dict[str, Any]) -> None:
+def test_cameras_are_built_from_their_entries(write: Write, calibration_document: dict[str, Any]) -> None:
     calibration_document["distortion"][1] = {"center": [1, 2], "radius": 3, "radial": [0.5]}
     heads = (CameraHead(width=1392, height=1040, exposure_us=1.0), CameraHead(width=640, height=480, exposure_us=1.0))
     camera = read_calibration(write(calibration_document)).cameras(heads)[1]
@@ -44,7 +46,7 @@ def test_cameras_are_made_of_their_own_entries(write: Write, calibration_documen
     np.testing.assert_array_equal(camera.image_from_row.matrix, calibration_document["camera_matrices"][1])
 
 
-def test_a_calibration_of_another_array_is_refused(write: Write, calibration_document: dict[str, Any]) -> None:
+def test_calibration_of_another_array_is_refused(write: Write, calibration_document: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="camera_matrices has 2 entries, but 3 cameras were filming"):
         read_calibration(write(calibration_document), cameras=3)
 
@@ -65,7 +67,7 @@ MATRIX = [[40.0, 0, 600], [0, 40, 500], [0, 0, 1]]
         ([[0, 0, 5], [0, 1, 0], [0, 0, 1]], "is singular"),
     ],
 )
-def test_faulty_matrices_are_refused_by_their_place(
+def test_faulty_matrices_are_refused_with_their_index(
     write: Write, calibration_document: dict[str, Any], matrix: Any, complaint: str
 ) -> None:
     calibration_document["camera_matrices"][1] = matrix
@@ -73,7 +75,7 @@ def test_faulty_matrices_are_refused_by_their_place(
         read_calibration(write(calibration_document))
 
 
-def test_nan_in_a_matrix_is_refused_by_its_place(write: Write, calibration_document: dict[str, Any]) -> None:
+def test_nan_in_a_matrix_is_refused_with_its_index(write: Write, calibration_document: dict[str, Any]) -> None:
     calibration_document["camera_matrices"][0][1][2] = float("nan")
     with pytest.raises(InputError, match=r"document\.json: camera_matrices\.0\.1\.2 is nan, but must be a finite"):
         read_calibration(write(calibration_document))
@@ -88,7 +90,7 @@ def test_nan_in_a_matrix_is_refused_by_its_place(write: Write, calibration_docum
         ([[40.0, 0, 600], [0, -40, 500], [0, 0, 1]], "has a determinant of the other sign than most: camera 1 mirrors"),
     ],
 )
-def test_a_view_that_no_camera_of_the_array_has_is_refused(
+def test_impossible_view_is_refused(
     write: Write, calibration_document: dict[str, Any], matrix: Any, complaint: str
 ) -> None:
     calibration_document = {k: calibration_document[k] for k in ("format", "version", "unit")}
@@ -102,7 +104,7 @@ def _head(nominal: float | None) -> CameraHead:
 
 
 @pytest.mark.parametrize("nominal", [26.0, 61.0, 4.0, 1e-3, 1e6])
-def test_a_resolution_far_from_the_design_is_refused(
+def test_resolution_far_from_the_nominal_one_is_refused(
     write: Write, calibration_document: dict[str, Any], nominal: float
 ) -> None:
     document = {k: calibration_document[k] for k in ("format", "version", "unit")}
@@ -115,7 +117,9 @@ def test_a_resolution_far_from_the_design_is_refused(
         read_calibration(write(document), [_head(40.0), _head(nominal)])
 
 
-def test_one_camera_alone_has_the_resolution_of_its_design(write: Write, calibration_document: dict[str, Any]) -> None:
+def test_single_camera_is_checked_against_its_nominal_resolution(
+    write: Write, calibration_document: dict[str, Any]
+) -> None:
     document = {k: calibration_document[k] for k in ("format", "version", "unit")}
     document["camera_matrices"] = [(np.eye(3) * 1e-9).tolist()]  # a homography's scale is free: this is 1 px/mm
     read_calibration(write(document), 1)
@@ -124,7 +128,7 @@ def test_one_camera_alone_has_the_resolution_of_its_design(write: Write, calibra
 
 
 @pytest.mark.parametrize("nominal", [None, 27.0, 40.0, 59.0])
-def test_a_resolution_near_the_design_is_taken_and_so_is_an_unknown_design(
+def test_resolution_near_the_nominal_one_or_without_one_is_accepted(
     write: Write, calibration_document: dict[str, Any], nominal: float | None
 ) -> None:
     document = {k: calibration_document[k] for k in ("format", "version", "unit")}
@@ -133,7 +137,7 @@ def test_a_resolution_near_the_design_is_taken_and_so_is_an_unknown_design(
 
 
 @pytest.mark.parametrize("scale", [1e-7, -1.0, 1e5])
-def test_the_scale_of_a_homography_does_not_matter(
+def test_scale_of_a_homography_does_not_matter(
     write: Write, calibration_document: dict[str, Any], scale: float
 ) -> None:
     calibration_document["camera_matrices"][0] = (scale * np.array(MATRIX)).tolist()

@@ -1,3 +1,5 @@
+"""Parse documents strictly and write files atomically."""
+
 from __future__ import annotations
 
 import os
@@ -28,12 +30,12 @@ Write = Callable[..., Path]
         ("", r"document\.json: not valid JSON at line 1"),
     ],
 )
-def test_what_is_no_json_is_refused_with_its_place(write: Write, text: str, complaint: str) -> None:
+def test_invalid_json_is_refused_with_its_position(write: Write, text: str, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         read_json(write(text))
 
 
-def test_files_that_cannot_be_read_say_why(tmp_path: Path) -> None:
+def test_unreadable_files_are_refused_with_the_reason(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match=r"absent\.json: there is no such file"):
         read_json(tmp_path / "absent.json")
     with pytest.raises(InputError, match="cannot be read"):
@@ -43,13 +45,13 @@ def test_files_that_cannot_be_read_say_why(tmp_path: Path) -> None:
         read_json(tmp_path / "latin.json")
 
 
-def test_broken_toml_is_refused_with_its_place(tmp_path: Path) -> None:
+def test_invalid_toml_is_refused_with_its_position(tmp_path: Path) -> None:
     (tmp_path / "station.toml").write_text("a = 1\nb = = 2\n")
     with pytest.raises(InputError, match=r"station\.toml: not valid TOML: .*line 2"):
         read_toml(tmp_path / "station.toml")
 
 
-def test_a_document_round_trips(tmp_path: Path) -> None:
+def test_document_round_trips(tmp_path: Path) -> None:
     document = {"a": [1, 2.5, None, "é"], "b": {"c": True}}
     write_json(tmp_path / "new" / "a.json", document)
     assert read_json(tmp_path / "new" / "a.json") == document
@@ -81,7 +83,7 @@ def test_parse_names_file_key_value_and_limit() -> None:
     assert "board.json: diameter: Input should be greater than 0 (given: -1)" in text
 
 
-def test_parse_does_not_call_an_array_short_whose_items_it_refuses() -> None:
+def test_parse_reports_refused_items_and_not_a_short_array() -> None:
     class Box(BaseModel):
         sides: Annotated[tuple[int, ...], Field(min_length=1)]
 
@@ -91,13 +93,13 @@ def test_parse_does_not_call_an_array_short_whose_items_it_refuses() -> None:
         parse(Box, {"sides": []}, "box")
 
 
-def test_parse_does_not_drown_the_reader() -> None:
+def test_parse_reports_at_most_five_faults() -> None:
     faulty = {"ref": "", "center": ["a", "b"], "width": 0, "height": 0, "rotation": "x", "body_height": -1}
     with pytest.raises(InputError, match=r"; and 2 more\.$"):
         parse(Component, faulty, "board.json")
 
 
-def test_nothing_that_json_cannot_hold_is_written(tmp_path: Path) -> None:
+def test_numbers_that_json_cannot_hold_are_not_written(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
     write_json(path, {"a": 1})
     with pytest.raises(InternalError, match=r"quality\.rms is nan"):
@@ -105,7 +107,7 @@ def test_nothing_that_json_cannot_hold_is_written(tmp_path: Path) -> None:
     assert read_json(path) == {"a": 1}
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_no_litter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_write_leaves_the_old_file_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "r.json"
     write_bytes(path, b"old")
 
@@ -119,7 +121,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_litter(tmp_path: Path, mo
     assert [p.name for p in tmp_path.iterdir()] == ["r.json"]
 
 
-def test_a_file_appears_under_its_name_only_when_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_appears_under_its_name_when_it_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, seen = tmp_path / "r.json", []
     real = os.fsync
 

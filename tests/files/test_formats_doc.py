@@ -1,4 +1,4 @@
-"""docs/formats.md tells the truth: its examples are read, its tables name the keys of the models."""
+"""The examples of docs/formats.md can be read, and its tables name every key."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_there_is_one_example_of_each_document() -> None:
 
 
 @pytest.mark.parametrize("k", range(len(READERS)), ids=[m.__name__ for _, m in READERS])
-def test_the_examples_are_read_and_show_every_key(tmp_path: Path, k: int) -> None:
+def test_examples_are_read_and_show_every_key(tmp_path: Path, k: int) -> None:
     read, model = READERS[k]
     path = tmp_path / "example.json"
     path.write_text(EXAMPLES[k], encoding="utf-8")
@@ -61,20 +61,18 @@ def test_the_examples_are_read_and_show_every_key(tmp_path: Path, k: int) -> Non
         ("A result", Stitch, ""),
     ],
 )
-def test_the_tables_tell_every_key_and_whether_it_is_required(
-    section: str, model: type[BaseModel], prefix: str
-) -> None:
-    told: dict[str, str] = {}
+def test_tables_name_every_key_and_whether_it_is_required(section: str, model: type[BaseModel], prefix: str) -> None:
+    documented: dict[str, str] = {}
     for row in re.findall(r"^\| (`.*?) \|(?:.*)\| (.*?) \|$", SECTIONS[section], re.MULTILINE):
         for key in re.findall(r"`([^`]+)`", row[0]):
             name = prefix + key[1:] if key.startswith(".") else key
             if name.startswith(prefix) and "." not in name.removeprefix(prefix):
-                told[name.removeprefix(prefix).removesuffix("[]")] = row[1]
+                documented[name.removeprefix(prefix).removesuffix("[]")] = row[1]
     if not prefix:
-        told = {k: v for k, v in told.items() if k in model.model_fields}
-    assert set(told) >= set(model.model_fields)
+        documented = {k: v for k, v in documented.items() if k in model.model_fields}
+    assert set(documented) >= set(model.model_fields)
     required = {name for name, field in model.model_fields.items() if field.is_required()}
-    assert {name for name in model.model_fields if told[name] == "refused"} == required | _always_checked(model)
+    assert {name for name in model.model_fields if documented[name] == "refused"} == required | _always_checked(model)
 
 
 def _always_checked(model: type[BaseModel]) -> set[str]:

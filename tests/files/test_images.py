@@ -1,3 +1,5 @@
+"""Read and write image files."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -23,7 +25,7 @@ g = np.random.default_rng(1)
     ids=["grey-8", "grey-16", "colour-8", "colour-16"],
 )
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
-def test_frames_come_back_as_they_were(tmp_path: Path, image: np.ndarray, suffix: str) -> None:
+def test_frames_round_trip(tmp_path: Path, image: np.ndarray, suffix: str) -> None:
     path = tmp_path / f"c00_r000{suffix}"
     write_image(path, image) if suffix == ".png" else path.write_bytes(encode(suffix, image, []))
     found = read_image(path)
@@ -31,13 +33,13 @@ def test_frames_come_back_as_they_were(tmp_path: Path, image: np.ndarray, suffix
     np.testing.assert_array_equal(found, image)
 
 
-def test_an_absent_frame_is_named(tmp_path: Path) -> None:
+def test_absent_frame_is_named(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match=r"c00_r000\.png: there is no such frame"):
         read_image(tmp_path / "c00_r000.png")
 
 
 @pytest.mark.parametrize("part", [0.0, 0.01, 0.5, 0.99])
-def test_a_frame_cut_short_is_refused(tmp_path: Path, part: float) -> None:
+def test_incomplete_frame_is_refused(tmp_path: Path, part: float) -> None:
     content = encode_png(g.integers(0, 256, (64, 64), dtype=np.uint8))
     path = tmp_path / "cut.png"
     path.write_bytes(content[: int(part * len(content))])
@@ -45,7 +47,7 @@ def test_a_frame_cut_short_is_refused(tmp_path: Path, part: float) -> None:
         read_image(path)
 
 
-def test_a_flipped_byte_is_refused(tmp_path: Path) -> None:
+def test_flipped_byte_is_refused(tmp_path: Path) -> None:
     content = bytearray(encode_png(g.integers(0, 256, (64, 64), dtype=np.uint8)))
     content[len(content) // 2] ^= 0xFF
     (tmp_path / "bad.png").write_bytes(content)
@@ -62,7 +64,7 @@ def test_transparency_and_floats_are_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "f.tiff")
 
 
-def test_a_directory_is_no_frame(tmp_path: Path) -> None:
+def test_directory_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_image(tmp_path)
 

@@ -1,3 +1,5 @@
+"""Read and write layouts of calibration boards."""
+
 from __future__ import annotations
 
 from collections.abc import Callable

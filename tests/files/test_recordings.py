@@ -1,3 +1,5 @@
+"""Read and write recordings."""
+
 from __future__ import annotations
 
 import json
@@ -24,7 +26,7 @@ def rewrite(recording: Recording, change: Change) -> Path:
     return recording.directory
 
 
-def test_a_recording_round_trips(recording: Recording) -> None:
+def test_recording_round_trips(recording: Recording) -> None:
     again = open_recording(recording.directory)
     assert again.head == recording.head
     assert again.frame(1, 2) is None
@@ -35,7 +37,7 @@ def test_a_recording_round_trips(recording: Recording) -> None:
     np.testing.assert_array_equal(frame, recording.frame(1, 1))
 
 
-def test_own_keys_are_kept_through_reading_and_writing(tmp_path: Path, recording: Recording) -> None:
+def test_own_keys_round_trip(tmp_path: Path, recording: Recording) -> None:
     opened = open_recording(rewrite(recording, lambda d: d.update(x_lot="B7") or d["cameras"][0].update(x_serial=5)))
     frames = [(i, j, f) for i in range(2) for j in range(3) if (f := opened.frame(i, j)) is not None]
     write_recording(tmp_path / "copy", opened.head, frames)
@@ -63,7 +65,7 @@ def test_tiff_frames_are_found(recording: Recording) -> None:
     np.testing.assert_array_equal(found, frame)
 
 
-def test_a_missing_file_is_named_with_a_remedy(recording: Recording) -> None:
+def test_missing_file_is_named_with_a_remedy(recording: Recording) -> None:
     path = recording.frame_path(0, 1)
     assert path is not None
     path.unlink()
@@ -71,12 +73,12 @@ def test_a_missing_file_is_named_with_a_remedy(recording: Recording) -> None:
         open_recording(recording.directory)
 
 
-def test_an_absent_recording_is_named(tmp_path: Path) -> None:
+def test_absent_recording_is_named(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match=r"recording\.json: there is no such file"):
         open_recording(tmp_path)
 
 
-def test_a_frame_of_the_wrong_size_is_refused(recording: Recording) -> None:
+def test_frame_of_the_wrong_size_is_refused(recording: Recording) -> None:
     path = recording.frame_path(1, 0)
     assert path is not None
     write_image(path, np.zeros((32, 20), np.uint8))
@@ -107,7 +109,7 @@ def test_a_frame_of_the_wrong_size_is_refused(recording: Recording) -> None:
         (lambda d: d.update(lights=["a"]), "lights has 1 entries"),
     ],
 )
-def test_a_faulty_head_is_refused_with_file_and_key(recording: Recording, change: Change, complaint: str) -> None:
+def test_faulty_head_is_refused_with_file_and_key(recording: Recording, change: Change, complaint: str) -> None:
     with pytest.raises(InputError, match=rf"recording\.json: .*{complaint}|recording\.json: {complaint}"):
         open_recording(rewrite(recording, change))
 
@@ -121,8 +123,8 @@ def test_times_and_exposures_vary_from_row_to_row(recording: Recording) -> None:
     assert head.exposure_us(1, 2) == 6
 
 
-def test_a_recording_that_is_being_replaced_has_no_head(recording: Recording) -> None:
-    """A directory with a head is complete: the head goes first and comes last."""
+def test_recording_that_is_being_replaced_has_no_head(recording: Recording) -> None:
+    """The head is removed first and written last, because a directory with a head is complete."""
     path = recording.directory / "recording.json"
 
     def frames() -> Any:
@@ -135,7 +137,7 @@ def test_a_recording_that_is_being_replaced_has_no_head(recording: Recording) ->
     assert not path.exists()
 
 
-def test_a_head_that_promises_more_than_was_written_is_refused(tmp_path: Path, recording: Recording) -> None:
+def test_head_that_lists_absent_frames_is_refused(tmp_path: Path, recording: Recording) -> None:
     head = RecordingHead.model_validate(recording.head.model_dump())
     with pytest.raises(InputError, match="the frame is absent"):
         write_recording(tmp_path / "empty", head, [])

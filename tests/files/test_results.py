@@ -1,3 +1,5 @@
+"""Read and write results."""
+
 from __future__ import annotations
 
 import json
@@ -33,7 +35,7 @@ def document() -> dict[str, Any]:
     }
 
 
-def test_a_result_round_trips_with_its_nulls(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
+def test_result_round_trips_with_its_nulls(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
     stitch = read_stitch(write(document))
     assert stitch.image_from_tester(0, 1) is None
     assert stitch.tester_from_cad is None
@@ -41,7 +43,7 @@ def test_a_result_round_trips_with_its_nulls(tmp_path: Path, write: Write, docum
     assert read_json(tmp_path / "again.json") == document
 
 
-def test_options_round_trip(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
+def test_optional_keys_round_trip(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
     surface = {
         "lift_mm": 0.1,
         "tilt_mm": [0.0, 0.1],
@@ -55,7 +57,7 @@ def test_options_round_trip(tmp_path: Path, write: Write, document: dict[str, An
 
 
 @pytest.mark.parametrize("name", ["U1", "NaN", "-Infinity", "Gehäuse ½"])
-def test_the_text_of_a_result_says_what_its_document_says(write: Write, document: dict[str, Any], name: str) -> None:
+def test_text_and_document_of_a_result_agree(write: Write, document: dict[str, Any], name: str) -> None:
     document |= {"components": {name: [[0, 0, 1e-5, 2.5e21]]}, "x_run": 7}
     stitch = read_stitch(write(document))
     assert json.loads(stitch_text(stitch)) == stitch_document(stitch) == document
@@ -64,9 +66,7 @@ def test_the_text_of_a_result_says_what_its_document_says(write: Write, document
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
-def test_a_result_with_a_number_that_json_does_not_have_is_no_text(
-    write: Write, document: dict[str, Any], number: float
-) -> None:
+def test_numbers_that_json_cannot_hold_are_refused(write: Write, document: dict[str, Any], number: float) -> None:
     stitch = read_stitch(write(document))
     with pytest.raises(ValueError, match="not JSON compliant"):
         stitch_text(stitch.model_copy(update={"quality": {"rms_px": [number]}}))

@@ -1,7 +1,6 @@
-"""The file formats of `docs/formats.md`, read and written in one place.
+"""Read and write the file formats of `docs/formats.md`.
 
-Readers refuse what they do not understand and name the file and the key; writers never leave a
-half-written file behind.
+Readers refuse unknown content and name the file and the key. Writers never leave an incomplete file.
 """
 
 from vaoi_station.files.board_types import read_board_type, write_board_type

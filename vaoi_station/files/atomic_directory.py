@@ -1,4 +1,4 @@
-"""Directories that appear complete, by a rename, or not at all."""
+"""Create directories that appear complete, by a rename, or not at all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vaoi_station.errors import StateError
 
 @contextmanager
 def new_directory(directory: Path) -> Iterator[Path]:
-    """A draft beside a directory that is to be, for the caller to fill; nothing is left of it if that goes wrong.
+    """Yield a draft directory for the caller to fill, and rename it at the end; remove it after an exception.
 
     Raises:
         StateError: the directory exists.
@@ -21,11 +21,13 @@ def new_directory(directory: Path) -> Iterator[Path]:
     if directory.exists():
         raise StateError(f"{directory}: exists already.", action="Choose another directory, or remove this one.")
     directory.parent.mkdir(parents=True, exist_ok=True)
+    # Beside the target, because a rename is atomic only within one file system.
     draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
     try:
+        # mkdtemp gives access to its owner only.
         draft.chmod(0o755)
         yield draft
         draft.rename(directory)
-    except BaseException:  # whatever ended it, tidy up; it is raised again
+    except BaseException:  # also after Ctrl-C: remove the draft, then raise again
         shutil.rmtree(draft, ignore_errors=True)
         raise

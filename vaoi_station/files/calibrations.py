@@ -1,4 +1,4 @@
-"""calibration.json."""
+"""Read and write calibration.json, and check that it fits the cameras."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from vaoi_station.model import Calibration, CameraHead
 
 _LEAST_PX_PER_MM, _MOST_PX_PER_MM = 0.05, 5000.0
 _MOST_APART = 4.0
-"""Cameras of one array differ in resolution by no greater factor."""
+"""Largest factor by which the resolutions of an array's cameras may differ from their median."""
 _FROM_DESIGN = 1.5
-"""A camera's resolution is off its nominal one by no greater factor: a lens or a distance of another design is more."""
+"""Largest factor between a resolution and its nominal value; another lens or distance gives more."""
 
 
 def read_calibration(path: Path, cameras: int | Sequence[CameraHead] | None = None) -> Calibration:
-    """Read a calibration; refuse one that no array has, or not this one.
+    """Read a calibration; refuse an impossible one, and one of another array.
 
     Args:
         path: of the file.
-        cameras: how many there are, or their heads: then each must also have about the resolution it was designed
-            for, where its head tells `nominal_px_per_mm`.
+        cameras: number of cameras, or their heads. With heads, each resolution must also be near the head's
+            `nominal_px_per_mm`, if that is given.
 
     Raises:
-        InputError: with the file, and the camera and its value.
+        InputError: with file, camera, value and limit.
     """
     data = read_json(path)
     check_format(data, path, "vaoi-calibration", 1)
@@ -47,7 +47,8 @@ def read_calibration(path: Path, cameras: int | Sequence[CameraHead] | None = No
 
 
 def _check_views(calibration: Calibration, path: Path) -> None:
-    """Refuse matrices that no camera of one array has: a resolution out of all proportion, or one camera mirrored."""
+    """Refuse impossible resolutions, and arrays in which some cameras mirror the board and others do not."""
+    # A homography's scale is free, so resolutions are compared, not matrix elements.
     views = [Projective(matrix, System.IMAGE, System.ROW) for matrix in calibration.camera_matrices]
     scales = [view.scale_at(view.inverse()((0.0, 0.0))) for view in views]
     usual, mirrored = float(np.median(scales)), [view.mirrors for view in views]
@@ -63,16 +64,17 @@ def _check_views(calibration: Calibration, path: Path) -> None:
             action="Calibrate again, or use the calibration of this array.",
         )
     if len(set(mirrored)) > 1:
+        # The minority is reported: it is more likely that one camera is wrong than all others.
         odd = mirrored.index(sum(mirrored) * 2 <= len(mirrored))
         raise InputError(
             f"{path}: camera_matrices.{odd} has a determinant of the other sign than most: camera {odd} "
-            f"{'mirrors' if mirrored[odd] else 'does not mirror'} the board, but cameras of one array see it alike.",
+            f"{'mirrors' if mirrored[odd] else 'does not mirror'} the board, but all cameras of an array must agree.",
             action="Calibrate again with one layout for all cameras.",
         )
 
 
 def _check_design(calibration: Calibration, heads: tuple[CameraHead, ...], path: Path) -> None:
-    """Refuse a resolution in the middle of a frame that is far from the one its camera was designed for."""
+    """Refuse a resolution at the centre of a frame that is far from the camera's nominal one."""
     for i, (camera, head) in enumerate(zip(calibration.cameras(heads), heads, strict=True)):
         nominal = head.nominal_px_per_mm
         if nominal is None or 1 / _FROM_DESIGN <= camera.px_per_mm / nominal <= _FROM_DESIGN:
@@ -86,5 +88,5 @@ def _check_design(calibration: Calibration, heads: tuple[CameraHead, ...], path:
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration whole or not at all."""
+    """Write a calibration, complete or not at all."""
     write_json(path, calibration.model_dump(mode="json", exclude_none=True))

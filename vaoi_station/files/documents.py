@@ -1,4 +1,4 @@
-"""JSON and TOML documents at the border: parsed strictly, written atomically."""
+"""Parse JSON and TOML documents strictly, and write files atomically."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class DuplicateKeyError(ValueError):
-    """A key appears twice in one JSON object: readers would disagree which of the two holds."""
+    """A key appears twice in one JSON object; readers disagree which of the two values is valid."""
 
 
 def read_json(path: Path) -> Any:
-    """Parse a JSON file; NaN and infinities, which JSON does not have, are refused."""
+    """Parse a JSON file; refuse duplicate keys, NaN and infinities, which JSON does not have."""
     try:
         data = json.loads(_text(path), object_pairs_hook=refuse_duplicate_keys)
     except json.JSONDecodeError as error:
@@ -32,7 +32,7 @@ def read_json(path: Path) -> Any:
             f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}."
         ) from error
     except RecursionError as error:
-        raise InputError(f"{path}: is nested too deeply to be one of our documents.") from error
+        raise InputError(f"{path}: is nested too deeply for a document of this station.") from error
     except ValueError as error:
         raise InputError(f"{path}: {error}.") from error
     if (fault := _not_finite(data)) is not None:
@@ -50,7 +50,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse(model: type[M], data: Any, where: str | Path) -> M:
-    """Validate parsed data; the first fault is told with file, key, value and limit."""
+    """Validate parsed data; InputError with file, key, value and limit of the first five faults."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -58,7 +58,7 @@ def parse(model: type[M], data: Any, where: str | Path) -> M:
 
 
 def check_format(data: Any, path: Path, name: str, version: int) -> None:
-    """Refuse a foreign format or a newer version by name, before anything else is looked at."""
+    """Refuse another format or a newer version, before any other key is checked."""
     if not isinstance(data, dict):
         raise InputError(f"{path}: holds a {type(data).__name__}, must be an object with 'format' and 'version'.")
     if data.get("format") != name:
@@ -71,7 +71,7 @@ def check_format(data: Any, path: Path, name: str, version: int) -> None:
 
 
 def describe(error: ValidationError, where: str | Path) -> str:
-    """Every fault of a document in one line each."""
+    """Describe the faults of a document, at most five of them."""
     lines = []
     for fault in _causes(error.errors(include_url=False)):
         key = ".".join(map(str, fault["loc"])) or "the document"
@@ -87,23 +87,24 @@ def describe(error: ValidationError, where: str | Path) -> str:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON document whole or not at all; what is not finite is our own mistake and is not written."""
+    """Write a JSON document, complete or not at all; InternalError if a number is not finite."""
     if (fault := _not_finite(data)) is not None:
         raise InternalError(f"{path}: {fault[0]} is {fault[1]}, which JSON cannot hold; nothing was written.")
     write_bytes(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write to a neighbour first, flush it to the disk, then rename: readers never see half a file.
+    """Write a file so that readers see the old or the new content, never a part.
 
     Raises:
-        InputError: the place is taken by something that is not a file, or cannot be written to.
+        InputError: the path is not a file, or cannot be written to.
     """
-    path = path.resolve()  # a link stays a link; what it points to is written
+    path = path.resolve()  # a symbolic link stays; its target is written
     if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is not a file and is left as it is.", action="Name a file to write to.")
+        raise InputError(f"{path}: is not a file and is not overwritten.", action="Give the path of a file.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # In the same directory, because a rename is atomic only within one file system.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).", action="Choose another place.") from error
@@ -111,16 +112,17 @@ def write_bytes(path: Path, content: bytes) -> None:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
             file.flush()
+            # Without fsync, a power failure after the rename can leave an empty file under the new name.
             os.fsync(file.fileno())
             os.fchmod(file.fileno(), 0o644)
         Path(name).replace(path)
-    except BaseException:  # whatever ended it, tidy up; it is raised again
+    except BaseException:  # also after Ctrl-C: remove the temporary file, then raise again
         Path(name).unlink(missing_ok=True)
         raise
 
 
 def _causes(faults: Sequence[ErrorDetails]) -> Iterator[ErrorDetails]:
-    """Without arrays that are too short only because items of theirs are refused."""
+    """Drop reports of too short arrays that are short only because their items were refused."""
     for fault in faults:
         inside = (other["loc"][: len(fault["loc"])] == fault["loc"] for other in faults if other is not fault)
         if fault["type"] != "too_short" or not any(inside):
@@ -139,7 +141,7 @@ def _text(path: Path) -> str:
 
 
 def _not_finite(data: Any, key: str = "") -> tuple[str, float] | None:
-    """Key and value of the first NaN or infinity, which JSON does not have though Python reads them."""
+    """Return key and value of the first NaN or infinity; Python's JSON reader accepts them."""
     if isinstance(data, float):
         return None if math.isfinite(data) else (key, data)
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list | tuple) else ()
@@ -148,7 +150,7 @@ def _not_finite(data: Any, key: str = "") -> tuple[str, float] | None:
 
 
 def refuse_duplicate_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Hook of the JSON reader: an object without a key that appears twice; `DuplicateKeyError` otherwise."""
+    """Build an object from its pairs (hook of the JSON reader); DuplicateKeyError if a key appears twice."""
     keys = dict(pairs)
     if len(keys) != len(pairs):
         twin = next(k for n, (k, _) in enumerate(pairs) if k in [p[0] for p in pairs[:n]])

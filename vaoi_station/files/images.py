@@ -1,4 +1,4 @@
-"""Frames as image files: PNG or TIFF, 8 or 16 bit, grey or colour."""
+"""Read and write frames as image files: PNG or TIFF, 8 or 16 bit, grey or colour."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ SUFFIXES = (".png", ".tiff", ".tif")
 
 
 def read_image(path: Path) -> Image:
-    """Read a frame as it was written: (h, w) or (h, w, 3), uint8 or uint16."""
+    """Read a frame: (h, w) or (h, w, 3), uint8 or uint16."""
     try:
+        # Read by numpy, decoded from memory: cv2.imread returns None for an absent file and a broken one alike.
         content = np.fromfile(path, dtype=np.uint8)
     except FileNotFoundError as error:
         raise NotFoundError(f"{path}: there is no such frame.") from error
@@ -26,7 +27,7 @@ def read_image(path: Path) -> Image:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
     if image is None:
-        raise InputError(f"{path}: is not a picture OpenCV can read; it may have been cut short.")
+        raise InputError(f"{path}: is not a picture that OpenCV can read; it may be incomplete.")
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError.field(path, "pixel type", str(image.dtype), "8 or 16 bit unsigned")
     if image.ndim == 3 and image.shape[2] != 3:
@@ -37,23 +38,23 @@ def read_image(path: Path) -> Image:
 
 
 def encode_png(image: Image, level: int = 1) -> bytes:
-    """PNG bytes of a picture; level 1 is the fast end."""
+    """Encode an image as PNG; level 1 is the fastest."""
     return encode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, level])
 
 
 def encode_tiff(image: Image) -> bytes:
-    """Uncompressed TIFF bytes of a picture: large, and read six times as fast as PNG."""
+    """Encode an image as uncompressed TIFF: large, and read six times as fast as PNG."""
     return encode(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
 
 
 def encode_jpeg(image: Image, quality: int = 90) -> bytes:
-    """JPEG bytes; 16-bit pictures are brought to 8 bit by their upper byte."""
+    """Encode an image as JPEG; 16-bit images are reduced to their upper byte."""
     eight = image if image.dtype == np.uint8 else np.asarray(image >> 8, dtype=np.uint8)
     return encode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def encode(suffix: str, image: Image, options: list[int]) -> bytes:
-    """Encoded bytes of a picture in the format of a file suffix."""
+    """Encode an image in the format of a file suffix."""
     ok, content = cv2.imencode(suffix, image, options)
     if not ok:
         raise InputError(f"a picture of shape {image.shape} and type {image.dtype} cannot be written as {suffix}.")
@@ -61,5 +62,5 @@ def encode(suffix: str, image: Image, options: list[int]) -> bytes:
 
 
 def write_image(path: Path, image: Image, level: int = 3) -> None:
-    """Write a PNG, or an uncompressed TIFF if the path says so, whole or not at all."""
+    """Write a PNG, or an uncompressed TIFF for the suffix .tiff or .tif, complete or not at all."""
     write_bytes(path, encode_tiff(image) if path.suffix in (".tiff", ".tif") else encode_png(image, level))

@@ -1,4 +1,4 @@
-"""layout.json: the marks of a calibration board, beside a recording of one row that shows it."""
+"""Read and write layout.json, the marks of a calibration board."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from vaoi_station.model import MM_PER_UNIT, FrozenModel, Place, Positive
 
 
 class LayoutMark(FrozenModel):
-    """How every mark of the board looks, in the unit of the layout."""
+    """Shape and size of every mark of the board, in the unit of the layout."""
 
     shape: Literal["cross"] = "cross"
     size: Positive
     width: Positive
-    """Of one arm."""
+    """Width of one arm."""
     polarity: Literal["dark", "light"] = "dark"
 
 
 class Layout(FrozenModel):
-    """Where the marks are, in coordinates that become the tester's."""
+    """Positions of the marks, in the coordinates that become the tester's."""
 
     unit: Literal["mm", "inch", "mil"] = "mm"
     mark: LayoutMark
@@ -30,7 +30,7 @@ class Layout(FrozenModel):
 
     @property
     def mm_per_unit(self) -> float:
-        """Size of one unit."""
+        """Size of one unit in mm."""
         return MM_PER_UNIT[self.unit]
 
 
@@ -40,5 +40,5 @@ def read_layout(path: Path) -> Layout:
 
 
 def write_layout(path: Path, layout: Layout) -> None:
-    """Write a layout whole or not at all."""
+    """Write a layout, complete or not at all."""
     write_json(path, layout.model_dump(mode="json", exclude_none=True))

@@ -1,4 +1,4 @@
-"""A recording: a directory with `recording.json`, frames, and perhaps calibration and board type."""
+"""Read and write recordings: directories with `recording.json` and frames, optionally calibration and board type."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Recording:
     head: RecordingHead
 
     def frame_path(self, camera: int, row: int) -> Path | None:
-        """The file of one frame; None where it never arrived."""
+        """Return the file of one frame; None if the frame is missing."""
         if (camera, row) in self.head.missing:
             return None
         stem = self.directory / "frames" / f"c{camera:02d}_r{row:03d}"
@@ -34,7 +34,7 @@ class Recording:
         )
 
     def frame(self, camera: int, row: int) -> Image | None:
-        """The pixels of one frame, checked against the recorded size; None where it never arrived."""
+        """Read one frame and check its size against the head; None if the frame is missing."""
         path = self.frame_path(camera, row)
         if path is None:
             return None
@@ -47,14 +47,14 @@ class Recording:
         return image
 
     def check_files(self) -> None:
-        """Refuse the recording now if any frame that should be there is not."""
+        """Refuse the recording if the file of any frame is absent that is not listed as missing."""
         for camera in range(len(self.head.cameras)):
             for row in range(self.head.rows):
                 self.frame_path(camera, row)
 
 
 def open_recording(directory: Path) -> Recording:
-    """Open a recording and check that all its frames are there."""
+    """Open a recording, and check that all its frame files exist."""
     path = directory / "recording.json"
     data = read_json(path)
     check_format(data, path, "vaoi-recording", 1)
@@ -68,9 +68,9 @@ def write_recording(
 ) -> Recording:
     """Write frames (camera, row, pixels) first and the head last: a directory with a head is complete.
 
-    The head of an older recording in the same directory goes before the first frame is replaced. Frames are PNG, or
-    uncompressed ".tiff" where they are read again and again.
+    Frames are PNG, or uncompressed ".tiff" for recordings that are read often.
     """
+    # The head of an older recording is removed first: new frames under an old head would count as complete.
     (directory / "recording.json").unlink(missing_ok=True)
     for camera, row, image in frames:
         write_image(directory / "frames" / f"c{camera:02d}_r{row:03d}{suffix}", image)

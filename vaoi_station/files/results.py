@@ -1,4 +1,4 @@
-"""Results of stitching: the JSON of `formats.md`, also what `runs/{id}/matrices` answers."""
+"""Read and write results of stitching, also the body of `runs/{id}/matrices`."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm"
 
 
 def read_stitch(path: Path) -> Stitch:
-    """Read a result."""
+    """Read a result; InputError with file, key and value if it is invalid."""
     data = read_json(path)
     check_format(data, path, "vaoi-stitch", 1)
     return parse(Stitch, data, path)
 
 
 def stitch_document(stitch: Stitch) -> dict[str, Any]:
-    """The JSON object of a result; null matrices stay, unused options go."""
+    """Return the JSON object of a result; null matrices stay, unused optional keys are left out."""
     document = stitch.model_dump(mode="json")
     for key in ("surface", "components"):
         if document[key] is None:
@@ -29,24 +29,27 @@ def stitch_document(stitch: Stitch) -> dict[str, Any]:
 
 
 def stitch_text(stitch: Stitch) -> str:
-    """The same as JSON text, written by pydantic's own serializer: that of a large board in a seventh of the time.
+    """Return the result as JSON text.
+
+    It is written by pydantic's own serializer, for a large board in a seventh of the time.
 
     Raises:
         ValueError: a number is NaN or infinite, which JSON does not have.
     """
     unused = {key for key in ("surface", "components") if getattr(stitch, key) is None}
     text = stitch.model_dump_json(exclude=unused)
-    if "NaN" in text or "Infinity" in text:  # such a number, or a name that reads like one
+    # Either such a number, or a name that contains the word: the slower writer decides.
+    if "NaN" in text or "Infinity" in text:
         json.dumps(stitch_document(stitch), allow_nan=False)
     return text
 
 
 def without_components(stitch: Stitch) -> Stitch:
-    """A result less what it says of every component: a large board's is a tenth of the whole."""
+    """Return a result without its entries per component; for a large board a tenth of the size remains."""
     quality = {key: value for key, value in stitch.quality.items() if key not in _OF_COMPONENTS}
     return stitch.model_copy(update={"components": None, "quality": quality})
 
 
 def write_stitch(path: Path, stitch: Stitch) -> None:
-    """Write a result whole or not at all."""
+    """Write a result, complete or not at all."""
     write_json(path, stitch_document(stitch))

@@ -106,7 +106,7 @@ def torn_document(case: Path) -> None:
     ("spoil", "file", "said_of_it"),
     [
         (lose_a_frame, "c01_r003.png", "the frame is absent and not listed under 'missing'"),
-        (cut_a_frame, "c00_r002.png", "cut short"),
+        (cut_a_frame, "c00_r002.png", "may be incomplete"),
         (crop_a_frame, "c00_r002.png", "is 632×480 px, but recording.json says 640×480 px"),
         (newer_version, "recording.json", "version is 7, but must be 1"),
         (foreign_calibration, "calibration.json", "format is 'opencv-calibration'"),
