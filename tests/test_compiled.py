@@ -73,3 +73,50 @@ def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None
     misses = [int(twin.communicate()[0]) for twin in twins]
     assert [twin.returncode for twin in twins] == [0, 0]
     assert sorted(misses) == [0, 1], "one compiles, the other finds the code"
+
+
+_NAMED = """
+from typing import NamedTuple
+import numpy as np
+from vaoi_station.compiled import compiled, inlined
+
+class Points(NamedTuple):
+    x: np.ndarray
+    y: np.ndarray
+
+@inlined
+def product(points, n):
+    return points.x[n] * points.y[n]
+
+@compiled
+def swap(points):
+    total = 0.0
+    for n in range(len(points.x)):
+        total += product(points, n)
+        points.x[n], points.y[n] = points.y[n], points.x[n]
+    return Points(points.y, points.x), total
+"""
+
+_USE_NAMED = """
+import numpy as np
+from named import Points, swap
+
+points = Points(np.arange(3.0), np.full(3, 2.0))
+swapped, total = swap(points)
+assert total == 6.0
+assert points.x.tolist() == [2.0, 2.0, 2.0]
+assert swapped.x.tolist() == [0.0, 1.0, 2.0]
+print(sum(swap.stats.cache_misses.values()))
+"""
+
+
+def test_named_tuples_are_passed_without_a_copy_and_their_code_is_cached(tmp_path: Path) -> None:
+    """The class lies in a module that is imported, as in the package: one of `__main__` differs in every process."""
+    (tmp_path / "named.py").write_text(_NAMED)
+    paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": paths}
+    runs = [
+        subprocess.run([sys.executable, "-c", _USE_NAMED], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert [int(run.stdout) for run in runs] == [1, 0], "the second process finds the code of the first"

@@ -131,3 +131,35 @@ def test_a_warm_worker_compiles_nothing_when_a_board_arrives(filmed: Any) -> Non
     runner.conclude(filmed.times_s, present, found)
     later = {f.py_func.__name__: set(f.signatures) - before[key] for key, f in compiled.items()}
     assert not {name: new for name, new in later.items() if new}
+
+
+def test_frames_are_read_once_while_their_rows_are_linked(filmed: Any) -> None:
+    read: list[FrameKey] = []
+
+    def frame(camera: int, row: int) -> Any:
+        read.append((camera, row))
+        return filmed.frame(camera, row)
+
+    runner = TaskRunner(filmed.setup, frame)
+    for task in filmed.tasks:
+        runner.perform(task)
+    assert sorted(read) == filmed.present
+
+
+def test_evidence_of_other_processes_gives_the_same_result_added_early_or_not_at_all(filmed: Any) -> None:
+    found = [TaskRunner(filmed.setup, filmed.frame).perform(task) for task in filmed.tasks[:12]]
+    evidence = [*found, *(TaskRunner(filmed.setup, filmed.frame).perform(task) for task in filmed.tasks[12:])]
+    early = TaskRunner(filmed.setup, filmed.frame)
+    for piece in [*evidence, *evidence[::2]]:
+        early.add_evidence(piece)
+    for runner in (early, TaskRunner(filmed.setup, filmed.frame)):
+        result = runner.conclude(filmed.times_s, filmed.present, evidence)
+        assert result.model_dump(exclude={"quality"}, mode="json") == filmed.stitch.model_dump(
+            exclude={"quality"}, mode="json"
+        )
+
+
+def test_a_missing_frame_of_the_reference_is_a_programming_error(filmed: Any) -> None:
+    runner = TaskRunner(filmed.setup, filmed.frame)
+    with pytest.raises(LookupError, match="camera 0, row 1 of the reference"):
+        runner.perform(Task("reference", (0, 1), (0, 1)))

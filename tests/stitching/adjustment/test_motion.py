@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.adjustment.motion import Motion, measured_velocity, nominal_motion
+from vaoi_station.stitching.adjustment.motion import Motion, measured_velocity, nominal_motion, points_in_box
 
 mm = st.floats(-300, 300)
 rows = st.lists(st.tuples(st.floats(-0.1, 0.1), mm, mm), min_size=1, max_size=6)
@@ -57,3 +57,30 @@ def test_the_nominal_belt_moves_at_its_velocity() -> None:
     assert measured_velocity(motion, times, np.array([0, 1, 2])) == pytest.approx([0, 100])
     assert measured_velocity(motion, times, np.array([1, 2])) == pytest.approx([0, 100])
     assert measured_velocity(motion, times, np.array([1])) is None
+
+
+@given(rows, st.lists(st.tuples(mm, mm), max_size=6), st.tuples(mm, mm), st.tuples(mm, mm))
+def test_points_in_a_box_are_those_that_a_row_moves_into_it(
+    values: list[tuple[float, float, float]],
+    points: list[tuple[float, float]],
+    corner: tuple[float, float],
+    other: tuple[float, float],
+) -> None:
+    motion, board = motion_of(values, (0.0, 0.0)), np.array(points).reshape(-1, 2)
+    low, high = np.minimum(corner, other), np.maximum(corner, other)
+    row, point, place = points_in_box(motion.rows_from_tester, board, low, high)
+    found = dict(zip(zip(row.tolist(), point.tolist(), strict=True), place, strict=True))
+    assert list(found) == sorted(found), "row by row"
+    for j in range(len(values)):
+        there = motion.row_from_tester(j)(board)
+        margin = np.minimum(there - low, high - there).min(1) if len(board) else np.zeros(0)
+        for n, (at, inside) in enumerate(zip(there, margin, strict=True)):
+            if abs(inside) > 1e-6:  # at the edge of the box rounding decides
+                assert ((j, n) in found) == (inside > 0)
+            if (j, n) in found:
+                np.testing.assert_allclose(found[j, n], at, atol=1e-8)
+
+
+def test_a_gauged_motion_is_returned_unchanged() -> None:
+    motion = nominal_motion(np.array([0.0, 0.1]), np.array([0.0, 50.0]), np.zeros(2))
+    assert motion.in_gauge() is motion

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,3 +44,21 @@ def test_a_belt_at_nominal_velocity_has_no_residual() -> None:
         np.testing.assert_allclose(block.b, 0, atol=1e-12)
     normal, _ = sum_blocks(blocks, 9)
     assert np.linalg.matrix_rank(normal) == 6, "the first row is free"
+
+
+@pytest.mark.parametrize(
+    ("deviation", "sigma"),
+    [((0.0, 0.02 * 5 + 0.01, 0.0), (1, 0, 0)), ((0.15, 0.0, 0.0), (0, 1, 0)), ((0.0, 0.0, 0.003), (0, 0, 1))],
+)
+def test_one_standard_deviation_along_across_and_in_rotation(
+    deviation: tuple[float, float, float], sigma: tuple[float, float, float]
+) -> None:
+    """The belt moves 5 mm along y per step; its second row deviates from that by x, y in mm and an angle."""
+    times, velocity = np.array([0.0, 0.1]), np.array([0.0, 50.0])
+    motion = nominal_motion(times, velocity, np.zeros(2))
+    x, y, angle = deviation
+    moved = replace(motion, shift=motion.shift + [[0, 0], [x, y]], angle=np.array([0.0, angle]))
+    (block,) = belt_blocks(moved, times, velocity)
+    assert np.abs(block.b) == pytest.approx(sigma, abs=1e-9)
+    change = np.concatenate([[0, 0, 0], [angle, x, y]])
+    assert block.a @ change == pytest.approx(block.b, abs=1e-9), "the Jacobian of a linear residual"
