@@ -72,7 +72,7 @@ def test_short_interruptions_are_bounces_and_fire_nothing() -> None:
     assert bounce.duration_s == pytest.approx(0.002)
 
 
-def test_bounces_during_a_passage_change_nothing_but_are_told() -> None:
+def test_bounces_during_a_passage_change_nothing_but_are_reported() -> None:
     quiet = run(PLAN, [(1.0, True), (1.5, False)])
     events = run(PLAN, [(1.0, True), (1.2, False), (1.203, True), (1.5, False), (1.6, True), (1.601, False)])
     assert [p.time_s for p in pulses(events)] == [p.time_s for p in pulses(quiet)]
@@ -98,7 +98,7 @@ def test_a_hand_in_the_barrier_ends_without_a_pulse() -> None:
     st.lists(st.floats(0, 5), max_size=30),
     st.integers(1, 40),
 )
-def test_when_it_is_asked_does_not_matter(
+def test_the_times_of_evaluation_do_not_matter(
     start_s: float, passing_s: float, period_s: float, asked_s: list[float], max_rows: int
 ) -> None:
     plan = replace(PLAN, period_s=period_s, max_rows=max_rows)
@@ -129,7 +129,7 @@ def test_due_times_lead_from_one_event_to_the_next() -> None:
     assert rule.due_s() == pytest.approx(1.3)
     rule.add_edge(1.1, False)
     rule.add_edge(1.101, True)
-    assert rule.due_s() == pytest.approx(1.1), "a bounce is told at once"
+    assert rule.due_s() == pytest.approx(1.1), "a bounce is reported at once"
 
 
 @pytest.mark.parametrize(
@@ -137,6 +137,6 @@ def test_due_times_lead_from_one_event_to_the_next() -> None:
     [({"period_s": 0.0}, "period_s"), ({"max_rows": 0}, "max_rows"), ({"tail_s": 0.001}, "tail_s"),
      ({"start_delay_s": 0.004}, "start_delay_s"), ({"debounce_s": float("nan")}, "start_delay_s")],
 )  # fmt: skip
-def test_plans_nobody_can_follow_are_refused(change: dict[str, float], key: str) -> None:
+def test_plans_that_cannot_be_carried_out_are_refused(change: dict[str, float], key: str) -> None:
     with pytest.raises(InputError, match=key):
         TriggerRule(replace(PLAN, **change), count())  # type: ignore[arg-type]

@@ -43,7 +43,7 @@ def test_the_host_time_of_a_tick_is_within_the_bound(
     assert error_s <= clock.bound_s(tick, near_s) + 2 * TICK_S
 
 
-def test_ticks_are_told_apart_across_several_turns() -> None:
+def test_ticks_are_unambiguous_across_several_wraps() -> None:
     clock = TickClock()
     for k in range(200):  # an hour and 40 minutes, asked every half minute
         host_s = 100.0 + 30.0 * k

@@ -1,4 +1,4 @@
-"""Foreign devices, other versions and refusals are told in sentences."""
+"""Foreign devices and other versions are refused, and refusals have readable texts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vaoi_station.acquisition.controller.protocol.refusals import check_ident, d
 from vaoi_station.errors import DeviceError
 
 
-def test_our_own_controller_is_welcome() -> None:
+def test_our_own_controller_is_accepted() -> None:
     assert check_ident(IDENT.pack()) == IDENT
     assert check_ident(replace(IDENT, minor=9).pack() + b"further fields").minor == 9
 

@@ -1,4 +1,4 @@
-"""A plan and lights become what the firmware takes; what it refuses is told in the words of station.toml."""
+"""A plan and lights become what the firmware takes; its refusals are translated into the terms of station.toml."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_every_plan_can_be_sent(delay_s: float, period_s: float, rows: int) -> N
         (Nak(Type.COMMIT, Reason.LED_LIMIT, 17, 100), "lights.low is 'too much for its LEDs', but must be 50"),
     ],
 )  # fmt: skip
-def test_a_refusal_in_the_words_of_the_file(nak: Nak, words: str) -> None:
+def test_a_refusal_in_the_terms_of_the_file(nak: Nak, words: str) -> None:
     error = explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial", lights=LIGHTS), IDENT))
     assert error is not None
     assert words in error.message
@@ -67,5 +67,5 @@ def test_a_refusal_in_the_words_of_the_file(nak: Nak, words: str) -> None:
     "nak",
     [Nak(Type.ARM, Reason.STATE, 0, 3), Nak(Type.COMMIT, Reason.CHECKSUM, 0, 1), Nak(Type.COMMIT, Reason.RANGE, 0, 1)],
 )  # fmt: skip
-def test_other_refusals_have_their_own_words(nak: Nak) -> None:
+def test_other_refusals_are_not_translated(nak: Nak) -> None:
     assert explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial"), IDENT)) is None

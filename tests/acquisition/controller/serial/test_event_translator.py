@@ -1,4 +1,4 @@
-"""What the firmware tells, in the words of the interface; whatever was lost, every run that begins also ends."""
+"""The firmware's events become those of the interface; whatever was lost, every run that begins also ends."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from vaoi_station.acquisition.controller.protocol.messages import ROW_NONE, Even
 from vaoi_station.acquisition.controller.serial.event_translator import EventTranslator
 
 
-class Listener:
+class Recorder:
     def __init__(self) -> None:
         self.translator = EventTranslator()
-        self.told: list[ControllerEvent | DeviceFault] = []
-        self.translator.start(self.told.append)
+        self.events: list[ControllerEvent | DeviceFault] = []
+        self.translator.start(self.events.append)
         self.translator.set_lights(lambda row: f"light {row}", "single light")
 
-    def hear(self, *events: tuple[Kind, int, int, int]) -> list[ControllerEvent | DeviceFault]:
+    def receive(self, *events: tuple[Kind, int, int, int]) -> list[ControllerEvent | DeviceFault]:
         """(kind, detail, index, value) each, a second apart."""
         for number, (kind, detail, index, value) in enumerate(events):
             self.translator.translate(Event(number, 2_000_000 * number, kind, detail, index, value), float(number))
-        return self.told
+        return self.events
 
 
 def test_rows_left_out_are_rows_of_the_run() -> None:
-    told = Listener().hear(
+    events = Recorder().receive(
         (Kind.BARRIER, 1, 7, 0),
         (Kind.SUPPRESSED, Suppressed.LED_BUDGET, 0, 2),
         (Kind.PULSE, 1, 1, 600),
@@ -42,38 +42,38 @@ def test_rows_left_out_are_rows_of_the_run() -> None:
         (Kind.BARRIER, 0, 7, 0),
         (Kind.RUN_END, RunEnd.CLEAR, 1, 2),
     )
-    assert [type(t).__name__ for t in told] == [
+    assert [type(t).__name__ for t in events] == [
         "BarrierBlocked", "PulseSkipped", "PulseFired", "PulseSkipped", "BarrierClear", "RunEnded",
     ]  # fmt: skip
-    skipped = [t for t in told if isinstance(t, PulseSkipped)]
+    skipped = [t for t in events if isinstance(t, PulseSkipped)]
     assert [s.index for s in skipped] == [0, 2]
     assert "had not cooled down" in skipped[0].reason
-    end = told[-1]
+    end = events[-1]
     assert isinstance(end, RunEnded)
     assert (end.pulses, end.reason) == (3, "clear")
-    assert isinstance(told[2], PulseFired)
-    assert told[2].light == "light 1"
+    assert isinstance(events[2], PulseFired)
+    assert events[2].light == "light 1"
 
 
 def test_a_single_pulse_is_a_run_of_its_own() -> None:
-    pulse, end = Listener().hear((Kind.PULSE, 1, ROW_NONE, 600))
+    pulse, end = Recorder().receive((Kind.PULSE, 1, ROW_NONE, 600))
     assert isinstance(pulse, PulseFired)
     assert (pulse.index, pulse.light) == (0, "single light")
     assert isinstance(end, RunEnded)
     assert (end.pulses, end.reason) == (1, "single")
 
 
-def test_a_run_that_nobody_saw_begin_does_not_end() -> None:
-    assert Listener().hear((Kind.RUN_END, RunEnd.CLEAR, 5, 0)) == []
+def test_a_run_whose_begin_was_lost_does_not_end() -> None:
+    assert Recorder().receive((Kind.RUN_END, RunEnd.CLEAR, 5, 0)) == []
 
 
-def test_boards_too_near_and_faults_are_told_to_the_operator() -> None:
-    told = Listener().hear(
+def test_boards_too_close_and_faults_are_reported() -> None:
+    events = Recorder().receive(
         (Kind.SUPPRESSED, Suppressed.GAP, ROW_NONE, 40_000),
         (Kind.FAULT, Fault.HEARTBEAT, 0, 0),
         (Kind.FAULT, Fault.GUARD, 0, 0),
     )
-    errors = [t.error for t in told if isinstance(t, DeviceFault)]
+    errors = [t.error for t in events if isinstance(t, DeviceFault)]
     assert [e.code for e in errors] == ["board-too-soon", "controller-safe", "controller-safe"]
     assert "0.020 s after the one before had left" in errors[0].message
     assert all(e.action for e in errors)
@@ -88,17 +88,17 @@ EVENTS = st.tuples(
 def test_whatever_is_lost_runs_do_not_overlap_and_numbers_have_no_gaps(
     events: list[tuple[Kind, int, int, int]],
 ) -> None:
-    listener = Listener()
-    listener.hear(*events)
-    listener.translator.end("over")
-    told = [t for t in listener.told if isinstance(t, ControllerEvent)]
-    assert all(b.number == a.number + 1 for a, b in pairwise(told))
+    recorder = Recorder()
+    recorder.receive(*events)
+    recorder.translator.end("over")
+    reported = [t for t in recorder.events if isinstance(t, ControllerEvent)]
+    assert all(b.number == a.number + 1 for a, b in pairwise(reported))
     open_runs = 0
-    for event in told:
+    for event in reported:
         if isinstance(event, BarrierBlocked):
             assert open_runs == 0
             open_runs = 1
         elif isinstance(event, RunEnded) and event.reason != "single":
             open_runs = 0
     assert open_runs == 0
-    assert not listener.translator.running
+    assert not recorder.translator.running

@@ -1,0 +1,202 @@
+"""The link without a device: what it sends, when it repeats, and what it reports of each reply."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
+from vaoi_station.acquisition.controller.protocol.link import (
+    HEARTBEAT_S,
+    MAX_TRIES,
+    RETRY_S,
+    EventReceived,
+    EventsLost,
+    Link,
+    Notification,
+    Refused,
+    Replied,
+    Restarted,
+    Unanswered,
+)
+from vaoi_station.acquisition.controller.protocol.messages import (
+    REPLY,
+    Event,
+    Kind,
+    Nak,
+    Reason,
+    Request,
+    Status,
+    Type,
+    number_request,
+)
+
+STATUS = Status.unpack(bytes(44))
+PING = number_request(Type.CLOCK, 7)
+
+
+def sent(link: Link, now_s: float) -> Message | None:
+    """The message that the link sends now."""
+    messages = FrameReader().feed(link.outgoing(now_s))
+    return messages[0] if messages else None
+
+
+def reply(link: Link, payload: bytes, now_s: float = 0.0) -> list[Notification]:
+    """Send the next request and reply to it."""
+    request = sent(link, now_s)
+    assert request is not None
+    return link.receive(encode(Message(request.type | REPLY, request.sequence, payload)), now_s)
+
+
+def event(number: int, boots: int) -> bytes:
+    return encode(Message(Type.EVENT, boots % 256, Event(number, 0, Kind.PULSE, 1, number, 0).pack()))
+
+
+def known(boots: int = 1, events: int = 0) -> Link:
+    """A link that knows the boot."""
+    link = Link()
+    link.request(Request(Type.STATUS))
+    reply(link, replace(STATUS, boots=boots, events_next=events).pack())
+    return link
+
+
+def test_one_request_is_under_way_at_a_time() -> None:
+    link = Link()
+    link.request(PING)
+    link.request(Request(Type.SAFE))
+    first = sent(link, 0.0)
+    assert first is not None
+    assert first.type == Type.CLOCK
+    assert sent(link, RETRY_S / 2) is None
+    link.receive(encode(Message(first.type | REPLY, first.sequence, bytes(8))), 0.01)
+    second = sent(link, 0.02)
+    assert second is not None
+    assert (second.type, second.sequence) == (Type.SAFE, first.sequence + 1)
+
+
+def test_a_request_is_repeated_with_the_same_sequence_number_and_then_given_up() -> None:
+    link = Link(first_sequence=250)
+    link.request(PING)
+    messages = [sent(link, 1.1 * k * RETRY_S) for k in range(MAX_TRIES)]
+    assert {m.sequence for m in messages if m} == {250}
+    assert None not in messages
+    assert link.retries == MAX_TRIES - 1
+    assert link.receive(b"", 1.1 * (MAX_TRIES - 0.5) * RETRY_S) == []
+    assert link.receive(b"", 1.1 * MAX_TRIES * RETRY_S) == [Unanswered(PING)]
+    assert sent(link, 99.0) is None
+
+
+def test_a_reply_is_dated_from_the_first_transmission() -> None:
+    link = Link()
+    link.request(PING)
+    sent(link, 1.0)
+    (replied,) = reply(link, bytes(8), 1.2)
+    assert replied == Replied(PING, bytes(8), 1.0, 1.2)
+
+
+@pytest.mark.parametrize(
+    "message", [Message(Type.CLOCK | REPLY, 9, bytes(8)), Message(Type.SAFE | REPLY, 0), Message(Type.NAK, 5, bytes(8))]
+)
+def test_replies_to_other_requests_are_counted_and_ignored(message: Message) -> None:
+    link = Link()
+    link.request(PING)
+    sent(link, 0.0)
+    assert link.receive(encode(message), 0.0) == []
+    assert link.unmatched == 1
+    assert sent(link, RETRY_S) is not None, "the request is still pending"
+
+
+def test_a_refusal_reaches_the_caller() -> None:
+    link = Link()
+    link.request(PING)
+    request = sent(link, 0.0)
+    assert request is not None
+    nak = Nak(Type.CLOCK, Reason.STATE, 0, 1)
+    assert link.receive(encode(Message(Type.NAK, request.sequence, nak.pack())), 0.0) == [Refused(PING, nak)]
+
+
+def test_a_reply_of_impossible_size_leaves_the_request_pending() -> None:
+    link = Link()
+    link.request(Request(Type.STATUS))
+    assert reply(link, b"short") == []
+    assert link.unmatched == 1
+    assert sent(link, RETRY_S) is not None
+
+
+def test_the_heartbeat_goes_before_requests_and_keeps_its_interval() -> None:
+    link = Link(heartbeat=True)
+    link.request(PING)
+    types = []
+    for k in range(100):
+        if message := sent(link, k * 0.01):
+            types.append(message.type)
+            link.receive(encode(Message(message.type | REPLY, message.sequence, STATUS.pack()[:44])), k * 0.01)
+    assert types[:2] == [Type.BEAT, Type.CLOCK]
+    assert types.count(Type.BEAT) == round(1.0 / HEARTBEAT_S)
+
+
+def test_an_event_of_another_boot_is_not_passed_on_until_the_boot_is_known() -> None:
+    link = known(boots=1)
+    assert link.receive(event(0, boots=2), 0.0) == []
+    assert not link.up_to_date
+    restarted = reply(link, replace(STATUS, boots=2, events_next=1).pack())
+    assert restarted == [Restarted(2)]
+    read = sent(link, 0.0)
+    assert read is not None
+    assert (read.type, read.payload) == (Type.READ_EVENT, bytes(4))
+
+
+def test_a_reset_returns_queued_requests_as_unanswered() -> None:
+    link = known(boots=1)
+    link.request(Request(Type.STATUS))
+    link.request(PING)
+    notifications = reply(link, replace(STATUS, boots=2).pack())
+    assert notifications[:2] == [Restarted(2), Unanswered(PING)]
+    assert isinstance(notifications[2], Replied)
+
+
+def test_events_are_acknowledged_when_nothing_else_is_to_be_done() -> None:
+    link = known()
+    (received,) = link.receive(event(0, boots=1), 0.0)
+    assert isinstance(received, EventReceived)
+    assert link.status_is_outdated
+    link.request(PING)
+    assert reply(link, bytes(8))
+    acknowledgement = sent(link, 0.0)
+    assert acknowledgement is not None
+    assert (acknowledgement.type, acknowledgement.payload) == (Type.ACK_EVENTS, bytes([1, 0, 0, 0]))
+
+
+def test_events_that_the_controller_has_overwritten_are_reported_as_lost() -> None:
+    link = known(events=5)
+    request = sent(link, 0.0)
+    assert request is not None
+    assert request.type == Type.READ_EVENT
+    nak = Nak(Type.READ_EVENT, Reason.GONE, 0, 3)
+    assert link.receive(encode(Message(Type.NAK, request.sequence, nak.pack())), 0.0) == [EventsLost(3)]
+    assert not link.up_to_date, "3 and 4 can still be read"
+
+
+def test_events_of_an_earlier_process_are_skipped() -> None:
+    link = known(events=5)
+    link.skip_history()
+    assert link.up_to_date
+    (received,) = link.receive(event(5, boots=1), 0.0)
+    assert isinstance(received, EventReceived)
+
+
+def test_dropped_requests_are_neither_sent_nor_reported() -> None:
+    link = Link()
+    link.request(PING)
+    sent(link, 0.0)
+    link.request(PING)
+    link.drop_requests()
+    assert sent(link, 1.0) is None
+    assert link.receive(b"", 99.0) == []
+
+
+def test_damaged_bytes_are_counted() -> None:
+    link = Link()
+    link.receive(b"noise\0" + encode(Message(1, 1)), 0.0)
+    assert (link.bad_frames, link.messages) == (1, 1)

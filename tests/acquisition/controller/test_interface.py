@@ -1,0 +1,59 @@
+"""The trigger plan of a line, and what an event carries."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    PulseFired,
+    PulseSkipped,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.acquisition.controller.trigger_rule import check_plan
+from vaoi_station.config import Line
+
+LINE = Line(
+    conveyor_mm_s=(0.0, 100.0),
+    barrier_mm=-40.0,
+    start_delay_s=0.3,
+    trigger_period_s=0.125,
+    tail_s=0.4,
+    longest_board_mm=60.0,
+    debounce_s=0.004,
+)
+
+
+def test_a_plan_takes_the_timing_of_the_line() -> None:
+    plan = TriggerPlan.of(LINE, ("top", "low"))
+    assert (plan.start_delay_s, plan.period_s, plan.tail_s, plan.debounce_s) == (0.3, 0.125, 0.4, 0.004)
+    assert plan.lights == ("top", "low")
+    check_plan(plan)
+
+
+def test_the_longest_board_limits_the_rows() -> None:
+    """60 mm pass in 0.6 s and the tail adds 0.4 s: pulses at 0.3, 0.425, … 0.925 s."""
+    plan = TriggerPlan.of(LINE)
+    assert plan.max_rows == LINE.rows_of_longest_board >= 6
+    assert TriggerPlan.of(LINE.model_copy(update={"longest_board_mm": 600.0})).max_rows > plan.max_rows
+
+
+def test_without_lights_every_row_has_the_same_one() -> None:
+    assert tuple(TriggerPlan.of(LINE).lights) == ()
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        BarrierBlocked(0, 1.0),
+        PulseFired(1, 1.3, 0, "top"),
+        PulseSkipped(2, 1.4, 1, "late"),
+        RunEnded(3, 2.0, 2, "clear"),
+    ],
+)
+def test_events_cannot_be_changed(event: BarrierBlocked) -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        event.number = 7  # type: ignore[misc]
