@@ -13,7 +13,7 @@ from vaoi_station.simulation.imaging.scene import Scene
 Make = Callable[..., Twin]
 
 
-def test_frames_do_not_depend_on_what_was_asked_before(small: Twin) -> None:
+def test_frames_do_not_depend_on_earlier_requests(small: Twin) -> None:
     fresh = Twin(small.scenario)
     last = fresh.passage(1).frame(1, 3)
     small.passage(0).frame(0, 0)
@@ -23,28 +23,28 @@ def test_frames_do_not_depend_on_what_was_asked_before(small: Twin) -> None:
     assert ordered[0, 0].dtype == np.uint8
 
 
-def test_only_bodies_far_off_are_left_out_beforehand(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leaving_out_far_bodies_changes_no_pixel(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     board = {"width_mm": 90.0, "length_mm": 70.0, "density": 2.0, "height_scale": 2.0, "lift_mm": 3.0, "turned_deg": 90}
     twin = make(array={"cameras": 2, "tilt_deg": 3.0}, board=board)
     some = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
-    near = twin.scene._nearby_bodies(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[2]))
+    near = twin.scene.nearby_bodies(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[2]))
     assert 0 < len(near) < len(twin.artwork.bodies)
-    monkeypatch.setattr(Scene, "_nearby_bodies", lambda scene, camera, pose: list(range(len(scene.artwork.bodies))))
-    looked_at_all = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
-    assert all(np.array_equal(a, b) for a, b in zip(some, looked_at_all, strict=True))
+    monkeypatch.setattr(Scene, "nearby_bodies", lambda scene, camera, pose: list(range(len(scene.artwork.bodies))))
+    all_tested = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
+    assert all(np.array_equal(a, b) for a, b in zip(some, all_tested, strict=True))
 
 
-def test_a_board_too_long_for_one_texture_looks_like_any(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_texture_too_long_for_opencv_gives_the_same_frames(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     twin = make(board={"density": 2.0}, array={"cameras": 2, "tilt_deg": 1.0})
     whole = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
-    monkeypatch.setattr("vaoi_station.simulation.imaging.scene._MAX_REMAP_PX", 16)
+    monkeypatch.setattr("vaoi_station.simulation.imaging.scene.MAX_REMAP_PX", 16)
     parts = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
     for a, b in zip(whole, parts, strict=True):
         assert np.abs(a - b).mean() < 0.02, "but for the rounding of large coordinates"
         assert np.abs(a - b).max() <= 3
 
 
-def test_boards_cameras_and_rows_have_noise_of_their_own(make: Make) -> None:
+def test_boards_cameras_and_rows_have_independent_noise(make: Make) -> None:
     twin = make(array={"read_noise": 2.0, "cameras": 2})
     empty = {(k, c): twin.passage(k).frame_at(c, -5.0, "ring", 0).astype(int) for k in (0, 1) for c in (0, 1)}
     later = twin.passage(0).frame_at(0, -5.0, "ring", 1).astype(int)
@@ -66,7 +66,7 @@ def test_lights_take_turns_and_differ(make: Make) -> None:
     assert abs(float(np.median(dark / np.maximum(bright, 1))) - 0.5) < 0.03
 
 
-def test_exposures_go_round_the_cameras(make: Make) -> None:
+def test_a_short_list_of_exposures_is_used_in_turn(make: Make) -> None:
     twin, plain = make(array={"cameras": 3, "exposures_us": [1.0, 0.5]}), make(array={"cameras": 3})
     assert [h.exposure_us for h in twin.heads] == [1.0, 0.5, 1.0]
     for camera, factor in enumerate((1.0, 0.5, 1.0)):
@@ -88,7 +88,70 @@ def test_a_photograph_serves_as_texture(make: Make, tmp_path: Path) -> None:
     assert abs(seen - edge) < 1.0
 
 
-def test_the_board_s_parts_are_set_anew_for_every_board(small: Twin) -> None:
+def test_every_board_has_its_own_placements(small: Twin) -> None:
     first, again, other = (small.passage(k).placements for k in (4, 4, 5))
     assert first == again
     assert first != other
+
+
+def test_frames_come_row_by_row_without_those_that_are_held_back(make: Make) -> None:
+    twin = make(array={"cameras": 2}, faults={"late_frames": [{"camera": 0, "row": 1, "delay_s": 9.0}]})
+    passage = twin.passage(0)
+    addresses = [(camera, row) for camera, row, _ in passage.frames()]
+    assert addresses == [(camera, row) for row in range(passage.rows) for camera in (0, 1)]
+    assert set(passage.render_all()) == set(addresses)
+
+
+def test_the_head_describes_the_passage(make: Make) -> None:
+    twin = make(line={"lights": ["a", "b"]}, lights={"a": {}, "b": {}})
+    passage = twin.passage(1)
+    head = passage.head()
+    assert (head.rows, head.lights) == (passage.rows, passage.lights)
+    assert head.trigger_times_s is not None
+    assert np.allclose(head.trigger_times_s, np.subtract(passage.pulse_times_s, passage.pulse_times_s[0]), atol=1e-9)
+    assert head.conveyor_mm_s == twin.line.conveyor_mm_s
+    assert head.cameras == twin.heads
+
+
+def test_rows_flicker_together(make: Make) -> None:
+    """All cameras of one row have one brightness; rows differ by the stated standard deviation."""
+    twin = make(array={"cameras": 2, "flicker": 0.05, "bits": 16}, belt={"grey": 100.0})
+    passage = twin.passage(0)
+    means = np.array([[passage.frame_at(c, -50.0, "ring", key).mean() for c in (0, 1)] for key in range(20)])
+    assert np.allclose(means[:, 0], means[:, 1], rtol=1e-3)
+    assert 0.02 < np.std(means[:, 0] / means.mean()) < 0.09
+
+
+def test_a_longer_exposure_is_brighter_and_longer_blurred(make: Make) -> None:
+    board = {"fiducials": [{"x_mm": 15.0, "y_mm": 10.0, "diameter_mm": 2.0}]}
+    frames = []
+    for factor in (1.0, 2.0):
+        exposure = {"exposures_us": [3000.0 * factor], "reference_exposure_us": 6000.0, "bits": 16}
+        passage = make(array=exposure, board=board, line={"period_s": 0.05}).passage(0)
+        row = min(
+            range(passage.rows), key=lambda r: abs(float((passage.pose(passage.pulse_times_s[r]) @ [15, 10, 1])[1]))
+        )
+        frames.append(passage.frame(0, row).astype(float) / 256)
+    short, long = frames
+    assert long.mean() == pytest.approx(2 * short.mean(), rel=0.01)
+    sharpness = [float(np.abs(np.diff(f, axis=0)).max() / f.mean()) for f in frames]
+    assert sharpness[1] < 0.8 * sharpness[0]
+
+
+def test_an_absent_part_does_not_move_the_others(make: Make) -> None:
+    board = {"density": 3.0}
+    whole, without = (
+        make(board=board, faults=faults).passage(0).placements for faults in ({}, {"absent_parts": [{"ref": "R1"}]})
+    )
+    assert without["R1"] is None
+    assert {ref for ref in whole if whole[ref] != without[ref]} == {"R1"}
+
+
+def test_poses_are_rigid_and_follow_the_pulses(small: Twin) -> None:
+    passage = small.passage(0)
+    for t in passage.pulse_times_s:
+        pose = passage.pose(t)
+        assert np.allclose(pose[:2, :2] @ pose[:2, :2].T, np.eye(2))
+        assert pose[2].tolist() == [0.0, 0.0, 1.0]
+    steps = np.diff([passage.pose(t)[:2, 2] for t in passage.pulse_times_s], axis=0)
+    assert np.allclose(steps[:, 1], small.scenario.belt.speed_mm_s * small.scenario.line.period_s, rtol=0.05)

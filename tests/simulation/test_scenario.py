@@ -23,13 +23,13 @@ def test_shipped_scenarios_read(name: str) -> None:
     assert read_scenario(scenario_path(name)).board.name == name
 
 
-def test_an_unknown_name_tells_the_known_ones() -> None:
+def test_an_unknown_name_lists_the_known_ones() -> None:
     with pytest.raises(NotFoundError, match="demo, paper, small"):
         scenario_path("nothing")
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("[array]\ncamera = 3", "array.camera"),
         ("[belt]\nspeed_mm_s = -1.0", "belt.speed_mm_s.*greater than 0"),
@@ -42,10 +42,10 @@ def test_an_unknown_name_tells_the_known_ones() -> None:
         ("[[faults.incomplete_frames]]\ncamera = 0\nrow = 0\nshare = 1.0", "share"),
     ],
 )
-def test_refusals_name_file_key_and_limit(tmp_path: Path, text: str, told: str) -> None:
+def test_refusals_name_file_key_and_limit(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_scenario(path)
     assert "bad.toml" in str(caught.value)
 
@@ -56,7 +56,7 @@ def test_a_photograph_is_found_beside_the_file(tmp_path: Path) -> None:
     assert read_scenario(path).board.photograph == tmp_path / "board.png"
 
 
-def test_default_fiducials_tell_all_turns_apart() -> None:
+def test_default_fiducials_distinguish_all_turns() -> None:
     section = Scenario().board
     w, h = section.width_mm, section.length_mm
     places = {(round(m.x_mm / w, 3), round(m.y_mm / h, 3)) for m in section.marks}

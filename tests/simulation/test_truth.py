@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from tests.needs import FILMS, need_films
 from vaoi_station.geometry import apply
 from vaoi_station.simulation import Twin
 from vaoi_station.simulation.recording_writer import write_passage
+
+Make = Callable[..., Twin]
 
 
 def test_one_rigid_motion_per_row_moves_all_cameras(small: Twin) -> None:
@@ -53,3 +56,30 @@ def test_the_scorer_of_the_cases_accepts_a_recording(small: Twin, tmp_path: Path
     assert score["cad_px"]["max"] < 1e-3
     assert score["rigid"] < 1e-6
     assert score["views"] > 50
+
+
+def test_views_are_those_inside_the_frames(small: Twin) -> None:
+    array = small.scenario.array
+    for seen in small.passage(0).truth()["views"].values():
+        for _, _, u, v in seen:
+            assert 0 < u < array.width_px - 1
+            assert 0 < v < array.height_px - 1
+
+
+def test_a_board_without_parts_has_no_views(make: Make) -> None:
+    truth = make().passage(0).truth()
+    assert (truth["views"], truth["heights"]) == ({}, {})
+    assert len(truth["row_motion"]) == make().passage(0).rows
+
+
+def test_a_lifted_board_moves_its_views_but_not_the_matrices(make: Make) -> None:
+    flat, lifted = (make(board={"density": 2.0, "lift_mm": lift}).passage(0).truth() for lift in (0.0, 2.0))
+    assert flat["image_matrices"] == lifted["image_matrices"]
+    common = {(ref, i, j): (u, v) for ref, seen in flat["views"].items() for i, j, u, v in seen}
+    moved = [
+        np.hypot(common[ref, i, j][0] - u, common[ref, i, j][1] - v)
+        for ref, seen in lifted["views"].items()
+        for i, j, u, v in seen
+        if (ref, i, j) in common
+    ]
+    assert max(moved) > 0.3

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -40,3 +43,40 @@ def test_distortion_at_the_corner_is_as_large_as_stated() -> None:
         corner = np.array([[-0.5, -0.5]])
         shift = float(np.hypot(*(pinhole.lens.undistort(corner) - corner)[0]))
         assert 0.59 * ARRAY.distortion_px < shift < 1.41 * ARRAY.distortion_px
+
+
+@given(st.sampled_from(["x", "y", "z"]), st.floats(-0.05, 0.05))
+def test_a_rotation_keeps_the_position_of_a_camera(about: Literal["x", "y", "z"], angle_rad: float) -> None:
+    """The point vertically below the lens at its own height has no finite image before or after."""
+    pinhole = mount_cameras(ARRAY)[1]
+    rotated = pinhole.rotated(about, angle_rad)
+    center = np.linalg.svd(pinhole.projection)[2][-1]
+    assert np.abs(rotated.projection @ center).max() < 1e-6 * np.abs(rotated.projection).max()
+    back = rotated.rotated(about, -angle_rad)
+    assert np.allclose(back.projection, pinhole.projection)
+
+
+def test_a_rotation_about_the_optical_axis_turns_the_image() -> None:
+    array = ArraySection(tilt_deg=0, roll_deg=0, position_mm=0, focal_length=0)
+    pinhole = mount_cameras(array)[0]
+    middle = np.array([(array.width_px - 1) / 2, (array.height_px - 1) / 2])
+    place = np.array([[2.0, 0.0]])
+    turned = pinhole.rotated("z", np.radians(90)).project(place, 0.0)[0] - middle
+    assert turned == pytest.approx([0.0, 2.0 * array.px_per_mm], abs=1e-6)
+
+
+def test_a_camera_does_not_depend_on_the_size_of_its_array() -> None:
+    few, many = (mount_cameras(ARRAY.model_copy(update={"cameras": n})) for n in (2, 5))
+    for a, b in zip(few, many, strict=False):
+        assert np.array_equal(a.projection, b.projection)
+        assert a.lens == b.lens
+    assert not np.allclose(few[0].plane(), few[1].plane())
+
+
+@given(st.floats(0.0, 20.0))
+def test_higher_points_are_seen_larger(z: float) -> None:
+    pinhole = mount_cameras(ArraySection(tilt_deg=0, roll_deg=0))[0]
+    ends = np.array([[-3.0, 0.0], [3.0, 0.0]])
+    low, high = (np.ptp(pinhole.project(ends, height)[:, 0]) for height in (0.0, z))
+    d = ArraySection().working_distance_mm
+    assert high / low == pytest.approx(d / (d - z), rel=1e-6)

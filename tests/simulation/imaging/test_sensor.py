@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,3 +36,55 @@ def test_vignetting_darkens_the_corners() -> None:
     assert shade.shape == (48, 64)
     assert shade.max() <= 1
     assert shade[24, 32] > shade[0, 0]
+
+
+@given(WAY, WAY)
+def test_a_motion_kernel_has_the_second_moment_of_the_motion(x: float, y: float) -> None:
+    """A straight path of length L adds L²/12 along it, and bilinear interpolation adds at most 1/4 per axis."""
+    kernel = motion_kernel(np.array([x, y])).astype(float)
+    h, w = kernel.shape
+    rows, columns = np.mgrid[:h, :w] - np.array([(h - 1) / 2, (w - 1) / 2])[:, None, None]
+    for offsets, length in ((columns, x), (rows, y)):
+        assert 0 <= (kernel * offsets**2).sum() - length**2 / 12 + 1e-3 <= 0.26
+
+
+def test_without_motion_the_kernel_does_nothing() -> None:
+    assert motion_kernel(np.zeros(2)).tolist() == [[1.0]]
+    assert motion_kernel(np.array([1e-4, 0.0])).shape == (1, 1)
+
+
+@pytest.mark.parametrize(("bits", "kind", "scale"), [(8, np.uint8, 1), (16, np.uint16, 256)])
+def test_an_even_scene_gives_an_even_frame(bits: int, kind: type, scale: int) -> None:
+    array = ArraySection.model_validate({"psf_px": 0.0, "black_level": 3.0, "bits": bits})
+    samples, shade = np.full((40, 60), 50.0, np.float32), np.full((20, 30), 0.5, np.float32)
+    image = expose(samples, array, motion_px=np.zeros(2), brightness=2.0, shade=shade, noise=None)
+    assert image.dtype == kind
+    assert image.shape == (20, 30)
+    assert set(np.unique(image)) == {53 * scale}
+
+
+def test_a_pixel_is_the_mean_of_its_samples() -> None:
+    array = ArraySection(psf_px=0.0, black_level=0.0)
+    samples = np.zeros((8, 8), np.float32)
+    samples[2, 2], samples[3, 3] = 100.0, 60.0
+    shade = np.ones((4, 4), np.float32)
+    image = expose(samples, array, motion_px=np.zeros(2), brightness=1.0, shade=shade, noise=None)
+    assert image[1, 1] == 40
+    assert image.sum() == 40
+
+
+def test_lens_blur_keeps_the_light() -> None:
+    array = ArraySection(psf_px=1.2, black_level=0.0, bits=16)
+    samples = np.zeros((80, 80), np.float32)
+    samples[38:42, 38:42] = 200.0
+    shade = np.ones((40, 40), np.float32)
+    image = expose(samples, array, motion_px=np.zeros(2), brightness=1.0, shade=shade, noise=None)
+    assert image.sum() / 256 == pytest.approx(800.0, rel=0.01)
+    assert image.max() / 256 < 100
+
+
+@given(st.lists(st.integers(0, 2**31), min_size=1, max_size=4))
+def test_random_numbers_belong_to_their_key(key: list[int]) -> None:
+    first, again, other = (generator(*k).standard_normal(4) for k in (key, key, [*key, 1]))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)

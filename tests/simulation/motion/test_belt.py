@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -47,3 +49,55 @@ def test_boards_differ_and_repeat() -> None:
     ways = [board_motion(section, k, start_s=0, start_along_mm=0, across_mm=0, turned_deg=0) for k in (0, 1, 0)]
     assert ways[0] == ways[2]
     assert ways[0].yaw_rad != ways[1].yaw_rad
+
+
+def test_a_stuck_board_stays_where_it_stopped() -> None:
+    section = BeltSection(yaw_rate_deg_s=2.0)
+    moving = board_motion(section, 1, start_s=5.0, start_along_mm=-40, across_mm=0, turned_deg=0)
+    stuck = replace(moving, stop_s=0.4)
+    assert stuck.pose(0.3, (0.0, 0.0)).tolist() == moving.pose(0.3, (0.0, 0.0)).tolist()
+    assert stuck.pose(9.0, (0.0, 0.0)).tolist() == moving.pose(0.4, (0.0, 0.0)).tolist()
+
+
+@given(TIMES)
+def test_without_variation_the_belt_is_uniform(t: float) -> None:
+    belt = Belt(BeltSection(speed_mm_s=80.0, speed_error=0.05, speed_wander=0, sway_mm=0, yaw_wander_deg=0))
+    assert belt.travelled_mm(t) == pytest.approx(84.0 * t)
+    assert belt.speed_mm_s(t) == pytest.approx(84.0)
+    assert (belt.sway_mm(t), belt.yaw_rad(t)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_direction_decides_the_sign_of_the_motion(direction: int) -> None:
+    section = BeltSection.model_validate({"direction": direction, "offset_sigma_mm": 0.0, "sway_mm": 0.0})
+    motion = board_motion(section, 0, start_s=0, start_along_mm=-50, across_mm=7, turned_deg=0)
+    (x0, y0, _), (x1, y1, _) = motion.center(0.0), motion.center(1.0)
+    assert y0 == -50 * direction
+    assert (y1 - y0) * direction == pytest.approx(100, rel=0.05)
+    assert [x0, x1] == pytest.approx([7, 7])
+
+
+def test_a_skewed_belt_moves_boards_sideways() -> None:
+    section = BeltSection(skew_deg=10.0, speed_wander=0, sway_mm=0, offset_sigma_mm=0)
+    motion = board_motion(section, 0, start_s=0, start_along_mm=0, across_mm=0, turned_deg=0)
+    x, y, _ = motion.center(1.0)
+    angle = math.radians(10)
+    assert [x, y] == pytest.approx([100 * math.sin(angle), 100 * math.cos(angle)])
+
+
+@given(st.integers(0, 9), st.integers(0, 3), st.floats(0.1, 5.0))
+def test_the_integral_of_a_wave_is_bounded(seed: int, purpose: int, period_s: float) -> None:
+    """Its mean is 0, so the belt does not drift away from its uniform motion."""
+    wave = waves(seed, purpose, period_s)
+    bound = 2 * wave.amplitude * sum(1 / w for w in wave.omega)
+    assert wave.integral(0.0) == 0.0
+    assert all(abs(wave.integral(t)) <= bound for t in np.linspace(0, 100 * period_s, 50))
+
+
+def test_offsets_scatter_from_board_to_board_as_stated() -> None:
+    section = BeltSection(offset_mm=2.0, offset_sigma_mm=0.5, yaw_sigma_deg=0.4)
+    motions = [board_motion(section, k, start_s=0, start_along_mm=0, across_mm=1, turned_deg=0) for k in range(400)]
+    across = [motion.across_mm for motion in motions]
+    assert np.mean(across) == pytest.approx(3.0, abs=0.1)
+    assert np.std(across) == pytest.approx(0.5, rel=0.1)
+    assert np.std([math.degrees(motion.yaw_rad) for motion in motions]) == pytest.approx(0.4, rel=0.1)

@@ -8,6 +8,7 @@ import pytest
 
 from vaoi_station.geometry import apply
 from vaoi_station.simulation import Twin
+from vaoi_station.simulation.motion.timetable import array_center_mm, line_of
 
 Make = Callable[..., Twin]
 
@@ -56,3 +57,34 @@ def test_a_turned_board_takes_as_long_as_its_width(make: Make) -> None:
     upright, turned = twin.passage(1), twin.passage(2)
     assert turned.turned_deg == 90
     assert (turned.clear_s - turned.blocked_s) / (upright.clear_s - upright.blocked_s) == pytest.approx(1.5, abs=0.05)
+
+
+@pytest.mark.parametrize("tail_s", [0.0, 0.1, 0.3])
+def test_a_longer_tail_adds_pulses_up_to_the_longest_board(make: Make, tail_s: float) -> None:
+    twin = make(line={"tail_s": tail_s})
+    passage = twin.passage(0)
+    last = passage.pulse_times_s[-1]
+    most = twin.line.rows_of_longest_board
+    assert last <= passage.clear_s + tail_s
+    assert passage.rows == most or last + twin.scenario.line.period_s > passage.clear_s + tail_s
+
+
+def test_passages_start_at_the_interval(make: Make) -> None:
+    twin = make(line={"interval_s": 2.5})
+    assert [twin.passage(k).start_s for k in range(4)] == [0.0, 2.5, 5.0, 7.5]
+
+
+def test_the_line_is_stated_as_in_station_toml(make: Make) -> None:
+    scenario = make(array={"cameras": 3}, board={"turned_deg": 90}, belt={"direction": -1}).scenario
+    line = line_of(scenario)
+    assert line.conveyor_mm_s == (0.0, -scenario.belt.speed_mm_s)
+    assert line.expected_board is not None
+    assert line.expected_board.rotation_deg == 90
+    assert line.expected_board.center_mm == array_center_mm(scenario) == scenario.array.pitch_mm
+
+
+def test_a_board_that_stops_behind_the_barrier_has_left_it(make: Make) -> None:
+    twin = make(faults={"stuck": [{"row": 5}]}, line={"longest_board_mm": 60.0, "tail_s": 0.3})
+    passage, free = twin.passage(0), make(line={"longest_board_mm": 60.0, "tail_s": 0.3}).passage(0)
+    assert passage.clear_s == free.clear_s
+    assert passage.pulse_times_s == free.pulse_times_s

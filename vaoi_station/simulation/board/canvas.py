@@ -84,7 +84,10 @@ class Canvas:
     def strokes(
         self, lines_mm: list[Floats], width_mm: float, grey: float, *, metal: float = 0.0, closed: bool = False
     ) -> None:
-        """Paint polylines of one width with round ends; their edges are exact to 1/16 px."""
+        """Paint polylines of one width with round ends.
+
+        Their centre lines are exact to 1/16 px; anti-aliasing makes them 1.7 px wider than `width_mm`.
+        """
         if not lines_mm:
             return
         mask = np.zeros(self.grey.shape, np.uint8)
@@ -97,7 +100,10 @@ class Canvas:
     def text(
         self, text: str, place: tuple[float, float], height_mm: float, grey: float, turned_deg: float = 0.0
     ) -> None:
-        """Paint text about its centre, rotated counter-clockwise; capitals are `height_mm` tall."""
+        """Paint text about its centre, rotated counter-clockwise.
+
+        `height_mm` is the height of OpenCV's text box; capitals are three quarters as tall.
+        """
         mask = _text_mask(text, max(round(height_mm * self.px_per_mm), 5))
         x, y = self.to_px(np.array(place))
         reach = math.hypot(*mask.shape) / 2 + 1
@@ -195,7 +201,7 @@ def _span(offset: Plane, width: float) -> Plane:
 
 @lru_cache(maxsize=2048)
 def _text_mask(text: str, height_px: int) -> Bytes:
-    """Return a mask of text whose capitals are `height_px` tall."""
+    """Return a mask of text whose box, as OpenCV measures it, is `height_px` tall."""
     # OpenCV scales a font, it does not take a height: measure a capital at a trial scale.
     font, trial = cv2.FONT_HERSHEY_SIMPLEX, 2.0
     (_, tall), _ = cv2.getTextSize("H", font, trial, 1)

@@ -24,7 +24,7 @@ from vaoi_station.simulation.scenario import BoardSection, LightSection
 _SURFACE_STEPS = 4
 _MIN_LEAN_PX = 0.02
 _SUBPIXEL_BITS = 4
-_MAX_REMAP_PX = 2**15 - 2
+MAX_REMAP_PX = 2**15 - 2
 """Largest image along an axis that OpenCV's remap samples."""
 _PLACEMENT_MARGIN_MM = 10.0
 """More than the shift of a placement and the parallax of a body at the edge of a view."""
@@ -124,7 +124,7 @@ class Scene:
         """Return the bodies that a frame can show, those furthest from the camera's foot first."""
         found = []
         size = np.array([camera.width_px, camera.height_px])
-        for k in self._nearby_bodies(camera, pose):
+        for k in self.nearby_bodies(camera, pose):
             body, texture = self.artwork.bodies[k], paint.tops[k]
             placement = placements[body.ref]
             if placement is None:
@@ -145,7 +145,7 @@ class Scene:
         reach = [np.abs(b.outline_mm - b.center_mm).max() * math.sqrt(2) + 4 * b.height_mm for b in bodies]
         return middles, np.array(reach) + _PLACEMENT_MARGIN_MM
 
-    def _nearby_bodies(self, camera: Pinhole, pose: Floats) -> list[int]:
+    def nearby_bodies(self, camera: Pinhole, pose: Floats) -> list[int]:
         """Return the indices of the bodies near enough to the view to be tested one by one."""
         middles, reach = self._body_extents
         w, h = camera.width_px - 1.0, camera.height_px - 1.0
@@ -166,7 +166,7 @@ class Scene:
                 place = apply(back, camera.ground(lattice.nodes_px, self.surface_z(place)))
         t = self.artwork.to_px(place)
         shape = (camera.height_px * OVERSAMPLING, camera.width_px * OVERSAMPLING)
-        if max(texture.shape) > _MAX_REMAP_PX:
+        if max(texture.shape) > MAX_REMAP_PX:
             texture, t = _crop_texture(texture, t)
         x, y = lattice.spread(t[:, 0], shape), lattice.spread(t[:, 1], shape)
         return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderValue=round(self.belt_grey)))

@@ -1,0 +1,188 @@
+"""Light, shadow, walls and hiding: what one camera sees of boards with a single body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from vaoi_station.simulation import Twin
+from vaoi_station.simulation.board.artwork import Artwork
+from vaoi_station.simulation.board.bodies import Body
+from vaoi_station.simulation.board.canvas import Canvas, to_bytes
+from vaoi_station.simulation.imaging.scene import LitTextures, Placement, Scene
+from vaoi_station.simulation.scenario import BoardSection, LightSection
+
+Make = Callable[..., Twin]
+Array = NDArray[np.float64]
+BOARD, TOP, WALL, BELT, SCALE = 60.0, 200.0, 90.0, 15.0, 11.0
+AS_PLACED = Placement((0.0, 0.0), 0.0)
+SHIFTS, TURNS = st.floats(-0.5, 0.5), st.floats(-0.2, 0.2)
+
+
+def block(ref: str, center: tuple[float, float], size: float, height_mm: float, top_grey: float = TOP) -> Body:
+    """A square body with an even top."""
+    origin = (center[0] - size / 2 - 1.0, center[1] - size / 2 - 1.0)
+    cover = Canvas.blank(origin, (size + 2, size + 2), SCALE, 0.0)
+    cover.box(center, (size, size), 255.0)
+    outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2 + center
+    top = np.full_like(to_bytes(cover.grey), int(top_grey))
+    return Body(
+        ref=ref, outline_mm=outline, height_mm=height_mm, side_grey=WALL, center_mm=center, top=top,
+        metal=np.zeros_like(top), cover=to_bytes(cover.grey), origin_mm=origin, px_per_mm=SCALE,
+    )  # fmt: skip
+
+
+def scene_of(*bodies: Body, section: BoardSection | None = None, metal: float = 0.0) -> Scene:
+    """A board of 20 × 16 mm about the origin of the tester."""
+    ground = Canvas.blank((-10.0, -8.0), (20.0, 16.0), SCALE, BOARD)
+    ground.metal[:] = metal
+    art = Artwork((), bodies, to_bytes(ground.grey), to_bytes(ground.metal, 255), SCALE, ground.origin_mm)
+    return Scene(section or BoardSection(width_mm=20.0, length_mm=16.0), art, BELT)
+
+
+def view(
+    make: Make, scene: Scene, light: LightSection | None = None, **placements: Placement | None
+) -> tuple[Any, Array]:
+    """The camera, and the mean of its 2 × 2 samples, (h, w)."""
+    camera, light = make().pinholes[0], light or LightSection()
+    known = {body.ref: AS_PLACED for body in scene.artwork.bodies} | placements
+    samples = scene.view(camera, np.eye(3), paint=LitTextures(scene.artwork, light), light=light, placements=known)
+    h, w = samples.shape
+    return camera, np.asarray(samples.reshape(h // 2, 2, w // 2, 2).mean((1, 3)), np.float64)
+
+
+def grey_at(camera: Any, image: Array, place: tuple[float, float], z_mm: float = 0.0) -> float:
+    """Grey value at the pixel that shows a tester place."""
+    x, y = camera.project(np.array([place]), z_mm)[0].round().astype(int)
+    return float(image[y, x])
+
+
+@given(st.tuples(SHIFTS, SHIFTS), TURNS, st.tuples(SHIFTS, SHIFTS))
+def test_a_placement_and_its_inverse_cancel(
+    shift: tuple[float, float], turn: float, center: tuple[float, float]
+) -> None:
+    placement = Placement(shift, turn)
+    places = np.array([[0.0, 0.0], [3.0, -2.0], [-1.5, 4.0]])
+    there = placement.to_board(places, center)
+    assert np.allclose(placement.to_nominal(there, center), places, atol=1e-12)
+    assert np.allclose(np.diff(there, axis=0) ** 2 @ [1, 1], np.diff(places, axis=0) ** 2 @ [1, 1])
+    assert np.allclose(placement.to_board(np.array(center), center), np.add(center, shift))
+
+
+def test_without_bodies_the_camera_sees_the_board_and_the_belt(make: Make) -> None:
+    camera, image = view(make, scene_of())
+    assert grey_at(camera, image, (0.0, 0.0)) == BOARD
+    camera, image = view(make, Scene(BoardSection(), scene_of().artwork, BELT))
+    wide = make(array={"width_px": 480, "height_px": 360}).pinholes[0]
+    samples = scene_of().view(
+        wide, np.eye(3), paint=LitTextures(scene_of().artwork, LightSection()), light=LightSection(), placements={}
+    )
+    assert samples[0, 0] == samples[-1, -1] == BELT
+    assert samples.shape == (720, 960)
+
+
+def test_a_top_is_seen_at_its_height(make: Make) -> None:
+    """Its parallax moves it away from the foot of the camera."""
+    camera, image = view(make, scene_of(block("C1", (4.0, 0.0), 2.0, 8.0)))
+    assert grey_at(camera, image, (4.0, 0.0), 8.0) == TOP
+    lean_px = camera.project(np.array([[5.0, 0.0]]), 8.0)[0, 0] - camera.project(np.array([[5.0, 0.0]]), 0.0)[0, 0]
+    assert lean_px > 1.5
+    edge = image[60].tolist().index(TOP) + int((image[60] == TOP).sum())
+    assert abs(edge - camera.project(np.array([[5.0, 0.0]]), 8.0)[0, 0]) < 1.5
+
+
+def test_the_wall_towards_the_camera_is_seen_and_the_other_is_hidden(make: Make) -> None:
+    _, image = view(make, scene_of(block("C1", (5.0, 0.0), 2.0, 40.0)))
+    row = image[60]
+    wall = np.flatnonzero(np.abs(row - WALL) < 1)
+    top = np.flatnonzero(np.abs(row - TOP) < 1)
+    assert len(wall) >= 1
+    assert wall.max() < top.min()
+
+
+def test_an_absent_part_leaves_the_bare_board(make: Make) -> None:
+    camera, image = view(make, scene_of(block("C1", (2.0, 1.0), 2.0, 3.0)), C1=None)
+    assert grey_at(camera, image, (2.0, 1.0)) == BOARD
+    assert set(np.unique(image)) == {BOARD}
+
+
+def test_a_shifted_part_is_seen_where_it_was_placed(make: Make) -> None:
+    centers = []
+    for shift in ((0.0, 0.0), (0.5, -0.3)):
+        _, image = view(make, scene_of(block("C1", (0.0, 0.0), 2.0, 0.5)), C1=Placement(shift, 0.0))
+        y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+        weight = image - BOARD
+        centers.append(np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum())
+    scale = 10.0 * (1 + 0.002)
+    assert np.abs((centers[1] - centers[0]) - np.array([0.5, -0.3]) * scale).max() < 0.05
+
+
+def test_the_body_nearer_to_the_camera_hides_the_one_behind_it(make: Make) -> None:
+    near, far = block("U1", (4.0, 0.0), 2.0, 30.0, 220.0), block("U2", (6.2, 0.0), 2.0, 1.0, 120.0)
+    for bodies in ((near, far), (far, near)):
+        camera, image = view(make, scene_of(*bodies))
+        assert grey_at(camera, image, (5.4, 0.0), 1.0) == 220.0
+        assert grey_at(camera, image, (6.8, 0.0), 1.0) == 120.0
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 180.0, -90.0])
+def test_shadows_fall_away_from_the_lamp(make: Make, azimuth_deg: float) -> None:
+    light = LightSection(azimuth_deg=azimuth_deg, shadow=0.5, elevation_deg=45.0)
+    camera, image = view(make, scene_of(block("C1", (0.0, 0.0), 2.0, 2.0)), light)
+    a = math.radians(azimuth_deg)
+    towards, away = (math.cos(a) * 2.0, math.sin(a) * 2.0), (-math.cos(a) * 2.0, -math.sin(a) * 2.0)
+    assert grey_at(camera, image, towards) == BOARD
+    assert grey_at(camera, image, away) == pytest.approx(BOARD * 0.5, abs=1.0)
+
+
+def test_a_lower_lamp_casts_longer_shadows(make: Make) -> None:
+    areas = []
+    for elevation_deg in (70.0, 45.0, 30.0):
+        light = LightSection(shadow=0.5, elevation_deg=elevation_deg)
+        _, image = view(make, scene_of(block("C1", (0.0, 0.0), 2.0, 2.0)), light)
+        areas.append(int((image < BOARD - 10).sum()))
+    expected = [2.0 * 2.0 / math.tan(math.radians(e)) * 100 for e in (70.0, 45.0, 30.0)]
+    assert areas == pytest.approx(expected, rel=0.25)
+
+
+def test_walls_towards_the_lamp_are_brighter(make: Make) -> None:
+    """The wall that the camera sees, under a lamp on its side and on the other side."""
+    walls = []
+    for azimuth_deg in (180.0, 0.0):
+        light = LightSection(azimuth_deg=azimuth_deg, shading=0.3)
+        _, image = view(make, scene_of(block("C1", (5.0, 0.0), 2.0, 40.0)), light)
+        row = image[60]
+        top = np.flatnonzero(np.abs(row - TOP) < 1).min()
+        walls.append(float(row[top - 8]))
+    assert walls[0] == pytest.approx(WALL * 1.6, abs=2)
+    assert walls[1] == pytest.approx(WALL * 0.4, abs=2)
+
+
+@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0])
+def test_a_light_scales_metal_only(factor: float) -> None:
+    half = scene_of(metal=0.5).artwork
+    lit = LitTextures(half, LightSection(metal=factor)).surface
+    assert abs(float(lit.mean()) - BOARD * (1 + 0.5 * (factor - 1))) < 1.0
+    mask = scene_of(metal=0.0).artwork
+    assert np.array_equal(LitTextures(mask, LightSection(metal=factor)).surface, mask.surface)
+
+
+@given(st.floats(0, 20), st.floats(0, 16), st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5))
+def test_the_surface_is_lifted_tilted_and_bowed(x: float, y: float, lift: float, bow: float, tilt: float) -> None:
+    section = BoardSection(width_mm=20.0, length_mm=16.0, lift_mm=lift, bow_mm=bow, tilt_mm=(tilt, -tilt))
+    scene = scene_of(section=section)
+    u, v = x / 10 - 1, y / 8 - 1
+    expected = lift + tilt * u - tilt * v + bow * (1 - 0.4 * u * u - 0.6 * v * v)
+    assert scene.surface_z(np.array([[x, y]]))[0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_bodies_far_from_the_view_are_not_tested_one_by_one(make: Make) -> None:
+    near, far = block("C1", (0.0, 0.0), 1.0, 1.0), block("C2", (300.0, 0.0), 1.0, 1.0)
+    assert scene_of(near, far).nearby_bodies(make().pinholes[0], np.eye(3)) == [0]
