@@ -33,7 +33,7 @@ def test_a_plausible_board_type_is_accepted() -> None:
         ({"fiducials": [{"name": "A", "x": 5, "y": 5, "diameter": 1e6}]}, "0.05 to 50 mm"),
         (
             {"components": [{"ref": f"R{n}", "center": [n, 0], "width": 1, "height": 1} for n in range(20_001)]},
-            "at most 20000 are taken",
+            "the limit is 20000",
         ),
     ],
 )

@@ -72,7 +72,7 @@ def test_a_product_is_of_the_more_general_kind() -> None:
 
 def test_a_product_of_strangers_is_refused() -> None:
     d = Euclidean.identity(System.ROW, System.TESTER)
-    with pytest.raises(InternalError, match="row_from_tester @ image_from_row: no neighbours"):
+    with pytest.raises(InternalError, match="row_from_tester @ image_from_row: no match"):
         d @ Projective(np.eye(3), System.IMAGE, System.ROW)
 
 

@@ -1,6 +1,6 @@
-"""Coordinate systems, transforms between them, cameras over the conveyor plane, robust estimation.
+"""Coordinate systems, plane transforms, calibrated cameras over the conveyor plane, and robust estimation.
 
-Imported by every room that computes; knows nothing of files, frames or devices.
+Pure mathematics: this package uses no files, frames or devices.
 """
 
 from vaoi_station.geometry.camera import Camera

@@ -1,9 +1,9 @@
-"""One camera over the conveyor: N_i, its lens, and what it sees of planes above the belt.
+"""A calibrated camera over the conveyor: N_i, its lens, and the projection of planes above the belt.
 
-N_i (equation 10) is the homography of the calibrated plane. With the working distance known it
-gives the camera's centre too, and with it the view of every plane at a height h: a point seen at
-ground position X (where its ray meets the calibrated plane) and standing h above that plane is at
-X + (h / d)·(F − X), F being the point of the plane right below the camera and d the distance.
+N_i (equation 10) is the homography of the calibrated plane. If the working distance d is known, N_i also gives
+the camera centre, and so the projection of a plane at height h. Let X be the ground position of a pixel: the point
+where its ray meets the calibrated plane. A point at height h on this ray lies at X + (h / d)·(F − X), where F is the
+foot of the camera: the point of the plane vertically below the camera centre.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from vaoi_station.geometry.lens import Lens
 from vaoi_station.geometry.transforms import Floats, Projective, System, apply
 
 _BORDER_POINTS = 9
-"""Per side of the frame, whose places tell what a camera sees."""
-_BOX_ROOM = 0.01
-"""More than a usable lens bends a border between two of them, of the view."""
+"""Number of sampled points per side of the frame, from which the bounding box of the view is computed."""
+_BOX_MARGIN = 0.01
+"""Margin of the bounding box, as a share of its size: more than a usable lens bends a border between two samples."""
+_FOOT_ITERATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -41,40 +42,41 @@ class Camera:
 
     @cached_property
     def px_per_mm(self) -> float:
-        """Resolution in the middle of the frame, the paper's r."""
+        """Resolution at the centre of the frame, the paper's r."""
         return self.image_from_row.scale_at(self.row_from_image(self.center_px))
 
     @property
     def center_px(self) -> tuple[float, float]:
-        """Middle of the frame."""
+        """Centre of the frame, (x, y) px."""
         return (self.width_px - 1) / 2, (self.height_px - 1) / 2
 
     @cached_property
     def foot_mm(self) -> Floats:
-        """The point of the calibrated plane straight below the camera, (2,) mm.
+        """The point of the calibrated plane vertically below the camera centre, (2,) mm.
 
-        From N_i = K [r1 r2 t] with the focal length that puts the camera at the working distance;
-        without a working distance the middle of the view, which is what a camera that looks
-        straight down has below it.
+        It follows from N_i = K [r1 r2 t], with the focal length for which the camera is at the working distance.
+        If the working distance is unknown, it is the centre of the view, as for a camera without tilt.
         """
         if self.working_distance_mm is None:
             return self.row_from_image(self.center_px)
         return _foot_of(self.image_from_row.matrix, self.principal_point_px or self.center_px, self.working_distance_mm)
 
     def ground(self, raw_px: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
-        """Where points seen at raw pixels (..., 2) are, in mm (..., 2), if they stand `height_mm` above the plane."""
+        """Project raw pixels (..., 2) to points (..., 2) in mm, `height_mm` above the calibrated plane."""
+        # Imported here: Numba takes a moment to load, and many callers of this package never project.
         from vaoi_station.geometry.projection_kernels import image_to_ground
 
-        raw, height, out = _paired(raw_px, height_mm)
+        raw, height, out = _flatten_pairs(raw_px, height_mm)
         n = self.row_from_image.matrix
-        image_to_ground(raw, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        image_to_ground(raw, height, self._viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
         return out
 
     def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
-        """Corners of a box that holds all places seen at least a margin inside the frame, at heights between two.
+        """Return the corners of a box, mm, that contains all points visible inside a margin, between two heights.
 
-        It is a little too large, for what lenses do between the points of the border that are looked at.
+        The box is slightly too large, because the border of the frame is sampled and a lens bends it between samples.
         """
+        # Most callers need the whole frame at height 0, so that box is cached.
         if margin_px == 0 and heights_mm == (0.0, 0.0):
             return self._view_mm
         return self._seen_mm(margin_px, heights_mm)
@@ -89,33 +91,39 @@ class Camera:
         border = [np.column_stack([x, np.full_like(x, end)]) for end in (y[0], y[-1])]
         border += [np.column_stack([np.full_like(y, end), y]) for end in (x[0], x[-1])]
         seen = np.concatenate([self.ground(np.concatenate(border), height) for height in heights_mm])
-        room = _BOX_ROOM * np.ptp(seen, axis=0)
-        return np.asarray(seen.min(0) - room), np.asarray(seen.max(0) + room)
+        extra = _BOX_MARGIN * np.ptp(seen, axis=0)
+        return np.asarray(seen.min(0) - extra), np.asarray(seen.max(0) + extra)
 
     def parallax(self, ground_mm: ArrayLike) -> Floats:
-        """mm per mm of height by which a point seen at ground position (..., 2) really lies elsewhere, (..., 2)."""
+        """Return the offset (..., 2) from ground position (..., 2) to the real position, mm per mm of height.
+
+        Zero if the working distance is unknown.
+        """
         ground = np.asarray(ground_mm, dtype=np.float64)
         if self.working_distance_mm is None:
             return np.zeros_like(ground)
         return np.asarray((self.foot_mm - ground) / self.working_distance_mm, dtype=np.float64)
 
     def project(self, place_mm: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
-        """Raw pixels (..., 2) of points at places (..., 2) in mm, `height_mm` above the plane."""
+        """Project points (..., 2) in mm, `height_mm` above the calibrated plane, to raw pixels (..., 2)."""
         from vaoi_station.geometry.projection_kernels import ground_to_image
 
-        place, height, out = _paired(place_mm, height_mm)
+        place, height, out = _flatten_pairs(place_mm, height_mm)
         n = self.image_from_row.matrix
-        ground_to_image(place, height, self._eye, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        ground_to_image(place, height, self._viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
         return out
 
     @cached_property
-    def _eye(self) -> tuple[float, float, float]:
-        """Foot, and the inverse of the working distance: 0 where that is not known, so that heights do nothing."""
+    def _viewpoint(self) -> tuple[float, float, float]:
+        """The foot (x, y) and the inverse working distance, for the compiled kernels.
+
+        The inverse is 0 for an unknown distance, so that heights have no effect.
+        """
         x, y = self.foot_mm
         return float(x), float(y), 0.0 if self.working_distance_mm is None else 1 / self.working_distance_mm
 
     def image_from_row_at(self, height_mm: float) -> Projective:
-        """The homography of the plane at a height: undistorted pixels of places in that plane."""
+        """Return the homography of the plane at a height: points of that plane to undistorted pixels."""
         if self.working_distance_mm is None or height_mm == 0:
             return self.image_from_row
         k = height_mm / self.working_distance_mm
@@ -124,14 +132,15 @@ class Camera:
         return Projective(self.image_from_row.matrix @ ground_from_place, System.IMAGE, System.ROW)
 
     def sees(self, raw_px: ArrayLike, margin_px: float = 0.0) -> np.ndarray:
-        """Whether raw pixels (..., 2) lie inside the frame, kept off its border by a margin; equation 22."""
+        """Return whether raw pixels (..., 2) lie inside the frame and off its border by a margin; equation 22."""
+        # Comparisons with NaN are false: a pixel that cannot be computed counts as outside.
         p = np.asarray(raw_px, dtype=np.float64)
         x, y, low = p[..., 0], p[..., 1], margin_px
         return np.asarray((x >= low) & (y >= low) & (x <= self.width_px - 1 - low) & (y <= self.height_px - 1 - low))
 
 
-def _paired(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Points (k, 2) with their heights (k,), or (1,) for all, and room for the answer in the shape of the question."""
+def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:
+    """Return points as (k, 2), heights as (k,) or (1,) for all, and an empty output in the shape of the points."""
     p, h = np.asarray(points, dtype=np.float64), np.asarray(height, dtype=np.float64)
     if h.ndim and h.shape != p.shape[:-1]:
         shape = np.broadcast_shapes(p.shape[:-1], h.shape)
@@ -140,25 +149,28 @@ def _paired(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Float
 
 
 def _foot_of(n: Floats, principal_point_px: tuple[float, float], distance_mm: float) -> Floats:
-    """Camera centre projected on the plane, from a homography with known principal point and distance.
+    """Compute the foot of a camera from its homography, principal point and working distance.
 
-    The focal length that fits the distance is found by fixed-point iteration: the distance a trial
-    focal length gives is proportional to it, up to the small tilt of the camera.
+    A fixed-point iteration finds the focal length that fits the distance.
     """
     x, y = principal_point_px
     middle = apply(np.linalg.inv(n), (x, y))
     f = Projective(n, System.IMAGE, System.ROW).scale_at(middle) * distance_mm
     centre = np.zeros(3)
-    for _ in range(5):
+    # The distance is proportional to the focal length except for the small tilt, so five iterations converge.
+    for _ in range(_FOOT_ITERATIONS):
         b = np.linalg.inv(np.array([[f, 0, x], [0, f, y], [0, 0, 1]])) @ n
+        # Two columns of a rotation have length 1; their mean length is the unknown scale of the homography.
         b = b / ((np.linalg.norm(b[:, 0]) + np.linalg.norm(b[:, 1])) / 2)
         r3 = np.cross(b[:, 0], b[:, 1])
         rotation = _nearest_rotation(np.column_stack([b[:, 0], b[:, 1], r3 / np.linalg.norm(r3)]))
+        # With noise the three columns are not exactly orthonormal, hence the nearest rotation.
         centre = -rotation.T @ b[:, 2]
         f *= distance_mm / abs(centre[2])
     return np.asarray(centre[:2])
 
 
 def _nearest_rotation(m: Floats) -> Floats:
+    """Return the orthogonal matrix nearest to a matrix in the Frobenius norm (orthogonal Procrustes problem)."""
     u, _, vt = np.linalg.svd(m)
     return np.asarray(u @ vt)

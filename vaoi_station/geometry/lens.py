@@ -1,6 +1,6 @@
-"""Radial lens distortion: raw pixels to undistorted ones and back.
+"""Radial lens distortion: conversion between raw and undistorted pixels.
 
-undistorted = c + (raw − c)·(1 + a1·ρ² + a2·ρ⁴ + …) with ρ = |raw − c| / R, as `formats.md` fixes it.
+undistorted = c + (raw − c)·(1 + a1·ρ² + a2·ρ⁴ + …) with ρ = |raw − c| / R, as docs/formats.md defines it.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 
 from vaoi_station.geometry.transforms import Floats
 
-_NEVER = 1e-12
-"""1 / ρ² of a turning point so far out that nothing is ever projected there."""
+_NEGLIGIBLE = 1e-12
+"""1 / ρ² of a turning point a million radii out; no point is ever projected there."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Radial distortion about a centre; no coefficients mean an ideal lens."""
+    """Radial distortion about a centre; a lens without coefficients is ideal."""
 
     center_px: tuple[float, float]
     radius_px: float
@@ -28,14 +28,15 @@ class Lens:
 
     @property
     def ideal(self) -> bool:
-        """Whether raw and undistorted pixels are the same."""
+        """Whether raw and undistorted pixels are equal."""
         return not any(self.radial)
 
     def undistort(self, raw_px: ArrayLike) -> Floats:
-        """Undistorted pixels (..., 2) of raw ones (..., 2)."""
+        """Convert raw pixels (..., 2) to undistorted pixels (..., 2)."""
         p = np.asarray(raw_px, dtype=np.float64)
         if self.ideal:
             return p
+        # Imported here: Numba takes a moment to load, and an ideal lens needs no compiled code.
         from vaoi_station.geometry.projection_kernels import undistort_points
 
         out = np.empty(p.shape)
@@ -43,10 +44,10 @@ class Lens:
         return out
 
     def distort(self, undistorted_px: ArrayLike) -> Floats:
-        """Raw pixels (..., 2) of undistorted ones (..., 2), by Newton's method (to 1e-9 px).
+        """Convert undistorted pixels (..., 2) to raw pixels (..., 2) by Newton's method, to 1e-9 px.
 
-        Where the polynomial turns back, no raw pixel belongs to a point; such points are put beyond that
-        radius, further out the further they are, and so do not land inside a frame the lens is made for.
+        Beyond the turning point of the polynomial a point has no raw pixel. Such a point is mapped beyond the
+        turning radius, monotonically, so that it never lands inside the frame.
         """
         u = np.asarray(undistorted_px, dtype=np.float64)
         if self.ideal:
@@ -59,12 +60,12 @@ class Lens:
 
     @cached_property
     def coefficients(self) -> Floats:
-        """a1, a2, … as `geometry.projection_kernels` wants them: none for an ideal lens."""
+        """a1, a2, … in the form that `geometry.projection_kernels` takes; empty for an ideal lens."""
         return np.array(() if self.ideal else self.radial, dtype=np.float64)
 
     @cached_property
     def shape(self) -> tuple[float, float, float, float, float]:
-        """Centre, radius, the raw ρ at which the polynomial stops growing, the undistorted ρ there (or ∞)."""
+        """The centre, the radius, and the raw and the undistorted ρ of the turning point (or ∞)."""
         edge = furthest = self.turning_point
         if math.isfinite(edge):
             furthest = edge * (1 + sum(a * edge ** (2 * k) for k, a in enumerate(self.radial, start=1)))
@@ -72,7 +73,9 @@ class Lens:
 
     @cached_property
     def turning_point(self) -> float:
-        """The smallest ρ at which the polynomial stops growing; infinite for a lens that never turns back."""
-        inverse = np.roots([(2 * k + 1) * a for k, a in enumerate((1.0, *self.radial))])  # roots in 1 / ρ²
-        real = [float(r.real) for r in inverse if abs(r.imag) < 1e-9 * abs(r) and r.real > _NEVER]
+        """The smallest ρ at which the polynomial stops growing; infinite if it always grows."""
+        # The derivative of ρ·(1 + a1·ρ² + …) is a polynomial in ρ². Its roots are computed in 1 / ρ², so that a
+        # vanishing last coefficient gives a root at 0 and not a division by zero.
+        inverse = np.roots([(2 * k + 1) * a for k, a in enumerate((1.0, *self.radial))])
+        real = [float(r.real) for r in inverse if abs(r.imag) < 1e-9 * abs(r) and r.real > _NEGLIGIBLE]
         return 1 / math.sqrt(max(real)) if real else math.inf

@@ -1,8 +1,9 @@
-"""Between pixels and places, one compiled pass per set of points: lens, N_i, height.
+"""Compiled projection between pixels and points above the belt: lens, N_i and height in one pass.
 
-Imported when a camera is first used, for the compiler takes a moment to load. `lens` is (x0, y0, R, edge, furthest):
-centre and radius in px, the raw ρ at which the polynomial stops growing and the undistorted ρ there; `radial`
-holds a1, a2, … and is empty for an ideal lens. `eye` is (x, y, 1 / d): the foot and the inverse of the distance.
+`lens` is (x0, y0, R, edge, furthest): the centre and the radius in px, and the raw and the undistorted ρ of the turning
+point of the polynomial. `radial` holds a1, a2, … and is empty for an ideal lens. `viewpoint` is (x, y, 1 / d): the
+foot of the camera in mm and its inverse working distance. The module is imported on first use, because Numba takes a
+moment to load.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
 LensShape = tuple[float, float, float, float, float]
-_NEWTON_STEPS = 30
+_MAX_NEWTON_STEPS = 30
 _CONVERGED = 1e-14
 
 
@@ -23,15 +24,19 @@ _CONVERGED = 1e-14
 def ground_to_image(
     place: Floats,
     height: Floats,
-    eye: tuple[float, float, float],
+    viewpoint: tuple[float, float, float],
     n: Floats,
     radial: Floats,
     lens: LensShape,
     out: Floats,
 ) -> None:
-    """Raw pixels (k, 2) of places (k, 2) in mm at heights (k,), or (1,) for one height of all; n is N_i."""
-    x0, y0, inverse = eye
+    """Project points (k, 2) in mm at heights (k,) to raw pixels (k, 2); n is N_i.
+
+    Heights of shape (1,) apply to all points.
+    """
+    x0, y0, inverse = viewpoint
     for i in range(len(place)):
+        # The ray from the camera through the raised point meets the calibrated plane further away from the foot.
         share = height[i if len(height) > 1 else 0] * inverse
         x, y = (place[i, 0] - share * x0) / (1 - share), (place[i, 1] - share * y0) / (1 - share)
         w = n[2, 0] * x + n[2, 1] * y + n[2, 2]
@@ -43,14 +48,17 @@ def ground_to_image(
 def image_to_ground(
     raw: Floats,
     height: Floats,
-    eye: tuple[float, float, float],
+    viewpoint: tuple[float, float, float],
     n: Floats,
     radial: Floats,
     lens: LensShape,
     out: Floats,
 ) -> None:
-    """Places (k, 2) in mm of raw pixels (k, 2) at heights (k,), or (1,) for one height of all; n is N_i⁻¹."""
-    x0, y0, inverse = eye
+    """Project raw pixels (k, 2) to points (k, 2) in mm at heights (k,); n is N_i⁻¹.
+
+    Heights of shape (1,) apply to all points.
+    """
+    x0, y0, inverse = viewpoint
     for i in range(len(raw)):
         u, v = undistort_point(raw[i, 0], raw[i, 1], radial, lens)
         w = n[2, 0] * u + n[2, 1] * v + n[2, 2]
@@ -70,7 +78,10 @@ def transfer_points(
     radial_b: Floats,
     lens_b: LensShape,
 ) -> Floats:
-    """Raw pixels (k, 2) in camera b of points of the plane seen at raw pixels (k, 2) of a, after a shift (2,)."""
+    """Transfer raw pixels (k, 2) of camera a to raw pixels of camera b, through points of the plane.
+
+    The points are shifted by `shift_mm` (2,) between the two exposures.
+    """
     out, m, n = np.empty((len(raw), 2)), ground_from_a, b_from_ground
     for i in range(len(raw)):
         u, v = undistort_point(raw[i, 0], raw[i, 1], radial_a, lens_a)
@@ -85,21 +96,21 @@ def transfer_points(
 
 @compiled
 def undistort_points(raw: Floats, radial: Floats, lens: LensShape, out: Floats) -> None:
-    """Undistorted pixels (k, 2) of raw ones."""
+    """Convert raw pixels (k, 2) to undistorted pixels."""
     for i in range(len(raw)):
         out[i, 0], out[i, 1] = undistort_point(raw[i, 0], raw[i, 1], radial, lens)
 
 
 @compiled
 def distort_points(points: Floats, radial: Floats, lens: LensShape, out: Floats) -> None:
-    """Raw pixels (k, 2) of undistorted ones."""
+    """Convert undistorted pixels (k, 2) to raw pixels."""
     for i in range(len(points)):
         out[i, 0], out[i, 1] = distort_point(points[i, 0], points[i, 1], radial, lens)
 
 
 @inlined
 def _evaluate_polynomial(radial: Floats, rho2: float) -> tuple[float, float]:
-    """1 + a1·ρ² + … and the slope of ρ times that, at a squared radius in units of R²."""
+    """Return the factor 1 + a1·ρ² + … and the derivative of ρ·factor, for ρ² in units of R²."""
     factor, slope, power = 1.0, 1.0, 1.0
     for k in range(len(radial)):
         power *= rho2
@@ -110,7 +121,7 @@ def _evaluate_polynomial(radial: Floats, rho2: float) -> tuple[float, float]:
 
 @inlined
 def undistort_point(u: float, v: float, radial: Floats, lens: LensShape) -> tuple[float, float]:
-    """One point."""
+    """Convert one raw pixel to an undistorted pixel; for compiled functions."""
     if len(radial) == 0:
         return u, v
     x0, y0, radius, _, _ = lens
@@ -121,16 +132,18 @@ def undistort_point(u: float, v: float, radial: Floats, lens: LensShape) -> tupl
 
 @inlined
 def distort_point(u: float, v: float, radial: Floats, lens: LensShape) -> tuple[float, float]:
-    """One raw pixel of an undistorted one, by Newton's method; for compiled functions."""
+    """Convert one undistorted pixel to a raw pixel by Newton's method; for compiled functions."""
     if len(radial) == 0:
         return u, v
     x0, y0, radius, edge, furthest = lens
     x, y = u - x0, v - y0
     reach = math.sqrt(x * x + y * y) / radius
+    # A point beyond the turning point has no solution: solve for the turning point and add the excess afterwards.
     inside = min(reach, furthest)
     rho = inside
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(_MAX_NEWTON_STEPS):
         factor, slope = _evaluate_polynomial(radial, rho * rho)
+        # The slope vanishes at the turning point; its floor keeps the step finite and the clamp keeps rho in range.
         step = (rho * factor - inside) / max(slope, 1e-12)
         rho = min(max(rho - step, 0.0), edge)
         if abs(step) <= _CONVERGED * (1 + rho):

@@ -1,7 +1,6 @@
-"""Estimates that can fail: a transform, or a `Failure` that says why.
+"""Estimates that can fail: they return a value or a `Failure` with the reason.
 
-An estimate that fails is a value with a reason, not an exception: the caller decides what a failure
-means for the run.
+A failed estimate is a value and not an exception, because the caller decides what it means for the run.
 """
 
 from __future__ import annotations
@@ -16,12 +15,14 @@ from vaoi_station.errors import InternalError
 from vaoi_station.geometry.transforms import Floats, Similarity, System
 
 _ROUNDING = 1e-12
+"""Relative difference below which points coincide."""
 _UNRELATED = 1e-12
+"""Share of the target's spread below which a fit explains nothing."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why an estimate could not be made, in a sentence with numbers."""
+    """The reason why an estimate is not possible, as a sentence with numbers."""
 
     reason: str
 
@@ -29,20 +30,24 @@ class Failure:
 def fit_similarity(
     target_points: ArrayLike, source_points: ArrayLike, target: System, source: System, *, mirrored: bool
 ) -> Similarity | Failure:
-    """Least-squares similarity of given handedness (four parameters; equation 21 for two points).
+    """Fit a least-squares similarity of given handedness (four parameters; equation 21 for two points).
 
     Args:
         target_points: (k, 2).
-        source_points: (k, 2), k ≥ 2, not all the same.
+        source_points: (k, 2), k ≥ 2, at least two of them different.
         target: system of `target_points`.
         source: system of `source_points`.
-        mirrored: whether the mapping flips handedness; never guessed from the data.
+        mirrored: whether the mapping changes handedness; it is known and never estimated from the data.
+
+    Raises:
+        InternalError: if the numbers of points differ.
     """
     p, q = np.asarray(source_points, dtype=np.float64), np.asarray(target_points, dtype=np.float64)
     if p.shape != q.shape:
         raise InternalError(f"fit_similarity pairs {p.shape} with {q.shape} points")
     if len(p) < 2:
         return Failure(f"{len(p)} point(s) do not fix a similarity; two are needed")
+    # A plane similarity is one complex factor: q = k·p + t. A mirrored one acts on the conjugate of p.
     flip = np.array([1.0, -1.0 if mirrored else 1.0])
     mid_p, mid_q = p.mean(0), q.mean(0)
     a = ((p - mid_p) * flip) @ np.array([1, 1j])
@@ -53,6 +58,7 @@ def fit_similarity(
     if _coincide(b, q):
         return Failure("the target points coincide; two different ones are needed")
     k = complex((np.conj(a) * b).sum() / spread)
+    # A pattern that fits only its mirror image gives k ≈ 0, which would map all points to one.
     if abs(k) ** 2 * spread <= _UNRELATED * float((np.abs(b) ** 2).sum()):
         return Failure("the two sets of points have nothing in common under this handedness")
     linear = Similarity.of(abs(k), math.atan2(k.imag, k.real), (0, 0), target, source, mirrored=mirrored)
@@ -60,17 +66,17 @@ def fit_similarity(
 
 
 def _coincide(offsets: NDArray[np.complex128], points: Floats) -> bool:
-    """Whether points differ by rounding only."""
+    """Return whether points differ by rounding errors only."""
     return float(np.abs(offsets).max()) <= _ROUNDING * float(np.abs(points).max(initial=0.0))
 
 
 def huber_weights(normalized: Floats, knee: float) -> Floats:
-    """Weights of Huber's estimator for residuals in units of their standard deviation."""
+    """Compute the weights of Huber's M-estimator for residuals in units of their standard deviation."""
     size = np.abs(normalized)
     return np.asarray(np.where(size <= knee, 1.0, knee / np.maximum(size, 1e-12)))
 
 
 def median_sigma(residuals: ArrayLike) -> float:
-    """Standard deviation from the median absolute value (zero-mean normal data: 1.4826 · median |r|)."""
+    """Estimate a standard deviation as 1.4826 · median |r| (zero-mean normal data); NaN without data."""
     r = np.asarray(residuals, dtype=np.float64)
     return 1.4826 * float(np.median(np.abs(r))) if r.size else math.nan

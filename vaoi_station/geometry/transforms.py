@@ -1,8 +1,7 @@
-"""Plane transforms that know where they come from and where they lead.
+"""Plane transforms with their source and target coordinate systems; section 3.1 of the paper.
 
-A transform is written `target_from_source`; in a product neighbours must cancel:
-`image_from_tester @ tester_from_cad` is fine, anything else is refused. Matrices are 3×3, act on
-homogeneous columns, and are read-only. Section 3.1 of the paper.
+A transform is named `target_from_source`. A product is valid only if the inner systems are equal, as in
+`image_from_tester @ tester_from_cad`. Matrices are 3×3, act on homogeneous column vectors and are read-only.
 """
 
 from __future__ import annotations
@@ -18,19 +17,19 @@ from numpy.typing import ArrayLike, NDArray
 from vaoi_station.errors import InternalError
 
 Floats = NDArray[np.float64]
-_SHAPE = 1e-6
-"""Relative deviation from its kind that a matrix may have: rounding in products and files, nothing more."""
+_KIND_TOLERANCE = 1e-6
+"""Accepted relative deviation of a matrix from its kind: it covers rounding in products and in files."""
 
 
 class System(StrEnum):
-    """The coordinate systems of the house; `docs/conventions.md` draws them."""
+    """A coordinate system; docs/conventions.md shows all of them."""
 
     CAD = "cad"
-    """The board as its CAD system has it, in the unit of the board type."""
+    """Coordinates of the CAD data, in the unit of the board type."""
     TESTER = "tester"
-    """mm in the conveyor's plane; belongs to the board, where it was at the first row."""
+    """mm in the conveyor's plane, fixed to the board; equal to ROW at row 0."""
     ROW = "row"
-    """mm in the conveyor's plane, fixed to the cameras: where the board is at one row."""
+    """mm in the conveyor's plane, fixed to the cameras; the board moves through it from row to row."""
     IMAGE = "image"
     """Undistorted pixels of one frame; the centre of the top-left pixel is (0, 0)."""
     CROP = "crop"
@@ -38,7 +37,7 @@ class System(StrEnum):
 
 
 def apply(matrix: ArrayLike, points: ArrayLike) -> Floats:
-    """Map points by a homogeneous matrix.
+    """Map points with a homogeneous matrix.
 
     Args:
         matrix: (3, 3), source to target.
@@ -55,13 +54,14 @@ def apply(matrix: ArrayLike, points: ArrayLike) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Projective:
-    """A homography (8 parameters): N_i and M_ij are of this kind."""
+    """A homography (8 parameters), such as N_i and M_ij."""
 
     matrix: Floats
     target: System
     source: System
 
     def __post_init__(self) -> None:
+        # A copy, so that the caller's array stays writeable and later changes of it have no effect here.
         m = np.array(self.matrix, dtype=np.float64, order="C")
         if m.shape != (3, 3) or not np.isfinite(m).all():
             raise InternalError(f"{self.target}_from_{self.source} is not a finite 3×3 matrix: {m!r}")
@@ -69,17 +69,20 @@ class Projective:
         object.__setattr__(self, "matrix", m)
 
     def __reduce__(self) -> tuple[type[Projective], tuple[Floats, System, System]]:
-        """In another process it cannot be changed either: compiled functions have code of their own for what can."""
+        """Pickle the arguments, so that the matrix is read-only in the other process too.
+
+        Numba compiles a separate version of a function for writeable arrays.
+        """
         return type(self), (self.matrix, self.target, self.source)
 
     def __matmul__(self, other: Projective) -> Projective:
         if self.source is not other.target:
-            raise InternalError(f"{self.target}_from_{self.source} @ {other.target}_from_{other.source}: no neighbours")
+            raise InternalError(f"{self.target}_from_{self.source} @ {other.target}_from_{other.source}: no match")
         kind = _more_general(type(self), type(other))
         return kind(np.asarray(self.matrix @ other.matrix, np.float64), self.target, other.source)
 
     def inverse(self) -> Self:
-        """The same kind of transform the other way round."""
+        """Return the inverse transform, of the same kind."""
         try:
             inverted = np.asarray(np.linalg.inv(self.matrix), np.float64)
         except np.linalg.LinAlgError as error:
@@ -91,7 +94,7 @@ class Projective:
         return apply(self.matrix, points)
 
     def scale_at(self, point: ArrayLike) -> float:
-        """Target units per source unit around one source point (square root of the area ratio)."""
+        """Return the target units per source unit at a source point: the square root of the area ratio."""
         p = np.asarray(point, dtype=np.float64)
         w = float(self.matrix[2, :2] @ p + self.matrix[2, 2])
         return math.sqrt(abs(float(np.linalg.det(self.matrix)) / w**3))
@@ -103,14 +106,15 @@ class Projective:
 
 
 class Similarity(Projective):
-    """Rotation, translation, one scale, perhaps a mirror: C is of this kind (equation 9)."""
+    """A rotation, translation, scale and optional reflection, such as C (equation 9)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         (a, b), (c, d) = self.matrix[:2, :2]
+        # Both columns must have the same length and be orthogonal; all three terms scale with the area.
         area = abs(a * d - b * c)
         skew = max(abs(a * a + c * c - area), abs(b * b + d * d - area), abs(a * b + c * d))
-        if np.abs(self.matrix[2] - (0, 0, 1)).max() > _SHAPE or area == 0 or skew > _SHAPE * area:
+        if np.abs(self.matrix[2] - (0, 0, 1)).max() > _KIND_TOLERANCE or area == 0 or skew > _KIND_TOLERANCE * area:
             raise InternalError(f"{self.target}_from_{self.source} is no similarity: {self.matrix.tolist()}")
 
     @property
@@ -127,7 +131,7 @@ class Similarity(Projective):
     def of(
         cls, scale: float, angle_rad: float, shift: ArrayLike, target: System, source: System, *, mirrored: bool = False
     ) -> Similarity:
-        """Scale and turn, then shift; `mirrored` flips the source's y axis first."""
+        """Create a similarity that scales and rotates, then shifts; `mirrored` flips the source's y axis first."""
         c, s = scale * math.cos(angle_rad), scale * math.sin(angle_rad)
         f = -1.0 if mirrored else 1.0
         x, y = np.asarray(shift, dtype=np.float64)
@@ -135,25 +139,26 @@ class Similarity(Projective):
 
 
 class Euclidean(Similarity):
-    """Rotation and translation: the motion D_j of the board is of this kind."""
+    """A rigid motion: rotation and translation, such as D_j."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if abs(float(np.linalg.det(self.matrix[:2, :2])) - 1) > _SHAPE:
+        if abs(float(np.linalg.det(self.matrix[:2, :2])) - 1) > _KIND_TOLERANCE:
             raise InternalError(f"{self.target}_from_{self.source} is no rigid motion: {self.matrix.tolist()}")
 
     @classmethod
     def motion(cls, angle_rad: float, shift_mm: ArrayLike, target: System, source: System) -> Euclidean:
-        """Turn by an angle (from x towards y), then shift."""
+        """Create a rotation by an angle (from x towards y), followed by a shift."""
         return cls(Similarity.of(1.0, angle_rad, shift_mm, target, source).matrix, target, source)
 
     @classmethod
     def identity(cls, target: System, source: System) -> Euclidean:
-        """Nothing moves."""
+        """Create the identity between two systems."""
         return cls(np.eye(3), target, source)
 
 
 def _more_general(a: type[Any], b: type[Any]) -> type[Projective]:
+    """Return the more general of two kinds of transform, which is the kind of their product."""
     for kind in (Projective, Similarity, Euclidean):
         if kind in (a, b):
             return kind

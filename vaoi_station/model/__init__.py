@@ -1,7 +1,7 @@
-"""The nouns of the house, frozen: what a recording, a calibration, a board type, a run and a stitch are.
+"""Frozen data models of a recording, a calibration, a board type, the frames of a run, and a stitch.
 
-Shapes, units and names are those of `docs/formats.md`; `files/` reads and writes them. Keys that begin
-with `x_` belong to the user: they are kept and ignored. Cameras and rows count from 0.
+Shapes, units and names follow docs/formats.md; `files/` reads and writes the models. Keys that begin with `x_` belong
+to the user: they are kept and ignored. Cameras and rows count from 0.
 """
 
 from vaoi_station.model.board_type import MM_PER_UNIT, BoardType, Component, Fiducial, FixtureMarkShape, Place

@@ -1,4 +1,4 @@
-"""A board type: outline, fiducials and components as CAD places them."""
+"""A board type: outline, fiducials and components in CAD coordinates."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pydantic import Field, model_validator
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Point, Positive
 
-_MOST = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
-"""How much of a kind a board type may have."""
+_MAX_ENTRIES = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
+"""Maximum number of entries per key of a board type."""
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
 
 class Fiducial(FrozenModel):
-    """A mark of the board at known CAD coordinates."""
+    """A fiducial mark of the board at known CAD coordinates."""
 
     name: str
     x: Finite
@@ -29,7 +29,7 @@ class Fiducial(FrozenModel):
 
 
 class Component(FrozenModel):
-    """One part: its footprint's centre, size before rotation, and rotation, in CAD units and degrees."""
+    """One component: centre, size before rotation and rotation of its footprint, in CAD units and degrees."""
 
     ref: Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
     center: Point
@@ -46,7 +46,7 @@ class Component(FrozenModel):
 
 
 class FixtureMarkShape(FrozenModel):
-    """How the marks of the fixture look."""
+    """Shape, size and polarity of the fixture marks."""
 
     shape: Literal["cross", "circle", "square", "diamond"] = "cross"
     size: Positive
@@ -55,14 +55,14 @@ class FixtureMarkShape(FrozenModel):
 
 
 class Place(FrozenModel):
-    """A point with named coordinates."""
+    """A point with named coordinates, as in JSON files."""
 
     x: Finite
     y: Finite
 
 
 class BoardType(FrozenModel):
-    """board.json: a product of the line, in its own unit and axes."""
+    """The content of board.json: one side of a product, in its CAD unit and axes."""
 
     name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
     unit: Literal["mm", "inch", "mil"] = "mm"
@@ -76,9 +76,10 @@ class BoardType(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        _refuse_crowds(self)
-        _refuse_twins([c.address for c in self.components], "components")
-        _refuse_twins([f.name for f in self.fiducials], "fiducials")
+        # Counts first: the checks below take time that grows with the square of the number of entries.
+        _check_sizes(self)
+        _check_unique([c.address for c in self.components], "components")
+        _check_unique([f.name for f in self.fiducials], "fiducials")
         if self.outline is not None:
             if len(self.outline) < 2:
                 raise ValueError("outline has one point; it is two opposite corners or a polygon")
@@ -99,16 +100,19 @@ class BoardType(FrozenModel):
 
     @property
     def mm_per_unit(self) -> float:
-        """Size of one CAD unit."""
+        """Size of one CAD unit in mm."""
         return MM_PER_UNIT[self.unit]
 
     @property
     def mirrors(self) -> bool:
-        """Whether CAD → image flips handedness (`formats.md`): y_axis up differs from side bottom."""
+        """Whether the mapping from CAD to image changes handedness (docs/formats.md).
+
+        It does if either the y axis points up or the bottom side is filmed, but not both.
+        """
         return (self.y_axis == "up") != (self.side == "bottom")
 
     def extent(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lowest and highest corner in CAD units: of the outline, else of all that is placed."""
+        """Return the lowest and highest corner of the outline in CAD units; without one, of all placed parts."""
         points: list[Any] = [*(self.outline or ())]
         if not points:
             points = [(f.x, f.y) for f in self.fiducials]
@@ -119,33 +123,36 @@ class BoardType(FrozenModel):
         return p.min(0), p.max(0)
 
     def component(self, address: str) -> Component | None:
-        """The component of that address; None if there is none."""
+        """Return the component with an address, or None."""
         return next((c for c in self.components if c.address == address), None)
 
     def footprint(self, component: Component) -> NDArray[np.float64]:
-        """Corners (4, 2) in CAD; rotation is counter-clockwise as seen on the top, whichever way y points."""
+        """Return the corners (4, 2) of a footprint in CAD units."""
+        # Rotation is counter-clockwise with CAD "up" shown up, which is a negative angle if the y axis points down.
         a = math.radians(component.rotation if self.y_axis == "up" else -component.rotation)
         half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (component.width / 2, component.height / 2)
         turn = np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
         return np.asarray(half @ turn.T + component.center)
 
 
-def _refuse_crowds(board: BoardType) -> None:
-    """What no board has: so much of something, or of such a size, that it can only be a mistake."""
-    for key, most in _MOST.items():
+def _check_sizes(board: BoardType) -> None:
+    """Raise ValueError for counts, sizes or distances that no real board has."""
+    for key, most in _MAX_ENTRIES.items():
         if len(getattr(board, key) or ()) > most:
-            raise ValueError(f"{key} has {len(getattr(board, key))} entries, at most {most} are taken")
+            raise ValueError(f"{key} has {len(getattr(board, key))} entries, the limit is {most}")
     mm = board.mm_per_unit
     for c in board.components:
         if not 0.01 <= min(c.width, c.height) * mm <= max(c.width, c.height) * mm <= 2000:
-            raise ValueError(f"component {c.address!r} is {c.width}×{c.height} {board.unit}; 0.01 to 2000 mm are taken")
+            raise ValueError(f"component {c.address!r} is {c.width}×{c.height} {board.unit}, must be 0.01 to 2000 mm")
     for n, f in enumerate(board.fiducials):
         if not 0.05 <= f.diameter * mm <= 50:
-            raise ValueError(f"fiducial {f.name!r} has diameter {f.diameter} {board.unit}; 0.05 to 50 mm are taken")
+            raise ValueError(f"fiducial {f.name!r} has diameter {f.diameter} {board.unit}, must be 0.05 to 50 mm")
+        # Two fiducials at one place make their assignment to detections ambiguous.
         if any(math.dist((f.x, f.y), (g.x, g.y)) * mm < 0.1 for g in board.fiducials[:n]):
-            raise ValueError(f"fiducial {f.name!r} lies where another one lies; they must be 0.1 mm apart")
+            raise ValueError(f"fiducial {f.name!r} is at the place of another fiducial; they must be 0.1 mm apart")
 
 
-def _refuse_twins(names: list[str], what: str) -> None:
-    if twins := [name for name, count in Counter(names).items() if count > 1]:
-        raise ValueError(f"{what} holds {twins[0]!r} twice; names must differ")
+def _check_unique(names: list[str], what: str) -> None:
+    """Raise ValueError if a name occurs twice."""
+    if repeated := [name for name, count in Counter(names).items() if count > 1]:
+        raise ValueError(f"{what} contains {repeated[0]!r} twice; names must be unique")

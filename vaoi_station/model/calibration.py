@@ -1,4 +1,4 @@
-"""A calibration: where the cameras look, and how their lenses bend."""
+"""A calibration: the camera matrices N_i and the distortion of the lenses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Distortion(FrozenModel):
 
 
 class Calibration(FrozenModel):
-    """calibration.json: the camera matrices N_i (tester → undistorted image) and what belongs to them."""
+    """The content of calibration.json: camera matrices N_i (tester → undistorted image), lenses and covariances."""
 
     format: Literal["vaoi-calibration"]
     version: Literal[1]
@@ -43,10 +43,11 @@ class Calibration(FrozenModel):
         return self
 
     def cameras(self, heads: tuple[CameraHead, ...]) -> tuple[Camera, ...]:
-        """The calibrated cameras, given the sizes of their frames."""
+        """Return the calibrated cameras for frames of the given sizes."""
         return tuple(self._camera(i, head) for i, head in enumerate(heads))
 
     def _camera(self, i: int, head: CameraHead) -> Camera:
+        # A lens without coefficients is ideal; its centre and radius are then irrelevant.
         d = self.distortion[i] if self.distortion else None
         return Camera(
             width_px=head.width,

@@ -1,4 +1,4 @@
-"""A run: its pulses, and what became of each of their frames."""
+"""The pulses of a run and the final state of each frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from vaoi_station.model.frozen_model import FrozenModel
 
 
 class Verdict(StrEnum):
-    """How one (camera, row) of a run ended."""
+    """The final state of one (camera, row) of a run."""
 
     OK = "ok"
     INCOMPLETE = "incomplete"
@@ -16,26 +16,26 @@ class Verdict(StrEnum):
 
 
 class FrameRecord(FrozenModel):
-    """One (camera, row) of a run: where its pixels are and what became of it."""
+    """One (camera, row) of a run: its slot, its final state and the cause, its times and exposure."""
 
     camera: int
     row: int
     verdict: Verdict
     cause: str = ""
     slot: int | None = None
-    """Slot of the ring; None where nothing arrived."""
+    """Slot of the ring; None if no frame arrived."""
     frame_id: int | None = None
     camera_time_s: float | None = None
     pulse_error_us: float | None = None
-    """Time stamp minus pulse time, after mapping both clocks to the host's."""
+    """Time stamp minus pulse time, both mapped to the host's clock."""
     exposure_us: float | None = None
-    """Exposure time of the frame, where it is known."""
+    """Exposure time of the frame, if known."""
     light: str = ""
     """Light pattern of its row."""
 
 
 class Pulse(FrozenModel):
-    """One trigger of all cameras, by the controller's clock."""
+    """One trigger pulse of all cameras; the time is that of the controller's clock."""
 
     index: int
     time_s: float

@@ -1,4 +1,4 @@
-"""What nouns and other documents are made of: frozen, and numbers that were written as numbers."""
+"""Base classes and field types of all data models: frozen, and strict about numbers."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 
 class Strict(BaseModel):
-    """Frozen; unknown keys are refused."""
+    """A frozen model that refuses unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class FrozenModel(BaseModel):
-    """Frozen; unknown keys are refused but for the user's own `x_…`."""
+    """A frozen model that refuses unknown keys except the user's `x_…` keys."""
 
     model_config = ConfigDict(frozen=True, extra="allow", arbitrary_types_allowed=True)
 
+    # Pydantic has no pattern for extra keys: it accepts all of them, and this validator refuses the others.
     @model_validator(mode="after")
     def _only_known_keys(self) -> Self:
         unknown = [k for k in self.model_extra or {} if not k.startswith("x_")]
@@ -28,11 +29,13 @@ class FrozenModel(BaseModel):
         return self
 
 
-def _matrix(value: Any) -> NDArray[np.float64]:
+def _parse_matrix(value: Any) -> NDArray[np.float64]:
+    """Convert nested lists to a read-only, finite, invertible (3, 3) matrix."""
     try:
         m = np.array(value)
     except ValueError as error:
         raise ValueError("has rows of different lengths, must be 3×3") from error
+    # NumPy would convert strings and booleans; only numbers written as numbers are accepted.
     if m.dtype.kind not in "iuf":
         raise ValueError("is not a matrix of numbers, must be 3×3 numbers")
     m = m.astype(np.float64)
@@ -47,7 +50,8 @@ def _matrix(value: Any) -> NDArray[np.float64]:
 
 
 def _is_singular(m: NDArray[np.float64]) -> bool:
-    """By the determinant after rows and columns are brought to size 1: px, mm and 1/mm stand in one matrix."""
+    """Return whether a matrix is singular to rounding."""
+    # Entries have the units px, mm and 1/mm, so rows and columns are scaled to 1 before the determinant is compared.
     for axis in (1, 0):
         size = np.abs(m).max(axis=axis, keepdims=True)
         if not size.all():
@@ -56,11 +60,11 @@ def _is_singular(m: NDArray[np.float64]) -> bool:
     return bool(abs(np.linalg.det(m)) < 1e-12)
 
 
-Matrix = Annotated[NDArray[np.float64], BeforeValidator(_matrix), PlainSerializer(lambda m: m.tolist())]
+Matrix = Annotated[NDArray[np.float64], BeforeValidator(_parse_matrix), PlainSerializer(lambda m: m.tolist())]
 """A finite, invertible 3×3 matrix; row-major nested lists in files."""
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, Field(strict=True)]
-"""Whole numbers that are written as numbers; texts and truth values are refused, as for the others."""
+"""An integer written as a number; like the types above, it refuses strings and booleans."""
 Point = tuple[Finite, Finite]

@@ -1,4 +1,4 @@
-"""A recording: what was filmed, by which cameras and when; the pictures lie beside it."""
+"""The head of a recording: its cameras, rows and times; the frames are files beside it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vaoi_station.model.frozen_model import Finite, FrozenModel, Point, Positive
 
 
 class CameraHead(FrozenModel):
-    """What a recording says of one camera."""
+    """Frame size, exposure and nominal view of one camera."""
 
     width: Annotated[Whole, Field(ge=16, le=65536)]
     height: Annotated[Whole, Field(ge=16, le=65536)]
@@ -22,7 +22,7 @@ class CameraHead(FrozenModel):
 
 
 class RecordingHead(FrozenModel):
-    """recording.json: what was filmed, without the pictures."""
+    """The content of recording.json."""
 
     format: Literal["vaoi-recording"]
     version: Literal[1]
@@ -52,11 +52,12 @@ class RecordingHead(FrozenModel):
         return self
 
     def row_times_s(self) -> NDArray[np.float64]:
-        """Time of each pulse, (rows,) s."""
+        """Return the time of each pulse, (rows,) s."""
+        # Measured times come first: the nominal period is only right if the controller kept it.
         if self.trigger_times_s is not None:
             return np.array(self.trigger_times_s)
         return np.asarray(np.arange(self.rows) * self.trigger_period_s, dtype=np.float64)
 
     def exposure_us(self, camera: int, row: int) -> float:
-        """Exposure time of one frame."""
+        """Return the exposure time of one frame, µs."""
         return self.exposures_us[row][camera] if self.exposures_us else self.cameras[camera].exposure_us

@@ -1,4 +1,4 @@
-"""A stitch: where every frame of a run lies, and how good that is."""
+"""A stitch: the image matrices of all frames of a run, their quality and the verdict."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ class Status(StrEnum):
 
 
 class Surface(FrozenModel):
-    """The board's height above the calibrated plane, mm; `about` (CAD) and `half_span` scale the polynomial."""
+    """The board's height above the calibrated plane, mm, as a polynomial.
+
+    `about` (CAD) is its origin and `half_span` (CAD) its unit.
+    """
 
     lift_mm: Finite
     tilt_mm: Point = (0.0, 0.0)
@@ -31,7 +34,8 @@ class Surface(FrozenModel):
     half_span: Point = (1.0, 1.0)
 
     def height_mm(self, cad: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Height (…,) of the board's surface at CAD points (…, 2)."""
+        """Compute the height (…,) of the board's surface at CAD points (…, 2)."""
+        # The polynomial is estimated within ±1. It is held constant beyond 1.2, where its squares would run away.
         at = np.clip((np.asarray(cad) - self.about) / self.half_span, -1.2, 1.2)
         u, v = at[..., 0], at[..., 1]
         terms = (*self.tilt_mm, *self.bow_mm)
@@ -39,10 +43,10 @@ class Surface(FrozenModel):
 
 
 class Stitch(FrozenModel):
-    """A result: M_ij, C, D_j, the verdict and its evidence; immutable once written."""
+    """The result of stitching: M_ij, C, D_j, surface, verdict and quality figures."""
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
-    """So that a number that JSON does not have is noticed, not turned into null."""
+    """NaN and infinity are written as such: as null they would pass unnoticed."""
 
     format: Literal["vaoi-stitch"] = "vaoi-stitch"
     version: Literal[1] = 1
@@ -66,11 +70,11 @@ class Stitch(FrozenModel):
         return self
 
     def image_from_tester(self, camera: int, row: int) -> Projective | None:
-        """M_ij, or None where the frame could not be placed."""
+        """Return M_ij, or None if the frame could not be placed."""
         m = self.image_matrices[camera][row]
         return None if m is None else Projective(m, System.IMAGE, System.TESTER)
 
     @property
     def tester_from_cad(self) -> Projective | None:
-        """C, or None where the board's fiducials could not be matched."""
+        """C, or None if the board's fiducials could not be matched."""
         return None if self.cad_matrix is None else Projective(self.cad_matrix, System.TESTER, System.CAD)

@@ -1,7 +1,7 @@
-"""Section 2 of the paper: which cameras, lenses, exposures and pulses a line needs.
+"""The optics design of section 2 of the paper: cameras, lenses, exposures and pulses for a line.
 
-One function per numbered equation, the arithmetic of data and time around them, and a plan that turns
-requirements into figures and constraints. Knows nothing of files and devices.
+One function per numbered equation, functions for data rates and times, and a plan that computes figures and checks
+constraints for given requirements. The package uses no files or devices.
 """
 
 from vaoi_station.optics.array_equations import (

@@ -1,4 +1,4 @@
-"""How many cameras stand side by side, and what they overlap; section 2.4, w·r·m_h ≤ n·p_h."""
+"""Number, pitch and overlap of the cameras of an array; section 2.4, w·r·m_h ≤ n·p_h."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from vaoi_station.optics.quantity_checks import require_positive
 
 
 def cameras_needed(width_mm: float, resolution_px_per_mm: float, multiplicity_h: float, sensor_px_h: float) -> float:
-    """Number of cameras w·r·m_h / p_h, as a fraction: the next whole number is what to buy.
+    """Compute the number of cameras w·r·m_h / p_h as a fraction; an array needs the next whole number.
 
     Args:
-        width_mm: of the widest board, w.
+        width_mm: width of the widest board, w.
         resolution_px_per_mm: r.
-        multiplicity_h: in how many cameras' frames every point is to be seen, m_h.
+        multiplicity_h: required number of cameras that see each point, m_h.
         sensor_px_h: pixels per row of one sensor, p_h.
 
     Raises:
@@ -27,7 +27,7 @@ def cameras_needed(width_mm: float, resolution_px_per_mm: float, multiplicity_h:
 
 
 def achieved_multiplicity_h(cameras: int, sensor_px_h: float, width_mm: float, resolution_px_per_mm: float) -> float:
-    """Horizontal multiplicity m_h that a number of cameras reaches over the width w: n·p_h / (w·r).
+    """Compute the horizontal multiplicity m_h = n·p_h / (w·r) of n cameras over the width w.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -39,7 +39,7 @@ def achieved_multiplicity_h(cameras: int, sensor_px_h: float, width_mm: float, r
 
 
 def field_of_view_mm(sensor_px: float, resolution_px_per_mm: float) -> float:
-    """Length of board along one side of a frame, p / r.
+    """Compute the length of board along one side of a frame, p / r.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -49,9 +49,9 @@ def field_of_view_mm(sensor_px: float, resolution_px_per_mm: float) -> float:
 
 
 def camera_pitch_mm(cameras: int, width_mm: float, field_mm: float) -> float:
-    """Distance between neighbouring cameras whose views together end where the widest board ends.
+    """Compute the distance between neighbouring cameras whose views together just cover the widest board.
 
-    0 for a single camera, and where one view covers the board.
+    It is 0 for a single camera, and if one view covers the board.
 
     Raises:
         InputError: if a quantity is not above 0.

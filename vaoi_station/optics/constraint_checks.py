@@ -1,4 +1,4 @@
-"""Every constraint of section 2 judged for the parts of a plan."""
+"""The constraints of section 2, checked for the sections of a plan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.optics.requirements import Requirements
 def check_constraints(
     q: Requirements, array: ArrayPlan, lens: LensPlan, motion: MotionPlan, data: DataPlan
 ) -> tuple[Constraint, ...]:
-    """All constraints, in the order of section 2.4; none is left out where a quantity is missing."""
+    """Check all constraints in the order of section 2.4; one with a missing quantity is listed as not checked."""
     return (
         _cameras(q, array),
         _highest(q, lens),

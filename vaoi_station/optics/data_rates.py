@@ -1,4 +1,4 @@
-"""How many bits flow and how many bytes wait; section 2.5. Prefixes are decimal: 1 Mbit = 10⁶ bit."""
+"""Data rates and buffer sizes; section 2.5. Prefixes are decimal: 1 Mbit = 10⁶ bit."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from vaoi_station.optics.quantity_checks import ceil_to_whole, require_positive
 
 
 def frame_bytes(sensor_px_h: int, sensor_px_v: int, bits_per_pixel: int) -> int:
-    """Size of one frame; pixels of more than 8 bit that are packed end on a whole byte per frame.
+    """Compute the size of one frame; packed pixels are padded to a whole byte at the end of the frame.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -18,7 +18,7 @@ def frame_bytes(sensor_px_h: int, sensor_px_v: int, bits_per_pixel: int) -> int:
 def data_rate_mbit_s(
     cameras: int, sensor_px_h: int, sensor_px_v: int, bits_per_pixel: int, frame_rate_hz: float
 ) -> float:
-    """Data rate of all cameras while a board passes, in 10⁶ bit/s.
+    """Compute the data rate of all cameras while a board passes, in 10⁶ bit/s.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -34,7 +34,7 @@ def data_rate_mbit_s(
 
 
 def buffer_bytes(cameras: int, rows: int, one_frame_bytes: int, runs: int = 1) -> int:
-    """Memory for all frames of a number of runs: what the ring must hold.
+    """Compute the memory for all frames of a number of runs, which is the size of the ring.
 
     Raises:
         InputError: if a quantity is not above 0.

@@ -5,16 +5,16 @@ from __future__ import annotations
 from vaoi_station.optics.quantity_checks import require, require_positive
 
 GREEN_UM = 0.55
-"""Wavelength for which diffraction is told: the middle of the visible light."""
+"""Wavelength for which diffraction is computed: the middle of the visible spectrum."""
 
 
 def focal_length_mm(
     distance_mm: float, sensor_px_h: float, resolution_px_per_mm: float, sensor_width_mm: float
 ) -> float:
-    """Focal length f that shows p_h / r of the board on the sensor's width; equation (1).
+    """Compute the focal length f that images p_h / r of the board onto the sensor's width; equation (1).
 
     Args:
-        distance_mm: from the lens to the board, the paper's d_max.
+        distance_mm: distance from the lens to the board, the paper's d_max.
         sensor_px_h: pixels per row of the sensor, p_h.
         resolution_px_per_mm: pixels per mm on the board, r.
         sensor_width_mm: w_s.
@@ -29,7 +29,7 @@ def focal_length_mm(
 def working_distance_mm(
     focal_length_mm: float, sensor_px_h: float, resolution_px_per_mm: float, sensor_width_mm: float
 ) -> float:
-    """Distance d at which a given lens reaches the resolution r; equation (1) solved for the distance.
+    """Compute the distance d at which a given lens reaches the resolution r; equation (1) solved for d.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -41,10 +41,10 @@ def working_distance_mm(
 def depth_of_field_mm(
     distance_mm: float, focal_length_mm: float, f_number: float, circle_of_confusion_mm: float
 ) -> float:
-    """Depth of field d_f above the board, with the focus on the board's surface; equation (2).
+    """Compute the depth of field d_f above the board, with the focus on the board's surface; equation (2).
 
     Args:
-        distance_mm: from the lens to the board, d_max; above the focal length.
+        distance_mm: distance from the lens to the board, d_max; above the focal length.
         focal_length_mm: f.
         f_number: N.
         circle_of_confusion_mm: c, the largest acceptable blur spot on the sensor.
@@ -54,6 +54,7 @@ def depth_of_field_mm(
     """
     require_positive(f_number=f_number, circle_of_confusion_mm=circle_of_confusion_mm)
     _require_beyond_focus(distance_mm, focal_length_mm)
+    # Only the near limit counts: components stand above the board, nothing lies below it.
     f2 = focal_length_mm**2
     nearest_mm = distance_mm * f2 / (f2 + f_number * circle_of_confusion_mm * (distance_mm - focal_length_mm))
     return distance_mm - nearest_mm
@@ -62,7 +63,7 @@ def depth_of_field_mm(
 def f_number(
     depth_of_field_mm: float, distance_mm: float, focal_length_mm: float, circle_of_confusion_mm: float
 ) -> float:
-    """f-number N that gives a depth of field d_f above the board; equation (3).
+    """Compute the f-number N that gives a depth of field d_f above the board; equation (3).
 
     Raises:
         InputError: if a quantity is not above 0, the distance is not above the focal length, or the depth
@@ -83,21 +84,23 @@ def f_number(
 def airy_disc_px(
     f_number: float, distance_mm: float, focal_length_mm: float, sensor_px_h: float, sensor_width_mm: float
 ) -> float:
-    """Diameter of the Airy disc on the sensor in pixels, 2.44·λ·N·(1 + magnification), for green light.
+    """Compute the diameter of the Airy disc on the sensor in pixels, for green light.
 
-    What a small aperture wins in depth it loses to diffraction; the paper leaves this out.
+    It is 2.44·λ·N·(1 + magnification). The paper omits this limit of small apertures.
 
     Raises:
         InputError: if a quantity is not above 0, or the distance is not above the focal length.
     """
     require_positive(f_number=f_number, sensor_px_h=sensor_px_h, sensor_width_mm=sensor_width_mm)
     _require_beyond_focus(distance_mm, focal_length_mm)
+    # At close range the effective f-number is N·(1 + m): the image distance exceeds the focal length.
     magnification = focal_length_mm / (distance_mm - focal_length_mm)
     diameter_mm = 2.44 * GREEN_UM * 1e-3 * f_number * (1 + magnification)
     return diameter_mm * sensor_px_h / sensor_width_mm
 
 
 def _distance_over_focal_length(sensor_px_h: float, resolution_px_per_mm: float, sensor_width_mm: float) -> float:
+    """Compute d / f of equation (1)."""
     require_positive(
         sensor_px_h=sensor_px_h, resolution_px_per_mm=resolution_px_per_mm, sensor_width_mm=sensor_width_mm
     )
@@ -105,5 +108,6 @@ def _distance_over_focal_length(sensor_px_h: float, resolution_px_per_mm: float,
 
 
 def _require_beyond_focus(distance_mm: float, focal_length_mm: float) -> None:
+    """Raise InputError unless the board lies beyond the focal length; otherwise there is no real image."""
     require_positive(distance_mm=distance_mm, focal_length_mm=focal_length_mm)
     require(distance_mm > focal_length_mm, "distance_mm", distance_mm, f"above the focal length, {focal_length_mm} mm")

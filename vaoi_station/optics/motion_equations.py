@@ -1,4 +1,4 @@
-"""What the board's motion does to the pictures: equations (4), (5) and (6), and parallax."""
+"""Effects of the board's motion on frames: equations (4), (5) and (6), and parallax."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from vaoi_station.optics.quantity_checks import require, require_non_negative, r
 
 
 def motion_blur_px(speed_mm_s: float, resolution_px_per_mm: float, exposure_us: float) -> float:
-    """Distance v·r·s in pixels that the board moves during one exposure; left side of equation (4).
+    """Compute the distance v·r·s in pixels that the board moves during one exposure; equation (4).
 
     Args:
         speed_mm_s: conveyor speed v.
@@ -21,7 +21,7 @@ def motion_blur_px(speed_mm_s: float, resolution_px_per_mm: float, exposure_us: 
 
 
 def longest_exposure_us(blur_px: float, speed_mm_s: float, resolution_px_per_mm: float) -> float:
-    """Longest exposure time s with at most `blur_px` (τ) of motion blur; equation (5).
+    """Compute the longest exposure time s with at most `blur_px` (τ) of motion blur; equation (5).
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -33,7 +33,7 @@ def longest_exposure_us(blur_px: float, speed_mm_s: float, resolution_px_per_mm:
 def lowest_frame_rate_hz(
     speed_mm_s: float, resolution_px_per_mm: float, sensor_px_v: float, multiplicity_v: float
 ) -> float:
-    """Lowest frame rate t that shows every point in m_v frames of a camera; equation (6).
+    """Compute the lowest frame rate t at which each point is in m_v frames of a camera; equation (6).
 
     Args:
         speed_mm_s: v.
@@ -54,16 +54,16 @@ def lowest_frame_rate_hz(
 
 
 def parallax_px(height_mm: float, shift_mm: float, distance_mm: float, resolution_px_per_mm: float) -> float:
-    """How many pixels more than the board's surface a point moves that stands above it: r·s·h / (d − h).
+    """Compute the parallax r·s·h / (d − h): the extra motion in pixels of a point above the board's surface.
 
-    Between two rows the shift is the board's motion, between two neighbouring cameras their pitch. It is
+    Between two rows the shift is the board's motion, between two neighbouring cameras it is their pitch. Parallax is
     the error of a stitch that ignores a height, and the signal from which a height is measured.
 
     Args:
-        height_mm: of the point above the calibrated plane, h; below the distance.
-        shift_mm: between the two views, s.
-        distance_mm: of the cameras above the plane, d.
-        resolution_px_per_mm: in the plane, r.
+        height_mm: height of the point above the calibrated plane, h; below the distance.
+        shift_mm: shift between the two views, s.
+        distance_mm: distance of the cameras from the plane, d.
+        resolution_px_per_mm: resolution in the plane, r.
 
     Raises:
         InputError: if a quantity is out of its range.
@@ -75,7 +75,7 @@ def parallax_px(height_mm: float, shift_mm: float, distance_mm: float, resolutio
 
 
 def parallax_px_per_mm(shift_mm: float, distance_mm: float, resolution_px_per_mm: float) -> float:
-    """Parallax per mm of height for parts that are low against the distance: r·s / d.
+    """Compute the parallax per mm of height, r·s / d, for heights that are small against the distance.
 
     Raises:
         InputError: if the distance or the resolution is not above 0, or the shift below 0.

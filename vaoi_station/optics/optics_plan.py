@@ -1,4 +1,4 @@
-"""A plan: every figure of section 2.4 for given requirements, and every constraint with its margin."""
+"""A plan: all figures of section 2.4 for given requirements, and all constraints with their margins."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vaoi_station.optics.requirements import Requirements
 
 @dataclass(frozen=True)
 class Plan:
-    """What the station is to be built from."""
+    """The figures of a station and its constraints."""
 
     requirements: Requirements
     array: ArrayPlan
@@ -32,16 +32,17 @@ class Plan:
 
     @property
     def ok(self) -> bool:
-        """Whether no constraint is violated; those that cannot be judged do not count."""
+        """Whether no constraint is violated; constraints that cannot be checked do not count."""
         return all(c.ok is not False for c in self.constraints)
 
 
 def make_plan(requirements: Requirements) -> Plan:
-    """Work out every figure and judge every constraint.
+    """Compute all figures and check all constraints.
 
     Raises:
-        InputError: if quantities that are sound by themselves contradict each other.
+        InputError: if valid quantities contradict each other.
     """
+    # The lens comes first: both kinds of parallax depend on its working distance.
     lens_plan = plan_lens(requirements)
     motion_plan = plan_motion(requirements, lens_plan.working_distance_mm)
     array_plan = plan_array(requirements, lens_plan.working_distance_mm)

@@ -1,4 +1,4 @@
-"""The paper's own choice (section 2.6): its requirements, its figures, and what they come to exactly."""
+"""The paper's example (section 2.6): its requirements, and its printed figures beside computed ones."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ PAPER = Requirements(
     frame_rate_hz=8.0,
     longest_board_mm=474.0,
 )
-"""Section 2.6. It gives no circle of confusion, no d_min and no readout time. Its "up to 5 seconds" at 100 mm/s
-are 500 mm of travel: 474 mm of board and 26 mm of view."""
+"""The requirements of section 2.6, which gives no circle of confusion, no d_min and no readout time. Its "up to
+5 seconds" at 100 mm/s are 500 mm of travel: 474 mm of board and 26 mm of view."""
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure the paper prints beside the one its equations give."""
+    """A figure printed in the paper and the same figure computed with the paper's equations."""
 
     name: str
     paper: float | None
-    """As printed; None where the paper leaves it out."""
+    """The printed figure; None if the paper omits it."""
     computed: float | None
     unit: str
     remark: str = ""
 
 
 def compare_with_paper(plan: Plan) -> tuple[PaperFigure, ...]:
-    """The figures of section 2.6 beside those of a plan made from `PAPER`, with remarks on the rounding."""
+    """List the figures of section 2.6 beside those of a plan for `PAPER`, with remarks on the rounding."""
     q, needed, lowest = plan.requirements, plan.array.cameras_needed, plan.motion.lowest_frame_rate_hz
     return (
         PaperFigure(

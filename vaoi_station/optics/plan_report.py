@@ -1,4 +1,4 @@
-"""A plan as a table to read and as an object for programs."""
+"""A plan as a text table and as JSON data."""
 
 from __future__ import annotations
 
@@ -14,20 +14,24 @@ _VERDICTS = {True: "ok", False: "VIOLATED", None: "open"}
 
 
 def plan_to_json(plan: Plan, figures: Sequence[PaperFigure] = ()) -> dict[str, Any]:
-    """The plan as JSON data: `requirements`, figures by part, `constraints`, `ok`, and `paper` if compared."""
+    """Convert a plan to JSON data: `requirements`, figures by section, `constraints`, `ok`, `paper` if compared."""
     document = asdict(plan) | {"ok": plan.ok}
     return document | {"paper": [asdict(f) for f in figures]} if figures else document
 
 
 def format_plan(plan: Plan, figures: Sequence[PaperFigure] = ()) -> str:
-    """The plan as text: what was asked, what follows, every constraint with its margin."""
-    blocks = [_block("Asked for", _asked(plan)), _block("What follows", _figures(plan)), _constraints(plan.constraints)]
+    """Format a plan as text: requirements, results, and all constraints with their margins."""
+    blocks = [
+        _block("Requirements", _requirements(plan)),
+        _block("Results", _results(plan)),
+        _constraints(plan.constraints),
+    ]
     if figures:
         blocks.append(_comparison(figures))
     return "\n\n".join(blocks) + "\n"
 
 
-def _asked(plan: Plan) -> list[tuple[str, str, str]]:
+def _requirements(plan: Plan) -> list[tuple[str, str, str]]:
     q = plan.requirements
     return [
         ("widest board", "w", _quantity(q.width_mm, "mm")),
@@ -44,7 +48,7 @@ def _asked(plan: Plan) -> list[tuple[str, str, str]]:
     ]
 
 
-def _figures(plan: Plan) -> list[tuple[str, str, str]]:
+def _results(plan: Plan) -> list[tuple[str, str, str]]:
     a, o, t, d = plan.array, plan.lens, plan.motion, plan.data
     return [
         ("cameras", "n", f"{a.cameras} ({a.cameras_needed:.2f} needed)"),

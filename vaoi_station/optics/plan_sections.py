@@ -1,4 +1,4 @@
-"""The parts of a plan: array, lens, motion and data, each worked out from the requirements."""
+"""The sections of a plan: array, lens, motion and data, each computed from the requirements."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from vaoi_station.optics.requirements import Requirements
 
 @dataclass(frozen=True)
 class ArrayPlan:
-    """The cameras side by side."""
+    """The camera array."""
 
     cameras_needed: float
     """w·r·m_h / p_h, a fraction."""
     cameras: int
     """n: chosen, or the next whole number."""
     multiplicity_h: float
-    """m_h that these cameras reach."""
+    """m_h of these cameras."""
     field_width_mm: float
     field_height_mm: float
     camera_pitch_mm: float
     parallax_px_per_mm: float
-    """Per mm of part height, from one camera to its neighbour."""
+    """Per mm of component height, between neighbouring cameras."""
 
 
 @dataclass(frozen=True)
 class LensPlan:
-    """Lens, distance and aperture; None where the requirements leave a figure open."""
+    """Lens, distance and aperture; None for figures that the requirements do not determine."""
 
     focal_length_mm: float
     """f of equation (1) at d_max."""
     lens_mm: float
-    """Focal length used: of the lens in stock, or that of equation (1)."""
+    """Focal length used: that of the chosen lens, or that of equation (1)."""
     working_distance_mm: float
-    """d at which the lens used reaches r; equations (2) and (3) are taken there."""
+    """d at which the lens used reaches r; equations (2) and (3) use it."""
     f_number: float | None
     """N: chosen, or from equation (3)."""
     depth_of_field_mm: float | None
@@ -60,18 +60,18 @@ class MotionPlan:
     """t: chosen, or the lowest."""
     trigger_period_us: float
     spare_time_us: float
-    """Of a period, after exposure and readout."""
+    """Part of a period that exposure and readout leave."""
     row_step_mm: float
-    """How far the board moves between two rows."""
+    """Motion of the board between two rows."""
     multiplicity_v: float
-    """m_v that this frame rate reaches."""
+    """m_v at this frame rate."""
     parallax_px_per_mm: float
-    """Per mm of part height, from one row to the next."""
+    """Per mm of component height, between successive rows."""
 
 
 @dataclass(frozen=True)
 class DataPlan:
-    """Bits per second, and bytes of the longest board; None where its length is not known."""
+    """Data rate, and memory for the longest board; None if its length is unknown."""
 
     frame_bytes: int
     data_rate_mbit_s: float
@@ -85,15 +85,16 @@ class DataPlan:
 
 
 def plan_lens(q: Requirements) -> LensPlan:
-    """Lens, distance and aperture that reach the resolution.
+    """Compute lens, distance and aperture for the required resolution.
 
     Raises:
-        InputError: if quantities that are sound by themselves contradict each other.
+        InputError: if valid quantities contradict each other.
     """
     sensor = (q.sensor_px_h, q.resolution_px_per_mm, q.sensor_width_mm)
     ideal = lens_equations.focal_length_mm(q.distance_max_mm, *sensor)
     used = q.lens_mm or ideal
     distance = lens_equations.working_distance_mm(used, *sensor)
+    # Equations (2) and (3) use the real distance of the chosen lens, not d_max.
     c, depth, aperture = q.circle_of_confusion_mm, None, q.f_number
     if aperture is None and c is not None and q.depth_of_field_mm is not None:
         aperture = lens_equations.f_number(q.depth_of_field_mm, distance, used, c)
@@ -106,10 +107,10 @@ def plan_lens(q: Requirements) -> LensPlan:
 
 
 def plan_motion(q: Requirements, distance_mm: float) -> MotionPlan:
-    """Exposure and pulses at a working distance, which parallax depends on.
+    """Compute exposure and pulses, and the parallax at a working distance.
 
     Raises:
-        InputError: if quantities that are sound by themselves contradict each other.
+        InputError: if valid quantities contradict each other.
     """
     longest = motion_equations.longest_exposure_us(q.blur_px, q.speed_mm_s, q.resolution_px_per_mm)
     exposure = q.exposure_us or longest
@@ -133,10 +134,10 @@ def plan_motion(q: Requirements, distance_mm: float) -> MotionPlan:
 
 
 def plan_array(q: Requirements, distance_mm: float) -> ArrayPlan:
-    """The cameras side by side at a working distance.
+    """Compute the camera array, and the parallax between cameras at a working distance.
 
     Raises:
-        InputError: if quantities that are sound by themselves contradict each other.
+        InputError: if valid quantities contradict each other.
     """
     needed = array_equations.cameras_needed(q.width_mm, q.resolution_px_per_mm, q.multiplicity_h, q.sensor_px_h)
     cameras = q.cameras or ceil_to_whole(needed)
@@ -156,10 +157,10 @@ def plan_array(q: Requirements, distance_mm: float) -> ArrayPlan:
 
 
 def plan_data(q: Requirements, cameras: ArrayPlan, pulses: MotionPlan) -> DataPlan:
-    """What these cameras and pulses make flow, and what has to be kept.
+    """Compute the data rate of these cameras and pulses, and the memory for their frames.
 
     Raises:
-        InputError: if quantities that are sound by themselves contradict each other.
+        InputError: if valid quantities contradict each other.
     """
     size = data_rates.frame_bytes(q.sensor_px_h, q.sensor_px_v, q.bits_per_pixel)
     rate = data_rates.data_rate_mbit_s(

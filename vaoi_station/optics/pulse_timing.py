@@ -1,4 +1,4 @@
-"""Pulses in time: period, rows of a board, duration; sections 2.4 and 2.5."""
+"""Trigger period, rows per board and capture duration; sections 2.4 and 2.5."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from vaoi_station.optics.quantity_checks import ceil_to_whole, require_non_negat
 
 
 def trigger_period_us(frame_rate_hz: float) -> float:
-    """Time between two pulses, 1 / t.
+    """Compute the time between two pulses, 1 / t.
 
     Raises:
         InputError: if the rate is not above 0.
@@ -18,7 +18,7 @@ def trigger_period_us(frame_rate_hz: float) -> float:
 def achieved_multiplicity_v(
     frame_rate_hz: float, sensor_px_v: float, speed_mm_s: float, resolution_px_per_mm: float
 ) -> float:
-    """Vertical multiplicity m_v that a frame rate reaches: t·p_v / (v·r); equation (6) solved for m_v.
+    """Compute the vertical multiplicity m_v = t·p_v / (v·r) at a frame rate; equation (6) solved for m_v.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -33,9 +33,9 @@ def achieved_multiplicity_v(
 
 
 def spare_time_us(period_us: float, exposure_us: float, readout_us: float = 0.0) -> float:
-    """What is left of a period after exposure and readout; negative if they do not fit.
+    """Compute the part of a period that exposure and readout leave; it is negative if they do not fit.
 
-    With a readout of 0 (sensors that expose while they read out) this is the paper's t < 1/s.
+    With a readout of 0 (a sensor that exposes while it reads out) a positive value is the paper's t < 1/s.
 
     Raises:
         InputError: if period or exposure is not above 0, or the readout below 0.
@@ -46,7 +46,7 @@ def spare_time_us(period_us: float, exposure_us: float, readout_us: float = 0.0)
 
 
 def capture_duration_s(board_mm: float, field_mm: float, speed_mm_s: float) -> float:
-    """Time from the leading edge's entry into the view to the trailing edge's exit.
+    """Compute the time from the leading edge's entry into the view to the trailing edge's exit.
 
     Args:
         board_mm: length of the board along the motion.
@@ -61,7 +61,7 @@ def capture_duration_s(board_mm: float, field_mm: float, speed_mm_s: float) -> f
 
 
 def rows_per_board(duration_s: float, frame_rate_hz: float) -> int:
-    """Number of pulses m while a board is in view: every point of it is then in ⌊m_v⌋ frames or more.
+    """Compute the number of pulses m while a board is in view; each point is then in at least ⌊m_v⌋ frames.
 
     Raises:
         InputError: if a quantity is not above 0.

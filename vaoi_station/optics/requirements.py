@@ -1,4 +1,4 @@
-"""What a line and its boards ask of the station: the input of a plan."""
+"""The requirements of a line and its boards: the input of a plan."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ _WHOLE = frozenset({"sensor_px_h", "sensor_px_v", "cameras", "bits_per_pixel", "
 
 @dataclass(frozen=True)
 class Requirements:
-    """Hardware and application parameters (sections 2.2, 2.3), and what has been chosen already.
+    """Hardware and application parameters (sections 2.2, 2.3), and quantities that are already chosen.
 
-    Optional quantities are None where nothing is known or chosen; the plan then chooses, or says that a
-    constraint cannot be judged.
+    Optional quantities are None if they are unknown or not chosen. The plan then chooses them, or lists a constraint
+    as not checked.
 
     Raises:
-        InputError: naming field, value and limit of the first quantity that makes no sense.
+        InputError: with field, value and limit of the first invalid quantity.
     """
 
     width_mm: float
-    """Widest board, across the motion: w."""
+    """Width of the widest board, across the motion: w."""
     resolution_px_per_mm: float
-    """r."""
+    """Required resolution on the board: r."""
     speed_mm_s: float
     """Conveyor speed v."""
     sensor_px_h: int
@@ -34,38 +34,38 @@ class Requirements:
     sensor_width_mm: float
     """Width of the sensor, along p_h: w_s."""
     distance_max_mm: float
-    """Highest place of the cameras above the board: d_max."""
+    """Largest possible distance of the cameras from the board: d_max."""
     distance_min_mm: float | None = None
-    """Lowest place of the cameras above the board: d_min."""
+    """Smallest possible distance of the cameras from the board: d_min."""
     multiplicity_h: float = 1.05
-    """In how many cameras' frames a point is to be seen: m_h."""
+    """Required number of cameras that see each point: m_h."""
     multiplicity_v: float = 2.1
-    """In how many frames of one camera a point is to be seen: m_v."""
+    """Required number of frames of one camera that show each point: m_v."""
     depth_of_field_mm: float | None = None
-    """Height of the highest part to be seen sharply: d_f."""
+    """Height of the highest component that must be sharp: d_f."""
     circle_of_confusion_mm: float | None = None
-    """Largest acceptable blur spot on the sensor: c. Without it the aperture stays open."""
+    """Largest acceptable blur spot on the sensor: c. Without it the f-number is not determined."""
     blur_px: float = 1.0
     """Largest acceptable motion during an exposure: τ."""
     lens_mm: float | None = None
-    """Focal length of the lens in stock; None: the one that fits d_max."""
+    """Focal length of the chosen lens; None: the one that fits d_max."""
     f_number: float | None = None
-    """Aperture in use; None: the one that gives the depth of field."""
+    """Chosen f-number N; None: the one that gives the depth of field."""
     cameras: int | None = None
-    """Number of cameras chosen, n; None: as many as needed."""
+    """Chosen number of cameras, n; None: the smallest that suffices."""
     frame_rate_hz: float | None = None
-    """Frame rate chosen, t; None: the lowest that suffices."""
+    """Chosen frame rate, t; None: the lowest that suffices."""
     exposure_us: float | None = None
-    """Exposure time chosen, s; None: the longest that blur allows."""
+    """Chosen exposure time, s; None: the longest that motion blur allows."""
     readout_us: float = 0.0
-    """Time a sensor needs after an exposure before the next may begin."""
+    """Time between the end of an exposure and the earliest start of the next."""
     bits_per_pixel: int = 8
     longest_board_mm: float | None = None
-    """Longest board, along the motion; without it rows and memory stay open."""
+    """Length of the longest board, along the motion; without it rows and memory are not computed."""
     runs_in_memory: int = 3
-    """Boards the ring holds at once."""
+    """Number of boards that the ring holds at the same time."""
     link_mbit_s: float | None = None
-    """What the links of all cameras carry together."""
+    """Total capacity of the links of all cameras."""
 
     def __post_init__(self) -> None:
         self._check_numbers()
@@ -74,6 +74,7 @@ class Requirements:
     def _check_numbers(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
+            # 0 is valid for the readout alone, which is checked below; None is valid only where it is the default.
             if field.name == "readout_us" or (value is None and field.default is None):
                 continue
             if field.name in _WHOLE:
@@ -85,7 +86,7 @@ class Requirements:
         require(self.bits_per_pixel <= 64, "bits_per_pixel", self.bits_per_pixel, "at most 64", _WHERE)
         for name in ("multiplicity_h", "multiplicity_v"):
             value = getattr(self, name)
-            require(value >= 1, name, value, "1 or above: below, parts of the board are never filmed", _WHERE)
+            require(value >= 1, name, value, "1 or above: with less, parts of the board are not filmed", _WHERE)
 
     def _check_together(self) -> None:
         low, high = self.distance_min_mm, self.distance_max_mm

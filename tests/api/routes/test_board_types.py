@@ -62,7 +62,7 @@ def test_the_name_in_the_address_counts(client: Any, station: Any) -> None:
 @pytest.mark.parametrize(
     ("fault", "told"),
     [
-        ({"components": [U1, U1]}, "holds 'U1' twice"),
+        ({"components": [U1, U1]}, "contains 'U1' twice"),
         (
             {"outline": [[0, 0], [5, 5]], "fiducials": [{"name": "F", "x": 9, "y": 1, "diameter": 1}]},
             "outside the outline",
