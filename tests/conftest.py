@@ -1,4 +1,4 @@
-"""Hypothesis for a verdict, and the recorded cases: real boards, filmed with a truth the product never sees."""
+"""Profiles of Hypothesis, and the recorded cases: boards with a truth that the product never reads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vaoi_station.model import BoardType, Calibration, Stitch
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import StitchSetup
 
-# A verdict on a commit must not depend on the day: there the examples are fixed; at a desk they are new every time.
+# The result of a commit must not depend on the day, so its examples are fixed; during development they are new.
 # No example has a deadline: the first call of a compiled function waits for the compiler.
 hypothesis.settings.register_profile("desk", deadline=None)
 hypothesis.settings.register_profile("verdict", deadline=None, derandomize=True)
@@ -31,25 +31,25 @@ hypothesis.settings.load_profile("verdict" if VERDICT else "desk")
 
 @dataclass
 class Cases:
-    """Filmed cases, and what was stitched of them in this session."""
+    """Recorded cases, with the results of this session."""
 
     filmed: Path
-    """Where cases with their truth are; only the scorer reads there, and what makes copies."""
+    """Directory of the cases with their truth; only the scorer and the copies read it."""
     scratch: Path
     _results: dict[str, Stitch] = field(default_factory=dict)
 
     def __call__(self, name: str) -> Path:
-        """A copy of a case without its truth, shared by the session: to read, not to change."""
+        """Return a read-only copy of a case without its truth, shared by the session."""
         copy = self.scratch / name
         return copy if copy.is_dir() else self.copied(name, copy)
 
     def copied(self, name: str, to: Path) -> Path:
-        """A copy of a case without its truth, to be changed as one likes."""
+        """Make a copy of a case without its truth, for a test that changes it."""
         shutil.copytree(self._source(name), to, ignore=shutil.ignore_patterns("truth.json"))
         return to
 
     def stitched(self, name: str) -> Stitch:
-        """The result of a case as it is; made once."""
+        """Stitch a case once per session and return the result."""
         if name not in self._results:
             self._results[name] = self.stitch(self(name))
         return self._results[name]
@@ -66,20 +66,20 @@ class Cases:
         return stitch_frames(setup, head, recording.frame)
 
     def score(self, name: str, result: Stitch) -> dict[str, Any]:
-        """Errors of a result, by the program that knows the truth."""
+        """Score a result by the program that knows the truth."""
         path = self.scratch / f"{name}-result.json"
         write_stitch(path, result)
         return self.score_file(name, path)
 
     def score_file(self, name: str, path: Path) -> dict[str, Any]:
-        """Errors of a written result or calibration, by the same program."""
+        """Score a written result or calibration by the same program."""
         command = [sys.executable, str(FILMS / "score.py"), str(self._source(name)), str(path)]
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        figures: dict[str, Any] = json.loads(said)
+        output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        figures: dict[str, Any] = json.loads(output)
         return figures
 
     def truth(self, name: str) -> dict[str, Any]:
-        """Where everything was; copies of a case do not carry it."""
+        """Read the truth of a case; copies do not carry it."""
         truth: dict[str, Any] = json.loads((self._source(name) / "truth.json").read_text(encoding="utf-8"))
         return truth
 
@@ -94,7 +94,7 @@ class Cases:
 
 @pytest.fixture(scope="session")
 def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
-    """The recorded cases: those in VAOI_CASES, else filmed when first asked for and kept for later sessions."""
+    """Recorded cases: those in VAOI_CASES, else filmed on first use and kept for later sessions."""
     need_films()
     kept = os.environ.get("VAOI_CASES")
     filmed = Path(kept) if kept else Path(tempfile.gettempdir()) / f"vaoi-cases-{os.getuid()}-{_fingerprint()}"
@@ -102,7 +102,7 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
 
 
 def _fingerprint() -> str:
-    """Of everything the films are made from."""
+    """Compute a digest of everything the cases are made from."""
     digest = hashlib.sha256()
     for path in sorted(p for p in FILMS.rglob("*") if p.is_file() and "__pycache__" not in p.parts):
         digest.update(str(path.relative_to(FILMS)).encode() + path.read_bytes())
@@ -110,7 +110,7 @@ def _fingerprint() -> str:
 
 
 def _film(name: str, case: Path) -> None:
-    """Film one case aside, then put it in place at once: sessions may run side by side."""
+    """Film one case in a temporary directory, then rename it: sessions may run side by side."""
     case.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(dir=case.parent, prefix=f".{name}-"))
     try:
@@ -121,14 +121,14 @@ def _film(name: str, case: Path) -> None:
         if not case.exists():
             (aside / name).replace(case)
     except OSError:
-        if not (case / "recording.json").is_file():  # else another session was quicker
+        if not (case / "recording.json").is_file():  # another session was quicker
             raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Where a verdict hangs on it nothing may be left out: a skipped test is a failed one."""
+    """Treat skipped tests as failures where the result of a commit depends on them."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is None or not VERDICT:
         return

@@ -1,4 +1,4 @@
-"""Boards that do not lie as they should, or are not what they should be: never a wrong position marked ok."""
+"""Boards that lie wrongly or are of another type: never a wrong position in a result that is ok."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_board_turned_by_half_a_turn_is_refused(cases: Any, name: str) -> None
     assert "turned" in result.reasons[0]
     assert result.cad_matrix is None
     assert result.components is None
-    assert all(m is not None for rows in result.image_matrices for m in rows), "the frames are placed all the same"
+    assert all(m is not None for rows in result.image_matrices for m in rows), "the frames are placed nevertheless"
 
 
 @pytest.mark.parametrize(
@@ -54,17 +54,17 @@ def test_a_board_of_another_type_is_refused(cases: Any, filmed: str, claimed: st
     assert repr(claimed) in result.reasons[0]
 
 
-def test_a_bent_board_without_working_distance_is_told_by_its_seam(cases: Any) -> None:
+def test_a_bent_board_without_working_distance_is_degraded_by_its_seam(cases: Any) -> None:
     calibration = read_calibration(cases("warped") / "calibration.json")
     blind = calibration.model_copy(update={"working_distance_mm": None})
     result = cases.stitch(cases("warped"), calibration=blind)
     assert result.status is Status.DEGRADED
     assert result.surface is None
     assert any("cameras 0 and 1 disagree by" in r for r in result.reasons)
-    assert cases.score("warped", result)["cad_px"]["max"] > 0.3, "there was something to warn of"
+    assert cases.score("warped", result)["cad_px"]["max"] > 0.3, "the error is worth the reason"
 
 
-def test_a_run_without_a_board_fails_in_a_sentence(cases: Any, tmp_path: Path) -> None:
+def test_a_run_without_a_board_fails_with_a_reason(cases: Any, tmp_path: Path) -> None:
     case = cases.copied("sparse", tmp_path / "empty")
     g = np.random.default_rng(5)
     for path in sorted((case / "frames").iterdir()):

@@ -1,4 +1,4 @@
-"""The paper's methods on real boards: each by its own evidence alone."""
+"""The paper's methods on recorded boards, each by its own evidence alone."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_a_reference_is_named_where_it_is_needed(cases: Any, tmp_path: Path) -> 
     assert "--method reference needs --reference DIR" in done.stderr
 
 
-def test_what_cannot_be_stitched_is_not_taught(cases: Any, tmp_path: Path) -> None:
+def test_a_run_that_is_not_ok_is_not_taught(cases: Any, tmp_path: Path) -> None:
     case = cases.copied("sparse", tmp_path / "case")
     board = json.loads((case / "board.json").read_text())
     board["fiducials"][0]["x"] += 5
@@ -112,7 +112,7 @@ def test_what_cannot_be_stitched_is_not_taught(cases: Any, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["paper-1", "ulx3s-top"])
-def test_the_papers_own_method_is_there_to_compare_with(cases: Any, tmp_path: Path, name: str) -> None:
+def test_the_papers_method_is_a_baseline(cases: Any, tmp_path: Path, name: str) -> None:
     theirs = stitched(cases(name), tmp_path / "result.json", "--method", "paper")
     assert (theirs.status, theirs.method) == (Status.DEGRADED, "paper")
     assert theirs.reasons == ("the paper's method has no measure of its own error",)

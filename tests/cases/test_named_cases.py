@@ -1,4 +1,4 @@
-"""Recordings of real boards, stitched blind and scored by a program that knows where everything was."""
+"""Recorded boards, stitched without their truth and scored against it by another program."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ def test_sound_recordings_are_ok_and_placed_to_a_tenth_of_a_pixel(cases: Any, na
     assert score["rigid"] <= 1e-6
     assert score["cad_px"]["rms"] <= 0.20
     assert score["cad_px"]["max"] <= 0.6
-    assert score["cad_px"]["rms"] <= 0.08, "worse than we were"
+    assert score["cad_px"]["rms"] <= 0.08, "worse than before"
 
 
 @pytest.mark.parametrize("name", ["paper-1", "paper-2", "paper-3"])
 def test_the_papers_experiment(cases: Any, name: str) -> None:
     mean_mm = cases.score(name, cases.stitched(name))["cad_mm"]["mean"]
     assert mean_mm <= 0.02
-    assert mean_mm <= 0.005, "worse than we were"
+    assert mean_mm <= 0.005, "worse than before"
 
 
 @pytest.mark.parametrize("name", HARD)
-def test_hard_recordings_are_within_a_pixel_or_say_why_not(cases: Any, name: str) -> None:
+def test_hard_recordings_are_within_a_pixel_or_degraded_with_a_reason(cases: Any, name: str) -> None:
     result = cases.stitched(name)
     score = cases.score(name, result)
     if result.status is Status.OK:
         assert score["unplaced"] == 0
         assert score["cad_px"]["max"] <= 1.0
-        assert score["cad_px"]["rms"] <= 0.08, "worse than we were"
+        assert score["cad_px"]["rms"] <= 0.08, "worse than before"
     else:
         assert result.status is Status.DEGRADED
         assert result.reasons
@@ -48,7 +48,7 @@ def test_hard_recordings_are_within_a_pixel_or_say_why_not(cases: Any, name: str
 
 
 @pytest.mark.parametrize("name", SOUND + HARD)
-def test_no_result_that_says_ok_errs_by_more_than_it_admits(cases: Any, name: str) -> None:
+def test_errors_of_ok_results_stay_within_their_sigma(cases: Any, name: str) -> None:
     result = cases.stitched(name)
     worst = cases.score(name, result)["cad_px"]["max"]
     if result.status is Status.OK:
@@ -56,10 +56,10 @@ def test_no_result_that_says_ok_errs_by_more_than_it_admits(cases: Any, name: st
         assert worst <= 1.0
 
 
-def test_the_lost_frames_of_a_bad_day_are_bridged(cases: Any) -> None:
+def test_missing_rows_are_bridged(cases: Any) -> None:
     result = cases.stitched("rough")
     assert not any("nothing ties rows" in reason for reason in result.reasons)
-    assert result.image_matrices[0][4] is None, "of a row that never arrived there is nothing to place"
+    assert result.image_matrices[0][4] is None, "a row without frames is not placed"
     assert result.image_matrices[0][5] is not None
     assert abs(result.quality["belt"]["speed_error"]) < 0.05
 

@@ -1,4 +1,4 @@
-"""Recorded boards: what a result says of its own uncertainty, against where everything was."""
+"""Recorded boards: predicted uncertainty against real errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NAMES = ("paper-1", "paper-2", "paper-3", "ulx3s-top", "sparse", "dark", "hdr", 
 
 
 def lengths(result: Any, truth: dict[str, Any]) -> np.ndarray:
-    """Of every view's error, in standard deviations by the covariance that the result gives for that view."""
+    """Compute the length of every view's error in standard deviations, by the covariance of that view."""
     found = {(ref, i, j): (x, y) for ref, views in result.components.items() for i, j, x, y in views}
     said = result.quality["component_covariance_px2"]
     covariance = {(ref, i, j): [[xx, xy], [xy, yy]] for ref, views in said.items() for i, j, xx, xy, yy in views}
@@ -26,7 +26,7 @@ def lengths(result: Any, truth: dict[str, Any]) -> np.ndarray:
     return np.array(out)
 
 
-def test_positions_err_as_much_as_their_covariances_say(cases: Any) -> None:
+def test_position_errors_match_their_covariances(cases: Any) -> None:
     runs = [lengths(cases.stitched(name), cases.truth(name)) for name in NAMES]
     normalised = [float((r**2).mean() / 2) for r in runs]
     print({name: round(v, 2) for name, v in zip(NAMES, normalised, strict=True)})
@@ -34,7 +34,7 @@ def test_positions_err_as_much_as_their_covariances_say(cases: Any) -> None:
     assert (np.concatenate(runs) > 3).mean() < 0.02
 
 
-def test_matrices_err_as_much_as_they_say(cases: Any) -> None:
+def test_matrix_errors_match_their_sigmas(cases: Any) -> None:
     """Row 0 is exact by definition; of the others the middle of every frame is compared."""
     squares = []
     for name in ("ulx3s-top", "hdr", "repetitive", "fixture"):
@@ -47,6 +47,6 @@ def test_matrices_err_as_much_as_they_say(cases: Any) -> None:
                 there = np.linalg.solve(truth["image_matrices"][i][j], middle)
                 ours = result.image_matrices[i][j] @ there
                 squares.append((np.hypot(*(ours[:2] / ours[2] - middle[:2])) / sigma[0]) ** 2)
-                assert sigma[1] >= sigma[0] * 0.99, "corners are no surer than the middle"
+                assert sigma[1] >= sigma[0] * 0.99, "the sigma at a corner is not smaller"
     print(np.mean(squares))
     assert 0.2 < np.mean(squares) < 4.0, "a sigma is that in the worst direction"

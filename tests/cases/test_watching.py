@@ -22,7 +22,7 @@ TENTH_DEG = np.radians(0.1)
 
 
 def under_old_calibration(case: Path, moved_px: Any) -> tuple[RunCheck, Camera, Camera]:
-    """The check of a run, the middle camera as it hangs, and as it was calibrated before it moved so."""
+    """Return the check of a run, the middle camera as it is, and as it was calibrated before it moved."""
     opened = open_run(case)
     cameras = list(opened.setup.cameras)
     hangs = cameras[KNOCKED]
@@ -35,10 +35,10 @@ def under_old_calibration(case: Path, moved_px: Any) -> tuple[RunCheck, Camera, 
     "moved_px", [(0.0, FOCAL_PX * TENTH_DEG, 0.0), (0.0, -FOCAL_PX * TENTH_DEG, 0.0), (0.0, 0.0, CORNER_PX * TENTH_DEG)]
 )
 def test_a_knock_along_the_belt_or_about_the_axis_is_undone(cases: Any, moved_px: tuple[float, float, float]) -> None:
-    told = [under_old_calibration(cases(name), moved_px) for name in ("ulx3s-top", "ulx3s-top-again")]
-    found = combine_runs([check for check, _, _ in told])
+    checks = [under_old_calibration(cases(name), moved_px) for name in ("ulx3s-top", "ulx3s-top-again")]
+    found = combine_runs([check for check, _, _ in checks])
     assert (found.moved, found.rivals) == ((KNOCKED,), ())
-    _, hangs, calibrated = told[0]
+    _, hangs, calibrated = checks[0]
     corrected = displace_camera(calibrated, found.displacement_px[KNOCKED])
     grid = np.stack(np.meshgrid(np.linspace(0, 1391, 9), np.linspace(0, 1039, 7)), -1).reshape(-1, 2)
     off = np.hypot(*(corrected.project(hangs.ground(grid)) - grid).T)
@@ -46,8 +46,8 @@ def test_a_knock_along_the_belt_or_about_the_axis_is_undone(cases: Any, moved_px
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_a_knock_across_the_belt_that_leaves_one_neighbour_is_known_as_well_as_it_says(cases: Any, way: int) -> None:
-    """The other overlap is too narrow then, and one alone cannot tell a moved camera from a higher board."""
+def test_a_knock_that_leaves_one_neighbour_stays_within_its_sigma(cases: Any, way: int) -> None:
+    """The other overlap is too narrow then, and one alone does not separate a moved camera from a higher board."""
     moved_px = (way * FOCAL_PX * TENTH_DEG, 0.0, 0.0)
     check, _, _ = under_old_calibration(cases("ulx3s-top"), moved_px)
     found = combine_runs([check])
@@ -58,6 +58,6 @@ def test_a_knock_across_the_belt_that_leaves_one_neighbour_is_known_as_well_as_i
 
 
 @pytest.mark.parametrize("name", ["ulx3s-top", "sparse", "hdr", "repetitive", "warped", "rough"])
-def test_cameras_nobody_touched_show_nothing(cases: Any, name: str) -> None:
+def test_unmoved_cameras_show_no_displacement(cases: Any, name: str) -> None:
     check = check_recording(open_run(cases(name)))
     assert max(np.abs(c.displacement_px).max() for c in check.cameras) < 0.03

@@ -22,7 +22,7 @@ def twin_with(*knocks: dict[str, Any]) -> Twin:
 
 
 def checked(twin: Twin, board: int) -> RunCheck:
-    """Film a board, stitch it, and keep what a station keeps."""
+    """Film a board, stitch it, and make its check."""
     passage = twin.passage(board)
     head, frames = passage.head(), passage.render_all()
     setup = StitchSetup(twin.cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
@@ -45,7 +45,7 @@ def knocked_twin() -> Callable[..., Twin]:
 
 @pytest.fixture(scope="session")
 def undisturbed() -> list[RunCheck]:
-    """Four boards under cameras nobody has touched."""
+    """Four boards under cameras that have not moved."""
     twin = twin_with()
     return [checked(twin, board) for board in range(4)]
 

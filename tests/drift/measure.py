@@ -2,8 +2,8 @@
 
     python tests/drift/measure.py SCENARIO CAMERA UNDISTURBED KNOCKED [SEED]
 
-SCENARIO is a name ("small", "demo") or a file; so many boards pass before and after the knock, once for each axis.
-Where none pass after a knock, the camera creeps instead: it turns about its x axis a little more with every board.
+SCENARIO is a name ("small", "demo") or a file. UNDISTURBED boards pass before the knock and KNOCKED after it, for each
+axis. Where none pass after a knock, the camera creeps instead: it turns about its x axis a little more with each board.
 """
 
 from __future__ import annotations
@@ -87,14 +87,14 @@ def main(name: str, camera: int, undisturbed: int, knocked: int, seed: int = 0) 
     print(f"{name}, seed {seed}: {undisturbed} undisturbed runs, {alarms} with an alarm")
     print(f"displacements shown: rms {np.sqrt((shown**2).mean()):.4f}, largest {np.abs(shown).max():.4f} px")
     if not knocked:
-        creep(scenario, camera, checks)
+        measure_creep(scenario, camera, checks)
     for axis in "xyz" if knocked else "":
         scenario["faults"]["knocked"] = [{"camera": camera, "from_board": undisturbed, "about": axis, "angle_deg": 0.1}]
-        tell(Twin(Scenario.model_validate(scenario)), camera, axis, checks, knocked)
+        measure_knock(Twin(Scenario.model_validate(scenario)), camera, axis, checks, knocked)
 
 
-def creep(scenario: dict[str, Any], camera: int, before: list[RunCheck]) -> None:
-    """A camera that turns by a fifth of a thousandth of a degree per board, until it is told."""
+def measure_creep(scenario: dict[str, Any], camera: int, before: list[RunCheck]) -> None:
+    """A camera that turns by a fifth of a thousandth of a degree per board, until a drift is reported."""
     checks = list(before)
     for step in range(1, 101):
         knock = {"camera": camera, "about": "x", "angle_deg": 2e-4 * step}
@@ -105,21 +105,21 @@ def creep(scenario: dict[str, Any], camera: int, before: list[RunCheck]) -> None
         if found := find_drifts(checks):
             off = matrix_px(board.passage.twin.calibration, board.passage, camera)
             named = [(d.camera, round(d.size_px, 3), d.since_run, d.instead) for d in found]
-            print(f"creeping: told after {step} boards, N off by {off} px; {named}")
+            print(f"creeping: reported after {step} boards, N off by {off} px; {named}")
             print(f"  components px: {board.components_px(stitch)}")
             return
-    print("creeping: not told within 100 boards")
+    print("creeping: not reported within 100 boards")
 
 
-def tell(twin: Twin, camera: int, axis: str, before: list[RunCheck], knocked: int) -> None:
+def measure_knock(twin: Twin, camera: int, axis: str, before: list[RunCheck], knocked: int) -> None:
     """One row of the table: a knock about one axis."""
     boards = [Board(twin, len(before) + k) for k in range(knocked)]
     results = [board.stitched() for board in boards]
     since = [check for check, _ in results]
-    told = [find_drifts(before + since[: k + 1]) for k in range(knocked)]
-    runs = next((k + 1 for k, found in enumerate(told) if found), None)
-    named = [(d.camera, round(d.size_px, 3), d.since_run, d.instead) for d in told[-1]]
-    print(f"about {axis}: told after {runs} runs; {named}")
+    alarms = [find_drifts(before + since[: k + 1]) for k in range(knocked)]
+    runs = next((k + 1 for k, found in enumerate(alarms) if found), None)
+    named = [(d.camera, round(d.size_px, 3), d.since_run, d.instead) for d in alarms[-1]]
+    print(f"about {axis}: reported after {runs} runs; {named}")
     try:
         proposal = recalibrate(twin.calibration, twin.heads, since)
     except InputError as refusal:

@@ -1,4 +1,4 @@
-"""Who has moved, told from differences between neighbours alone."""
+"""Attribution of motion to cameras, from differences between neighbours alone."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def test_two_cameras_of_five() -> None:
     assert found.displacement_px == pytest.approx(d, abs=0.02)
 
 
-def test_of_two_cameras_both_are_named_and_the_first_is_corrected() -> None:
+def test_with_two_cameras_the_first_is_corrected_and_the_other_named() -> None:
     d = np.array([[0.0, 0.0, 0.0], [5.0, -1.0, 0.3]])
     found = attribute_motion(*between_neighbours(d))
     assert (found.moved, found.rivals) == ((0,), (1,))
     assert found.displacement_px[0] == pytest.approx(-d[1], abs=0.02)
 
 
-def test_a_motion_of_the_whole_array_is_not_seen() -> None:
+def test_a_motion_of_the_whole_array_is_not_attributed() -> None:
     found = attribute_motion(*between_neighbours(np.full((4, 3), 7.0)))
     assert found.moved == ()
     assert found.displacement_px == pytest.approx(np.zeros((4, 3)), abs=1e-6)

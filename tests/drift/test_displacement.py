@@ -31,7 +31,7 @@ def test_the_middle_of_the_picture_moves_by_x_and_y(distance_mm: float | None, x
 
 
 @pytest.mark.parametrize("distance_mm", [400.0, None])
-def test_a_turn_is_told_by_how_far_the_corner_goes(distance_mm: float | None) -> None:
+def test_a_turn_is_measured_at_the_corner(distance_mm: float | None) -> None:
     camera = replace(CAMERA, working_distance_mm=distance_mm)
     t = moved_from_calibrated(camera, np.array([0.0, 0.0, 0.7]))
     off = apply(t, [640.0, 480.0]) - (640.0, 480.0)
@@ -40,7 +40,7 @@ def test_a_turn_is_told_by_how_far_the_corner_goes(distance_mm: float | None) ->
     assert corner_radius_px(camera) == pytest.approx(400.8, abs=0.1)
 
 
-def test_a_turned_camera_hangs_where_it_hung() -> None:
+def test_a_turn_does_not_move_the_foot_of_the_camera() -> None:
     assert displace_camera(CAMERA, np.array([12.0, -7.0, 1.0])).foot_mm == pytest.approx(CAMERA.foot_mm, abs=0.01)
 
 

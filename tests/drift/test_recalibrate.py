@@ -1,4 +1,4 @@
-"""Cameras of the twin knocked by 0.1°: found, told, corrected; and what is refused."""
+"""Cameras of the twin knocked by 0.1°: found, reported, corrected; and what is refused."""
 
 from __future__ import annotations
 
@@ -44,9 +44,7 @@ def test_a_knock_by_a_tenth_of_a_degree_is_found_and_corrected(
     assert (proposal.calibration.camera_matrices[0] == twin.calibration.camera_matrices[0]).all()
 
 
-def test_cameras_nobody_touched_keep_their_matrices(
-    undisturbed: list[RunCheck], knocked_twin: Callable[..., Twin]
-) -> None:
+def test_unmoved_cameras_keep_their_matrices(undisturbed: list[RunCheck], knocked_twin: Callable[..., Twin]) -> None:
     twin = knocked_twin()
     proposal = recalibrate(twin.calibration, twin.heads, undisturbed)
     assert proposal.corrected == ()
@@ -55,7 +53,7 @@ def test_cameras_nobody_touched_keep_their_matrices(
     assert "has not moved" in proposal.lines()[2]
 
 
-def test_covariances_grow_by_what_the_runs_leave_open(made: Made, knocked_twin: Callable[..., Twin]) -> None:
+def test_covariances_grow_by_that_of_the_displacement(made: Made, knocked_twin: Callable[..., Twin]) -> None:
     twin = knocked_twin()
     known = twin.calibration.model_copy(update={"covariances": [(1e-12 * np.eye(8)).tolist()] * 3})
     runs = [made(k, [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, 0.0)]) for k in range(3)]
@@ -73,7 +71,7 @@ def test_too_few_runs_are_refused(made: Made, knocked_twin: Callable[..., Twin])
         recalibrate(twin.calibration, twin.heads, [made(k, [(0.0, 0.0, 0.0)] * 3) for k in range(2)])
 
 
-def test_a_camera_nothing_is_told_of_is_refused_by_its_number(made: Made, knocked_twin: Callable[..., Twin]) -> None:
+def test_a_camera_without_evidence_is_refused_by_number(made: Made, knocked_twin: Callable[..., Twin]) -> None:
     twin = knocked_twin()
     runs = [made(k, [(0.0, 0.0, 0.0)] * 3) for k in range(3)]
     blind = [
@@ -91,7 +89,7 @@ def test_runs_before_and_after_a_knock_disagree(made: Made, knocked_twin: Callab
     assert "fewer --runs" in (refused.value.action or "")
 
 
-def test_one_camera_has_nothing_to_be_compared_with(made: Made, knocked_twin: Callable[..., Twin]) -> None:
+def test_a_single_camera_is_refused(made: Made, knocked_twin: Callable[..., Twin]) -> None:
     twin = knocked_twin()
     alone = twin.calibration.model_copy(update={"camera_matrices": twin.calibration.camera_matrices[:1]})
     with pytest.raises(InputError, match="one camera"):

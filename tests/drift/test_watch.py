@@ -1,4 +1,4 @@
-"""The drift test on made-up runs."""
+"""Drift detection on made-up runs."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def test_scatter_is_no_drift(made: Made) -> None:
     assert not any(find_drifts(runs[:k]) for k in range(0, 301, 10))
 
 
-def test_a_knock_is_told_with_camera_size_and_since(made: Made) -> None:
+def test_a_knock_is_reported_with_camera_size_and_first_run(made: Made) -> None:
     runs = [made(k, [STILL, STILL, STILL]) for k in range(6)]
     runs += [made(k, [STILL, (0.0, 30.0, 0.9), STILL]) for k in (6, 7)]
-    assert find_drifts(runs[:7]) == (), "one odd board is not believed"
+    assert find_drifts(runs[:7]) == (), "one odd board raises no alarm"
     (drift,) = find_drifts(runs)
     assert (drift.camera, drift.since_run, drift.since_time, drift.runs) == (1, "r006", "t006", 2)
     assert drift.displacement_px == pytest.approx((0.0, 30.0, 0.9))
@@ -35,21 +35,21 @@ def test_one_odd_board_raises_no_alarm_later_either(made: Made) -> None:
     assert not any(find_drifts(runs[:k]) for k in range(21))
 
 
-def test_a_creeping_drift_is_told_before_it_hurts(made: Made) -> None:
+def test_a_creeping_drift_is_reported_while_it_is_small(made: Made) -> None:
     runs = [made(k, [STILL, (0.01 * max(k - 8, 0), 0.0, 0.0), STILL]) for k in range(40)]
-    told = next(k for k in range(41) if find_drifts(runs[:k]))
-    assert runs[told - 1].cameras[1].x_px < 0.2
-    (drift,) = find_drifts(runs[:told])
+    alarm = next(k for k in range(41) if find_drifts(runs[:k]))
+    assert runs[alarm - 1].cameras[1].x_px < 0.2
+    (drift,) = find_drifts(runs[:alarm])
     assert drift.camera == 1
 
 
-def test_a_camera_set_right_is_believed_after_some_runs(made: Made) -> None:
+def test_a_camera_that_was_set_right_is_cleared_after_some_runs(made: Made) -> None:
     runs = [made(k, [STILL, (2.0 if 5 <= k < 15 else 0.0, 0.0, 0.0)]) for k in range(40)]
     assert find_drifts(runs[:15])
     assert find_drifts(runs) == ()
 
 
-def test_small_habits_of_a_board_type_are_no_drift_but_large_ones_are(made: Made) -> None:
+def test_a_small_baseline_is_no_drift_and_a_large_one_is(made: Made) -> None:
     habit = [STILL, (0.1, 0.0, 0.0), STILL]
     two = [made(k, habit if k % 2 else [STILL] * 3, board_type="ab"[k % 2]) for k in range(60)]
     assert not any(find_drifts(two[:k]) for k in range(61))

@@ -1,4 +1,4 @@
-"""A board that was stitched exactly: cameras, rows, C and a surface that are simply given."""
+"""A board with a given stitch: cameras, rows, C and a surface are exact."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Stitched:
     cameras: tuple[Camera, ...]
 
     def raw_px(self, camera: int, row: int, cad: Array, height_mm: float = 0.0) -> Array:
-        """Where CAD points are in a frame, step by step: C, D_j, the pinhole at a height, the lens."""
+        """Project CAD points into a frame step by step: C, D_j, the pinhole at a height, the lens."""
         assert self.stitch.tester_from_cad is not None
         tester = self.stitch.tester_from_cad(cad)
         d = self.stitch.row_motion[row]

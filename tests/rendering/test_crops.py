@@ -1,3 +1,5 @@
+"""Sizes and transforms of component pictures."""
+
 from __future__ import annotations
 
 import math
@@ -35,7 +37,7 @@ def test_the_edges_of_the_box_are_the_outer_edges_of_the_border_pixels(y_axis: s
 
 
 @pytest.mark.parametrize(("y_axis", "side"), SIDES)
-def test_upright_as_the_camera_sees_it(y_axis: str, side: str) -> None:
+def test_pictures_are_upright_on_the_side_of_the_camera(y_axis: str, side: str) -> None:
     """CAD x runs to the right on the top and to the left on the bottom; CAD up is up."""
     m = compute_crops([part()], board(y_axis, side), 10.0).crop_from_cad[0]
     assert m[0, 0] == pytest.approx(10 if side == "top" else -10)
@@ -82,12 +84,12 @@ def test_the_whole_footprint_is_in_the_picture_and_pixels_are_square_within_roun
     assert (np.abs(scale - px_per_mm) * extent <= 0.5 + 1e-6).all() or (crops.size[0] == 1).any()
 
 
-def test_a_picture_without_end_is_refused_by_name() -> None:
+def test_a_picture_too_large_is_refused_by_name() -> None:
     with pytest.raises(InputError, match=r"U1: px_per_mm is 5000.0, but must be small enough for 16 megapixels"):
         compute_crops([part()], board(), 5000.0)
     just = math.sqrt(MOST_PIXELS / 8) * 0.999
     assert compute_crops([part()], board(), just).size.prod() <= MOST_PIXELS
 
 
-def test_a_speck_has_one_pixel() -> None:
+def test_a_tiny_component_has_one_pixel() -> None:
     assert compute_crops([part(width=1e-4, height=1e-4)], board(), 10.0).size.tolist() == [[1, 1]]

@@ -1,3 +1,5 @@
+"""Temporary images, rendered from frames that are exact pictures of known patterns."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -42,7 +44,7 @@ def test_a_dot_lies_where_cad_says(make: Any, y_axis: str, side: str, lens: Any)
         assert up == (y_axis == "up")
 
 
-def test_a_ramp_stays_the_ramp(make: Any) -> None:
+def test_a_linear_ramp_is_reproduced_exactly(make: Any) -> None:
     """Bilinear interpolation reproduces linear brightness exactly: no half pixel is lost."""
     s = make()
     at = pixels_of((180, 240))
@@ -52,7 +54,7 @@ def test_a_ramp_stays_the_ramp(make: Any) -> None:
         assert np.abs(render(view, frame) - (20 + where @ (0.6, 0.4))).max() < 0.01
 
 
-def test_tiles_are_as_good_as_every_pixel_by_itself(make: Any) -> None:
+def test_tiles_match_a_remap_of_every_pixel(make: Any) -> None:
     big = [{"ref": "ALL", "center": [20, 15], "width": 26, "height": 20}]
     s = make(lens=(0.0016,), components=big)  # a quarter of a pixel at the corner of so small a frame
     at, shown = pixels_of((180, 240)), 0

@@ -1,3 +1,5 @@
+"""Views of components, against the model step by step: C, D_j, pinhole, lens."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -34,7 +36,7 @@ def raw_from_crop(view: View, at: Any) -> Any:
 @pytest.mark.parametrize("lens", [(), HARDLY_BENT, BENT])
 @pytest.mark.parametrize("surface", [False, True])
 @pytest.mark.parametrize(("y_axis", "side"), list(product(("up", "down"), ("top", "bottom"))))
-def test_pixels_lead_where_the_model_leads(make: Any, y_axis: str, side: str, surface: bool, lens: Any) -> None:
+def test_matrices_match_the_model_step_by_step(make: Any, y_axis: str, side: str, surface: bool, lens: Any) -> None:
     s = make(y_axis=y_axis, side=side, surface=surface, lens=lens)
     calculator, seen = ViewCalculator(s.board_type, s.stitch, s.cameras), 0
     for component in s.board_type.components:
@@ -99,7 +101,7 @@ def test_the_best_comes_first(make: Any) -> None:
             assert v.off_center == pytest.approx(off, abs=1e-3)
 
 
-def test_all_components_at_once_are_each_by_itself(make: Any) -> None:
+def test_all_components_at_once_match_each_alone(make: Any) -> None:
     s = make(lens=BENT, surface=True)
     calculator = ViewCalculator(s.board_type, s.stitch, s.cameras)
     whole = calculator.compute_all(s.board_type.components)
@@ -142,7 +144,7 @@ def test_frames_that_were_not_placed_show_nothing(make: Any) -> None:
         assert [(v.camera, v.row) for v in after] == [(v.camera, v.row) for v in before if (v.camera, v.row) != (0, 1)]
 
 
-def test_a_component_nobody_sees_has_no_views(make: Any) -> None:
+def test_a_component_out_of_view_has_no_views(make: Any) -> None:
     far = [{"ref": "X", "center": [500, 500], "width": 2, "height": 2}]
     s = make(components=far)
     assert compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras, min_coverage=0.0) == ()

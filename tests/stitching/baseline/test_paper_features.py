@@ -1,3 +1,5 @@
+"""The paper's chain of rows: features, steps, and its error against the truth."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -18,7 +20,7 @@ def error_mm(motion: Any, truth: Any, points: NDArray[np.float64]) -> float:
     )
 
 
-def test_the_papers_chain_works_and_errs_more_than_ours(filmed: Any) -> None:
+def test_the_papers_chain_works_with_larger_errors_than_ours(filmed: Any) -> None:
     chained = paper.chain_rows(filmed.setup.cameras, filmed.head.rows, lambda i, j: filmed.frames[i, j])
     assert not isinstance(chained, Failure)
     assert np.array_equal(chained[0].matrix, np.eye(3))
@@ -31,13 +33,13 @@ def test_the_papers_chain_works_and_errs_more_than_ours(filmed: Any) -> None:
     assert theirs > 2 * ours
 
 
-def test_six_hundred_corners_at_the_most(filmed: Any) -> None:
+def test_at_most_600_corners(filmed: Any) -> None:
     found = paper.detect_features(filmed.frames[0, 2])
     assert 100 < len(found.px) <= 600
     assert found.descriptors.shape == (len(found.px), 128)
 
 
-def test_a_step_of_exactly_moved_features_is_that_motion(workshop: Any) -> None:
+def test_step_of_moved_features_is_the_motion(workshop: Any) -> None:
     g = np.random.default_rng(1)
     camera = workshop.camera()
     at, descriptors = g.uniform(20, 140, (50, 2)), g.uniform(0, 255, (50, 128)).astype(np.float32)

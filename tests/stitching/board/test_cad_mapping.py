@@ -1,4 +1,4 @@
-"""How a board of the twin lies: turned, described without an outline, or with marks that fit both ways."""
+"""The CAD mapping of a board of the twin: turned, without an outline, or with fiducials that fit both ways."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def described(board_type: BoardType, *, turned: bool = False, **keys: Any) -> Bo
     return BoardType.model_validate({k: v for k, v in data.items() if v is not None})
 
 
-def test_three_fiducials_tell_that_a_board_lies_turned(filmed: Any) -> None:
+def test_three_fiducials_reveal_a_turned_board(filmed: Any) -> None:
     less: list[dict[str, Any]] = [{}, {"outline": None}, {"outline": None, "components": []}]
     for keys in less:
         result = filmed.stitched(board_type=described(filmed.board_type, turned=True, **keys))
@@ -34,7 +34,7 @@ def test_three_fiducials_tell_that_a_board_lies_turned(filmed: Any) -> None:
         assert "turned by" in result.reasons[0]
 
 
-def test_a_turned_board_is_found_where_it_is_expected_turned(filmed: Any) -> None:
+def test_a_turned_board_is_found_if_expected_turned(filmed: Any) -> None:
     result = filmed.stitched(
         board_type=described(filmed.board_type, turned=True), expectation=Expectation(angle_rad=np.pi)
     )
@@ -43,8 +43,8 @@ def test_a_turned_board_is_found_where_it_is_expected_turned(filmed: Any) -> Non
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_two_fiducials_alone_never_make_an_ok(filmed: Any, turned: bool) -> None:
-    """Neither outline nor parts: the board might lie either way."""
+def test_two_fiducials_alone_are_never_ok(filmed: Any, turned: bool) -> None:
+    """Neither outline nor components: the board may lie either way."""
     marks = described(filmed.board_type, turned=turned).model_dump(mode="json")["fiducials"][:2]
     kind = described(filmed.board_type, turned=turned, outline=None, components=[], fiducials=marks)
     result = filmed.stitched(board_type=kind)
@@ -61,8 +61,8 @@ def test_two_fiducials_and_an_outline_are_enough(filmed: Any) -> None:
     assert filmed.stitched(board_type=turned).status is Status.FAILED
 
 
-def test_a_board_where_no_edge_shows_is_doubted(filmed: Any) -> None:
-    """The outline is given 3 mm too large all round: another type, perhaps."""
+def test_a_board_without_a_visible_edge_is_degraded(filmed: Any) -> None:
+    """The outline is given 3 mm too large all round, as of another type."""
     (x0, y0), (x1, y1) = filmed.board_type.outline
     x0, x1, y0, y1 = min(x0, x1) - 3, max(x0, x1) + 3, min(y0, y1) - 3, max(y0, y1) + 3
     result = filmed.stitched(board_type=described(filmed.board_type, outline=[[x0, y0], [x1, y1]]))
@@ -70,7 +70,7 @@ def test_a_board_where_no_edge_shows_is_doubted(filmed: Any) -> None:
     assert any("no edge where the board's outline should be" in r for r in result.reasons)
 
 
-def test_a_board_without_components_is_judged_by_its_corners(filmed: Any) -> None:
+def test_uncertainty_of_a_board_without_components_is_that_of_its_corners(filmed: Any) -> None:
     result = filmed.stitched(board_type=described(filmed.board_type, components=[]))
     assert result.status is Status.OK
     assert result.components == {}

@@ -1,3 +1,5 @@
+"""The expectation that follows from the mechanics of the line."""
+
 from __future__ import annotations
 
 import math
@@ -37,7 +39,7 @@ def line(velocity: tuple[float, float], **expected: Any) -> Line:
         ((0.0, 100.0), 180.0, (None, -30.0 - L)),
     ],
 )
-def test_the_leading_edge_is_where_the_barrier_and_the_delay_put_it(
+def test_leading_edge_follows_from_barrier_and_delay(
     velocity: tuple[float, float], rotation: float, corner: tuple[float | None, float | None]
 ) -> None:
     found = expectation_of(line(velocity, rotation_deg=rotation), BOARD)
@@ -45,7 +47,7 @@ def test_the_leading_edge_is_where_the_barrier_and_the_delay_put_it(
     assert found.angle_rad == pytest.approx(-math.radians(rotation))
 
 
-def test_rail_or_middle_say_where_it_lies_across() -> None:
+def test_rail_or_center_gives_the_place_across_the_belt() -> None:
     assert expectation_of(line((0, 100), rail_mm=-7.0), BOARD).corner_mm[0] == -7.0
     assert expectation_of(line((0, 100), center_mm=10.0), BOARD).corner_mm[0] == pytest.approx(10 - W / 2)
     assert expectation_of(line((0, 100), center_mm=10.0, rotation_deg=90.0), BOARD).corner_mm[0] == pytest.approx(

@@ -1,4 +1,4 @@
-"""Which sightings are the board's fiducials, and how the board lies."""
+"""Assignment of detections to fiducials, and the first C."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def board(
     )
 
 
-def lying(plane: BoardPlane, camera: Any, turn_rad: float = 0.0, at: tuple[float, float] = (12.0, -30.0)) -> Array:
-    """The similarity of a board that lies as expected but for a turn, its middle at a place."""
+def placed(plane: BoardPlane, camera: Any, turn_rad: float = 0.0, at: tuple[float, float] = (12.0, -30.0)) -> Array:
+    """The similarity of a board that lies as expected except for a turn, with its middle at a place."""
     angle = expected_angle(plane, camera, UPRIGHT) + turn_rad
     scale = plane.board_type.mm_per_unit
     a, b = scale * math.cos(angle), scale * math.sin(angle)
@@ -65,7 +65,7 @@ def lying(plane: BoardPlane, camera: Any, turn_rad: float = 0.0, at: tuple[float
     return np.array([a, b, at[0] - middle[0], at[1] - middle[1]])
 
 
-def sighted(mm: Array, score: float = 0.97) -> FiducialCandidates:
+def candidates_at(mm: Array, score: float = 0.97) -> FiducialCandidates:
     return FiducialCandidates(mm, np.zeros(len(mm), dtype=np.int_), np.full(len(mm), score))
 
 
@@ -88,10 +88,10 @@ def test_handedness_follows_from_board_type_and_cameras(
     """An upright board shows CAD x to the right on the top side, to the left on the bottom; CAD up points up."""
     camera = workshop.camera((12.0, -30.0), angle_rad=0.01, y_up=y_up_in_tester)
     plane = board_plane(board(y_axis, side), camera)
-    truth = lying(plane, camera, 0.02)
+    truth = placed(plane, camera, 0.02)
     found = find_board(
         plane,
-        sighted(apply_similarity(truth, plane.fiducials)),
+        candidates_at(apply_similarity(truth, plane.fiducials)),
         expected_angle(plane, camera, UPRIGHT),
         UPRIGHT,
         NOTHING,
@@ -110,21 +110,21 @@ def test_handedness_follows_from_board_type_and_cameras(
 def test_units(workshop: Any, unit: Literal["mm", "inch", "mil"]) -> None:
     camera = workshop.camera()
     plane = board_plane(board(unit=unit), camera)
-    truth = lying(plane, camera)
-    found = find_board(plane, sighted(apply_similarity(truth, plane.fiducials)), 0.0, UPRIGHT, NOTHING)
+    truth = placed(plane, camera)
+    found = find_board(plane, candidates_at(apply_similarity(truth, plane.fiducials)), 0.0, UPRIGHT, NOTHING)
     assert isinstance(found, Hypothesis)
     assert math.hypot(*found.c[:2]) == pytest.approx(plane.board_type.mm_per_unit)
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.floats(-0.1, 0.1))
-def test_look_alikes_do_not_win(workshop: Any, seed: int, turn: float) -> None:
+def test_fiducials_win_over_look_alikes(workshop: Any, seed: int, turn: float) -> None:
     g = np.random.default_rng(seed)
     camera = workshop.camera()
     plane = board_plane(board(), camera)
-    truth = lying(plane, camera, turn)
+    truth = placed(plane, camera, turn)
     marks = apply_similarity(truth, plane.fiducials) + g.normal(0, 0.01, (3, 2))
-    places = with_look_alikes(sighted(marks), 60, g, (0.75, 0.93))
+    places = with_look_alikes(candidates_at(marks), 60, g, (0.75, 0.93))
     found = find_board(plane, places, expected_angle(plane, camera, UPRIGHT), UPRIGHT, NOTHING)
     assert isinstance(found, Hypothesis)
     assert np.abs(apply_similarity(found.c, plane.fiducials) - marks).max() < 0.4, (
@@ -136,32 +136,32 @@ def test_look_alikes_do_not_win(workshop: Any, seed: int, turn: float) -> None:
 def test_two_fiducials_are_enough_and_one_is_not(workshop: Any) -> None:
     camera = workshop.camera()
     plane = board_plane(board(), camera)
-    marks = apply_similarity(lying(plane, camera), plane.fiducials)
-    two = find_board(plane, sighted(marks[:2]), 0.0, UPRIGHT, NOTHING)
+    marks = apply_similarity(placed(plane, camera), plane.fiducials)
+    two = find_board(plane, candidates_at(marks[:2]), 0.0, UPRIGHT, NOTHING)
     assert isinstance(two, Hypothesis)
     assert two.fiducials == (0, 1)
-    one = find_board(plane, sighted(marks[:1]), 0.0, UPRIGHT, NOTHING)
+    one = find_board(plane, candidates_at(marks[:1]), 0.0, UPRIGHT, NOTHING)
     assert isinstance(one, Failure)
     assert "1 place(s) look like fiducials" in one.reason
     bare = board_plane(board(fiducials=FIDUCIALS[:1]), camera)
-    refused = find_board(bare, sighted(marks), 0.0, UPRIGHT, NOTHING)
+    refused = find_board(bare, candidates_at(marks), 0.0, UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "has 1 fiducials; two are needed" in refused.reason
 
 
-def test_a_board_far_from_its_direction_is_refused_and_the_reason_says_by_how_much(workshop: Any) -> None:
+def test_a_board_far_from_its_direction_is_refused_with_the_angle(workshop: Any) -> None:
     camera = workshop.camera()
     plane = board_plane(board(), camera)
-    places = sighted(apply_similarity(lying(plane, camera, 0.3), plane.fiducials))
+    places = candidates_at(apply_similarity(placed(plane, camera, 0.3), plane.fiducials))
     refused = find_board(plane, places, expected_angle(plane, camera, UPRIGHT), UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "turned by 17.2°" in refused.reason
 
 
-def test_a_board_turned_by_half_a_turn_has_fewer_fiducials_as_expected_than_turned(workshop: Any) -> None:
+def test_a_board_turned_by_180_degrees_fits_more_fiducials_turned(workshop: Any) -> None:
     camera = workshop.camera()
     plane = board_plane(board(), camera)
-    places = sighted(apply_similarity(lying(plane, camera, math.pi), plane.fiducials))
+    places = candidates_at(apply_similarity(placed(plane, camera, math.pi), plane.fiducials))
     angle = expected_angle(plane, camera, UPRIGHT)
     as_expected = find_board(plane, places, angle, UPRIGHT, NOTHING)
     turned = find_board(plane, places, angle + math.pi, UPRIGHT, NOTHING)
@@ -173,36 +173,36 @@ def test_a_board_turned_by_half_a_turn_has_fewer_fiducials_as_expected_than_turn
 def test_another_scale_is_refused(workshop: Any) -> None:
     camera = workshop.camera()
     plane = board_plane(board(), camera)
-    marks = apply_similarity(lying(plane, camera), plane.fiducials)
-    refused = find_board(plane, sighted(marks * 1.006), 0.0, UPRIGHT, NOTHING)
+    marks = apply_similarity(placed(plane, camera), plane.fiducials)
+    refused = find_board(plane, candidates_at(marks * 1.006), 0.0, UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)
     assert "scale off by" in refused.reason
 
 
 def test_texture_must_lie_on_the_board(workshop: Any) -> None:
-    """Two pairs of marks fit equally well; the linked texture says where the board is."""
+    """Two pairs of marks fit equally well; the linked texture decides."""
     camera, g = workshop.camera(), np.random.default_rng(1)
     plane = board_plane(board(fiducials=FIDUCIALS[:2]), camera)
-    here, there = lying(plane, camera), lying(plane, camera, at=(12.0, 40.0))
+    here, there = placed(plane, camera), placed(plane, camera, at=(12.0, 40.0))
     both = np.concatenate([apply_similarity(c, plane.fiducials) for c in (there, here)])
     texture = apply_similarity(here, plane.flat(g.uniform((0, 0), (40, 20), (200, 2))))
-    found = find_board(plane, sighted(both), expected_angle(plane, camera, UPRIGHT), UPRIGHT, texture)
+    found = find_board(plane, candidates_at(both), expected_angle(plane, camera, UPRIGHT), UPRIGHT, texture)
     assert isinstance(found, Hypothesis)
     assert found.c == pytest.approx(here, abs=1e-6)
     assert outside_share(plane, here, texture) == 0
     assert outside_share(plane, there, texture) == 1
-    refused = find_board(plane, sighted(both[:2]), expected_angle(plane, camera, UPRIGHT), UPRIGHT, texture)
+    refused = find_board(plane, candidates_at(both[:2]), expected_angle(plane, camera, UPRIGHT), UPRIGHT, texture)
     assert isinstance(refused, Failure)
 
 
-def test_the_mechanics_of_the_line_choose_between_equals(workshop: Any) -> None:
+def test_the_expected_place_decides_between_equal_fits(workshop: Any) -> None:
     camera = workshop.camera()
     plane = board_plane(board(fiducials=FIDUCIALS[:2]), camera)
-    here, there = lying(plane, camera), lying(plane, camera, at=(12.0, 40.0))
+    here, there = placed(plane, camera), placed(plane, camera, at=(12.0, 40.0))
     both = np.concatenate([apply_similarity(c, plane.fiducials) for c in (there, here)])
     angle = expected_angle(plane, camera, UPRIGHT)
     for truth, low in ((here, -40.0), (there, 30.0)):
-        found = find_board(plane, sighted(both), angle, Expectation(corner_mm=(None, low)), NOTHING)
+        found = find_board(plane, candidates_at(both), angle, Expectation(corner_mm=(None, low)), NOTHING)
         assert isinstance(found, Hypothesis)
         assert found.c == pytest.approx(truth, abs=1e-6)
 
@@ -212,18 +212,18 @@ def test_fiducials_of_different_kinds_are_not_mixed_up(workshop: Any) -> None:
     data = board().model_dump(mode="json", exclude_none=True)
     data["fiducials"][1]["shape"] = "diamond"
     plane = board_plane(BoardType.model_validate(data), camera)
-    marks = apply_similarity(lying(plane, camera), plane.fiducials)
+    marks = apply_similarity(placed(plane, camera), plane.fiducials)
     right = FiducialCandidates(marks, np.array([0, 1, 0]), np.full(3, 0.97))
     wrong = FiducialCandidates(marks, np.array([1, 0, 1]), np.full(3, 0.97))
     assert isinstance(find_board(plane, right, 0.0, UPRIGHT, NOTHING), Hypothesis)
     assert isinstance(find_board(plane, wrong, 0.0, UPRIGHT, NOTHING), Failure)
 
 
-def test_sightings_of_one_mark_in_many_frames_are_one_place_and_each_counts(workshop: Any) -> None:
+def test_detections_of_one_mark_in_several_frames_are_merged_and_all_assigned(workshop: Any) -> None:
     cameras = (workshop.camera((0, 0)), workshop.camera((4, 0)))
     motion = nominal_motion(np.array([0.0, 0.1]), np.array([0.0, 50.0]), np.zeros(2))
     plane = board_plane(board(), cameras[0])
-    c = lying(plane, cameras[0], at=(-8.0, -9.0))
+    c = placed(plane, cameras[0], at=(-8.0, -9.0))
     marks = apply_similarity(c, plane.fiducials)
     detections, seen = [], []
     for i, camera in enumerate(cameras):
@@ -248,7 +248,7 @@ def test_sightings_of_one_mark_in_many_frames_are_one_place_and_each_counts(work
 
 @settings(deadline=None)
 @given(st.integers(0, 1000), st.floats(0.1, 3.0))
-def test_of_places_close_together_the_first_of_a_kind_is_kept(seed: int, apart: float) -> None:
+def test_the_first_of_close_places_of_a_kind_is_kept(seed: int, apart: float) -> None:
     g = np.random.default_rng(seed)
     mm, kind = g.uniform(0, 6, (40, 2)), g.integers(0, 2, 40)
     kept = keep_distinct(mm, kind, apart)
@@ -259,7 +259,7 @@ def test_of_places_close_together_the_first_of_a_kind_is_kept(seed: int, apart: 
 
 @settings(deadline=None)
 @given(st.integers(0, 1000))
-def test_each_frame_gives_a_mark_the_nearest_sighting_of_its_kind(seed: int) -> None:
+def test_each_mark_gets_the_nearest_detection_of_its_kind_in_each_frame(seed: int) -> None:
     g = np.random.default_rng(seed)
     marks, mark_kind = g.uniform(0, 10, (6, 2)), g.integers(0, 2, 6)
     plane = np.sort(g.integers(0, 4, 30))

@@ -1,3 +1,5 @@
+"""Detection of fiducials in frames of the twin, against the truth."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -28,7 +30,7 @@ def true_places(filmed: Any) -> dict[tuple[int, int], dict[int, Any]]:
     return out
 
 
-def test_every_fiducial_in_view_is_among_the_sightings(filmed: Any) -> None:
+def test_every_fiducial_in_view_is_detected(filmed: Any) -> None:
     seen = 0
     for key, truth in true_places(filmed).items():
         camera = filmed.setup.cameras[key[0]]
@@ -40,13 +42,13 @@ def test_every_fiducial_in_view_is_among_the_sightings(filmed: Any) -> None:
     assert seen >= 6
 
 
-def test_without_a_board_type_nothing_is_sought(filmed: Any) -> None:
+def test_without_a_board_type_nothing_is_detected(filmed: Any) -> None:
     key = filmed.present[0]
     detections = detect_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), filmed.setup.cameras[0], None)
     assert detections.px.shape == (0, 2)
 
 
-def test_what_look_alikes_pushed_off_the_list_is_looked_for_where_it_must_be(filmed: Any) -> None:
+def test_fiducials_displaced_by_look_alikes_are_located_again(filmed: Any) -> None:
     motion = truth_motion(filmed)
     prepared = {key: PreparedFrame(pixels) for key, pixels in filmed.frames.items()}
     scene = Scene(filmed.setup.cameras, tuple(filmed.present), prepared.__getitem__)
@@ -58,7 +60,7 @@ def test_what_look_alikes_pushed_off_the_list_is_looked_for_where_it_must_be(fil
         for place in true_places(filmed)[s.task.a].values():
             assert np.hypot(*(s.px - place).T).min() < 0.1
     twice = relocate_fiducials(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, again)
-    assert [len(s.px) for s in twice] == [len(s.px) for s in again], "what is known is not listed twice"
+    assert [len(s.px) for s in twice] == [len(s.px) for s in again], "a known detection is not listed twice"
     deep = detect_more_marks(filmed.board_type, scene, nothing, fixture=False)
     assert sum(len(s.px) for s in deep) >= sum(len(s.px) for s in again)
 
@@ -69,6 +71,6 @@ def truth_motion(filmed: Any) -> Motion:
     return Motion(np.arctan2(back[:, 1, 0], back[:, 0, 0]), back[:, :2, 2], np.zeros(2))
 
 
-def test_marks_of_one_kind_are_sought_once(filmed: Any) -> None:
+def test_fiducials_of_one_kind_are_listed_once(filmed: Any) -> None:
     ((shape, size_mm),) = mark_kinds(filmed.board_type)
     assert (shape, size_mm) == ("circle", 1.0)

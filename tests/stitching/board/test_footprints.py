@@ -1,3 +1,5 @@
+"""Components under points, and views of footprints, against the camera model."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -25,7 +27,7 @@ def part(ref: str, x: float, y: float, w: float, h: float, **keys: Any) -> dict[
 
 @pytest.mark.parametrize("y_axis", ["up", "down"])
 @pytest.mark.parametrize("rotation", [0.0, 30.0, 90.0, -45.0])
-def test_points_belong_to_the_part_on_whose_footprint_they_lie(workshop: Any, y_axis: str, rotation: float) -> None:
+def test_points_belong_to_the_component_under_them(workshop: Any, y_axis: str, rotation: float) -> None:
     kind = board([part("A", 8, 10, 6, 3, rotation=rotation), part("B", 22, 10, 4, 4)], y_axis=y_axis)
     plane = board_plane(kind, workshop.camera())
     corners = kind.footprint(kind.components[0])
@@ -35,14 +37,14 @@ def test_points_belong_to_the_part_on_whose_footprint_they_lie(workshop: Any, y_
     assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
 
 
-def test_the_smaller_of_two_parts_wins_and_flat_ones_are_board(workshop: Any) -> None:
+def test_the_smaller_component_wins_and_flat_ones_are_board(workshop: Any) -> None:
     kind = board([part("BIG", 10, 10, 8, 8), part("SMALL", 10, 10, 2, 2), part("PAD", 25, 10, 2, 2, body_height=0.0)])
     plane = board_plane(kind, workshop.camera())
     cad = np.array([[10.0, 10], [13, 13], [25, 10]])
     assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [1, 0, -1]
 
 
-def test_of_two_alike_that_touch_the_later_one_wins(workshop: Any) -> None:
+def test_the_later_of_two_equal_components_wins(workshop: Any) -> None:
     kind = board([part(ref, x, 10, 2, 2) for ref, x in (("A", 10.0), ("B", 12.2), ("C", 14.4))])
     plane = board_plane(kind, workshop.camera())
     cad = np.array([[11.1, 10], [13.3, 10], [12.2, 10]])
@@ -72,13 +74,13 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
                     assert not camera.sees(px)
 
 
-def test_a_board_without_parts_has_corners(workshop: Any) -> None:
+def test_a_board_without_components_has_its_corners_as_landmarks(workshop: Any) -> None:
     names, cad = landmarks(board_plane(board([]), workshop.camera()))
     assert (len(names), cad.tolist()) == (2, [[0, 0], [30, 20]])
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_many_points_on_many_parts_are_as_if_looked_at_one_by_one(workshop: Any, seed: int) -> None:
+def test_many_points_on_many_components_match_a_search_one_by_one(workshop: Any, seed: int) -> None:
     g = np.random.default_rng(seed)
     parts = [
         part(f"P{n}", *g.uniform((0, 0), (30, 20)), *g.uniform(0.2, 5, 2) ** 1.5, rotation=g.uniform(-180, 180))

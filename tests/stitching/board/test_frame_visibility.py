@@ -1,4 +1,4 @@
-"""The compiled choice of frames against the cameras' own answers."""
+"""The compiled choice of frames, against the camera model."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def shown(camera: Camera, at: NDArray[np.float64], row: int) -> NDArray[np.float
     return camera.project(MOTION.row_from_tester(row)(at))
 
 
-def test_points_are_looked_for_where_a_frame_shows_them_closest_to_its_middle(workshop: Any) -> None:
+def test_the_frame_that_shows_a_point_nearest_to_its_middle_is_chosen(workshop: Any) -> None:
     s = scene(workshop)
     points = np.random.default_rng(0).uniform((-12, -28), (46, 12), (400, 2))
     number = FrameArrays.of(s, MOTION).nearest(points)
@@ -48,7 +48,7 @@ def test_points_are_looked_for_where_a_frame_shows_them_closest_to_its_middle(wo
     np.testing.assert_array_equal(number, np.where(none, -1, off.argmin(1)))
 
 
-def test_places_in_a_frame_are_those_of_its_camera(workshop: Any) -> None:
+def test_projected_points_match_the_camera_model(workshop: Any) -> None:
     s = scene(workshop)
     frames = FrameArrays.of(s, MOTION)
     pieces = np.random.default_rng(1).uniform((-8, -24), (40, 8), (60, 1, 2)) + np.random.default_rng(2).normal(

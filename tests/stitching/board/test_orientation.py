@@ -1,3 +1,5 @@
+"""The orientation from painted pictures of a board, as placed and turned."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -51,7 +53,7 @@ def footprints(grey: float) -> list[tuple[list[list[float]], float]]:
 
 
 @pytest.mark.parametrize("grey", [80.0, 5.0])
-def test_the_outline_tells_how_the_board_lies(workshop: Any, grey: float) -> None:
+def test_the_outline_decides_the_orientation(workshop: Any, grey: float) -> None:
     seen = scene(workshop, [(OUTLINE, grey)], belt=40.0)
     right = compare_orientations(board(outline=OUTLINE), PLACED, TURNED, seen, STILL)
     wrong = compare_orientations(board(outline=OUTLINE), TURNED, PLACED, seen, STILL)
@@ -63,7 +65,7 @@ def test_the_outline_tells_how_the_board_lies(workshop: Any, grey: float) -> Non
     assert right.turned < 4
 
 
-def test_parts_tell_where_the_outline_does_not(workshop: Any) -> None:
+def test_components_decide_where_the_outline_does_not(workshop: Any) -> None:
     """Belt and board are equally bright."""
     seen = scene(workshop, [(OUTLINE, 60.0), *footprints(150.0)], belt=60.0)
     kind = board(outline=OUTLINE, components=PARTS)
@@ -75,13 +77,13 @@ def test_parts_tell_where_the_outline_does_not(workshop: Any) -> None:
     assert wrong.contradicts
 
 
-def test_a_bare_picture_tells_nothing(workshop: Any) -> None:
-    said = compare_orientations(
+def test_a_blank_picture_decides_nothing(workshop: Any) -> None:
+    found = compare_orientations(
         board(outline=OUTLINE, components=PARTS), PLACED, TURNED, scene(workshop, [], 60.0), STILL
     )
-    assert said is not None
-    assert not said.confirms
-    assert not said.contradicts
+    assert found is not None
+    assert not found.confirms
+    assert not found.contradicts
 
 
 def test_without_outline_and_parts_there_is_nothing_to_compare(workshop: Any) -> None:
@@ -92,7 +94,7 @@ def test_without_outline_and_parts_there_is_nothing_to_compare(workshop: Any) ->
     assert measure_outline_contrast(kind, PLACED, seen, STILL) is None
 
 
-def test_an_outline_that_lies_the_same_both_ways_tells_nothing(workshop: Any) -> None:
+def test_a_symmetric_outline_is_not_compared(workshop: Any) -> None:
     about_middle = np.array([[-1.0, 0, 18.0], [0, -1, 12.0], [0, 0, 1]])
     assert (
         compare_orientations(board(outline=OUTLINE), PLACED, about_middle, scene(workshop, [(OUTLINE, 80.0)]), STILL)
@@ -124,7 +126,7 @@ def test_polygons_count_as_outlines(workshop: Any) -> None:
     )
 
 
-def test_a_board_out_of_view_says_nothing(workshop: Any) -> None:
+def test_a_board_out_of_view_is_not_compared(workshop: Any) -> None:
     away = Motion(np.zeros(1), np.array([[500.0, 0.0]]), np.zeros(2))
     seen = scene(workshop, [(OUTLINE, 80.0)])
     assert measure_outline_contrast(board(outline=OUTLINE), PLACED, seen, away) is None

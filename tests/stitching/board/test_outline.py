@@ -1,4 +1,4 @@
-"""The outline is measured where it is, in every direction that it tells, and not where it does not."""
+"""The shift of the outline, in every direction that visible edges determine."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def test_a_board_that_is_cut_smaller_all_round_has_not_moved(workshop: Any) -> N
     assert found.excess_mm == 0.0
 
 
-def test_edges_out_of_view_tell_nothing_of_their_direction(workshop: Any) -> None:
-    """The board is wider than all that is seen of it."""
+def test_edges_out_of_view_leave_their_direction_open(workshop: Any) -> None:
+    """The board is wider than the view."""
     wide = np.array([[1.0, 0, -60.0], [0, 1, -10.0], [0, 0, 1]])
     found = measure_outline_shift(board(w=120.0), wide, scene(workshop, (500.0, 20.0)), STILL)
     assert found is not None

@@ -1,4 +1,4 @@
-"""Verdicts on a board of the twin when something is not as assumed: a reason with a number, never a silent ok."""
+"""Verdicts on a board of the twin when an assumption is wrong: a reason with a number, never a silent ok."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from vaoi_station.model import BoardType, Calibration, Status
 
 
-def described_otherwise(board_type: BoardType, **keys: Any) -> BoardType:
+def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
     return BoardType.model_validate(board_type.model_dump(mode="json", exclude_none=True) | keys)
 
 
@@ -44,7 +44,7 @@ def test_every_component_has_its_uncertainty_and_some_a_height(filmed: Any) -> N
     assert set(q["heights_mm"]) == set(q["height_sigma_mm"])
 
 
-def test_without_a_board_type_frames_are_placed_all_the_same(filmed: Any) -> None:
+def test_frames_are_placed_without_a_board_type(filmed: Any) -> None:
     blind = replace(filmed, setup=replace(filmed.setup, board_type=None))
     result = blind.stitched()
     assert result.status is Status.FAILED
@@ -58,7 +58,7 @@ def test_without_a_board_type_frames_are_placed_all_the_same(filmed: Any) -> Non
 
 
 @pytest.mark.parametrize("push", [(0.05, 0), (0, 0.1), (0.3, 0), (0, 0.5), (1.0, 0), (0, -1.0)])
-def test_a_calibration_that_no_longer_holds_is_told(filmed: Any, push: tuple[float, float]) -> None:
+def test_a_calibration_that_no_longer_holds_is_a_reason(filmed: Any, push: tuple[float, float]) -> None:
     result = filmed.stitched(calibration=camera_moved(filmed.calibration, 1, *push))
     assert result.status is not Status.OK
     assert result.reasons
@@ -67,7 +67,7 @@ def test_a_calibration_that_no_longer_holds_is_told(filmed: Any, push: tuple[flo
 @pytest.mark.parametrize("camera", [0, 1])
 @pytest.mark.parametrize("push", [(2, 0), (0, 3), (-7, 0), (9, 0), (-18, 0), (0, 30), (36, 0), (-60, 0)])
 def test_a_camera_that_was_pushed_is_never_ok(filmed: Any, camera: int, push: tuple[int, int]) -> None:
-    """What it sees moves by whole pixels, however far: links out of reach are not links that agree."""
+    """Its picture moves by whole pixels. Links out of reach must not count as agreement."""
 
     def pushed(pixels: np.ndarray) -> np.ndarray:
         (h, w), (dx, dy) = pixels.shape, push
@@ -76,14 +76,14 @@ def test_a_camera_that_was_pushed_is_never_ok(filmed: Any, camera: int, push: tu
     frames = {key: pushed(p) if key[0] == camera else p for key, p in filmed.frames.items()}
     result = filmed.stitched(frames=frames)
     assert result.status is not Status.OK
-    told = ("disagree by", "show different things where they should overlap", "larger than its CAD data")
-    assert any(word in reason for reason in result.reasons for word in told)
+    expected = ("disagree by", "show different things where they should overlap", "larger than its CAD data")
+    assert any(word in reason for reason in result.reasons for word in expected)
 
 
 def test_a_fiducial_that_is_not_there_costs_little(filmed: Any) -> None:
     marks = [f.model_dump() for f in filmed.board_type.fiducials]
     more = [*marks, {"name": "FID9", "x": 20.0, "y": 20.0, "diameter": 1.0}]
-    result = filmed.stitched(board_type=described_otherwise(filmed.board_type, fiducials=more))
+    result = filmed.stitched(board_type=with_changes(filmed.board_type, fiducials=more))
     assert result.status is Status.OK
     assert next(f for f in result.quality["fiducials"] if f["name"] == "FID9")["sightings"] == 0
     assert filmed.error_px(result) <= 3 * result.quality["cad_sigma_px"]
@@ -92,31 +92,31 @@ def test_a_fiducial_that_is_not_there_costs_little(filmed: Any) -> None:
 def test_a_fiducial_out_of_its_place_is_named(filmed: Any) -> None:
     marks = [f.model_dump() for f in filmed.board_type.fiducials]
     marks[2]["x"] += 0.1
-    result = filmed.stitched(board_type=described_otherwise(filmed.board_type, fiducials=marks))
+    result = filmed.stitched(board_type=with_changes(filmed.board_type, fiducials=marks))
     assert result.status is Status.DEGRADED
     assert any("px from its place" in r for r in result.reasons)
 
 
-def test_a_board_that_is_larger_than_its_data_is_told(filmed: Any) -> None:
+def test_a_board_larger_than_its_data_is_a_reason(filmed: Any) -> None:
     marks = [f.model_dump() for f in filmed.board_type.fiducials]
     middle = np.mean([(m["x"], m["y"]) for m in marks], axis=0)
     for m in marks:
         m["x"], m["y"] = (middle + (np.array([m["x"], m["y"]]) - middle) * 0.9975).tolist()
     flat = filmed.calibration.model_copy(update={"working_distance_mm": None})
-    result = filmed.stitched(board_type=described_otherwise(filmed.board_type, fiducials=marks), calibration=flat)
+    result = filmed.stitched(board_type=with_changes(filmed.board_type, fiducials=marks), calibration=flat)
     assert result.status is Status.DEGRADED
     assert any("larger than its CAD data" in r or "px from its place" in r for r in result.reasons)
 
 
-def test_rows_that_nothing_ties_together_are_told(filmed: Any) -> None:
-    """A blank pair of rows: the belt alone says how far the second half is from the first."""
+def test_unconnected_rows_are_a_reason(filmed: Any) -> None:
+    """Two blank rows: only the belt gives the distance of the second half from the first."""
     frames = {key: np.full_like(p, 20) if key[1] in (2, 3) else p for key, p in filmed.frames.items()}
     result = filmed.stitched(frames=frames)
     assert result.status is not Status.OK
     assert any("nothing ties rows 0–1, 4–5 to one another" in r for r in result.reasons), result.reasons
 
 
-def test_empty_frames_say_that_there_is_no_board(filmed: Any) -> None:
+def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:
     g = np.random.default_rng(0)
     shape = next(iter(filmed.frames.values())).shape
     frames = {key: np.clip(g.normal(15, 1.5, shape), 0, 255).astype(np.uint8) for key in filmed.frames}
@@ -127,14 +127,14 @@ def test_empty_frames_say_that_there_is_no_board(filmed: Any) -> None:
     assert len(result.quality["unlinked"]) == sum(t.kind != "marks" for t in filmed.tasks)
 
 
-def test_a_run_of_which_nothing_arrived_says_so_and_nothing_else(filmed: Any) -> None:
+def test_a_run_without_frames_has_one_reason(filmed: Any) -> None:
     result = filmed.stitched(frames={})
     assert result.status is Status.FAILED
     assert result.reasons == ("no whole frame of any camera arrived: there is nothing to stitch",)
     assert all(m is None for rows in result.image_matrices for m in rows)
 
 
-def test_a_camera_that_was_away_is_the_first_reason_with_the_fiducials_it_alone_would_have_shown(filmed: Any) -> None:
+def test_an_absent_camera_is_the_first_reason_with_its_fiducials(filmed: Any) -> None:
     """Camera 1 shows FID2 and FID3: camera 0 cannot place the board by FID1 alone."""
     low, high = filmed.board_type.extent()
     corners = np.array([(x, y, 1.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
@@ -158,7 +158,7 @@ def test_a_row_that_never_arrived_is_not_placed(filmed: Any) -> None:
     assert filmed.error_px(result) < 0.3, "the rows around it are bridged"
 
 
-def test_the_gauge_and_the_products_hold(filmed: Any) -> None:
+def test_the_gauge_holds_and_matrices_are_products(filmed: Any) -> None:
     result = filmed.stitch
     assert np.array_equal(result.row_motion[0], np.eye(3))
     for i, rows in enumerate(result.image_matrices):

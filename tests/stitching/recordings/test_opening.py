@@ -1,4 +1,4 @@
-"""A recording on disk is opened with what lies beside it, or with what is given instead."""
+"""A recording on disk is opened with its own files, or with those given instead."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_what_lies_beside_it_is_taken(kept: Path) -> None:
+def test_files_of_the_recording_are_the_default(kept: Path) -> None:
     opened = open_run(kept)
     assert opened.calibration_path == kept / "calibration.json"
     assert opened.board_path == kept / "board.json"
@@ -32,7 +32,7 @@ def test_what_lies_beside_it_is_taken(kept: Path) -> None:
     assert len(opened.present) == len(head.cameras) * head.rows
 
 
-def test_what_is_given_comes_first(kept: Path, tmp_path: Path) -> None:
+def test_arguments_replace_the_files_of_the_recording(kept: Path, tmp_path: Path) -> None:
     write_calibration(tmp_path / "other.json", read_calibration(kept / "calibration.json"))
     shutil.copyfile(kept / "board.json", tmp_path / "type.json")
     opened = open_run(kept, calibration=tmp_path / "other.json", board=tmp_path / "type.json", method="features")
@@ -56,7 +56,7 @@ def test_a_calibration_of_another_scale_is_refused(kept: Path, tmp_path: Path) -
         open_run(kept, calibration=tmp_path / "half.json")
 
 
-def test_what_does_not_go_together_is_refused(kept: Path, tmp_path: Path) -> None:
+def test_inputs_that_do_not_fit_are_refused(kept: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--method reference needs --reference DIR"):
         open_run(kept, method="reference")
     with pytest.raises(NotFoundError):

@@ -1,4 +1,4 @@
-"""Which frames of a run are kept as its reference."""
+"""The selection of frames that are kept as a reference."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def row_of_cameras(workshop: Any, n: int, apart_mm: float) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("mirrored", [True, False])
-def test_of_many_cameras_a_few_are_kept_the_outermost_among_them(workshop: Any, mirrored: bool) -> None:
+def test_a_few_cameras_are_kept_with_the_outermost_among_them(workshop: Any, mirrored: bool) -> None:
     cameras = row_of_cameras(workshop, 9, 6.0)
     present = {(i, 0) for i in range(9)}
     chosen = select_reference_frames(stitch_of(1, 0.0, mirrored=mirrored), cameras, BOARD, present)
@@ -43,8 +43,8 @@ def test_of_many_cameras_a_few_are_kept_the_outermost_among_them(workshop: Any, 
     }
 
 
-def test_frames_that_do_not_show_the_board_are_of_no_use(workshop: Any) -> None:
+def test_frames_that_hardly_show_the_board_are_not_kept(workshop: Any) -> None:
     cameras = row_of_cameras(workshop, 3, 41.0)
     present = {(i, j) for i in range(3) for j in range(4)}
     chosen = select_reference_frames(stitch_of(4, 13.9), cameras, BOARD, present)
-    assert chosen == {(1, 0), (1, 1)}, "of the third row's frame the board covers no more than its edge"
+    assert chosen == {(1, 0), (1, 1)}, "the board covers only the edge of the third row's frame"
