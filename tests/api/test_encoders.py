@@ -37,12 +37,12 @@ EXACT = [ImageFormat.PNG, ImageFormat.TIFF, ImageFormat.NPY, ImageFormat.RAW]
         ("tif", "text/html", "tiff"),
     ],
 )
-def test_the_format_asked_for(asked: str | None, accept: str | None, expected: str) -> None:
+def test_query_and_accept_choose_the_format(asked: str | None, accept: str | None, expected: str) -> None:
     assert choose_format(asked, accept) == expected
 
 
 @pytest.mark.parametrize(("asked", "accept"), [("bmp", None), ("", None), (None, "text/html"), (None, "image/png;q=x")])
-def test_what_is_not_offered_is_answered_with_the_offer(asked: str | None, accept: str | None) -> None:
+def test_unavailable_formats_are_refused_with_the_available_ones(asked: str | None, accept: str | None) -> None:
     with pytest.raises(NotAcceptableError) as refusal:
         choose_format(asked, accept)
     offer = list(ImageFormat) if accept is None else MEDIA_TYPES.values()
@@ -54,13 +54,13 @@ def decoded(content: bytes) -> np.ndarray:
 
 
 @given(st.text(max_size=200))
-def test_no_accept_header_breaks_the_choice(accept: str) -> None:
+def test_any_accept_header_is_handled(accept: str) -> None:
     with suppress(NotAcceptableError):
         assert choose_format(None, accept) in ImageFormat
 
 
 @given(image=IMAGES, image_format=st.sampled_from(EXACT))
-def test_exact_formats_are_exact(image: np.ndarray, image_format: ImageFormat) -> None:
+def test_lossless_formats_keep_every_pixel(image: np.ndarray, image_format: ImageFormat) -> None:
     content, headers = encode_image(image, image_format)
     red_first = image if image.ndim == 2 else image[..., ::-1]
     found: np.ndarray

@@ -17,30 +17,30 @@ from vaoi_station.errors import BusyError, StateError
 NEXT = "/api/v1/runs/next"
 
 
-def test_a_time_out_is_an_empty_answer(client: Any) -> None:
+def test_a_time_out_is_an_empty_reply(client: Any) -> None:
     answer = client.get(NEXT, params={"timeout": 0.05})
     assert (answer.status_code, answer.content) == (204, b"")
     assert answer.headers["cache-control"] == "no-store"
 
 
-def test_a_run_that_finished_already_is_answered_at_once(client: Any, station: Any) -> None:
+def test_a_finished_run_is_returned_at_once(client: Any, station: Any) -> None:
     first, second = station.film(), station.film(board_id="B2")
     answer = client.get(NEXT, params={"after": first, "timeout": 30})
     assert (answer.json()["id"], answer.json()["board_id"]) == (second, "B2")
     assert client.get(NEXT, params={"after": second, "timeout": 0}).status_code == 204
 
 
-def test_an_unknown_run_to_wait_behind_is_refused(client: Any) -> None:
+def test_waiting_after_an_unknown_run_is_refused(client: Any) -> None:
     assert client.get(NEXT, params={"after": "r999999", "timeout": 30}).status_code == 404
 
 
 @pytest.mark.parametrize("timeout", ["-1", "61", "nan", "inf", "soon"])
-def test_the_wait_is_bounded(client: Any, timeout: str) -> None:
+def test_the_time_out_is_limited(client: Any, timeout: str) -> None:
     assert client.get(NEXT, params={"timeout": timeout}).status_code == 422
 
 
 @pytest.mark.parametrize("follows", [True, False])
-def test_a_caller_wakes_when_a_run_finishes(served: Any, follows: bool) -> None:
+def test_a_waiting_request_is_woken_when_a_run_finishes(served: Any, follows: bool) -> None:
     known = served.station.film()
     unfinished = served.station.film(finish=False)
     with ThreadPoolExecutor() as pool:
@@ -53,7 +53,7 @@ def test_a_caller_wakes_when_a_run_finishes(served: Any, follows: bool) -> None:
         assert waiting.result(timeout=20).json()["id"] == unfinished
 
 
-def test_following_the_ids_every_run_is_seen_once(served: Any) -> None:
+def test_following_the_ids_returns_every_run_once(served: Any) -> None:
     seen = [served.station.film()]
     with ThreadPoolExecutor() as pool:
         filming = pool.submit(lambda: [served.station.film() for _ in range(20)])
@@ -62,7 +62,7 @@ def test_following_the_ids_every_run_is_seen_once(served: Any) -> None:
         assert seen[1:] == filming.result()
 
 
-def test_many_waiting_callers_hold_up_neither_commands_nor_pictures(served: Any) -> None:
+def test_many_waiting_requests_delay_neither_commands_nor_pictures(served: Any) -> None:
     run = served.station.film()
     limits = httpx2.Limits(max_connections=200)
     with ThreadPoolExecutor(100) as pool, httpx2.Client(base_url=served.url, timeout=30, limits=limits) as client:
@@ -74,7 +74,7 @@ def test_many_waiting_callers_hold_up_neither_commands_nor_pictures(served: Any)
         assert {w.result(timeout=30).json()["id"] for w in waiting} == {last}
 
 
-def test_slow_pictures_do_not_hold_up_commands(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_pictures_do_not_delay_commands(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     run = served.station.film()
     begun, go_on = threading.Semaphore(0), threading.Event()
     frame = served.station.frame
@@ -94,7 +94,7 @@ def test_slow_pictures_do_not_hold_up_commands(served: Any, monkeypatch: pytest.
         assert {p.result().status_code for p in pictures} == {200}
 
 
-def test_too_many_callers_are_sent_away(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_waiting_requests_are_refused(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(event_hub, "MAX_WAITING", 1)
 
     async def crowd() -> None:
@@ -107,7 +107,7 @@ def test_too_many_callers_are_sent_away(station: Any, monkeypatch: pytest.Monkey
     asyncio.run(crowd())
 
 
-def test_a_log_that_cannot_be_read_ends_the_waiting(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_event_log_ends_all_waits(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any) -> Any:
         raise StateError("the log is closed")
 

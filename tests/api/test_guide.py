@@ -64,7 +64,7 @@ def test_python(served: Any, tmp_path: Path) -> None:
     assert served.station.state == "idle"
 
 
-def test_python_tells_the_operator(served: Any, tmp_path: Path) -> None:
+def test_python_shows_refusals(served: Any, tmp_path: Path) -> None:
     (tmp_path / "tester.py").write_text(sample("python"))
     with pytest.raises(AssertionError, match="There is no board type 'unheard'"):
         run([sys.executable, "tester.py", "unheard", "U1"], served, tmp_path)
@@ -87,7 +87,7 @@ def test_c(served: Any, tmp_path: Path) -> None:
     assert found == "80 x 64, 80 bytes per line, 5120 bytes\n"
 
 
-def test_every_address_is_told(served: Any) -> None:
+def test_every_address_is_in_the_guide(served: Any) -> None:
     guide = GUIDE.read_text()
     for path in served.client.get("/api/v1/openapi.json").json()["paths"]:
         noun = path.removeprefix("/api/v1/").replace("{run}", "{id}")

@@ -53,7 +53,7 @@ def test_every_operation_has_a_stable_name_a_description_and_its_refusals(docume
         assert list(operation["responses"]["default"]["content"]) == ["application/problem+json"]
 
 
-def test_no_field_is_of_two_types_but_where_the_file_format_wants_it(document: dict[str, Any]) -> None:
+def test_fields_have_one_type_except_where_the_file_format_has_null(document: dict[str, Any]) -> None:
     found = {
         schema["title"]
         for schema in document["components"]["schemas"].values()
@@ -62,7 +62,7 @@ def test_no_field_is_of_two_types_but_where_the_file_format_wants_it(document: d
     assert found <= {"Component", "Matrices"}
 
 
-def test_every_reference_leads_somewhere(document: dict[str, Any]) -> None:
+def test_every_reference_exists(document: dict[str, Any]) -> None:
     known = {f"#/components/schemas/{name}" for name in document["components"]["schemas"]}
     used = {p["$ref"] for p in parts(document) if "$ref" in p}
     assert used <= known
@@ -97,7 +97,7 @@ def fits(value: Any, schema: dict[str, Any], document: dict[str, Any]) -> bool:
     return kind is None or isinstance(value, python[kind])
 
 
-def test_answers_are_what_the_document_says(client: Any, station: Any, document: dict[str, Any]) -> None:
+def test_replies_match_their_schemas(client: Any, station: Any, document: dict[str, Any]) -> None:
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
     station.teach_reference("demo-board", values["run"])
@@ -130,7 +130,7 @@ PIECES = st.one_of(
 
 @settings(deadline=None)
 @given(data=st.data())
-def test_whatever_is_asked_the_answer_is_one_of_those_declared(shared_client: Any, data: st.DataObject) -> None:
+def test_every_reply_has_a_declared_status(shared_client: Any, data: st.DataObject) -> None:
     """Any path and query parameters: an answer of the document or a problem of the caller's, never one of ours."""
     document = shared_client.get("/api/v1/openapi.json").json()
     readable = [(p, o) for p, m, o in operations(document) if m == "get" and "events" not in p]

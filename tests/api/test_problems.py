@@ -95,7 +95,7 @@ def test_every_class_of_error(
     assert ("retry-after" in answer.headers) == (status == 503)
 
 
-def test_what_nobody_foresaw_is_told_without_its_secrets(
+def test_an_unexpected_error_does_not_reveal_details(
     client: Any, station: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     station.broken = True
@@ -106,7 +106,7 @@ def test_what_nobody_foresaw_is_told_without_its_secrets(
     assert incident in caplog.text
 
 
-def test_every_wrong_field_is_named(client: Any) -> None:
+def test_every_invalid_field_is_named(client: Any) -> None:
     body = {"name": "x", "components": [{"ref": "U1", "center": [0], "width": -1, "height": 1}], "nonsense": 1}
     content = problem(client.put(f"{API}/board-types/x", json=body), 422, "invalid-input")
     where = {fault["where"] for fault in content["errors"]}
@@ -120,7 +120,7 @@ def test_a_body_that_is_not_json_is_refused(client: Any, body: bytes) -> None:
 
 
 @pytest.mark.parametrize("body", ["[]", '"demo-board"', "3"])
-def test_a_body_that_is_no_object_is_refused(client: Any, body: str) -> None:
+def test_a_body_that_is_not_an_object_is_refused(client: Any, body: str) -> None:
     problem(client.post(f"{API}/station/arm", content=body), 422, "invalid-input")
 
 
@@ -132,5 +132,5 @@ def test_a_second_arm_while_a_board_passes(client: Any, station: Any) -> None:
 
 
 @pytest.mark.parametrize("code", list(KINDS))
-def test_problem_types_explain_themselves(client: Any, code: str) -> None:
+def test_problem_types_are_explained(client: Any, code: str) -> None:
     assert KINDS[code][2] in client.get(f"/problems/{code}").text

@@ -10,7 +10,7 @@ from vaoi_station.api.pages import WEB
 LINE = re.compile(r"\| `(.+?)` \| `([0-9a-f]{64})` \|")
 
 
-def test_vendored_files_have_the_hashes_that_are_written_down() -> None:
+def test_vendored_files_have_the_recorded_hashes() -> None:
     vendor = WEB / "vendor"
     written = dict(LINE.findall((vendor / "VENDORED.md").read_text()))
     found = {
@@ -21,7 +21,7 @@ def test_vendored_files_have_the_hashes_that_are_written_down() -> None:
     assert found == written
 
 
-def test_our_own_pages_name_no_other_host() -> None:
+def test_the_pages_name_no_other_host() -> None:
     for path in WEB.glob("*"):
         if path.is_file():
             assert not re.search(

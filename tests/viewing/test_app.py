@@ -17,13 +17,13 @@ from vaoi_station.viewing.mark_spec import MarkSpec
 
 
 @pytest.fixture
-def newest() -> LatestFrames:
+def latest() -> LatestFrames:
     return LatestFrames([MarkSpec("cross", 24.0, light=False, expected=4), None])
 
 
 @pytest.fixture
-def client(newest: LatestFrames, make_config: Callable[..., StationConfig]) -> Iterator[TestClient]:
-    app = create_app(make_config(), newest, ["Armed: waiting for a board."])
+def client(latest: LatestFrames, make_config: Callable[..., StationConfig]) -> Iterator[TestClient]:
+    app = create_app(make_config(), latest, ["Armed: waiting for a board."])
     with TestClient(app, base_url="http://127.0.0.1") as client:
         yield client
 
@@ -34,8 +34,8 @@ def test_before_the_first_frame_there_is_nothing_to_show(client: TestClient) -> 
     assert told["notices"] == ["Armed: waiting for a board."]
 
 
-def test_figures_marks_and_picture_are_of_one_frame(client: TestClient, newest: LatestFrames, painter: Any) -> None:
-    newest.put(0, "007", 4, painter.marks())
+def test_figures_marks_and_picture_are_of_one_frame(client: TestClient, latest: LatestFrames, painter: Any) -> None:
+    latest.put(0, "007", 4, painter.marks())
     told = client.get("/api/look", params={"after": 0, "timeout_s": 5}).json()
     camera = told["cameras"][0]
     assert (camera["run"], camera["row"], camera["number"], camera["name"]) == ("007", 4, 1, "c0")

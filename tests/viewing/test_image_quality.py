@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.viewing.image_quality import full_scale, measure
+from vaoi_station.viewing.image_quality import full_scale, measure_quality
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.5, 4.0])
 @pytest.mark.parametrize("blur", [0.5, 0.7, 1.0, 1.5, 2.0])
 def test_the_blur_is_that_of_the_picture(painter: Any, blur: float, noise: float) -> None:
-    figures = measure(painter.tilted_board(blur, noise))
+    figures = measure_quality(painter.tilted_board(blur, noise))
     assert figures.blur_px == pytest.approx(blur, rel=0.06)
     assert figures.mtf50 == pytest.approx(min(0.187 / blur, 0.5), rel=0.07)
     assert all(b == pytest.approx(blur, rel=0.2) for row in figures.blur_tiles_px for b in row)
@@ -21,7 +21,7 @@ def test_the_blur_is_that_of_the_picture(painter: Any, blur: float, noise: float
 
 def test_more_blur_is_less_focus(painter: Any) -> None:
     blurs = (0.5, 0.8, 1.2, 2.0, 3.0, 4.0)
-    found = [measure(painter.tilted_board(b, 1.0)) for b in blurs]
+    found = [measure_quality(painter.tilted_board(b, 1.0)) for b in blurs]
     assert [f.focus for f in found] == sorted((f.focus for f in found), reverse=True)
     assert [f.blur_px for f in found] == sorted(f.blur_px for f in found if f.blur_px is not None)
 
@@ -29,39 +29,39 @@ def test_more_blur_is_less_focus(painter: Any) -> None:
 def test_focus_does_not_depend_on_the_exposure(painter: Any) -> None:
     bright = painter.tilted_board(1.0)
     dim = (bright // 2).astype(np.uint8)
-    assert measure(dim).focus == pytest.approx(measure(bright).focus, rel=0.05)
-    assert measure(dim).blur_px == pytest.approx(measure(bright).blur_px, rel=0.05)
+    assert measure_quality(dim).focus == pytest.approx(measure_quality(bright).focus, rel=0.05)
+    assert measure_quality(dim).blur_px == pytest.approx(measure_quality(bright).blur_px, rel=0.05)
 
 
 def test_a_camera_sharp_on_one_side_only_shows_it(painter: Any) -> None:
     half = np.hstack([painter.tilted_board(0.7)[:, :240], painter.tilted_board(2.5)[:, 240:]])
-    tiles = measure(half).blur_tiles_px
+    tiles = measure_quality(half).blur_tiles_px
     assert all(row[0] == pytest.approx(0.7, rel=0.1) and row[2] == pytest.approx(2.5, rel=0.15) for row in tiles)
 
 
 def test_thin_lines_are_no_edges() -> None:
     lines = np.full((240, 320), 60, np.uint8)
     lines[::20], lines[:, ::20] = 200, 200
-    assert measure(lines).blur_px is None
+    assert measure_quality(lines).blur_px is None
 
 
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 def test_without_edges_there_is_no_blur(painter: Any, noise: float) -> None:
-    figures = measure(painter.exposed(np.full((120, 160), 90.0), noise))
+    figures = measure_quality(painter.exposed(np.full((120, 160), 90.0), noise))
     assert (figures.blur_px, figures.mtf50) == (None, None)
     assert {b for row in figures.blur_tiles_px for b in row} == {None}
 
 
 def test_exposure_is_in_shares_of_the_full_scale() -> None:
     ramp: Any = np.tile(np.arange(256), (256, 1)).astype(np.uint8)
-    f = measure(ramp)
+    f = measure_quality(ramp)
     assert (f.mean, f.low, f.high) == pytest.approx((0.5, 0.01, 0.99), abs=0.006)
     assert f.saturated == 1 / 256
     twelve = (ramp.astype(np.uint16) << 4) | 15
-    assert measure(twelve).high == pytest.approx(f.high, abs=0.01)
-    assert measure(twelve).saturated == f.saturated
+    assert measure_quality(twelve).high == pytest.approx(f.high, abs=0.01)
+    assert measure_quality(twelve).saturated == f.saturated
     colour = np.dstack([ramp // 2, ramp, ramp // 4])
-    assert measure(colour).saturated == f.saturated, "one channel is enough"
+    assert measure_quality(colour).saturated == f.saturated, "one channel is enough"
 
 
 @pytest.mark.parametrize(("top", "full"), [(0, 255), (255, 255), (256, 1023), (4000, 4095), (65535, 65535)])
@@ -73,4 +73,4 @@ def test_full_scale_of_deep_pixels_is_that_of_the_bits_in_use(top: int, full: in
 @pytest.mark.parametrize("size", [(16, 16), (17, 40), (24, 24)])
 def test_the_smallest_frames_have_figures_too(size: tuple[int, int]) -> None:
     random = np.random.default_rng(1)
-    assert measure(random.integers(0, 255, size, dtype=np.uint8)).focus > 0
+    assert measure_quality(random.integers(0, 255, size, dtype=np.uint8)).focus > 0

@@ -35,8 +35,8 @@ def test_what_is_wrong_is_said_with_its_number(painter: Any) -> None:
     assert "dark: the 99th percentile is 20 % of full scale" in inspect_frame(board // 4, None).remarks[0]
     assert inspect_frame(painter.tilted_board(2.0), None).remarks[0].startswith("blurred by ")
     half = np.hstack([painter.tilted_board(0.7)[:, :360], painter.tilted_board(2.5)[:, 360:]])
-    assert "is the camera tilted?" in inspect_frame(half, None).remarks[0]
-    assert inspect_frame(np.full((100, 100), 120, np.uint8), None).remarks == ("no edges to judge the focus by",)
+    assert "check the camera for tilt" in inspect_frame(half, None).remarks[0]
+    assert inspect_frame(np.full((100, 100), 120, np.uint8), None).remarks == ("no edges: blur cannot be measured",)
 
 
 def test_marks_that_are_absent_or_damaged_are_told(painter: Any) -> None:
@@ -45,10 +45,10 @@ def test_marks_that_are_absent_or_damaged_are_told(painter: Any) -> None:
     covered = painter.marks()
     covered[165:190, 245:262] = 190
     look = inspect_frame(covered, CROSS)
-    assert "marks found: 3; a calibration takes 4" in look.remarks
+    assert "marks found: 3; a calibration needs 4" in look.remarks
     assert all(m.doubt for m in look.marks if np.hypot(m.x - 260, m.y - 190.75) < 20)
     six = inspect_frame(painter.marks(), MarkSpec("cross", 24.0, light=False, expected=6))
-    assert six.remarks == ("marks found: 4 of the 6 that should be in view",)
+    assert six.remarks == ("marks found: 4 of 6 expected in view",)
 
 
 def test_deep_and_coloured_frames_are_looked_at_alike(painter: Any) -> None:

@@ -1,4 +1,4 @@
-"""The newest frame of each camera is kept, looked at once, and can be fetched while it is shown."""
+"""The latest frame of each camera is kept, looked at once, and can be fetched while it is shown."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ def frame(level: int) -> Any:
 
 
 def test_only_the_newest_is_shown_but_what_was_shown_can_still_be_fetched() -> None:
-    newest = LatestFrames([None, None])
-    assert newest.shots() == []
+    latest = LatestFrames([None, None])
+    assert latest.frames() == []
     for k in range(3):
-        newest.put(0, "1", k, frame(k))
-    assert [(s.camera, s.row, s.number) for s in newest.shots()] == [(0, 2, 3)]
-    newest.put(1, "1", 0, frame(9))
-    assert [s.number for s in newest.shots()] == [3, 4]
-    with pytest.raises(GoneError, match="frame 2 of camera 0 is not kept"):
-        newest.shot(0, 2)
+        latest.put(0, "1", k, frame(k))
+    assert [(s.camera, s.row, s.number) for s in latest.frames()] == [(0, 2, 3)]
+    latest.put(1, "1", 0, frame(9))
+    assert [s.number for s in latest.frames()] == [3, 4]
+    with pytest.raises(GoneError, match="frame 2 of camera 0 is no longer kept"):
+        latest.frame(0, 2)
     for k in range(10):
-        newest.put(0, "2", k, frame(k))
-        newest.shots()
+        latest.put(0, "2", k, frame(k))
+        latest.frames()
     with pytest.raises(GoneError):
-        newest.shot(0, 3)
-    assert newest.shot(0, 12).row == 7
+        latest.frame(0, 3)
+    assert latest.frame(0, 12).row == 7
     with pytest.raises(GoneError):
-        newest.shot(7, 1)
+        latest.frame(7, 1)
 
 
 def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,10 +46,10 @@ def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPat
         return "looked"
 
     monkeypatch.setattr(module, "inspect_frame", look)
-    newest = LatestFrames([None])
-    newest.put(0, "1", 0, frame(5))
-    shot = newest.shots()[0]
-    threads = [threading.Thread(target=lambda: shot.look) for _ in range(8)]
+    latest = LatestFrames([None])
+    latest.put(0, "1", 0, frame(5))
+    listed = latest.frames()[0]
+    threads = [threading.Thread(target=lambda: listed.inspection) for _ in range(8)]
     for t in threads:
         t.start()
     for t in threads:
@@ -58,22 +58,22 @@ def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPat
 
 
 def test_who_waits_is_woken_by_the_next_frame() -> None:
-    newest = LatestFrames([None])
-    newest.put(0, "1", 0, frame(1))
-    assert newest.wait(0, 0) == 1
-    assert newest.wait(1, 0) == 1, "the time is over"
+    latest = LatestFrames([None])
+    latest.put(0, "1", 0, frame(1))
+    assert latest.wait(0, 0) == 1
+    assert latest.wait(1, 0) == 1, "the time is over"
     got: list[int] = []
-    waiting = threading.Thread(target=lambda: got.append(newest.wait(1, 30)))
+    waiting = threading.Thread(target=lambda: got.append(latest.wait(1, 30)))
     waiting.start()
-    newest.put(0, "1", 1, frame(2))
+    latest.put(0, "1", 1, frame(2))
     waiting.join()
     assert got == [2]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_pictures_use_the_whole_scale(dtype: type) -> None:
-    newest = LatestFrames([None])
+    latest = LatestFrames([None])
     pixels: Any = np.full((24, 32), 4095 if dtype is np.uint16 else 255, dtype)
-    newest.put(0, "1", 0, pixels)
-    jpeg = newest.shots()[0].jpeg()
+    latest.put(0, "1", 0, pixels)
+    jpeg = latest.frames()[0].jpeg()
     assert np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED)).min() > 250

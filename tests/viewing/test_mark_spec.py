@@ -50,7 +50,7 @@ def test_half_a_description_is_refused(make_config: Make, layout: Path) -> None:
         mark_specs(config, "cross", None, None, None)
     with pytest.raises(InputError, match="--mark is missing"):
         mark_specs(config, None, 2.0, None, None)
-    with pytest.raises(InputError, match="--layout says what marks look like"):
+    with pytest.raises(InputError, match="--layout already defines the marks"):
         mark_specs(config, "cross", None, layout, None)
     with pytest.raises(InputError, match=r"cameras\.0\.nominal_px_per_mm is missing and there is no calibration"):
         mark_specs(config, "cross", 2.0, None, None)

@@ -27,7 +27,7 @@ PATIENCE_MS = 20_000
 
 
 @pytest.fixture
-def newest() -> LatestFrames:
+def latest() -> LatestFrames:
     return LatestFrames([MarkSpec("cross", 24.0, light=False, expected=4), None])
 
 
@@ -47,10 +47,10 @@ def browser() -> Iterator[Page]:
 
 
 @pytest.fixture
-def page(browser: Page, newest: LatestFrames, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
+def page(browser: Page, latest: LatestFrames, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
     """The page with frames as a test puts them."""
     with open_listener("127.0.0.1", 0, "test") as socket_:
-        server = WebServer(create_app(make_config(), newest, ["Armed."]), socket_, threading.Event().set)
+        server = WebServer(create_app(make_config(), latest, ["Armed."]), socket_, threading.Event().set)
         server.start()
         browser.goto(server.address)
         yield browser
@@ -59,33 +59,33 @@ def page(browser: Page, newest: LatestFrames, make_config: Callable[..., Station
         server.check()
 
 
-def test_frames_are_shown_as_they_come(page: Page, newest: LatestFrames, painter: Any) -> None:
+def test_frames_are_shown_as_they_come(page: Page, latest: LatestFrames, painter: Any) -> None:
     expect(page.locator("#state")).to_have_text("Waiting for the first frame.")
-    newest.put(0, "001", 2, painter.marks())
+    latest.put(0, "001", 2, painter.marks())
     first = page.locator(".camera").nth(0)
     expect(first.locator(".mark")).to_have_count(4, timeout=PATIENCE_MS)
     expect(first.locator("h2")).to_contain_text("run 001, row 2")
     expect(first.locator("dl")).to_contain_text("4 of 4")
     expect(page.locator("#state")).to_have_text("1 cameras have not sent a frame yet.")
-    newest.put(1, "001", 2, painter.tilted_board(2.0, size=(320, 240)))
+    latest.put(1, "001", 2, painter.tilted_board(2.0, size=(320, 240)))
     second = page.locator(".camera").nth(1)
     expect(second.locator(".remarks")).to_contain_text("blurred by", timeout=PATIENCE_MS)
     expect(second.locator(".tiles td.soft")).to_have_count(9)
     expect(page.locator("#notices")).to_contain_text("Armed.")
 
 
-def test_the_best_focus_is_remembered_and_hold_holds(page: Page, newest: LatestFrames, painter: Any) -> None:
+def test_the_best_focus_is_remembered_and_hold_holds(page: Page, latest: LatestFrames, painter: Any) -> None:
     sharp = painter.marks()
-    newest.put(0, "001", 0, sharp)
+    latest.put(0, "001", 0, sharp)
     words = page.locator(".words")
     expect(words).to_contain_text("100 % of the best", timeout=PATIENCE_MS)
-    newest.put(0, "001", 1, cv2.GaussianBlur(sharp, (0, 0), 3.0))
+    latest.put(0, "001", 1, cv2.GaussianBlur(sharp, (0, 0), 3.0))
     expect(words).not_to_contain_text("100 % of the best", timeout=PATIENCE_MS)
     page.get_by_role("button", name="Hold").click()
     with page.expect_response(lambda r: "number=3" in r.url):
-        newest.put(0, "001", 2, sharp)
+        latest.put(0, "001", 2, sharp)
     expect(page.locator("h2")).to_contain_text("row 1")
-    page.get_by_role("button", name="Go on").click()
+    page.get_by_role("button", name="Continue").click()
     expect(page.locator("h2")).to_contain_text("row 2", timeout=PATIENCE_MS)
     expect(words).to_contain_text("100 % of the best")
 
@@ -103,5 +103,5 @@ def test_the_calibration_board_is_seen_steadily_though_nothing_passes(
             expect(card.locator("h2")).to_contain_text(re.compile(r"run \d+, row 0"))
         first = browser.locator("h2").nth(0).inner_text()
         expect(browser.locator("h2").nth(0)).not_to_have_text(first, timeout=PATIENCE_MS)
-        expect(browser.locator("#notices")).to_contain_text("5 pulses a second, whether a board passes or not.")
+        expect(browser.locator("#notices")).to_contain_text("5 pulses per second, independent of the light barrier.")
         browser.goto("about:blank")

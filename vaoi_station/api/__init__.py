@@ -20,16 +20,16 @@ from vaoi_station.runs.states.tables import StationState
 from vaoi_station.version import __version__
 
 PREFIX = "/api/v1"
-UNWELL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
+NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
 
 
 def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> FastAPI:
-    """The service over a coordinator; the caller starts and stops the coordinator.
+    """Create the web application of a coordinator, which the caller starts and stops.
 
-    Callers may address it by `names`, besides loopback, the machine's own names and any bare address.
+    Clients may address it by `names`, by loopback, by the machine's names and by any IP address.
 
-    `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for their
-    callers; an event of kind "station" with state "stopping" does the same.
+    `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them; an event
+    of kind "station" with state "stopping" does the same.
     """
     services = Services(coordinator, EventHub(coordinator))
 
@@ -38,6 +38,8 @@ def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> Fa
         async with services.hub.listening():
             yield
 
+    # Redirects of trailing slashes would answer POST with a 307 that simple HTTP libraries do not follow.
+    # One schema for input and output keeps generated clients free of doubled classes.
     app = FastAPI(
         title="VAOI station",
         version=__version__,
@@ -56,6 +58,7 @@ def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> Fa
     _add_health(app, services)
     pages.install(app)
     openapi.install(app)
+    # Added last, so that it is the outermost layer and sees each request first.
     app.add_middleware(RequestGuard, names=allowed_names(names))
     return app
 
@@ -63,14 +66,14 @@ def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> Fa
 def _add_health(app: FastAPI, services: Services) -> None:
     @app.get("/healthz", tags=["station"])
     async def get_health(response: Response) -> Health:
-        """200 when the station can film, 503 when it cannot; for supervisors."""
+        """Return 200 if the station can film, 503 if it cannot; for supervisors."""
         state = (await services.commands.ask(services.coordinator.snapshot)).state
-        unwell = state in UNWELL
-        response.status_code = 503 if unwell else 200
+        not_operational = state in NOT_OPERATIONAL
+        response.status_code = 503 if not_operational else 200
         response.headers["Cache-Control"] = "no-store"
-        return Health(status="degraded" if unwell else "ok", state=state, version=__version__)
+        return Health(status="degraded" if not_operational else "ok", state=state, version=__version__)
 
 
 def _operation_id(route: APIRoute) -> str:
-    """The handler's name: stable, and fit for a method of a generated client."""
+    """Return the handler's name, which generated clients use as a method name."""
     return route.name

@@ -1,7 +1,7 @@
-"""Pictures on the wire: PNG, JPEG, TIFF, npy and raw, chosen by `?format=` or by Accept.
+"""Encoding of pictures as PNG, JPEG, TIFF, npy or raw, chosen by `?format=` or Accept.
 
-PNG, TIFF, npy and raw are exact; JPEG is 8 bit and lossy, for looking at. Raw is the bare pixels, row by
-row, little-endian, described by X-Image-* headers. Colour is red, green, blue in npy and raw.
+PNG, TIFF, npy and raw are lossless; JPEG is 8 bit and lossy, for display. Raw is the pixels alone, row by row,
+little-endian, described by X-Image-* headers. The colour order is red, green, blue in npy and raw.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from vaoi_station.files.images import Image, encode_jpeg, encode_png, encode_tif
 
 
 class ImageFormat(StrEnum):
-    """What a picture can be asked for as."""
+    """Formats in which a picture can be requested."""
 
     PNG = "png"
     JPEG = "jpeg"
@@ -37,22 +37,27 @@ _NAMES = {"jpg": ImageFormat.JPEG, "tif": ImageFormat.TIFF, **{str(f): f for f i
 
 
 def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
-    """The format to answer in; `?format=` outranks Accept, PNG is the default. NotAcceptableError lists the offer."""
+    """Return the format of the reply; `?format=` has precedence over Accept, PNG is the default.
+
+    Raises:
+        NotAcceptableError: none of the requested formats is available.
+    """
     if asked is not None:
         found = _NAMES.get(asked.lower())
         if found is None:
-            raise NotAcceptableError(f"format is {asked!r:.40}, but the offer is {_offer(names=True)}.")
+            raise NotAcceptableError(f"format is {asked!r:.40}, but must be one of {_offer(names=True)}.")
         return found
+    # Equal quality: the order of MEDIA_TYPES decides, so that */* gives PNG.
     ranked = accepted(accept or "*/*")
     for wanted in sorted({q for _, q in ranked if q > 0}, reverse=True):
         for image_format, media_type in MEDIA_TYPES.items():
             if quality_of(media_type, ranked) == wanted:
                 return image_format
-    raise NotAcceptableError(f"Accept is {accept!r:.80}, but the offer is {_offer(names=False)}.")
+    raise NotAcceptableError(f"Accept is {accept!r:.80}, but must allow one of {_offer(names=False)}.")
 
 
 def accepted(header: str) -> list[tuple[str, float]]:
-    """The media ranges of an Accept header with their quality; a quality that is no number counts as 0."""
+    """Parse the media ranges of an Accept header with their quality; an invalid quality counts as 0."""
     ranges = []
     for part in header.split(","):
         media, *parameters = (p.strip().lower() for p in part.split(";"))
@@ -65,7 +70,8 @@ def accepted(header: str) -> list[tuple[str, float]]:
 
 
 def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
-    """How welcome a media type is: the most specific range that covers it decides, 0 if none does."""
+    """Return the quality of a media type; 0 if no range covers it."""
+    # RFC 9110, section 12.5.1: the most specific matching range has precedence.
     for pattern in (media_type, f"{media_type.partition('/')[0]}/*", "*/*"):
         for media, q in ranges:
             if media == pattern:
@@ -74,7 +80,7 @@ def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
 
 
 def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[str, str]]:
-    """The bytes of a picture (h, w) or (h, w, 3), and the headers that describe them; the stride is for raw only."""
+    """Encode a picture (h, w) or (h, w, 3); return its bytes and the X-Image-* headers (the stride for raw only)."""
     headers = describe(image)
     if image_format is ImageFormat.RAW:
         return _rgb(image).tobytes(), headers
@@ -91,7 +97,7 @@ def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[s
 
 
 def describe(image: Image) -> dict[str, str]:
-    """X-Image-* headers; the stride is in bytes from one row to the next."""
+    """Return the X-Image-* headers of a picture; the stride is in bytes from one row to the next."""
     height, width = image.shape[:2]
     channels = 1 if image.ndim == 2 else image.shape[2]
     return {
@@ -104,7 +110,7 @@ def describe(image: Image) -> dict[str, str]:
 
 
 def _rgb(image: Image) -> Image:
-    """Pixels in the order the wire has: OpenCV keeps blue first, others expect red first."""
+    """Return the pixels with red first; OpenCV keeps blue first."""
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])
 
 
@@ -113,6 +119,6 @@ def _offer(*, names: bool) -> str:
 
 
 def raw_from_npy(content: bytes) -> tuple[bytes, dict[str, str]]:
-    """The bare pixels of an npy, and the headers that describe them."""
+    """Convert the content of an npy file to raw pixels and their X-Image-* headers."""
     pixels: Image = np.load(io.BytesIO(content), allow_pickle=False)
     return np.ascontiguousarray(pixels).tobytes(), describe(pixels)

@@ -1,8 +1,8 @@
-"""By which names the station may be addressed.
+"""The host names by which the station may be addressed.
 
-A web page may give its own name the station's address (DNS rebinding); to the browser the station is then
-that page's own server, and Origin and Host agree. But the request still carries the page's name. Callers that
-use a bare address are no browsers that were fooled by a name.
+A web page can point its own name at the station's address (DNS rebinding). For the browser the station is then the
+page's server, and Origin and Host agree, but Host still carries the page's name. A request to an IP address cannot come
+from such a page.
 """
 
 from __future__ import annotations
@@ -13,17 +13,19 @@ from collections.abc import Iterable
 
 
 def allowed_names(configured: Iterable[str] = ()) -> frozenset[str]:
-    """Names that are the station's: loopback, the machine's own as it knows it, and those of station.toml."""
+    """Return the station's names: loopback, the machine's host name, and the names from station.toml."""
     own = socket.gethostname().lower().rstrip(".")
     short = own.partition(".")[0]
     return frozenset({"localhost", own, short, f"{short}.local", *(name.lower().rstrip(".") for name in configured)})
 
 
 def addressed(host: str, names: frozenset[str]) -> bool:
-    """Whether a Host header names the station, by a name of its own or by any address; absent: no browser sent it."""
+    """Return whether a Host header holds one of the names or an IP address."""
+    # Every browser sends Host (RFC 9112, section 3.2), so a request without one comes from a program.
     name = host.strip().lower()
     if not name:
         return True
+    # "[::1]:8350" and "name:8350" carry a port; a bare IPv6 address has several colons.
     if name.startswith("["):
         name = name[1:].partition("]")[0]
     elif name.count(":") == 1:

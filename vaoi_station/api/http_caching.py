@@ -1,6 +1,6 @@
-"""What may be kept by whom: finished things for ever, live things never.
+"""HTTP caching: finished results may be cached for ever, live state never.
 
-Finished runs do not change, so their answers carry a strong ETag (a hash of the bytes) and `immutable`.
+Finished runs do not change, so their replies carry an ETag (a hash of the bytes) and `immutable`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 from fastapi import Request, Response
 
+# "private": results belong to one line; a shared proxy must not store them.
 IMMUTABLE = "private, max-age=31536000, immutable"
 REVALIDATE = "no-cache"
 LIVE = "no-store"
@@ -23,7 +24,8 @@ def conditional_response(
     cache: str = IMMUTABLE,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """The answer with its ETag, or 304 when the caller holds the same bytes (If-None-Match)."""
+    """Return the content with its ETag, or 304 if the client holds the same bytes (If-None-Match)."""
+    # 32 hex digits are 128 bits of SHA-256: no accidental collision.
     tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
     kept = {"ETag": tag, "Cache-Control": cache, "Vary": "Accept"}
     if matches(request.headers.get("if-none-match"), tag):
@@ -32,8 +34,9 @@ def conditional_response(
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
-    """Whether an If-None-Match header names the tag; the comparison is weak, as RFC 9110 wants it."""
+    """Return whether an If-None-Match header contains the tag."""
     if if_none_match is None:
         return False
-    named = [t.strip().removeprefix("W/") for t in if_none_match.split(",")]
-    return "*" in named or tag in named
+    # RFC 9110, section 13.1.2: If-None-Match uses the weak comparison, which ignores the prefix W/.
+    tags = [t.strip().removeprefix("W/") for t in if_none_match.split(",")]
+    return "*" in tags or tag in tags

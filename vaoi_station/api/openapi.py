@@ -1,7 +1,7 @@
-"""The OpenAPI document: what FastAPI derives from the routes, made easy for generators of clients.
+"""The OpenAPI document: FastAPI's own, simplified for client generators.
 
-- A field that may be left out is of one type and not required; answers never hold null for it.
-- Every operation names its refusals as `application/problem+json`.
+- An optional field has one type and is not required; replies never hold null for it.
+- Every operation declares its refusals as `application/problem+json`.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from vaoi_station.api.problems import MEDIA_TYPE, Fault, Problem
 
 NULL = {"type": "null"}
 DESCRIPTION = """\
-The station films a board while it passes, and hands out one upright picture of a component per frame that shows it.
+The station films a board while it passes. For each frame that shows a component it delivers one upright image.
 
-Fields that are unknown are left out. Lengths are mm, angles degrees counter-clockwise as seen on the board's top,
-times RFC 3339 in UTC. Cameras, rows and views count from 0. Every refusal is a problem detail (RFC 9457) with a
-stable `code` and an `action` for the operator."""
+Unknown fields are left out. Lengths are in mm, angles in degrees counter-clockwise as seen on the board's top, times
+are RFC 3339 in UTC. Cameras, rows and views count from 0. Every refusal is a problem detail (RFC 9457) with a stable
+`code` and an `action` for the operator."""
 
 
 def install(app: FastAPI) -> None:
-    """Let the app publish the tidied document."""
+    """Have the app publish the simplified document."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
-            app.openapi_schema = tidied(
+            app.openapi_schema = simplified(
                 get_openapi(
                     title=app.title,
                     version=app.version,
@@ -41,14 +41,14 @@ def install(app: FastAPI) -> None:
     app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to extend the document
 
 
-def tidied(document: dict[str, Any]) -> dict[str, Any]:
-    """Without nulls and the framework's own error shapes, with ours."""
+def simplified(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the document without nulls, with `Problem` in place of the framework's error schemas."""
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
-    for shape in (Fault, Problem):
-        schemas[shape.__name__] = shape.model_json_schema(ref_template="#/components/schemas/{model}")
-        schemas[shape.__name__].pop("$defs", None)
+    for model in (Fault, Problem):
+        schemas[model.__name__] = model.model_json_schema(ref_template="#/components/schemas/{model}")
+        schemas[model.__name__].pop("$defs", None)
     for schema in schemas.values():
         _optional_not_null(schema)
         _plain_lists(schema)
@@ -64,10 +64,11 @@ def tidied(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _optional_not_null(schema: dict[str, Any]) -> None:
-    """Fields that may be null become fields that may be left out."""
+    """Turn fields that may be null into optional fields."""
     for name, field in schema.get("properties", {}).items():
         if (schema.get("title"), name) == ("Matrices", "cad_matrix"):
-            continue  # in the format of the file this null means something
+            # The result file uses null here for "no CAD matrix", so clients must expect it.
+            continue
         plain = _not_null(field)
         if plain is not field:
             schema["properties"][name] = plain
@@ -76,7 +77,8 @@ def _optional_not_null(schema: dict[str, Any]) -> None:
 
 
 def _plain_lists(schema: Any) -> None:
-    """Tuples of one kind become lists of that kind with a fixed length, which older generators understand too."""
+    """Turn tuples of one type into lists of fixed length."""
+    # `prefixItems` is JSON Schema 2020-12; generators for older OpenAPI versions ignore it.
     for part in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
         _plain_lists(part)
     if isinstance(schema, dict) and (kinds := schema.get("prefixItems")) and all(k == kinds[0] for k in kinds):
@@ -85,7 +87,7 @@ def _plain_lists(schema: Any) -> None:
 
 
 def _not_null(schema: dict[str, Any]) -> dict[str, Any]:
-    """`X or null` as X; anything else as it is."""
+    """Return the schema of `X or null` as that of X; any other schema unchanged."""
     choices = schema.get("anyOf", [])
     if NULL not in choices:
         return schema

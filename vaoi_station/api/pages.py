@@ -1,4 +1,4 @@
-"""The operator's page at `/`, the drawn interface at `/docs`, and what problem types mean; all from our own files."""
+"""The operator's page at `/`, the API documentation at `/docs`, and explanations of problem types; all local files."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ FRESH = {"Cache-Control": "no-cache"}
 
 
 class Assets(StaticFiles):
-    """Files of the pages; asked for again by ETag, so that an update shows at once."""
+    """Static files that browsers revalidate by ETag, so that an update shows at once."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """One file; 404 for directories and for anything outside."""
+        """Return one file; 404 for directories and paths outside."""
         answer = await super().get_response(path, scope)
         answer.headers["Cache-Control"] = "no-cache"
         return answer
 
 
 def install(app: FastAPI) -> None:
-    """Add the pages to the app; they are no part of the interface."""
+    """Add the pages to the app; they are not part of the OpenAPI document."""
     app.mount("/web", Assets(directory=WEB), name="web")
 
     @app.get("/", include_in_schema=False)

@@ -1,4 +1,4 @@
-"""Parameters that several addresses share, with their limits."""
+"""Path and query parameters that several routes share, with their limits."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import Annotated
 
 from fastapi import Path, Query
 
+# Patterns refuse slashes and control characters here, before a name reaches a file path or a log.
 RunId = Annotated[
-    str, Path(description="Id of a run, as `runs` lists it.", pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")
+    str, Path(description="Id of a run, as listed by `runs`.", pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")
 ]
 BoardTypeName = Annotated[
     str,
@@ -22,7 +23,7 @@ Address = Annotated[str, Path(description="Component: `ref`, or `panel/ref` on a
 PxPerMm = Annotated[
     float | None,
     Query(
-        description="Resolution of the temporary images; left out: the station's own.",
+        description="Resolution of the temporary images; default: the station's setting.",
         ge=0.5,
         le=500,
         allow_inf_nan=False,
@@ -31,7 +32,7 @@ PxPerMm = Annotated[
 MinCoverage = Annotated[
     float,
     Query(
-        description="Leave out frames that show less than this part of the component.",
+        description="Omit frames that show less than this share of the component.",
         gt=0,
         le=1,
         allow_inf_nan=False,
@@ -39,6 +40,6 @@ MinCoverage = Annotated[
 ]
 FormatName = Annotated[
     str | None,
-    Query(description="png, jpeg, tiff, npy or raw; outranks Accept.", max_length=20),
+    Query(description="png, jpeg, tiff, npy or raw; has precedence over Accept.", max_length=20),
 ]
-TimeoutS = Annotated[float, Query(description="Longest wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]
+TimeoutS = Annotated[float, Query(description="Maximum wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]

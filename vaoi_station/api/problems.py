@@ -1,8 +1,8 @@
-"""Problem details (RFC 9457): every refusal says what happened, and what to do, in one JSON shape.
+"""Problem details (RFC 9457): every refusal has the same JSON schema, with cause and action.
 
-`type` is a relative reference `/problems/KIND`, which the station answers with an explanation. `code` says the same
-or more (kind `gone`, code `frames-gone`) and is stable for programs too; `detail` names field, value and limit,
-`action` is a sentence the operator can follow.
+`type` is the relative reference `/problems/KIND`, under which the station serves an explanation. `code` equals the kind
+or is more specific (kind `gone`, code `frames-gone`); both are stable. `detail` names field, value and limit; `action`
+is a sentence that the operator can follow.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class Fault(BaseModel):
-    """One field that is wrong."""
+    """One invalid field."""
 
     where: str
     """Part of the request and path of the field: `query.timeout`, `body.components.3.width`."""
@@ -35,52 +35,52 @@ class Fault(BaseModel):
 
 
 class Problem(BaseModel):
-    """Why a request was refused, after RFC 9457."""
+    """The reason of a refusal (RFC 9457)."""
 
     type: str
     title: str
     status: int
     detail: str
     code: str
-    action: str = Field(description="A sentence the operator can follow.")
-    instance: str = Field(description="The address that was asked for.")
-    errors: list[Fault] | None = Field(default=None, description="Each field that is wrong; only where fields are.")
+    action: str = Field(description="What the operator can do.")
+    instance: str = Field(description="Path of the request.")
+    errors: list[Fault] | None = Field(default=None, description="Invalid fields, if any.")
 
 
 KINDS: dict[str, tuple[int, str, str]] = {
-    "invalid-input": (422, "A value is not acceptable", "Correct the field that is named, and send the request again."),
-    "malformed": (400, "The request cannot be read", "Send a JSON object, or leave the body out where it is optional."),
+    "invalid-input": (422, "Invalid value", "Correct the named field and send the request again."),
+    "malformed": (400, "Unreadable request", "Send a JSON object, or no body where it is optional."),
     "foreign-origin": (
         403,
-        "Another site's page sent this command",
-        "Open the station's own page, or send the command from a program.",
+        "Command from another site",
+        "Use the station's own page, or send the command from a program.",
     ),
     "unknown-host": (
         421,
-        "Another name than this station's was called",
-        "Call the station by its address, or add the name to [api] names in station.toml.",
+        "Unknown host name",
+        "Use the station's IP address, or add the name to [api] names in station.toml.",
     ),
-    "too-slow": (408, "The request took too long to arrive", "Send it again over a better connection."),
-    "not-found": (404, "There is no such thing", "Check the address; lists are at /api/v1/runs and board-types."),
-    "no-route": (404, "There is no such address", "Check the address; all addresses are listed at /docs."),
-    "wrong-method": (405, "The address does not take this method", "Use a method that the header Allow names."),
-    "not-acceptable": (406, "No such format", "Ask for a format of the offer, by Accept or by ?format=."),
-    "wrong-state": (409, "Not possible in the present state", "Wait until the state of the station allows it."),
+    "too-slow": (408, "Request time-out", "Send the request again over a faster connection."),
+    "not-found": (404, "Not found", "Check the name or id; see /api/v1/runs and /api/v1/board-types."),
+    "no-route": (404, "Unknown address", "Check the address; /docs lists all addresses."),
+    "wrong-method": (405, "Method not allowed", "Use a method from the Allow header."),
+    "not-acceptable": (406, "Format not available", "Request one of the listed formats, by Accept or ?format=."),
+    "wrong-state": (409, "Not possible in the present state", "Wait until the station's state allows it."),
     "gone": (
         410,
-        "Its memory has been given away",
-        "Fetch pictures sooner, hold the run meanwhile, or give the ring room for more runs in station.toml.",
+        "Frames no longer in memory",
+        "Fetch images sooner, hold the run, or increase [ring] runs in station.toml.",
     ),
-    "too-large": (413, "The request is too large", "Send less; the limit is in the detail."),
+    "too-large": (413, "Request too large", "Send a smaller body; the detail names the limit."),
     "internal": (
         500,
-        "The station made a mistake",
-        "Try again; if it stays, give the incident number to whoever maintains the station.",
+        "Internal error",
+        "Try again; if the error persists, report the incident number to the maintainer.",
     ),
-    "device": (503, "A device does not do what it should", "Check the device, its cable and its supply."),
-    "busy": (503, "Too much at once", "Try again in a moment."),
+    "device": (503, "Device fault", "Check the device, its cable and its power supply."),
+    "busy": (503, "Busy", "Try again in a moment."),
 }
-"""Kind → status, title, and the action of a refusal that names none itself."""
+"""Kind → status, title, and the default action."""
 
 _CODE_OF_STATUS = {400: "malformed", 404: "no-route", 405: "wrong-method", 406: "not-acceptable", 413: "too-large"}
 _KIND_OF_STATUS = {
@@ -94,7 +94,7 @@ _KIND_OF_STATUS = {
 
 
 class NotAcceptableError(VaoiError):
-    """None of the formats the caller accepts is offered."""
+    """None of the requested formats is available."""
 
     code = "not-acceptable"
     status = 406
@@ -110,7 +110,7 @@ def problem_response(
     errors: list[Fault] | None = None,
     headers: Mapping[str, str] | None = None,
 ) -> JSONResponse:
-    """The answer to a refused request; a code that is no kind itself is of the kind its status says."""
+    """Return the reply to a refused request; a code that is not a kind takes the kind of its status."""
     kind = code if code in KINDS else _KIND_OF_STATUS.get(status or 500, "internal")
     usual_status, title, remedy = KINDS[kind]
     problem = Problem(
@@ -125,17 +125,18 @@ def problem_response(
     )
     extra = {"Cache-Control": "no-store", **(headers or {})}
     if problem.status == HTTPStatus.SERVICE_UNAVAILABLE:
+        # RFC 9110, section 10.2.3; clients with automatic retries wait this long.
         extra.setdefault("Retry-After", "1")
     content = problem.model_dump(mode="json", exclude_none=True)
     return JSONResponse(content, problem.status, headers=extra, media_type=MEDIA_TYPE)
 
 
 def install(app: FastAPI) -> None:
-    """Make every error of the app a problem: ours, those of the framework, and those nobody foresaw."""
+    """Convert every error to a problem: the station's, the framework's, and unexpected exceptions."""
     app.add_exception_handler(VaoiError, _refusal)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(Exception, _unforeseen)
+    app.add_exception_handler(Exception, _unexpected)
 
 
 async def _refusal(request: Request, error: Exception) -> JSONResponse:
@@ -147,6 +148,7 @@ async def _refusal(request: Request, error: Exception) -> JSONResponse:
 
 async def _invalid(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
+    # A wrong array may have thousands of faults; the first ones are enough to correct it.
     faults = [_fault(f) for f in error.errors()[:20]]
     code = "malformed" if any(f["type"] == "json_invalid" for f in error.errors()) else "invalid-input"
     detail = "; ".join(f"{f.where}: {f.message}" for f in faults[:3])
@@ -176,7 +178,8 @@ async def _http(request: Request, error: Exception) -> JSONResponse:
     return problem_response(path, code, detail, status=error.status_code, headers=error.headers)
 
 
-async def _unforeseen(request: Request, error: Exception) -> JSONResponse:
+async def _unexpected(request: Request, error: Exception) -> JSONResponse:
+    # The reply does not show the exception, which may name internal paths; the number leads to it in the log.
     incident = uuid.uuid4().hex[:12]
     log.error("incident %s: %s %s", incident, request.method, request.url.path, exc_info=error)
     detail = f"The request could not be completed. Incident {incident} is in the station's log."

@@ -1,12 +1,12 @@
-"""What every request passes first, and every answer last: limits, names, origin, headers of safety.
+"""Checks of every request and security headers of every reply.
 
-- Requests that call the station by a name that is not its own are refused (`hosts.py`).
-- Bodies are bounded in size and time. A key that appears twice in an object would be read one way here and another way
-  elsewhere, so it is refused. The API takes JSON only, so a body counts as JSON whatever its Content-Type says:
-  the HTTP libraries of LabVIEW, Delphi or C, and curl, send none or a wrong one.
-- That lenience would let any web page send commands from an operator's browser. Browsers say where a
-  request comes from (Origin), so commands from foreign pages are refused; programs send no Origin.
-- Pages may load nothing from elsewhere (Content-Security-Policy).
+- Requests addressed to a host name that is not the station's are refused (`hosts.py`).
+- Bodies are limited in size and time. A key that appears twice in an object is refused, because JSON readers differ in
+  which value they take. The API accepts JSON only, so a body counts as JSON whatever its Content-Type is: the HTTP
+  libraries of LabVIEW, Delphi and C, and curl, send none or a wrong one.
+- Without a check of the Content-Type any web page could send commands from an operator's browser. Browsers send the
+  page's Origin, so commands from other origins are refused; programs send no Origin.
+- Pages may load nothing from other sites (Content-Security-Policy).
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_key
 from vaoi_station.version import __version__
 
 MAX_BODY_BYTES = 8 * 1024 * 1024
-"""A board type of twenty thousand components has about 3 MB."""
+"""Limit of a body; a board type of 20,000 components has about 3 MB."""
 BODY_LIMIT_S = 20.0
-"""For a body to arrive whole; 8 MB take a second on a slow line."""
+"""Limit of the time a body takes to arrive; 8 MB take a second on a slow network."""
 SAFE = ("GET", "HEAD", "OPTIONS")
 STREAM = "/api/v1/events"
-"""Has no end, so there is no telling its headers without it."""
+"""Path of the event stream, which has no end; its headers cannot be had without starting it."""
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
 SAFETY = {
@@ -50,13 +50,13 @@ class RequestGuard:
         max_body_bytes: int = MAX_BODY_BYTES,
         body_limit_s: float = BODY_LIMIT_S,
     ) -> None:
-        """`names`: by which callers may address the station; by default loopback and the machine's own."""
+        """Wrap `app`; `names` are the accepted host names, by default loopback and the machine's."""
         self._app = app
         self._names = allowed_names() if names is None else names
         self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check, pass on, and add the headers."""
+        """Check a request, pass it on, and add the security headers to its reply."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -86,34 +86,37 @@ class RequestGuard:
                 await body(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> Response | None:
-        """Why a request is refused whatever it carries."""
+        """Return a refusal for a wrong host or origin, else None; the body is not read."""
         headers, path = Headers(scope=scope), scope["path"]
         if not addressed(headers.get("host", ""), self._names):
-            detail = f"The request was addressed to {headers['host']!r:.100}, which is no name of this station."
+            detail = f"The request was addressed to {headers['host']!r:.100}, which is not a name of this station."
             return problem_response(path, "unknown-host", detail)
         if scope["method"] not in SAFE and _foreign(headers):
             page = f"{headers.get('origin', 'another site'):.100}"
-            detail = f"The command came from a page of {page}, not of this station."
+            detail = f"The command came from a page of {page}, not from this station's page."
             return problem_response(path, "foreign-origin", detail)
         return None
 
     async def _body(self, scope: Scope, receive: Receive) -> bytes | Response:
-        """The whole body, or why it is refused."""
+        """Return the whole body, or a refusal."""
         path = scope["path"]
         try:
             async with asyncio.timeout(self._body_limit_s):
                 body = await self._read(Headers(scope=scope), receive)
         except TimeoutError:
-            detail = f"The body had not arrived after {self._body_limit_s:g} s."
+            detail = f"The body did not arrive within {self._body_limit_s:g} s."
+            # The rest of the body may still arrive; on a kept connection it would be read as the next request.
             return problem_response(path, "too-slow", detail, headers={"Connection": "close"})
         if body is None:
             return problem_response(path, "too-large", f"The body is larger than {self._max_body_bytes} bytes.")
-        if (twin := _twin_in(body)) is not None:
+        if (twin := _repeated_key(body)) is not None:
             return problem_response(path, "malformed", f"body: {twin}.")
         return body
 
     async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
-        """The whole body; None if it is too large, which a Content-Length tells before it is read."""
+        """Read the whole body; return None if it is too large."""
+        # A large Content-Length refuses the body before it is read. It is only a claim, so the bytes are counted too;
+        # more than 15 digits are not converted, since `int` is slow on very long numbers.
         announced = headers.get("content-length", "")
         if announced.isdecimal() and (len(announced) > 15 or int(announced) > self._max_body_bytes):
             return None
@@ -128,15 +131,16 @@ class RequestGuard:
 
 
 def _foreign(headers: Headers) -> bool:
-    """Whether a browser says that the command comes from a page of another origin."""
+    """Return whether a browser marks the command as coming from a page of another origin."""
+    # Older browsers send no Origin with some requests, but Sec-Fetch-Site; a program sends neither.
     origin = headers.get("origin")
     if origin is None:
         return headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
     return origin.lower().partition("://")[2] != headers.get("host", "").lower()
 
 
-def _twin_in(body: bytes) -> str | None:
-    """What key appears twice in an object of a JSON body; what else may be wrong with it is told by its reader."""
+def _repeated_key(body: bytes) -> str | None:
+    """Return the fault of a key that appears twice in an object; other faults are left to the body's reader."""
     try:
         json.loads(body, object_pairs_hook=refuse_duplicate_keys)
     except DuplicateKeyError as twin:
@@ -147,7 +151,7 @@ def _twin_in(body: bytes) -> str | None:
 
 
 def _without_body(send: Send) -> Send:
-    """The answer to GET, headers only: what HEAD is answered with."""
+    """Return a `send` that drops the body, for the reply to HEAD."""
 
     async def headers_only(message: Message) -> None:
         if message["type"] == "http.response.body":
@@ -164,7 +168,7 @@ def _as_json(scope: Scope) -> Scope:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """A receive that hands out the body that was read already, then whatever follows."""
+    """Return a `receive` that repeats the body that was read already, then passes on what follows."""
     pending = [body]
 
     async def again() -> Message:

@@ -1,6 +1,6 @@
-"""JSON shapes that only the REST interface has; the others are those of `runs.shapes`.
+"""Request and response models that only the REST interface has; the others are in `runs.states.schemas`.
 
-Fields that are unknown are left out of an answer, never null, so that no field is of two types.
+Unknown fields are left out of a reply, never null, so that no field has two types.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ Matrix3 = list[list[float]]
 
 
 class ArmRequest(Strict):
-    """What the next boards are to be taken for; query parameters of the same names do as well."""
+    """The order for the next boards; the same fields may be given as query parameters."""
 
-    board_type: str | None = Field(default=None, max_length=200, description="A board type that was taught.")
-    board_id: str | None = Field(default=None, max_length=200, description="The caller's own id of the board.")
-    job_id: str | None = Field(default=None, max_length=200, description="The caller's own id of the job.")
-    runs: int | None = Field(default=None, ge=1, le=1_000_000, description="Disarm after so many runs.")
+    board_type: str | None = Field(default=None, max_length=200, description="Name of a stored board type.")
+    board_id: str | None = Field(default=None, max_length=200, description="The caller's id of the board.")
+    job_id: str | None = Field(default=None, max_length=200, description="The caller's id of the job.")
+    runs: int | None = Field(default=None, ge=1, le=1_000_000, description="Disarm after this number of runs.")
     allow_lost_cameras: bool | None = Field(
         default=None, description="Arm although a camera is not ready; boards are filmed without it."
     )
 
 
 class BoardTypeList(Strict):
-    """All board types, by name."""
+    """All board types, sorted by name."""
 
     board_types: list[BoardTypeSummary]
 
 
 class TeachRequest(Strict):
-    """Which run is to be the reference of its board type."""
+    """The run that becomes the reference of its board type."""
 
     run: str = Field(min_length=1, max_length=64, description="Id of a finished run of the board type.")
 
 
 class MethodRequest(Strict):
-    """How runs of a board type are to be stitched."""
+    """The stitching method of a board type."""
 
     method: MethodName
 
@@ -50,11 +50,11 @@ class RunPage(Strict):
     """Runs, newest first."""
 
     runs: list[RunSummary]
-    next: str | None = Field(default=None, description="Ask with `before` = this for older ones; absent at the end.")
+    next: str | None = Field(default=None, description="Value of `before` for the next page; absent on the last page.")
 
 
 class ComponentEntry(Strict):
-    """One component of a run's board type, and where it was."""
+    """One component of a run's board type, with its position."""
 
     address: str = Field(description="`panel/ref` on a panel, else `ref`.")
     ref: str
@@ -63,8 +63,8 @@ class ComponentEntry(Strict):
     width_mm: float
     height_mm: float
     rotation_deg: float
-    tester_mm: tuple[float, float] | None = Field(description="Place at the first row, tester coordinates.")
-    views: int = Field(description="Frames that show at least half of it.")
+    tester_mm: tuple[float, float] | None = Field(description="Position at row 0, tester coordinates.")
+    views: int = Field(description="Number of frames that show at least half of it.")
     url: str
 
 
@@ -80,29 +80,27 @@ class ViewEntry(Strict):
     k: int
     camera: int
     row: int
-    coverage: float = Field(description="Part of the component that the frame shows, 0 … 1.")
+    coverage: float = Field(description="Share of the component that the frame shows, 0 … 1.")
     off_center: float = Field(
-        description="Distance from the frame's middle, in half diagonals: small is seen straight from above."
+        description="Distance from the frame's centre in half diagonals; 0 is viewed straight from above."
     )
     width_px: int
     height_px: int
     px_per_mm: float
     covariance_px2: tuple[tuple[float, float], tuple[float, float]] | None = Field(
         default=None,
-        description="How surely the component's centre is where C and M_ij put it: covariance of x and y in the frame; "
-        "absent if the centre is not in the frame.",
+        description="Covariance of x and y of the component's centre in the frame, as placed by C and M_ij; "
+        "absent if the centre is outside the frame.",
     )
-    exposure_us: float | None = Field(default=None, description="Exposure time of the frame, where it is known.")
-    light: str | None = Field(default=None, description="Light pattern of the row, where one was named.")
+    exposure_us: float | None = Field(default=None, description="Exposure time of the frame, if known.")
+    light: str | None = Field(default=None, description="Light pattern of the row, if one is configured.")
     crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of this image.")
     cad_from_crop: Matrix3
     image_from_crop: Matrix3 = Field(
-        description="Pixels of this image to pixels of the frame; undistorted ones, if `distorted` is true."
+        description="Pixels of this image to pixels of the frame; to undistorted pixels if `distorted` is true."
     )
-    distorted: bool = Field(
-        description="Whether the lens bends the frame; the image itself is straight, that has been seen to."
-    )
-    url: str = Field(description="Where this image is.")
+    distorted: bool = Field(description="Whether the frame has lens distortion; the image is corrected for it.")
+    url: str = Field(description="Address of this image.")
 
 
 class ComponentViews(Strict):
@@ -114,7 +112,7 @@ class ComponentViews(Strict):
 
 
 class Matrices(BaseModel):
-    """A result as `docs/formats.md` has it; null where an image could not be placed."""
+    """A result as defined in `docs/formats.md`; null where an image could not be placed."""
 
     format: Literal["vaoi-stitch"]
     version: Literal[1]
@@ -130,7 +128,7 @@ class Matrices(BaseModel):
 
 
 class Heartbeat(Strict):
-    """Sent in the event stream when nothing else is: the station is alive."""
+    """Sent in the event stream after two seconds without an event."""
 
     time: str
     state: str

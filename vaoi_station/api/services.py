@@ -1,4 +1,4 @@
-"""What the routes work with."""
+"""The objects that the routes share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 
 @dataclass(frozen=True)
 class Services:
-    """The coordinator, and the ways to call it without blocking the event loop."""
+    """The coordinator, and the thread pools through which routes call it without blocking the event loop."""
 
     coordinator: StationCoordinator
     hub: EventHub

@@ -1,4 +1,4 @@
-"""One view of a component, in JSON."""
+"""Views of a component as response models."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
 def covariances(quality: dict[str, Any], address: str) -> dict[tuple[int, int], Covariance]:
-    """Of a component's centre in every frame that shows it (camera, row), px², as the result says."""
+    """Return the covariance (px²) of a component's centre by frame (camera, row), from the result's quality."""
     views = quality.get("component_covariance_px2", {}).get(address, [])
     return {(camera, row): ((xx, xy), (xy, yy)) for camera, row, xx, xy, yy in views}
 
 
 def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Covariance | None) -> ViewEntry:
-    """View k, the frame it is taken from, how surely it is placed, and the address of its image."""
+    """Build the entry of view k from the view, its frame, its covariance and the address of its image."""
     return ViewEntry(
         k=k,
         camera=view.camera,
@@ -46,7 +46,8 @@ def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Cov
 
 
 def picture_query(px_per_mm: float | None, min_coverage: float) -> str:
-    """The query that makes an image's address mean the same view as the list it came from."""
+    """Return the query of an image's address, so that index k refers to the same list of views."""
+    # Default values are omitted: one image then has one address, which caches can use.
     asked = {"px_per_mm": px_per_mm} if px_per_mm is not None else {}
     if min_coverage != DEFAULT_COVERAGE:
         asked["min_coverage"] = min_coverage

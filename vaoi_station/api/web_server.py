@@ -1,4 +1,4 @@
-"""A web server in a thread of its own, on a socket that was opened beforehand."""
+"""A web server in a separate thread, on a socket that was opened before."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from vaoi_station.errors import DeviceError, InternalError
 _log = logging.getLogger(__name__)
 
 HTTP_GRACE_S = 5.0
+"""Time that requests under way get to finish when the server stops."""
 
 
 class WebServer:
-    """uvicorn in a thread, so that signals stay those of whoever started it."""
+    """uvicorn in a thread, so that the main thread keeps its signal handlers."""
 
     def __init__(self, app: FastAPI, listener: socket.socket, ended: Callable[[], None]) -> None:
-        """`ended` is called when it ends, for whatever reason."""
+        """Prepare the server; `ended` is called when it ends, for any reason."""
+        # Imported here: uvicorn takes long to load, and most commands do not serve.
         import uvicorn
 
-        self._listener, self._ended, self._asked = listener, ended, False
+        self._listener, self._ended, self._stop_requested = listener, ended, False
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=int(HTTP_GRACE_S))
         )
@@ -31,35 +33,37 @@ class WebServer:
 
     @property
     def address(self) -> str:
-        """Where it answers."""
+        """Address of the server."""
         host, port = self._listener.getsockname()[:2]
         return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start to serve."""
         self._thread.start()
         _log.info("listening on %s", self.address)
 
     def stop(self) -> None:
-        """Finish what is being answered, then end."""
-        self._asked = self._thread.is_alive()
+        """Finish the requests under way, then end."""
+        self._stop_requested = self._thread.is_alive()
         self._server.should_exit = True
         self._thread.join(2 * HTTP_GRACE_S)
 
     def check(self) -> None:
-        """Raise InternalError if it ended without being asked to."""
-        if not self._asked:
-            raise InternalError("The web server ended by itself; the log says why.")
+        """Raise InternalError if the server ended without a call of `stop`."""
+        if not self._stop_requested:
+            raise InternalError("The web server ended unexpectedly; the log has the cause.")
 
     def _run(self) -> None:
         try:
             self._server.run(sockets=[self._listener])
         finally:
-            self._ended()  # without its web server the station is of no use
+            # Without its web server the station is of no use: the owner stops it.
+            self._ended()
 
 
 def open_listener(host: str, port: int, where: str) -> socket.socket:
-    """A listening socket; DeviceError, which names `where` the address was given, if it cannot be had."""
+    """Open a listening socket; `where` names the source of the address in the DeviceError of a failure."""
+    # Opened before the rest starts, so that a port in use is reported at once.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)

@@ -1,1 +1,1 @@
-"""Live frames with their focus, exposure and the marks in them: for mounting and focusing cameras (`vaoi view`)."""
+"""`vaoi view`: live frames with focus, exposure and detected marks, for mounting and focusing cameras."""

@@ -1,4 +1,4 @@
-"""The page of `vaoi view`, and what it asks for; on loopback, for one or two people at the machine."""
+"""The web application of `vaoi view`, on loopback only."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from vaoi_station.viewing.latest_frames import LatestFrames
 
 WEB = Path(__file__).parent / "web"
 LONGEST_WAIT_S = 5.0
+"""Limit of the time-out that the page may request."""
 
 
-def create_app(config: StationConfig, newest: LatestFrames, notices: Sequence[str]) -> FastAPI:
-    """The page and two addresses: `/api/look` (figures and marks) and `/api/cameras/N/picture` (JPEG)."""
+def create_app(config: StationConfig, latest: LatestFrames, notices: Sequence[str]) -> FastAPI:
+    """Create the page and its two addresses: `/api/look` (figures and marks) and `/api/cameras/N/picture` (JPEG)."""
     app = FastAPI(title="VAOI view", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
     problems.install(app)
     app.mount("/web", Assets(directory=WEB), name="web")
@@ -36,24 +37,25 @@ def create_app(config: StationConfig, newest: LatestFrames, notices: Sequence[st
         return FileResponse(WEB / "icon.svg", headers=FRESH)
 
     @app.get("/api/look")
-    def look(
+    def list_frames(
         response: Response,
         after: Annotated[int, Query(ge=0)] = 0,
         timeout_s: Annotated[float, Query(ge=0, le=LONGEST_WAIT_S)] = 0.0,
     ) -> dict[str, Any]:
-        """The newest frame of every camera; waits until there is one with a number beyond `after`."""
-        newest.wait(after, timeout_s)
+        """Return the latest frame of every camera, after waiting for a frame number above `after`."""
+        # A plain function, so that FastAPI runs it in a thread: waiting must not block the event loop.
+        latest.wait(after, timeout_s)
         response.headers["Cache-Control"] = "no-store"
-        cameras = [frame_document(shot, config) for shot in newest.shots()]
+        cameras = [frame_document(frame, config) for frame in latest.frames()]
         names = [c.name for c in config.cameras]
         number = max((c["number"] for c in cameras), default=0)
         return {"station": config.name, "names": names, "number": number, "cameras": cameras, "notices": list(notices)}
 
     @app.get("/api/cameras/{camera}/picture")
     def picture(camera: int, number: int) -> Response:
-        """A frame that `/api/look` has told of."""
+        """Return a frame that `/api/look` has listed."""
         headers = {"Cache-Control": "no-store"}
-        return Response(newest.shot(camera, number).jpeg(), media_type="image/jpeg", headers=headers)
+        return Response(latest.frame(camera, number).jpeg(), media_type="image/jpeg", headers=headers)
 
     app.add_middleware(RequestGuard)
     return app

@@ -1,4 +1,4 @@
-"""What programs and the page are told."""
+"""Frames as JSON documents and as text."""
 
 from __future__ import annotations
 
@@ -9,32 +9,36 @@ from vaoi_station.viewing.image_quality import ImageQuality
 from vaoi_station.viewing.latest_frames import ViewedFrame
 
 
-def frame_document(shot: ViewedFrame, config: StationConfig) -> dict[str, Any]:
-    """One frame: where it comes from, figures, marks in raw px, remarks."""
-    look, camera = shot.look, config.cameras[shot.camera]
+def frame_document(frame: ViewedFrame, config: StationConfig) -> dict[str, Any]:
+    """Return one frame as a JSON document: origin, figures, marks in raw px, remarks."""
+    inspection, camera = frame.inspection, config.cameras[frame.camera]
     return {
-        "camera": shot.camera,
+        "camera": frame.camera,
         "name": camera.name,
-        "run": shot.run,
-        "row": shot.row,
-        "number": shot.number,
+        "run": frame.run,
+        "row": frame.row,
+        "number": frame.number,
         "width": camera.width,
         "height": camera.height,
         "exposure_us": camera.exposure_us,
-        "figures": _figures(look.figures),
+        "figures": _quality_document(inspection.quality),
         "marks": [
-            {"x": round(m.x, 3), "y": round(m.y, 3), "score": round(m.score, 3)} for m in look.marks if not m.doubt
+            {"x": round(m.x, 3), "y": round(m.y, 3), "score": round(m.score, 3)}
+            for m in inspection.marks
+            if not m.doubt
         ],
-        "doubtful": [{"x": round(m.x, 1), "y": round(m.y, 1), "why": m.doubt} for m in look.marks if m.doubt],
-        "mark_size_px": None if look.size_px is None else round(look.size_px, 2),
-        "marks_expected": look.expected,
-        "remarks": list(look.remarks),
+        "doubtful": [{"x": round(m.x, 1), "y": round(m.y, 1), "why": m.doubt} for m in inspection.marks if m.doubt],
+        "mark_size_px": None if inspection.size_px is None else round(inspection.size_px, 2),
+        "marks_expected": inspection.expected,
+        "remarks": list(inspection.remarks),
     }
 
 
-def row_text(told: dict[str, Any]) -> str:
-    """The figures of a row, for people."""
-    return "\n".join([f"run {told['run']}, row {told['row']} of {told['rows']}", *map(_camera_text, told["cameras"])])
+def row_text(document: dict[str, Any]) -> str:
+    """Return the document of a row as text."""
+    return "\n".join(
+        [f"run {document['run']}, row {document['row']} of {document['rows']}", *map(_camera_text, document["cameras"])]
+    )
 
 
 def _camera_text(document: dict[str, Any]) -> str:
@@ -50,7 +54,7 @@ def _camera_text(document: dict[str, Any]) -> str:
     return "\n".join([line, *(f"  - {r}" for r in document["remarks"])])
 
 
-def _figures(f: ImageQuality) -> dict[str, Any]:
+def _quality_document(f: ImageQuality) -> dict[str, Any]:
     return {
         "focus": float(f"{f.focus:.5g}"),
         "blur_px": _rounded(f.blur_px),

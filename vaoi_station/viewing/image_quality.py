@@ -1,8 +1,9 @@
-"""Focus and exposure of one frame, as numbers.
+"""Focus and exposure figures of one frame.
 
-Two numbers tell the focus. `focus`, the variance of the Laplacian over the squared mean, rises while one turns
-towards the best focus, on any scene, but says nothing by itself. `blur_px` does, where the scene has edges:
-an edge of height C blurred by σ is steepest by C / (σ √(2π)); the modulation falls to one half at 0.187 / σ.
+Two figures describe the focus. `focus` is the variance of the Laplacian over the squared mean: it rises towards the
+best focus in any scene, but only values of the same scene compare. `blur_px` is absolute, where the scene has edges: an
+edge of contrast C blurred by a Gaussian of standard deviation σ has the maximum slope C / (σ √(2π)), and the modulation
+falls to one half at 0.187 / σ cycles per pixel.
 """
 
 from __future__ import annotations
@@ -17,35 +18,37 @@ from vaoi_station.calibration.mark_detection import to_grey
 from vaoi_station.files.images import Image
 
 TILES = 3
-"""The frame's parts whose blur is told by itself: a camera that is tilted is sharp on one side only."""
+"""Parts per side whose blur is measured separately: a tilted camera is sharp on one side only."""
 _MTF50 = 0.1874
 """Cycles per pixel at which a blur of σ = 1 px has half the modulation: √(2 ln 2) / (2π)."""
 _SMOOTH_PX = 1.0
 _OWN_VARIANCE = _SMOOTH_PX**2 + 1 / 3
-"""Of the smoothing, and of the difference of neighbours that stands for the slope."""
+"""Variance that smoothing and the finite difference for the slope add to the blur, px²."""
 _PIXEL_VARIANCE = 1 / 12
+"""Variance of a pixel's width, px²: no measured blur is smaller."""
 _REACH_PX = 7
-"""Within this distance of an edge both its sides are found."""
+"""Distance from an edge within which the levels of both sides are measured."""
 _THIN_PX, _BROAD = 2, 0.85
-"""Lines thinner than so much to both sides are no edges: without them the contrast must remain, to such a share."""
+"""Half width of thin lines, and the share of the contrast that must remain without them: a thin line is not an edge."""
 _LEAST_CONTRAST = 24.0
-"""Grey levels of 255; weaker edges are noise."""
+"""Least contrast of an edge, grey levels of 255; weaker ones are noise."""
 _BLOCK_PX = 24
-"""One edge is taken of every block of the frame."""
+"""Side of the blocks of which the sharpest edge is used."""
 _LEAST_EDGES = 6
+"""Fewer edges give no blur figure."""
 _DIFFERENCE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
 _SHARPER = 0.5
-"""Of the edges, the sharper half is the lens; the others are shadows and slopes of parts."""
+"""Share of the edges that is used: the sharper half shows the lens, the others are shadows and sloping parts."""
 
 
 @dataclass(frozen=True)
 class ImageQuality:
-    """What one frame says of focus and exposure; levels are shares of the full scale."""
+    """Focus and exposure of one frame; levels are shares of the full scale."""
 
     focus: float
     """Higher is sharper; comparable only for the same scene."""
     blur_px: float | None
-    """Standard deviation of the blur across edges, the pixel's own width included; None without edges."""
+    """Standard deviation of the blur across edges, pixel width included; None without edges."""
     mtf50: float | None
     """Spatial frequency of half the modulation, cycles per pixel."""
     blur_tiles_px: tuple[tuple[float | None, ...], ...]
@@ -56,13 +59,15 @@ class ImageQuality:
     high: float
     """99th percentile."""
     saturated: float
-    """Share of the pixels that are as bright as pixels can be."""
+    """Share of the pixels at full scale."""
 
 
-def measure(pixels: Image) -> ImageQuality:
-    """The figures of a frame (h, w) or (h, w, 3), 8 or 16 bit."""
+def measure_quality(pixels: Image) -> ImageQuality:
+    """Measure focus and exposure of a frame (h, w) or (h, w, 3), 8 or 16 bit."""
+    # The brightest channel: one saturated colour already spoils the frame.
     channels = pixels if pixels.ndim == 2 else pixels.max(axis=2)
     full = full_scale(channels)
+    # Every second pixel in each direction suffices for percentiles, at a quarter of the cost.
     low, high = (float(v) / full for v in np.percentile(channels[::2, ::2], [1, 99]))
     grey = to_grey(pixels)
     blurs = _blur_of_blocks(grey)
@@ -81,7 +86,7 @@ def measure(pixels: Image) -> ImageQuality:
 
 
 def full_scale(pixels: Image) -> int:
-    """The largest value a pixel can have; of 16-bit frames by the bits that are in use (8, 10, 12, 14 or 16)."""
+    """Return the largest possible pixel value; for 16-bit frames from the bits in use (8, 10, 12, 14 or 16)."""
     if pixels.dtype == np.uint8:
         return 255
     used = int(pixels.max(initial=0)).bit_length()
@@ -95,10 +100,11 @@ def _focus(grey: NDArray[np.uint8]) -> float:
 
 
 def _blur_of_blocks(grey: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Blur in px of the sharpest edge of every block of the frame; NaN where there is none."""
+    """Measure the blur (px) of the sharpest edge of each block; NaN where there is none."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTH_PX)
     slope = cv2.magnitude(*(cv2.filter2D(smooth, -1, k) for k in (_DIFFERENCE, _DIFFERENCE.T)))
     contrast, broad = _contrasts(cv2.convertScaleAbs(smooth))
+    # The maximum of the slope within reach marks the edge itself, not its flanks.
     ridge = slope >= cv2.dilate(slope, _square(_REACH_PX))
     edge = ridge & (contrast >= _LEAST_CONTRAST) & (broad >= _BROAD * contrast)
     steep = np.where(edge, slope / np.maximum(contrast, 1.0), 0.0)
@@ -106,13 +112,14 @@ def _blur_of_blocks(grey: NDArray[np.uint8]) -> NDArray[np.float64]:
     cut = steep[: h * _BLOCK_PX, : w * _BLOCK_PX]
     size = (cut.shape[0] // h, cut.shape[1] // w)
     best = cut[: h * size[0], : w * size[1]].reshape(h, size[0], w, size[1]).max(axis=(1, 3)).astype(np.float64)
+    # Blocks without an edge divide by zero here and become NaN below.
     with np.errstate(divide="ignore"):
         total = 1 / (best * np.sqrt(2 * np.pi))
     return np.where(best > 0, np.sqrt(np.maximum(total**2 - _OWN_VARIANCE, _PIXEL_VARIANCE)), np.nan)
 
 
 def _contrasts(smooth: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Lightest less darkest value around every pixel; the same without what is thin."""
+    """Return the local contrast around every pixel, and the same without thin structures."""
     around, thin = _square(_REACH_PX), _square(_THIN_PX)
     contrast = cv2.subtract(cv2.dilate(smooth, around), cv2.erode(smooth, around), dtype=cv2.CV_32F)
     light = cv2.dilate(cv2.morphologyEx(smooth, cv2.MORPH_OPEN, thin), around)
@@ -125,7 +132,7 @@ def _square(reach: int) -> NDArray[np.uint8]:
 
 
 def _sharpest(blurs: NDArray[np.float64]) -> float | None:
-    """The median of the sharper half; None if there are too few edges."""
+    """Return the median blur of the sharper half of the edges; None if there are too few."""
     found = np.sort(blurs[np.isfinite(blurs)])
     if len(found) < _LEAST_EDGES:
         return None

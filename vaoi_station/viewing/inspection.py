@@ -1,4 +1,4 @@
-"""One look at one frame: its figures, the marks in it, and what to do about it, in words."""
+"""Inspection of one frame: focus and exposure, detected marks, and remarks for the person who mounts the camera."""
 
 from __future__ import annotations
 
@@ -12,22 +12,26 @@ from vaoi_station.files.images import Image
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.marks import find_candidates, locate_mark
 from vaoi_station.marks.candidate_search import reduction_factor
-from vaoi_station.viewing.image_quality import ImageQuality, measure
+from vaoi_station.viewing.image_quality import ImageQuality, measure_quality
 from vaoi_station.viewing.mark_spec import MarkSpec
 
-_MOST = 200
+_MAX_MARKS = 200
+"""Candidates per frame; a calibration board has fewer in view."""
 SATURATED_LIMIT = 0.005
+"""Largest accepted share of saturated pixels."""
 DARK_LIMIT = 0.35
-"""99 % of the pixels should not all lie below this share of the full scale."""
+"""Least accepted 99th percentile, as a share of the full scale."""
 BLUR_LIMIT_PX = 1.3
+"""Largest accepted blur, standard deviation in px."""
 TILT_LIMIT = 1.5
-"""A part of the frame that is more blurred than another by this factor tells of a tilted camera."""
+"""Ratio of the blur of two parts of the frame from which a tilted camera is reported."""
 LEAST_MARKS = 4
+"""Marks a calibration needs: a homography has eight parameters."""
 
 
 @dataclass(frozen=True)
 class MarkDetection:
-    """A mark in a frame, raw px; `doubt` tells why it does not count."""
+    """A mark in a frame, raw px; `doubt` is the reason why it is not used, empty if it is."""
 
     x: float
     y: float
@@ -37,46 +41,48 @@ class MarkDetection:
 
 @dataclass(frozen=True)
 class FrameInspection:
-    """What a frame shows."""
+    """The outcome of the inspection of one frame."""
 
-    figures: ImageQuality
+    quality: ImageQuality
     marks: tuple[MarkDetection, ...]
     size_px: float | None
-    """Of a mark; None where none are looked for."""
+    """Expected size of a mark; None if no marks are searched."""
     expected: int | None
     remarks: tuple[str, ...]
 
 
 def inspect_frame(pixels: Image, spec: MarkSpec | None) -> FrameInspection:
-    """Measure a frame and find the marks in it."""
-    figures = measure(pixels)
+    """Measure a frame and detect the marks in it."""
+    quality = measure_quality(pixels)
     marks = () if spec is None else find_marks(to_grey(pixels), spec)
-    remarks = (*_of_exposure(figures), *_of_focus(figures), *_of_marks(marks, spec))
-    return FrameInspection(figures, marks, spec.size_px if spec else None, spec.expected if spec else None, remarks)
+    remarks = (*_exposure_remarks(quality), *_focus_remarks(quality), *_mark_remarks(marks, spec))
+    return FrameInspection(quality, marks, spec.size_px if spec else None, spec.expected if spec else None, remarks)
 
 
 def find_marks(grey: NDArray[np.uint8], spec: MarkSpec) -> tuple[MarkDetection, ...]:
-    """All marks of a frame; those of a calibration board are found as `vaoi calibrate` finds them."""
+    """Detect all marks of a frame; crosses of a calibration board by the method of `vaoi calibrate`."""
     if spec.shape == "cross" and spec.light is not None:
         found = detect_marks(grey, MarkAppearance(spec.size_px, spec.arm, spec.light))
         sure = [MarkDetection(float(x), float(y), float(s)) for (x, y), s in zip(found.px, found.score, strict=True)]
         return (*sure, *(MarkDetection(x, y, 0.0, why) for (x, y), why in found.doubtful))
+    # The search runs on a reduced frame; each place is then refined at full resolution.
     factor = reduction_factor(spec.size_px)
     h, w = (side // factor * factor for side in grey.shape)
     small = grey[:h, :w].reshape(h // factor, factor, w // factor, factor).mean(axis=(1, 3)).astype(np.uint8)
-    places, _ = find_candidates(small, spec.shape, spec.size_px / factor, _MOST, arm=spec.arm)
+    places, _ = find_candidates(small, spec.shape, spec.size_px / factor, _MAX_MARKS, arm=spec.arm)
     marks: list[MarkDetection] = []
     for place in (places + 0.5) * factor - 0.5:
         mark = locate_mark(grey, place, spec.shape, spec.size_px, arm=spec.arm, surround=SURROUND)
         if isinstance(mark, Failure):
             continue
         x, y = (float(v) for v in mark.px)
+        # Two candidates may be refined to the same mark.
         if all(np.hypot(x - m.x, y - m.y) > spec.size_px / 2 for m in marks):
             marks.append(MarkDetection(x, y, float(mark.score)))
     return tuple(marks)
 
 
-def _of_exposure(f: ImageQuality) -> list[str]:
+def _exposure_remarks(f: ImageQuality) -> list[str]:
     if f.saturated > SATURATED_LIMIT:
         return [
             f"too bright: {100 * f.saturated:.1f} % of the pixels are saturated (limit {100 * SATURATED_LIMIT:.1f} %)"
@@ -86,19 +92,20 @@ def _of_exposure(f: ImageQuality) -> list[str]:
     return []
 
 
-def _of_focus(f: ImageQuality) -> list[str]:
+def _focus_remarks(f: ImageQuality) -> list[str]:
     if f.blur_px is None:
-        return ["no edges to judge the focus by"]
+        return ["no edges: blur cannot be measured"]
     if f.blur_px > BLUR_LIMIT_PX:
         return [f"blurred by {f.blur_px:.2f} px (good: below {BLUR_LIMIT_PX} px)"]
+    # The sharpest part is bounded from below: ratios of blurs below half a pixel are noise.
     parts = [b for row in f.blur_tiles_px for b in row if b is not None]
     worst, best = max(parts, default=0.0), max(min(parts, default=0.0), 0.5)
     if worst > BLUR_LIMIT_PX and worst > TILT_LIMIT * best:
-        return [f"unevenly sharp: {best:.2f} to {worst:.2f} px blurred: is the camera tilted?"]
+        return [f"unevenly sharp: blur {best:.2f} to {worst:.2f} px; check the camera for tilt"]
     return []
 
 
-def _of_marks(marks: tuple[MarkDetection, ...], spec: MarkSpec | None) -> list[str]:
+def _mark_remarks(marks: tuple[MarkDetection, ...], spec: MarkSpec | None) -> list[str]:
     if spec is None:
         return []
     sure = sum(1 for m in marks if not m.doubt)
@@ -107,7 +114,7 @@ def _of_marks(marks: tuple[MarkDetection, ...], spec: MarkSpec | None) -> list[s
     if spec.light is None:
         return []
     if sure < LEAST_MARKS:
-        return [f"marks found: {sure}; a calibration takes {LEAST_MARKS}"]
+        return [f"marks found: {sure}; a calibration needs {LEAST_MARKS}"]
     if spec.expected is not None and sure < spec.expected:
-        return [f"marks found: {sure} of the {spec.expected} that should be in view"]
+        return [f"marks found: {sure} of {spec.expected} expected in view"]
     return []

@@ -1,4 +1,4 @@
-"""The newest frame of every camera, and looks at them: taken when somebody asks, each once."""
+"""The latest frame of every camera; a frame is inspected when it is first requested, and once only."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from vaoi_station.viewing.inspection import FrameInspection, inspect_frame
 from vaoi_station.viewing.mark_spec import MarkSpec
 
 _KEPT = 3
-"""Looks per camera whose picture can still be fetched."""
+"""Listed frames per camera whose picture can still be fetched."""
 
 
 @dataclass(eq=False)
 class ViewedFrame:
-    """One frame that was taken, and what is found in it when somebody asks."""
+    """One frame with its inspection, which is computed on first access."""
 
     camera: int
     run: str
@@ -32,61 +32,63 @@ class ViewedFrame:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
-    def look(self) -> FrameInspection:
-        """ImageQuality and marks; worked out once."""
+    def inspection(self) -> FrameInspection:
+        """Image quality and marks."""
+        # Two requests may come at the same time; the second waits instead of computing it again.
         with self._lock:
-            return self._look
+            return self._inspection
 
     @cached_property
-    def _look(self) -> FrameInspection:
+    def _inspection(self) -> FrameInspection:
         return inspect_frame(self.pixels, self.spec)
 
     def jpeg(self) -> bytes:
-        """As a picture of 8 bit."""
+        """Encode the frame as JPEG, scaled to 8 bit."""
         if self.pixels.dtype == "uint8":
             return encode_jpeg(self.pixels, 85)
         return encode_jpeg(cv2.convertScaleAbs(self.pixels, alpha=255 / full_scale(self.pixels)), 85)
 
 
 class LatestFrames:
-    """Frames come in from the film, looks go out to the page; safe for threads."""
+    """The latest frame of every camera, written by the filming thread and read by the page; thread-safe."""
 
     def __init__(self, specs: Sequence[MarkSpec | None]) -> None:
-        """One spec of marks per camera."""
+        """Create it with one mark specification per camera, None where no marks are searched."""
         self._specs = tuple(specs)
-        self._newest: dict[int, ViewedFrame] = {}
-        self._looked: dict[int, list[ViewedFrame]] = {n: [] for n in range(len(specs))}
+        self._latest: dict[int, ViewedFrame] = {}
+        self._listed: dict[int, list[ViewedFrame]] = {n: [] for n in range(len(specs))}
         self._count = 0
         self._change = threading.Condition()
 
     def put(self, camera: int, run: str, row: int, pixels: Image) -> None:
-        """A frame has come; it is kept until a newer one does."""
+        """Store a frame as the latest of its camera."""
         with self._change:
             self._count += 1
-            self._newest[camera] = ViewedFrame(camera, run, row, self._count, pixels, self._specs[camera])
+            self._latest[camera] = ViewedFrame(camera, run, row, self._count, pixels, self._specs[camera])
             self._change.notify_all()
 
     def wait(self, after: int, timeout_s: float) -> int:
-        """Number of the newest frame, when it is beyond `after` or the time is over."""
+        """Wait for a frame numbered above `after`, or the time-out; return the newest number."""
         with self._change:
             self._change.wait_for(lambda: self._count > after, timeout_s)
             return self._count
 
-    def shots(self) -> list[ViewedFrame]:
-        """The newest of every camera that has one; their pictures stay to be fetched for a while."""
+    def frames(self) -> list[ViewedFrame]:
+        """Return the latest frame of every camera that has one."""
+        # Listed frames are kept a little longer: the page fetches their pictures after it has received the list.
         with self._change:
-            out = [self._newest[n] for n in sorted(self._newest)]
+            out = [self._latest[n] for n in sorted(self._latest)]
             for shot in out:
-                kept = self._looked[shot.camera]
+                kept = self._listed[shot.camera]
                 if shot not in kept:
                     kept.append(shot)
                     del kept[:-_KEPT]
             return out
 
-    def shot(self, camera: int, number: int) -> ViewedFrame:
-        """A frame that was shown; GoneError if newer ones have taken its place."""
+    def frame(self, camera: int, number: int) -> ViewedFrame:
+        """Return a listed frame; raise GoneError if newer ones have replaced it."""
         with self._change:
-            found = next((s for s in self._looked.get(camera, []) if s.number == number), None)
+            found = next((s for s in self._listed.get(camera, []) if s.number == number), None)
         if found is None:
-            raise GoneError(f"frame {number} of camera {camera} is not kept any more.", action="Ask for a newer one.")
+            raise GoneError(f"frame {number} of camera {camera} is no longer kept.", action="Request a newer one.")
         return found

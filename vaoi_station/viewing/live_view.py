@@ -1,6 +1,6 @@
-"""Films what lies under the cameras and shows the newest frames; or films once and tells the figures of one row.
+"""Film continuously and serve the latest frames, or film once and report one row.
 
-Without the light barrier by default: whoever mounts and focuses cameras has no board that passes.
+By default without the light barrier, because no board passes while cameras are mounted and focused.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ _log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 FOR_EVER = 2**62
+"""Number of runs that is never reached."""
 NOTICES = 20
-"""So many of the last notices are told."""
+"""Number of the latest notices that the page shows."""
 
 
 def show(
@@ -40,10 +41,10 @@ def show(
 ) -> None:
     """Film and serve the page on loopback, until interrupted (KeyboardInterrupt) or a device fails.
 
-    With a rate, so many pulses a second are fired without the light barrier; else boards are filmed. When a
-    line that has only so many boards is out of them, the last frames stay.
+    With `rate_hz` the controller fires that many pulses per second without the light barrier; else boards are filmed.
+    When a simulated or replayed line has no more boards, the last frames stay visible.
     """
-    newest, ended = LatestFrames(specs), threading.Event()
+    latest, ended = LatestFrames(specs), threading.Event()
     notices: deque[str] = deque(maxlen=NOTICES)
 
     def notice(sentence: str) -> None:
@@ -53,20 +54,22 @@ def show(
     def settled(report: FrameSettled, ring: Ring, generation: int) -> None:
         frame = report.frame
         assert frame.slot is not None
-        newest.put(frame.camera, report.run, frame.row, ring.snapshot(frame.slot, generation))
+        latest.put(frame.camera, report.run, frame.row, ring.snapshot(frame.slot, generation))
+        # The filming loop is the only place that notices a dead web server while boards are filmed.
         if ended.is_set():
             web.check()
 
     with open_listener(LOOPBACK, port, "--port") as socket_:
-        web = WebServer(create_app(config, newest, notices), socket_, ended.set)
+        web = WebServer(create_app(config, latest, notices), socket_, ended.set)
         web.start()
         say(f"Live frames: {web.address}")
         try:
             if rate_hz is not None:
-                notice(f"{rate_hz:g} pulses a second, whether a board passes or not.")
+                notice(f"{rate_hz:g} pulses per second, independent of the light barrier.")
             runs = (_supply(config) if rate_hz is None else 0) or FOR_EVER
             _film(config, runs, rate_hz, FilmingHandlers(lambda *_: None, notice, settled))
-            notice("No more boards will come; these are the last frames.")
+            notice("No more boards; these are the last frames.")
+            # Nothing is left to film, but the page stays open until Ctrl-C or a failure of the server.
             ended.wait()
             web.check()
         finally:
@@ -80,14 +83,14 @@ def one_row(
     notice: Callable[[str], None],
     rate_hz: float | None = None,
 ) -> dict[str, Any]:
-    """Film one board, or with a rate one pulse; the figures of one row of it, by default the middle one.
+    """Film one board, or with `rate_hz` one pulse, and return one row as a document, by default the middle one.
 
     Raises:
         InputError: the run has no such row.
     """
     documents: list[dict[str, Any]] = []
 
-    def look(finished: RunFinished, ring: Ring, generation: int) -> None:
+    def report_row(finished: RunFinished, ring: Ring, generation: int) -> None:
         rows = finished.head.rows
         chosen = rows // 2 if row is None else row
         if chosen >= rows:
@@ -98,13 +101,13 @@ def one_row(
                 continue
             if f.verdict is Verdict.OK and f.slot is not None:
                 pixels = ring.snapshot(f.slot, generation)
-                shot = ViewedFrame(f.camera, finished.run, f.row, f.camera + 1, pixels, specs[f.camera])
-                cameras.append(frame_document(shot, config))
+                viewed = ViewedFrame(f.camera, finished.run, f.row, f.camera + 1, pixels, specs[f.camera])
+                cameras.append(frame_document(viewed, config))
             else:
                 cameras.append({"camera": f.camera, "name": config.cameras[f.camera].name, "missing": f.cause})
         documents.append({"run": finished.run, "row": chosen, "rows": rows, "cameras": cameras})
 
-    _film(config, 1, rate_hz, FilmingHandlers(look, notice))
+    _film(config, 1, rate_hz, FilmingHandlers(report_row, notice))
     return documents[0]
 
 
@@ -116,7 +119,7 @@ def _film(config: StationConfig, runs: int, rate_hz: float | None, handlers: Fil
 
 
 def _supply(config: StationConfig) -> int:
-    """How many boards there are; 0: they keep coming."""
+    """Return the number of boards of the line; 0 means without end."""
     if config.simulation is not None:
         return config.simulation.boards
     return config.replay.runs if config.replay is not None else 0

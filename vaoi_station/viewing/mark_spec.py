@@ -1,4 +1,4 @@
-"""Which marks are looked for, and how large they are in the frames of each camera."""
+"""The marks to detect, and their size in the frames of each camera."""
 
 from __future__ import annotations
 
@@ -16,38 +16,39 @@ from vaoi_station.files.layouts import Layout, read_layout
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape
 
 SMALLEST_PX = 5.0
+"""Smallest size of a mark that can be detected."""
 
 
 @dataclass(frozen=True)
 class MarkSpec:
-    """The marks one camera should see."""
+    """The marks that one camera should detect."""
 
     shape: Shape
     size_px: float
     arm: float = CROSS_ARM
     light: bool | None = None
-    """Light on dark; None: either."""
+    """Whether marks are light on dark; None: either."""
     expected: int | None = None
-    """How many of a layout's marks the camera is meant to see; None: not known."""
+    """Number of a layout's marks in the camera's view; None: unknown."""
 
 
 def mark_specs(
     config: StationConfig, shape: Shape | None, size_mm: float | None, layout: Path | None, px_per_mm: float | None
 ) -> tuple[MarkSpec | None, ...]:
-    """One per camera; None where no marks are looked for.
+    """Return one specification per camera; None where no marks are searched.
 
     Args:
         config: of the station.
-        shape: of the marks, with `size_mm`; a layout says both by itself.
+        shape: of the marks, with `size_mm`; a layout contains both.
         size_mm: of the marks.
         layout: of the calibration board.
         px_per_mm: resolution; by default that of the calibration, else the nominal one of the camera.
 
     Raises:
-        InputError: half of what is needed was given, or the resolution is not known.
+        InputError: shape and size are incomplete or given twice, or the resolution is unknown.
     """
     if layout is not None and (shape is not None or size_mm is not None):
-        raise InputError("--layout says what marks look like.", action="Leave out --mark and --mark-size-mm.")
+        raise InputError("--layout already defines the marks.", action="Leave out --mark and --mark-size-mm.")
     if layout is None and (shape is None) != (size_mm is None):
         missing = "--mark-size-mm" if size_mm is None else "--mark"
         raise InputError(f"{missing} is missing.", action="Give both, or the --layout of the calibration board.")
@@ -81,7 +82,8 @@ def _checked(spec: MarkSpec, camera: int) -> MarkSpec:
 
 
 def _resolutions(config: StationConfig, px_per_mm: float | None) -> Sequence[float]:
-    """px per mm of every camera, from whoever knows."""
+    """Return the px per mm of every camera."""
+    # In this order: the caller's value, the calibration, the nominal value of the configuration.
     if px_per_mm is not None:
         return [px_per_mm] * len(config.cameras)
     heads = tuple(c.head for c in config.cameras)
@@ -90,8 +92,8 @@ def _resolutions(config: StationConfig, px_per_mm: float | None) -> Sequence[flo
     found = [h.nominal_px_per_mm for h in heads]
     if None in found:
         raise InputError(
-            f"cameras.{found.index(None)}.nominal_px_per_mm is missing and there is no calibration yet, so that "
-            "nobody knows how large a mark is in its frames.",
-            action="Give --px-per-mm, or the nominal resolution in station.toml.",
+            f"cameras.{found.index(None)}.nominal_px_per_mm is missing and there is no calibration yet, so the "
+            "size of a mark in its frames is unknown.",
+            action="Give --px-per-mm, or set the nominal resolution in station.toml.",
         )
     return [v for v in found if v is not None]

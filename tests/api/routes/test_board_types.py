@@ -18,25 +18,25 @@ U1 = {"ref": "U1", "center": [1, 2], "width": 3, "height": 4}
 NEW = {"name": "new", "components": [U1], "x_note": {"a": 1}}
 
 
-def test_they_are_listed(client: Any) -> None:
+def test_board_types_are_listed(client: Any) -> None:
     assert [t["name"] for t in client.get(TYPES).json()["board_types"]] == ["demo-board"]
 
 
-def test_a_new_one_is_created_and_the_same_again_replaces_it(client: Any) -> None:
+def test_a_board_type_is_created_and_replaced(client: Any) -> None:
     first = client.put(f"{TYPES}/new", json=NEW)
     assert (first.status_code, first.headers["location"]) == (201, f"{TYPES}/new")
     assert client.put(f"{TYPES}/new", json=NEW).status_code == 200
     assert client.get(f"{TYPES}/new").json() == first.json()
 
 
-def test_what_comes_out_is_what_went_in_with_own_keys(client: Any) -> None:
+def test_a_board_type_is_returned_as_stored(client: Any) -> None:
     client.put(f"{TYPES}/new", json=NEW)
     content = client.get(f"{TYPES}/new").json()
     assert content["x_note"] == {"a": 1}
     assert BoardType.model_validate(content) == BoardType.model_validate(NEW)
 
 
-def test_reading_again_costs_nothing_while_nothing_changed(client: Any) -> None:
+def test_an_unchanged_board_type_gives_304(client: Any) -> None:
     tag = client.put(f"{TYPES}/new", json=NEW).headers["etag"]
     assert client.get(f"{TYPES}/new", headers={"if-none-match": tag}).status_code == 304
     client.put(f"{TYPES}/new", json=NEW | {"side": "bottom"})
@@ -44,7 +44,7 @@ def test_reading_again_costs_nothing_while_nothing_changed(client: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["Größe 1", "a+b (c)", "100%", "x&y=z", "Ω"])
-def test_names_of_every_kind_of_letter(client: Any, name: str) -> None:
+def test_names_with_any_letters_are_accepted(client: Any, name: str) -> None:
     address = f"{TYPES}/{quote(name)}"
     assert client.put(address, json=NEW | {"name": name}).headers["location"] == address
     assert client.get(address).json()["name"] == name
@@ -52,7 +52,7 @@ def test_names_of_every_kind_of_letter(client: Any, name: str) -> None:
     assert client.get(address).status_code == 404
 
 
-def test_the_name_in_the_address_counts(client: Any, station: Any) -> None:
+def test_the_names_in_address_and_body_must_agree(client: Any, station: Any) -> None:
     answer = client.put(f"{TYPES}/other", json=NEW)
     assert answer.status_code == 422
     assert "name is 'new', but must be 'other'" in answer.json()["detail"]
@@ -90,7 +90,7 @@ def test_numbers_that_json_does_not_have_are_refused(client: Any, station: Any, 
     assert "new" not in station.types
 
 
-def test_one_that_the_station_is_armed_with_stays(client: Any) -> None:
+def test_a_board_type_in_use_is_not_deleted(client: Any) -> None:
     client.post("/api/v1/station/arm?board_type=demo-board")
     assert client.delete(f"{TYPES}/demo-board").status_code == 409
 
@@ -103,7 +103,7 @@ JSON = st.recursive(
 
 
 @given(st.dictionaries(st.sampled_from([*BoardType.model_fields, "x_own", "odd"]), JSON, max_size=6))
-def test_any_document_is_taken_or_refused_never_broken(shared_client: Any, document: dict[str, Any]) -> None:
+def test_any_document_is_accepted_or_refused(shared_client: Any, document: dict[str, Any]) -> None:
     document["name"] = "any"
     answer = shared_client.put(f"{TYPES}/any", json=document)
     try:

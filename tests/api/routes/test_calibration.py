@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 
-def test_a_drift_is_told_camera_by_camera(client: Any) -> None:
+def test_a_drift_is_reported_per_camera(client: Any) -> None:
     answer = client.get("/api/v1/calibration")
     assert answer.status_code == 200
     assert answer.headers["Cache-Control"] == "no-store"
@@ -18,7 +18,7 @@ def test_a_drift_is_told_camera_by_camera(client: Any) -> None:
     assert told["cameras"][1]["history"][0]["links"] == 80
 
 
-def test_the_station_warns_but_is_not_at_fault(client: Any, station: Any) -> None:
+def test_a_drift_is_a_warning_and_not_a_fault(client: Any, station: Any) -> None:
     assert client.get("/api/v1/station").json()["warnings"] == []
     station.drift()
     told = client.get("/api/v1/station").json()

@@ -12,7 +12,7 @@ from vaoi_station.model import Stitch
 RUNS = "/api/v1/runs"
 
 
-def test_pages_of_the_list_join_without_gap_or_repetition(client: Any, station: Any) -> None:
+def test_pages_of_the_list_have_no_gaps_or_repetitions(client: Any, station: Any) -> None:
     made = [station.film() for _ in range(7)]
     seen: list[str] = []
     query: dict[str, Any] = {"limit": 3}
@@ -25,25 +25,25 @@ def test_pages_of_the_list_join_without_gap_or_repetition(client: Any, station: 
     assert seen == made[::-1]
 
 
-def test_a_last_page_that_is_full_has_no_next(client: Any, station: Any) -> None:
+def test_a_full_last_page_has_no_next(client: Any, station: Any) -> None:
     for _ in range(3):
         station.film()
     assert "next" not in client.get(RUNS, params={"limit": 3}).json()
 
 
-def test_the_ids_of_the_caller_come_back(client: Any, station: Any) -> None:
+def test_the_callers_ids_are_returned(client: Any, station: Any) -> None:
     station.film(board_id="B1")
     assert client.get(f"{RUNS}/latest").json()["board_id"] == "B1"
 
 
-def test_the_verdict_of_every_frame_is_told_with_its_cause(client: Any, station: Any) -> None:
+def test_every_frame_has_a_verdict_and_cause(client: Any, station: Any) -> None:
     frames = client.get(f"{RUNS}/{station.film()}").json()["frames"]
     assert len(frames) == 12
     lost = {(f["camera"], f["row"]): (f["verdict"], f["cause"]) for f in frames if f["verdict"] != "ok"}
     assert lost == {(0, 1): ("incomplete", "cable"), (1, 2): ("missing", "cable")}
 
 
-def test_matrices_are_the_format_of_the_files(client: Any, station: Any) -> None:
+def test_matrices_have_the_file_format(client: Any, station: Any) -> None:
     run = station.film()
     content = client.get(f"{RUNS}/{run}/matrices").json()
     assert content == stitch_document(station.stitch(run))
@@ -51,13 +51,13 @@ def test_matrices_are_the_format_of_the_files(client: Any, station: Any) -> None
     assert content["image_matrices"][1][2] is None
 
 
-def test_matrices_that_are_not_there_yet(client: Any, station: Any) -> None:
+def test_matrices_of_an_unfinished_run_are_refused(client: Any, station: Any) -> None:
     run = station.film(finish=False)
     answer = client.get(f"{RUNS}/{run}/matrices")
     assert (answer.status_code, answer.json()["action"]) == (409, "Ask again in a moment.")
 
 
-def test_finished_results_are_kept_for_ever_and_revalidated_for_nothing(client: Any, station: Any) -> None:
+def test_finished_results_are_immutable_and_give_304(client: Any, station: Any) -> None:
     address = f"{RUNS}/{station.film()}/matrices"
     answer = client.get(address)
     assert "immutable" in answer.headers["cache-control"]
@@ -68,7 +68,7 @@ def test_finished_results_are_kept_for_ever_and_revalidated_for_nothing(client: 
     assert client.get(address, headers={"if-none-match": '"other"'}).status_code == 200
 
 
-def test_a_run_itself_is_asked_for_again_because_its_memory_may_go(client: Any, station: Any) -> None:
+def test_a_run_is_revalidated_because_its_state_may_change(client: Any, station: Any) -> None:
     run = station.film()
     answer = client.get(f"{RUNS}/{run}")
     assert answer.headers["cache-control"] == "no-cache"
@@ -78,14 +78,14 @@ def test_a_run_itself_is_asked_for_again_because_its_memory_may_go(client: Any, 
     assert client.get(f"{RUNS}/{run}", headers=unchanged).json()["state"] == "released"
 
 
-def test_released_frames_are_gone_and_the_result_stays(client: Any, station: Any) -> None:
+def test_released_frames_are_gone_and_the_result_is_kept(client: Any, station: Any) -> None:
     run = station.film()
     assert client.post(f"{RUNS}/{run}/release").json()["frames_available"] is False
     assert client.get(f"{RUNS}/{run}/frames/0/0").status_code == 410
     assert client.get(f"{RUNS}/{run}/matrices").status_code == 200
 
 
-def test_a_run_can_be_held_and_let_go(client: Any, station: Any) -> None:
+def test_a_run_is_held_and_the_hold_ended(client: Any, station: Any) -> None:
     run = station.film()
     hold = client.put(f"{RUNS}/{run}/hold", params={"holder": "tester 1", "purpose": "verdict"})
     assert hold.json() == {"run": run, "holder": "tester 1", "purpose": "verdict", "expires_in_s": 600}
@@ -94,5 +94,5 @@ def test_a_run_can_be_held_and_let_go(client: Any, station: Any) -> None:
 
 
 @pytest.mark.parametrize("method", ["PUT", "DELETE"])
-def test_a_hold_needs_a_name(client: Any, station: Any, method: str) -> None:
+def test_a_hold_needs_a_holder(client: Any, station: Any, method: str) -> None:
     assert client.request(method, f"{RUNS}/{station.film()}/hold").status_code == 422

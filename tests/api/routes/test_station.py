@@ -11,7 +11,7 @@ from vaoi_station.runs.states.tables import StationState
 STATION = "/api/v1/station"
 
 
-def test_the_state_is_never_kept(client: Any) -> None:
+def test_the_state_is_never_cached(client: Any) -> None:
     answer = client.get(STATION)
     assert answer.headers["cache-control"] == "no-store"
     content = answer.json()
@@ -21,7 +21,7 @@ def test_the_state_is_never_kept(client: Any) -> None:
     assert len(content["cameras"]) == 3
 
 
-def test_what_is_unknown_is_left_out(client: Any) -> None:
+def test_unknown_fields_are_left_out(client: Any) -> None:
     assert {"armed_with", "last_run", "filming"}.isdisjoint(client.get(STATION).json())
 
 
@@ -38,7 +38,7 @@ def test_arming_by_body_or_by_query(client: Any, by: str) -> None:
     }  # fmt: skip
 
 
-def test_the_query_fills_what_the_body_leaves_out(client: Any) -> None:
+def test_the_query_completes_the_body(client: Any) -> None:
     content = client.post(f"{STATION}/arm?board_id=B2", json={"board_type": "demo-board"}).json()
     assert content["armed_with"] == {"board_type": "demo-board", "board_id": "B2", "method": "auto"}
 
@@ -52,12 +52,12 @@ def test_contradicting_ids_are_refused(client: Any, station: Any) -> None:
 
 
 @pytest.mark.parametrize("order", [{}, {"board_type": ""}, {"board_type": "x" * 201}, {"board_type": "x", "more": 1}])
-def test_orders_that_say_too_little_or_too_much_are_refused(client: Any, order: dict[str, Any]) -> None:
+def test_incomplete_and_invalid_orders_are_refused(client: Any, order: dict[str, Any]) -> None:
     assert client.post(f"{STATION}/arm", json=order).status_code == 422
 
 
 @pytest.mark.parametrize("by", ["body", "query"])
-def test_arming_without_a_camera_is_refused_unless_it_is_allowed(client: Any, station: Any, by: str) -> None:
+def test_arming_without_a_camera_needs_permission(client: Any, station: Any, by: str) -> None:
     station.lose(1)
     assert client.get(STATION).json()["all_cameras_ready"] is False
     refusal = client.post(f"{STATION}/arm?board_type=demo-board")

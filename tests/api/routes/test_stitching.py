@@ -11,7 +11,7 @@ from vaoi_station.model import Status
 TYPE = "/api/v1/board-types/demo-board"
 
 
-def test_a_run_is_taught_told_and_forgotten(client: Any, station: Any) -> None:
+def test_a_reference_is_set_read_and_deleted(client: Any, station: Any) -> None:
     none = client.get(f"{TYPE}/reference")
     assert (none.status_code, none.json()["code"]) == (404, "no-reference")
     first = client.put(f"{TYPE}/reference", json={"run": station.film()})
@@ -27,7 +27,7 @@ def test_a_run_is_taught_told_and_forgotten(client: Any, station: Any) -> None:
     assert client.delete(f"{TYPE}/reference").json()["code"] == "no-reference"
 
 
-def test_what_cannot_be_taught(client: Any, station: Any) -> None:
+def test_unsuitable_runs_are_refused_as_reference(client: Any, station: Any) -> None:
     def refused(**body: Any) -> tuple[int, str]:
         answer = client.put(f"{TYPE}/reference", json=body)
         assert answer.headers["content-type"] == "application/problem+json"
@@ -43,7 +43,7 @@ def test_what_cannot_be_taught(client: Any, station: Any) -> None:
     assert client.put("/api/v1/board-types/unheard/reference", json={"run": gone}).status_code == 404
 
 
-def test_a_method_is_chosen_and_given_up(client: Any) -> None:
+def test_a_method_is_set_and_deleted(client: Any) -> None:
     assert client.get(f"{TYPE}/method").json() == {"method": "auto", "chosen": "station"}
     assert client.put(f"{TYPE}/method", json={"method": "reference"}).json() == {
         "method": "reference",
@@ -54,6 +54,6 @@ def test_a_method_is_chosen_and_given_up(client: Any) -> None:
 
 
 @pytest.mark.parametrize("body", [{"method": "paper"}, {"method": None}, {}, {"method": "auto", "more": 1}])
-def test_a_method_there_is_not(client: Any, body: Any) -> None:
+def test_an_unknown_method_is_refused(client: Any, body: Any) -> None:
     answer = client.put(f"{TYPE}/method", json=body)
     assert (answer.status_code, answer.json()["code"]) == (422, "invalid-input")

@@ -1,1 +1,1 @@
-"""The addresses under `/api/v1`, one module per noun."""
+"""The routes under `/api/v1`, one module per resource."""

@@ -1,4 +1,4 @@
-"""`board-types`: what the line calls products; taught, read and forgotten."""
+"""`board-types`: store, read and delete board types."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from vaoi_station.model import BoardType
 
 
 def router(services: Services) -> APIRouter:
-    """Board types as `docs/formats.md` has them."""
+    """Create the routes of board types, in the format of `docs/formats.md`."""
     routes = APIRouter(prefix="/board-types", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("", response_model_exclude_none=True)
     async def list_board_types(response: Response) -> BoardTypeList:
-        """All board types by name; one whose file cannot be used is listed with its fault."""
+        """List all board types by name; an unusable file is listed with its fault."""
         response.headers["Cache-Control"] = REVALIDATE
         return BoardTypeList(board_types=list(await ask(coordinator.board_types)))
 
     @routes.get("/{name}", response_model=BoardType)
     async def get_board_type(request: Request, name: BoardTypeName) -> Response:
-        """One board type, as it was taught."""
+        """Return one board type as stored."""
         content = _document(await ask(coordinator.board_type, name))
         return conditional_response(request, content, "application/json", cache=REVALIDATE)
 
     @routes.put("/{name}", response_model=BoardType, responses={201: {"model": BoardType, "description": "New."}})
     async def put_board_type(request: Request, name: BoardTypeName, board_type: BoardType) -> Response:
-        """Teach a board type; the same again replaces it. Runs keep the one they were filmed with.
+        """Store a board type, or replace it. Finished runs keep the version they were filmed with.
 
-        A line that is armed for it keeps the one it was armed with; the new one holds from the next arming on.
+        An armed line keeps its version as well; the new one applies from the next arming on.
         """
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
@@ -50,7 +50,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.delete("/{name}", status_code=204)
     async def delete_board_type(name: BoardTypeName) -> None:
-        """Forget a board type; 409 while the station is armed with it."""
+        """Delete a board type; 409 while the station is armed with it."""
         await ask(coordinator.delete_board_type, name)
 
     return routes

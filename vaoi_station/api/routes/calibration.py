@@ -1,4 +1,4 @@
-"""`calibration`: the one in force, and how the cameras stand to it."""
+"""`calibration`: the calibration in use, and the drift of each camera."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
 
 
 def router(services: Services) -> APIRouter:
-    """The calibration in force."""
+    """Create the route of the calibration in use."""
     routes = APIRouter(prefix="/calibration", tags=["station"])
 
     @routes.get("", response_model_exclude_none=True)
     async def get_calibration(response: Response) -> CalibrationStatus:
-        """The calibration in force, and camera by camera whether it still holds: a drift with its size and since when.
+        """Return the calibration in use, and for each camera its state, a drift with size and start, and its history.
 
-        Displacements are in px of the camera's frame against its calibration, from the boards that have passed.
+        Displacements are in px of the camera's frame relative to its calibration, estimated from filmed boards.
         """
         response.headers["Cache-Control"] = LIVE
         return await services.commands.ask(services.coordinator.calibration)

@@ -1,4 +1,4 @@
-"""`runs/{id}/components/…`: where the components are, which frames show them, and their temporary images."""
+"""`runs/{id}/components/…`: positions of components, the frames that show them, and their temporary images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered
 from vaoi_station.runs.states.tables import FINISHED
 
-Index = Annotated[int, Path(description="Which of the component's views, from 0.", ge=0, le=99_999)]
+Index = Annotated[int, Path(description="Index of the view, from 0.", ge=0, le=99_999)]
 
 RENDERED_AS: dict[ImageFormat, Rendered] = {
     ImageFormat.PNG: "png",
@@ -27,11 +27,11 @@ RENDERED_AS: dict[ImageFormat, Rendered] = {
     ImageFormat.NPY: "npy",
     ImageFormat.RAW: "npy",
 }
-"""What the coordinator is asked for; raw is an npy without its header."""
+"""Format requested from the coordinator; raw is made from npy without its header."""
 
 
 def router(services: Services) -> APIRouter:
-    """Components and their temporary images; `{ref}` is `ref`, or `panel/ref` on a panel."""
+    """Create the routes of components; `{ref}` is `ref`, or `panel/ref` on a panel."""
     routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
     coordinator, ask = services.coordinator, services.commands.ask
 
@@ -42,11 +42,12 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("", response_model=ComponentList)
     async def list_components(request: Request, run: RunId) -> Response:
-        """Components of the board type the run was filmed with, and where they were."""
+        """List the components of the run's board type with their positions."""
         found = await ask(coordinator.components, run)
         entries = [_entry(c, f"{quote(request.url.path)}/{quote(c.address)}") for c in found]
         return await answer(request, run, ComponentList(components=entries))
 
+    # Before "/{ref:path}", whose path parameter would match this address as well.
     @routes.get("/{ref:path}/images/{k}", response_class=Response, responses=PICTURE)
     async def get_component_image(
         *,
@@ -59,9 +60,9 @@ def router(services: Services) -> APIRouter:
         format: FormatName = None,
         accept: Accept = None,
     ) -> Response:
-        """Temporary image k of the component: upright, CAD-aligned, from one frame.
+        """Return temporary image k of the component: upright, CAD-aligned, from one frame.
 
-        `k`, `px_per_mm` and `min_coverage` as in the list of views. 410: the run's memory went to a later board.
+        Pass the `px_per_mm` and `min_coverage` of the list of views. 410: the frames are no longer in memory.
         """
         image_format = choose_format(format, accept)
 
@@ -78,7 +79,7 @@ def router(services: Services) -> APIRouter:
     async def get_component(
         request: Request, run: RunId, ref: Address, px_per_mm: PxPerMm = None, min_coverage: MinCoverage = 0.5
     ) -> Response:
-        """The frames that show a component, and the address of the temporary image each gives."""
+        """List the frames that show a component, best first, with the addresses of their temporary images."""
         views = await ask(coordinator.views, run, ref, px_per_mm, min_coverage)
         frames = {(f.camera, f.row): f for f in (await ask(coordinator.run, run)).frames}
         address = quote(request.url.path)

@@ -1,4 +1,4 @@
-"""`events`: what happens, as server-sent events that can be resumed."""
+"""`events`: the event log as server-sent events that can be resumed."""
 
 from __future__ import annotations
 
@@ -19,16 +19,14 @@ RECONNECT_MS = 1000
 
 
 def router(services: Services) -> APIRouter:
-    """The event log, live."""
+    """Create the route of the event stream."""
     routes = APIRouter(tags=["events"])
 
     async def start(
-        after: Annotated[
-            int | None, Query(ge=0, le=2**53, description="Number of the last event that is known.")
-        ] = None,
-        last_event_id: Annotated[str | None, Header(description="The same, from a client that reconnects.")] = None,
+        after: Annotated[int | None, Query(ge=0, le=2**53, description="Number of the last event received.")] = None,
+        last_event_id: Annotated[str | None, Header(description="The same, sent by a client that reconnects.")] = None,
     ) -> int:
-        """Where to begin: behind the last event the caller knows, or behind the newest."""
+        """Return the event number after which the stream starts."""
         newest = (await services.commands.ask(services.coordinator.snapshot)).last_event
         if last_event_id:
             if not (last_event_id.isascii() and last_event_id.isdecimal() and len(last_event_id) < 17):
@@ -36,17 +34,20 @@ def router(services: Services) -> APIRouter:
             after = int(last_event_id)
         return newest if after is None else min(after, newest)
 
-    async def seat() -> AsyncIterator[None]:
-        """A place among those who wait, taken before the first header is sent; 503 when there is none."""
+    async def reserve_place() -> AsyncIterator[None]:
+        """Reserve a place in the hub."""
+        # A dependency, because it runs before the first header is sent: a refusal can still be a 503.
         async with services.hub.place():
             yield
 
     @routes.get("/events", response_class=EventSourceResponse)
-    async def stream_events(after: int = Depends(start), _: None = Depends(seat)) -> AsyncIterator[ServerSentEvent]:
-        """Every event as one message whose id is its number, in order and without gaps.
+    async def stream_events(
+        after: int = Depends(start), _: None = Depends(reserve_place)
+    ) -> AsyncIterator[ServerSentEvent]:
+        """Stream every event as one message whose id is its number, in order and without gaps.
 
-        Resume with `Last-Event-ID` (browsers do it by themselves) or `?after=`; without either, only what
-        happens from now on. Every two seconds without news an event `heartbeat` tells state and time.
+        Resume with `Last-Event-ID` (browsers send it automatically) or `?after=`; without either the stream starts
+        with the next event. After two seconds without an event, an event `heartbeat` reports state and time.
         """
         yield await _heartbeat(services)
         while not services.hub.closed:
@@ -65,7 +66,8 @@ def _message(record: EventRecord) -> ServerSentEvent:
 
 
 async def _heartbeat(services: Services) -> ServerSentEvent:
-    """Asked of the coordinator, so that it stops when the coordinator hangs, not only when the network does."""
+    """Build a heartbeat from the coordinator's state."""
+    # Asking the coordinator makes heartbeats stop if its thread hangs, not only if the network fails.
     now = await services.commands.ask(services.coordinator.snapshot)
-    beat = Heartbeat(time=datetime.now(UTC).isoformat(), state=now.state, last_event=now.last_event)
-    return ServerSentEvent(raw_data=beat.model_dump_json(), event="heartbeat", retry=RECONNECT_MS)
+    heartbeat = Heartbeat(time=datetime.now(UTC).isoformat(), state=now.state, last_event=now.last_event)
+    return ServerSentEvent(raw_data=heartbeat.model_dump_json(), event="heartbeat", retry=RECONNECT_MS)

@@ -1,4 +1,4 @@
-"""`runs/{id}/frames/{camera}/{row}`: the frames as the cameras gave them."""
+"""`runs/{id}/frames/{camera}/{row}`: frames as delivered by the cameras."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from vaoi_station.api.services import Services
 Accept = Annotated[str | None, Header(max_length=500)]
 PICTURE: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "The picture; raw is described by X-Image-* headers.",
+        "description": "The image; X-Image-* headers describe raw pixels.",
         "content": {media: {"schema": {"type": "string", "format": "binary"}} for media in MEDIA_TYPES.values()},
     }
 }
 
 
 def router(services: Services) -> APIRouter:
-    """Raw frames."""
+    """Create the route of frames."""
     routes = APIRouter(prefix="/runs/{run}/frames", tags=["pictures"])
 
     @routes.get("/{camera}/{row}", response_class=Response, responses=PICTURE)
@@ -34,12 +34,12 @@ def router(services: Services) -> APIRouter:
         format: FormatName = None,
         accept: Accept = None,
         incomplete: Annotated[
-            Literal["refuse", "show"], Query(description="Whether a frame with holes is answered.")
+            Literal["refuse", "show"], Query(description="Whether an incomplete frame is returned.")
         ] = "refuse",
     ) -> Response:
-        """One frame, exact as PNG, TIFF, npy or raw. With `incomplete=show` a frame with holes too.
+        """Return one frame, lossless as PNG, TIFF, npy or raw; an incomplete one with `incomplete=show`.
 
-        The header X-Frame-Verdict says `ok` or `incomplete`. 410: its memory went to a later board.
+        The header X-Frame-Verdict is `ok` or `incomplete`. 410: the frame is no longer in memory.
         """
         image_format = choose_format(format, accept)
 

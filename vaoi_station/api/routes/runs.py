@@ -1,4 +1,4 @@
-"""`runs`: one board's passage each; lists, the long poll, results, memory."""
+"""`runs`: lists, the long poll, results, and the memory of runs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
 from vaoi_station.runs.states.tables import IN_MEMORY
 
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]
-Holder = Annotated[str, Query(description="Who holds the run.", min_length=1, max_length=80)]
+Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, max_length=80)]
 
 
 def router(services: Services) -> APIRouter:
-    """Everything about a run but its pictures."""
+    """Create the routes of runs, except those of pictures."""
     routes = APIRouter(prefix="/runs", tags=["runs"])
     coordinator, ask = services.coordinator, services.commands.ask
 
@@ -28,29 +28,30 @@ def router(services: Services) -> APIRouter:
     async def list_runs(
         response: Response, limit: Annotated[int, Query(ge=1, le=500)] = 50, before: Cursor = None
     ) -> RunPage:
-        """Runs, newest first; `next` is the cursor for the page after."""
+        """List runs, newest first; `next` is the cursor of the next page."""
+        # One more than requested shows whether there is a further page.
         found = await ask(coordinator.runs, limit + 1, before)
         response.headers["Cache-Control"] = LIVE
         return RunPage(runs=list(found[:limit]), next=found[limit - 1].id if len(found) > limit else None)
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
-        """The run that finished last; 404 `no-run-yet` before the first."""
+        """Return the run that finished last; 404 `no-run-yet` before the first."""
         run = await ask(coordinator.latest)
         if run is None:
             raise NotFoundError(
                 "No board has been filmed yet.",
-                action="Arm the station and let a board pass; then ask again.",
+                action="Arm the station, let a board pass, and try again.",
                 code="no-run-yet",
             )
         return _detail(request, run)
 
-    @routes.get("/next", response_model=RunDetail, responses={204: {"description": "None finished in time."}})
+    @routes.get("/next", response_model=RunDetail, responses={204: {"description": "No run finished in time."}})
     async def wait_for_next_run(request: Request, after: Cursor = None, timeout: TimeoutS = 30.0) -> Response:
-        """Long poll: the first run that finished after the run `after`, at once if there is one; 204 on time-out.
+        """Wait for the first run that finished after the run `after` (long poll); 204 on time-out.
 
-        Without `after`: the first run that finishes after this call. A caller that follows the ids sees
-        every finished run once.
+        Returns at once if there is such a run. Without `after`, it waits for the first run that finishes after this
+        call. A client that passes the id of each reply as the next `after` gets every finished run exactly once.
         """
         if (run := await _next(services, after, timeout)) is None:
             return Response(status_code=204, headers={"Cache-Control": LIVE})
@@ -58,18 +59,18 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/{run}", response_model=RunDetail)
     async def get_run(request: Request, run: RunId) -> Response:
-        """One run, also while it is filmed, with the verdict of every frame."""
+        """Return one run, also while it is filmed, with the verdict of every frame."""
         return _detail(request, await ask(coordinator.run, run))
 
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
-        """The result in the format of `docs/formats.md`; 409 while it is not there yet."""
+        """Return the result in the format of `docs/formats.md`; 409 while there is none yet."""
         content = (await ask(coordinator.stitch_text, run)).encode()
         return conditional_response(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)
     async def release_run(response: Response, run: RunId) -> RunDetail:
-        """Give up a finished run's frames, so that their memory is free for the next board; the result stays."""
+        """Release a finished run's frames, so that their memory is free for the next board; the result is kept."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.release, run)
 
@@ -80,28 +81,30 @@ def router(services: Services) -> APIRouter:
         holder: Holder,
         purpose: Annotated[str, Query(max_length=200)] = "",
     ) -> LeaseStatus:
-        """Keep a run's frames in memory until the hold expires; the same call again renews it."""
+        """Keep a run's frames in memory until the hold expires; a repeated call renews it."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.hold, run, holder, purpose)
 
     @routes.delete("/{run}/hold", status_code=204)
     async def let_go_of_run(run: RunId, holder: Holder) -> None:
-        """End a hold; harmless if there is none."""
+        """End a hold; no effect if there is none."""
         await ask(coordinator.end_hold, run, holder)
 
     return routes
 
 
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
-    """A run's state changes when its memory goes, so that its answer is asked for again by ETag."""
+    """Return a run as JSON with its ETag."""
+    # Even a finished run changes its state when its frames are released, so clients must revalidate.
     content = run.model_dump_json(exclude_none=True).encode()
     return conditional_response(request, content, "application/json", cache=cache)
 
 
 async def _next(services: Services, after: str | None, timeout_s: float) -> RunDetail | None:
-    """Wait on the hub, without a thread, and look whenever something has happened."""
+    """Wait for the next finished run without holding a thread; return None on time-out."""
     hub, ask, coordinator = services.hub, services.commands.ask, services.coordinator
     until = time.monotonic() + timeout_s
+    # The event number is read before the run list: a run that finishes in between is found by its event.
     seen = hub.newest if after is not None else (await ask(coordinator.snapshot)).last_event
     async with hub.place():
         while True:

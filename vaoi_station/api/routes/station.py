@@ -1,4 +1,4 @@
-"""`station`: its state, and the two commands."""
+"""`station`: state, arm and disarm."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Text = Annotated[str | None, Query(max_length=200)]
 
 
 def router(services: Services) -> APIRouter:
-    """State and commands of the station."""
+    """Create the routes of the station."""
     routes = APIRouter(prefix="/station", tags=["station"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("", response_model_exclude_none=True)
     async def get_station(response: Response) -> StationSnapshot:
-        """State, health, memory, versions, and what is kept how long."""
+        """Return state, health, memory, versions and retention."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.snapshot)
 
@@ -37,11 +37,11 @@ def router(services: Services) -> APIRouter:
         runs: Annotated[int | None, Query(ge=1, le=1_000_000)] = None,
         allow_lost_cameras: bool | None = None,
     ) -> StationSnapshot:
-        """Film every board from now on; by JSON body or by query parameters, whichever is easier.
+        """Arm the station: film every board from now on. The order is a JSON body, query parameters, or both.
 
-        Answers once cameras and controller are armed. 404: nobody taught the board type; 409: a board is
-        passing, or the station is faulted; 503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms
-        all the same), or all memory is in use, with the holders.
+        Replies when cameras and controller are armed. 404: unknown board type; 409: a board is passing, or the station
+        is faulted; 503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms without it), or all memory is
+        in use (the detail names the holders).
         """
         given = {
             "board_type": board_type,
@@ -57,7 +57,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.post("/disarm", response_model_exclude_none=True)
     async def disarm_station(response: Response) -> StationSnapshot:
-        """Ignore the barrier; a run under way is finished with what it has. Harmless when idle."""
+        """Disarm the station: ignore the light barrier. A run under way is finished; no effect when idle."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.disarm)
 
@@ -65,17 +65,17 @@ def router(services: Services) -> APIRouter:
 
 
 def _merged(request: ArmRequest, given: dict[str, Any]) -> ArmRequest:
-    """Body and query together; InputError where they contradict each other or name no board type."""
+    """Merge body and query; raise InputError if they contradict each other or name no board type."""
     merged = request.model_dump()
     for key, value in given.items():
         if value is not None and merged[key] not in (None, value):
             raise InputError(
-                f"{key} is {merged[key]!r} in the body and {value!r} in the query.", action="Give it once."
+                f"{key} is {merged[key]!r} in the body and {value!r} in the query.", action="Give the value once."
             )
         merged[key] = merged[key] if value is None else value
     if not merged["board_type"]:
         raise InputError(
-            "board_type is missing; it must name a board type that was taught.",
-            action="Choose a board type; /api/v1/board-types lists them.",
+            "board_type is missing; it must name a stored board type.",
+            action="Choose a board type from /api/v1/board-types.",
         )
     return ArmRequest.model_validate(merged)

@@ -1,4 +1,4 @@
-"""`board-types/{name}/reference` and `…/method`: how boards of a type are stitched, and against what."""
+"""`board-types/{name}/reference` and `…/method`: reference and stitching method of a board type."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from vaoi_station.runs.states.schemas import ReferenceStatus, StitchingMethod
 
 
 def router(services: Services) -> APIRouter:
-    """References and methods; what is changed holds from the next arming on."""
+    """Create the routes of references and methods; changes apply from the next arming on."""
     routes = APIRouter(prefix="/board-types/{name}", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("/reference", response_model_exclude_none=True)
     async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:
-        """The run that boards of this type are placed against, and whether it can be used; 404 `no-reference`."""
+        """Return the reference of the board type and whether it is usable; 404 `no-reference` without one."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.reference, name)
 
     @routes.put(
         "/reference",
         response_model_exclude_none=True,
-        responses={201: {"model": ReferenceStatus, "description": "It had none before."}},
+        responses={201: {"model": ReferenceStatus, "description": "The board type had no reference before."}},
     )
     async def teach_reference(
         request: Request, response: Response, name: BoardTypeName, wanted: TeachRequest
     ) -> ReferenceStatus:
-        """Make a finished run the reference of its board type; holds from the next arming on.
+        """Make a finished run the reference of its board type, from the next arming on.
 
-        A small set of frames of each row is copied to the disk. 409: the run's verdict is not ok, or it has none
-        yet; 410: its frames are no longer in memory; 422: it shows another board type.
+        Some frames of each row are copied to the disk. 409: the run's verdict is not ok, or it has none yet; 410: its
+        frames are no longer in memory; 422: it is a run of another board type.
         """
         response.headers["Cache-Control"] = LIVE
         if await ask(coordinator.teach_reference, name, wanted.run):
@@ -45,24 +45,24 @@ def router(services: Services) -> APIRouter:
 
     @routes.delete("/reference", status_code=204)
     async def forget_reference(name: BoardTypeName) -> None:
-        """Place boards without a reference, from the next arming on."""
+        """Delete the reference, from the next arming on."""
         await ask(coordinator.forget_reference, name)
 
     @routes.get("/method", response_model_exclude_none=True)
     async def get_method(response: Response, name: BoardTypeName) -> StitchingMethod:
-        """How boards of this type are stitched: by a way of their own, or by the station's."""
+        """Return the stitching method of the board type, its own or the station's default."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.method, name)
 
     @routes.put("/method", response_model_exclude_none=True)
     async def set_method(response: Response, name: BoardTypeName, wanted: MethodRequest) -> StitchingMethod:
-        """Give the board type a way of its own, from the next arming on."""
+        """Set the stitching method of the board type, from the next arming on."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.set_method, name, wanted.method)
 
     @routes.delete("/method", response_model_exclude_none=True)
     async def forget_method(response: Response, name: BoardTypeName) -> StitchingMethod:
-        """The station's way (`method` of station.toml) holds again."""
+        """Delete the board type's own method; the station's default (`method` of station.toml) applies."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.set_method, name, None)
 

@@ -1,4 +1,4 @@
-// The operator's page: one state, what to do, the last board and its pictures; all of it live.
+// The operator's page: state, instruction, last board and its pictures, updated by events.
 import * as rest from "./rest.js";
 import { Board } from "./board.js";
 import { Controls } from "./controls.js";
@@ -7,7 +7,7 @@ import { draw } from "./marks.js";
 import { texts } from "./texts.en.js";
 
 const $ = (id) => document.getElementById(id);
-const SOON_MS = 5000; // a next try that is nearer need not be told
+const SOON_MS = 5000; // attempts that are due sooner are not shown
 const TONES = { blocked: "caution", lacking: "caution", faulted: "fault" };
 
 for (const element of document.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
@@ -21,18 +21,18 @@ let stale = false;
 let asked = 0;
 
 const live = new Live({
-  onNews: (record) => {
+  onEvent: (record) => {
     if (record?.kind === "board-type") controls.reload();
     refresh();
   },
-  onBeat: (beat) => {
-    board.setClock(beat.time);
-    if (beat.state !== shown?.state || beat.last_event !== shown?.last_event) refresh();
+  onHeartbeat: (heartbeat) => {
+    board.setClock(heartbeat.time);
+    if (heartbeat.state !== shown?.state || heartbeat.last_event !== shown?.last_event) refresh();
   },
   onAge: showAge,
 });
 
-// One look at a time, and one more if something happened meanwhile.
+// One request at a time, and one more if an event came meanwhile.
 async function refresh() {
   if (asking) {
     again = true;
@@ -49,7 +49,7 @@ async function refresh() {
     } while (again);
   } catch (error) {
     if (!(error instanceof rest.Refusal) && !(error instanceof TypeError)) throw error;
-    // the station is away or cannot answer: the heartbeat stops too, and the page says so
+    // The station is unreachable or refuses: the heartbeat stops too, and the page shows that its data are old.
   } finally {
     asking = false;
   }
@@ -77,7 +77,7 @@ function showStation(now) {
   controls.show(now);
 }
 
-// What is waited for before it is tried again; nothing else may happen until then, so the page asks by itself.
+// Pending retries. No event may come before a retry, so the page requests the state again after it.
 function nextTries(now) {
   const cameras = now.cameras.map((c) => ({ name: texts.camera(c.name), next_try: c.next_try }));
   const far = [...now.processes, ...cameras].filter((p) => p.next_try && board.until(p.next_try) > SOON_MS);
@@ -111,7 +111,7 @@ function showAge(old, seconds) {
   board.tick();
 }
 
-// Live regions speak when their text changes, so it is set only when it does.
+// Screen readers announce a live region whenever its text is set, so it is set only when it changes.
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
@@ -122,7 +122,7 @@ async function start() {
     showStation(now);
     live.open(now.last_event);
   } catch {
-    live.open(0); // whatever is wrong, the stream reconnects, and then the page asks again
+    live.open(0); // the stream reconnects after any failure, and the page then requests the state again
   }
   await controls.reload();
   await refresh();

@@ -1,11 +1,11 @@
-// The last board: what it was, what became of it, and the pictures of one component.
+// The last board: its data, its verdict, and the pictures of one component.
 import * as rest from "./rest.js";
 import { draw } from "./marks.js";
 import { texts } from "./texts.en.js";
 
 const $ = (id) => document.getElementById(id);
-const MOST_PICTURES = 24;
-const PATIENCE_MS = 1000;
+const MAX_PICTURES = 24;
+const DECODE_LIMIT_MS = 1000;
 
 export class Board {
   #run = null;
@@ -21,7 +21,7 @@ export class Board {
     });
   }
 
-  // The station's clock counts, not the screen's.
+  // Ages are computed with the station's clock; the clock of the browser's computer may be wrong.
   setClock(time) {
     this.#offset_ms = Date.parse(time) - Date.now();
   }
@@ -115,7 +115,7 @@ export class Board {
     }
     const { views } = await rest.component(run.id, ref);
     if (run !== this.#run || ref !== this.#chosen) return; // overtaken by a later board or choice
-    const figures = views.slice(0, MOST_PICTURES).map((view) => picture(run, ref, view));
+    const figures = views.slice(0, MAX_PICTURES).map((view) => picture(run, ref, view));
     await loaded(figures);
     if (run !== this.#run || ref !== this.#chosen) return;
     $("views").textContent = texts.views(views.length);
@@ -124,15 +124,15 @@ export class Board {
   }
 }
 
-// So that pictures change at once instead of going dark; but nobody waits long for a slow one.
+// Waits until the pictures are decoded, so that they change together; a slow one is not awaited longer than this.
 function loaded(figures) {
   const images = figures.map((figure) => figure.querySelector("img").decode());
-  return Promise.race([Promise.allSettled(images), new Promise((done) => setTimeout(done, PATIENCE_MS))]);
+  return Promise.race([Promise.allSettled(images), new Promise((done) => setTimeout(done, DECODE_LIMIT_MS))]);
 }
 
 const note = (text) => Object.assign(document.createElement("p"), { textContent: text });
 
-// A board is judged by its big parts first.
+// The default choice: defects are seen best on the largest component.
 function largestSeen(list) {
   const seen = list.filter((c) => c.views > 0);
   return seen.sort((a, b) => b.width_mm * b.height_mm - a.width_mm * a.height_mm)[0];
@@ -141,7 +141,7 @@ function largestSeen(list) {
 function picture(run, ref, view) {
   const figure = document.createElement("figure");
   const image = document.createElement("img");
-  // the time of the run keeps a browser from showing an older station's picture of the same address
+  // After a reinstallation run ids may repeat; the start time keeps the browser from using a cached picture.
   const address = new URL(view.url, location.href);
   address.searchParams.set("format", "jpeg");
   address.searchParams.set("of", run.started);

@@ -7,7 +7,7 @@ const $ = (id) => document.getElementById(id);
 export class Controls {
   #onDone;
   #armedType = null;
-  #despite = false; // the last refusal was for a lost camera: the next press arms all the same
+  #allowLost = false; // the last refusal was for a lost camera: the next press arms without it
 
   constructor(onDone) {
     this.#onDone = onDone;
@@ -15,7 +15,7 @@ export class Controls {
       event.preventDefault();
       const request = { board_type: $("board-type").value };
       if ($("board-id").value.trim()) request.board_id = $("board-id").value.trim();
-      if (this.#despite) request.allow_lost_cameras = true;
+      if (this.#allowLost) request.allow_lost_cameras = true;
       this.#command(() => rest.arm(request), texts.armedFor(request.board_type));
     });
     $("disarm").addEventListener("click", () => this.#command(() => rest.disarm(), texts.disarmed));
@@ -63,9 +63,9 @@ export class Controls {
     this.#onDone();
   }
 
-  #offer(despite) {
-    this.#despite = despite;
-    $("arm").textContent = despite ? texts.armDespite : texts.arm;
+  #offer(allowLost) {
+    this.#allowLost = allowLost;
+    $("arm").textContent = allowLost ? texts.armAnyway : texts.arm;
   }
 
   #say(text, refused) {

@@ -1,4 +1,4 @@
-// The event stream and its heartbeat; says when nothing has come for too long.
+// The event stream and its heartbeat; reports when no message has come for too long.
 import { eventsAddress } from "./rest.js";
 
 const STALE_MS = 5000;
@@ -6,12 +6,12 @@ const CHECK_MS = 500;
 
 export class Live {
   #source = null;
-  #heardAt = performance.now();
+  #receivedAt = performance.now();
   #newest = 0;
 
-  // onNews(record or null): something happened, null after a reconnect; onBeat(heartbeat); onAge(stale, seconds)
-  constructor({ onNews, onBeat, onAge }) {
-    Object.assign(this, { onNews, onBeat, onAge });
+  // onEvent(record, or null after a reconnect), onHeartbeat(heartbeat), onAge(stale, seconds)
+  constructor({ onEvent, onHeartbeat, onAge }) {
+    Object.assign(this, { onEvent, onHeartbeat, onAge });
     setInterval(() => this.#check(), CHECK_MS);
   }
 
@@ -19,26 +19,26 @@ export class Live {
     this.#newest = Math.max(this.#newest, after);
     this.#source?.close();
     this.#source = new EventSource(eventsAddress(this.#newest));
-    this.#source.onopen = () => this.onNews(null);
+    this.#source.onopen = () => this.onEvent(null);
     this.#source.onmessage = (message) => {
-      this.heard();
+      this.noteMessage();
       this.#newest = Number(message.lastEventId);
-      this.onNews(JSON.parse(message.data));
+      this.onEvent(JSON.parse(message.data));
     };
     this.#source.addEventListener("heartbeat", (message) => {
-      this.heard();
-      this.onBeat(JSON.parse(message.data));
+      this.noteMessage();
+      this.onHeartbeat(JSON.parse(message.data));
     });
   }
 
-  heard() {
-    this.#heardAt = performance.now();
+  noteMessage() {
+    this.#receivedAt = performance.now();
   }
 
   #check() {
-    const silent = performance.now() - this.#heardAt;
+    const silent = performance.now() - this.#receivedAt;
     this.onAge(silent > STALE_MS, Math.floor(silent / 1000));
-    // a browser gives up after an answer that is no stream; ask again
+    // A browser does not reconnect after a reply that is not an event stream.
     if (this.#source?.readyState === EventSource.CLOSED) this.open(this.#newest);
   }
 }

@@ -1,4 +1,4 @@
-// Shapes that tell states apart without colour. Each is the inside of an SVG with viewBox 0 0 100 100.
+// Shapes that distinguish states without colour. Each is the content of an SVG with viewBox 0 0 100 100.
 const line = 'fill="none" stroke="currentColor" stroke-width="8" stroke-linecap="round" stroke-linejoin="round"';
 const ring = `<circle cx="50" cy="50" r="42" ${line}/>`;
 const dashed = `<circle cx="50" cy="50" r="42" ${line} stroke-dasharray="20 24"/>`;

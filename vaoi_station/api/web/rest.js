@@ -1,4 +1,4 @@
-// Calls to the station. A refusal carries the problem's detail and what to do.
+// Calls to the station. A refusal carries the problem's detail and action.
 const api = "/api/v1";
 
 export class Refusal extends Error {

@@ -1,37 +1,37 @@
-// Every word of the page; another language is another file with the same keys.
+// All texts of the page; a translation is another file with the same keys.
 export const texts = {
-  interface: "Interface for programs",
+  interface: "Programming interface",
   boardType: "Board type",
   boardId: "Board id",
   arm: "Arm",
-  armDespite: "Arm all the same",
+  armAnyway: "Arm anyway",
   disarm: "Disarm",
   lastBoard: "Last board",
   component: "Component",
-  unusable: "cannot be used",
+  unusable: "unusable",
 
   states: {
-    starting: ["Starting", "Wait: workers start first, then cameras and controller are opened."],
+    starting: ["Starting", "Wait until workers, cameras and controller have started."],
     idle: ["Not armed", "Choose the board type and press Arm."],
-    arming: ["Arming", "Wait a moment before the next board."],
+    arming: ["Arming", "Hold the next board back for a moment."],
     armed: ["Ready", "Let the next board in."],
-    lacking: ["Camera missing", "Hold the next board back: it would be filmed with gaps."],
+    lacking: ["Camera missing", "Hold the next board back. It would be filmed without one camera."],
     filming: ["Filming", "A board is passing. Do not touch it."],
-    blocked: ["Memory full", "Hold the next board back until the tester has fetched its pictures."],
+    blocked: ["Memory full", "Hold the next board back until the tester has released a board."],
     faulted: ["Fault", "Hold the next board back and call the engineer."],
-    stopping: ["Stopping", "The station is going down. Hold the next board back."],
+    stopping: ["Stopping", "The station is shutting down. Hold the next board back."],
     unknown: ["Unknown", "Reload this page."],
   },
   verdicts: {
     ok: "Pictures good",
     degraded: "Pictures with reservations",
     failed: "No usable pictures",
-    none: "Being computed",
+    none: "Result pending",
   },
   noBoard: "No board yet",
   noBoardHint: "Arm the station and let a board pass.",
   facts: { board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger" },
-  noId: "no id given",
+  noId: "no id",
   frames: (ok, incomplete, missing, rows, cameras) => {
     const all = ok + incomplete + missing;
     const lost = [incomplete && `${incomplete} incomplete`, missing && `${missing} missing`].filter(Boolean);
@@ -40,9 +40,9 @@ export const texts = {
   },
   trigger: (proof) => {
     const worst = Math.max(0, ...proof.cameras.map((c) => c.max_residual_us ?? 0));
-    if (proof.proven) return `every frame belongs to its pulse, to ${worst.toFixed(1)} µs`;
+    if (proof.proven) return `all frames match their pulses within ${worst.toFixed(1)} µs`;
     const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
-    return `not proven for camera ${cameras.join(", ")}`;
+    return `not confirmed for camera ${cameras.join(", ")}`;
   },
   ago: (s) => {
     if (s < 60) return `${Math.max(0, Math.floor(s))} s ago`;
@@ -52,7 +52,7 @@ export const texts = {
   },
   views: (n) => (n === 1 ? "1 picture" : `${n} pictures`),
   caption: (view) => `camera ${view.camera}, row ${view.row}`,
-  alt: (ref, view) => `${ref}, seen by camera ${view.camera} in row ${view.row}`,
+  alt: (ref, view) => `${ref}, camera ${view.camera}, row ${view.row}`,
   whole: (percent) => (percent >= 100 ? "" : `, ${percent} % of it`),
   unloadable: ", not available",
   picturesGone: "The pictures of this board are no longer in memory.",
@@ -63,11 +63,11 @@ export const texts = {
       .filter(Boolean)
       .join(", ") + ".",
   camera: (name) => (name.toLowerCase().startsWith("camera") ? name : `camera ${name}`),
-  nextTry: (name, time) => `Next try of ${name}: ${time}.`,
+  nextTry: (name, time) => `Next attempt for ${name}: ${time}.`,
   armedFor: (type) => `Armed for ${type}.`,
   disarmed: "Disarmed.",
-  noAnswer: "The station did not answer. Try again.",
+  noAnswer: "The station did not respond. Try again.",
   noData: (s) => `No data for ${s} s:`,
-  old: "what is shown below is old. Check the station and the network.",
-  connecting: "the station does not answer. Check that it runs, and the network.",
+  old: "the data below are out of date. Check the station and the network.",
+  connecting: "the station does not respond. Check that it is running, and check the network.",
 };

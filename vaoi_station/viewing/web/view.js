@@ -1,5 +1,5 @@
-// Live frames with their figures. Each answer brings the figures of the newest frames; the pictures of just these
-// frames are loaded before anything is drawn, so that marks are always drawn on the frame they were found in.
+// Live frames with their figures. A reply lists the latest frames; their pictures are loaded before anything is drawn, so
+// that marks are always drawn on the frame in which they were detected.
 const $ = (selector, root = document) => root.querySelector(selector);
 const SVG = "http://www.w3.org/2000/svg";
 const BLUR_LIMIT = 1.3;
@@ -11,7 +11,7 @@ let number = 0;
 $("#hold").addEventListener("click", (event) => {
   held = !held;
   event.target.setAttribute("aria-pressed", String(held));
-  event.target.textContent = held ? "Go on" : "Hold";
+  event.target.textContent = held ? "Continue" : "Hold";
 });
 $("#forget").addEventListener("click", () => best.clear());
 
@@ -55,7 +55,7 @@ function focus(root, camera) {
   const share = top > 0 ? f.focus / top : 0;
   $(".now", root).value = share;
   const sharp = f.blur_px === null ? "no edges" : `blur ${px(f.blur_px)} px, MTF50 ${f.mtf50.toFixed(2)} cycles/px`;
-  $(".words", root).textContent = `${percent(share)} of the best so far (${f.focus.toPrecision(3)}); ${sharp}`;
+  $(".words", root).textContent = `${percent(share)} of the best value (${f.focus.toPrecision(3)}); ${sharp}`;
   $(".tiles tbody", root).replaceChildren(...f.blur_tiles_px.map((row) => {
     const line = document.createElement("tr");
     line.append(...row.map((value) => Object.assign(document.createElement("td"), {
@@ -67,16 +67,16 @@ function focus(root, camera) {
 
 function facts(root, camera) {
   const f = camera.figures;
-  const told = [
+  const entries = [
     ["mean", percent(f.mean)], ["saturated", percent(f.saturated, 2)],
     ["1 % below", percent(f.low)], ["99 % below", percent(f.high)],
     ["exposure", `${camera.exposure_us} µs`],
   ];
   if (camera.mark_size_px !== null) {
     const of = camera.marks_expected === null ? "" : ` of ${camera.marks_expected}`;
-    told.push(["marks", `${camera.marks.length}${of}`]);
+    entries.push(["marks", `${camera.marks.length}${of}`]);
   }
-  $("dl", root).replaceChildren(...told.flatMap(([name, value]) => [
+  $("dl", root).replaceChildren(...entries.flatMap(([name, value]) => [
     Object.assign(document.createElement("dt"), { textContent: name }),
     Object.assign(document.createElement("dd"), { textContent: value }),
   ]));
@@ -110,29 +110,29 @@ async function load(camera) {
   return picture;
 }
 
-async function look() {
+async function update() {
   const answer = await fetch(`/api/look?after=${number}&timeout_s=2`, { cache: "no-store" });
-  if (!answer.ok) throw new Error(`the program answers ${answer.status}`);
-  const news = await answer.json();
-  $("#station").textContent = news.station;
-  list($("#notices"), news.notices);
-  const fresh = news.cameras.filter((c) => cards.get(c.camera)?.dataset.number !== String(c.number));
+  if (!answer.ok) throw new Error(`HTTP status ${answer.status}`);
+  const reply = await answer.json();
+  $("#station").textContent = reply.station;
+  list($("#notices"), reply.notices);
+  const fresh = reply.cameras.filter((c) => cards.get(c.camera)?.dataset.number !== String(c.number));
   const loaded = await Promise.allSettled(fresh.map(load));
   if (held) return;
   fresh.forEach((camera, k) => loaded[k].status === "fulfilled" && draw(camera, loaded[k].value));
-  number = news.number;
-  const silent = news.names.length - news.cameras.length;
-  if (news.cameras.length) $("#state").textContent = silent ? `${silent} cameras have not sent a frame yet.` : "";
+  number = reply.number;
+  const silent = reply.names.length - reply.cameras.length;
+  if (reply.cameras.length) $("#state").textContent = silent ? `${silent} cameras have not sent a frame yet.` : "";
 }
 
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
 for (;;) {
   try {
-    await look();
+    await update();
     await pause(held ? 400 : 80);
   } catch (error) {
-    $("#state").textContent = `No answer (${error.message}): what is shown is old. Is vaoi view still running?`;
+    $("#state").textContent = `No reply (${error.message}): the frames shown are out of date. Check that vaoi view is running.`;
     await pause(1500);
   }
 }

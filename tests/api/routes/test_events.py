@@ -30,7 +30,7 @@ def news(response: Any, count: int) -> list[dict[str, Any]]:
     return [{"id": int(m["id"]), **json.loads(m["data"])} for m in islice(found, count)]
 
 
-def test_what_happens_arrives_in_order_with_its_number(served: Any) -> None:
+def test_events_arrive_in_order_with_their_numbers(served: Any) -> None:
     with served.client.stream("GET", "/api/v1/events") as response:
         assert response.headers["content-type"].startswith("text/event-stream")
         stream = messages(response)
@@ -42,7 +42,7 @@ def test_what_happens_arrives_in_order_with_its_number(served: Any) -> None:
 
 
 @pytest.mark.parametrize("header", [True, False])
-def test_a_client_resumes_behind_the_last_event_it_knows(served: Any, header: bool) -> None:
+def test_a_client_resumes_after_its_last_event(served: Any, header: bool) -> None:
     for _ in range(3):
         served.station.film()
     asked = {"headers": {"Last-Event-ID": "2"}} if header else {"params": {"after": 2}}
@@ -50,7 +50,7 @@ def test_a_client_resumes_behind_the_last_event_it_knows(served: Any, header: bo
         assert [m["id"] for m in news(response, 4)] == [3, 4, 5, 6]
 
 
-def test_the_header_of_a_reconnecting_browser_outranks_its_address(served: Any) -> None:
+def test_the_header_has_precedence_over_the_query(served: Any) -> None:
     served.station.film()
     served.station.film()
     headers = {"Last-Event-ID": "3"}
@@ -58,7 +58,7 @@ def test_the_header_of_a_reconnecting_browser_outranks_its_address(served: Any) 
         assert [m["id"] for m in news(response, 1)] == [4]
 
 
-def test_a_client_that_knows_more_than_there_is_begins_at_the_newest(served: Any) -> None:
+def test_a_number_beyond_the_newest_starts_at_the_newest(served: Any) -> None:
     served.station.film()
     with served.client.stream("GET", "/api/v1/events", headers={"Last-Event-ID": "9000"}) as response:
         stream = messages(response)
@@ -67,7 +67,7 @@ def test_a_client_that_knows_more_than_there_is_begins_at_the_newest(served: Any
         assert next(stream)["id"] == "3"
 
 
-def test_a_silent_station_gives_signs_of_life(served: Any) -> None:
+def test_heartbeats_come_without_events(served: Any) -> None:
     with served.client.stream("GET", "/api/v1/events") as response:
         beats = list(islice(messages(response), 2))
     assert [b["event"] for b in beats] == ["heartbeat", "heartbeat"]
@@ -76,7 +76,7 @@ def test_a_silent_station_gives_signs_of_life(served: Any) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["x", "-1", "1.5", "9" * 40])
-def test_an_event_id_that_is_none_is_refused(client: Any, wrong: str) -> None:
+def test_an_invalid_event_id_is_refused(client: Any, wrong: str) -> None:
     answer = client.get("/api/v1/events", headers={"Last-Event-ID": wrong})
     assert answer.status_code == 422
     assert "Last-Event-ID" in answer.json()["detail"]
@@ -90,7 +90,7 @@ def test_streams_end_when_the_station_stops(served: Any) -> None:
         assert [json.loads(m["data"])["state"] for m in stream] == ["stopping"]
 
 
-def test_one_listener_too_many_is_told_before_the_stream_begins(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_streams_are_refused_before_the_first_header(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(event_hub, "MAX_WAITING", 1)
     with served.client.stream("GET", "/api/v1/events") as response:
         stream = messages(response)

@@ -1,66 +1,13 @@
-"""Frames, components and temporary images."""
+"""Components, their views and temporary images."""
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
-RUNS = "/api/v1/runs"
-
-
-def picture(answer: Any) -> np.ndarray:
-    """The pixels of an answer, whatever its format."""
-    kind = answer.headers["content-type"]
-    if kind == "application/octet-stream":
-        size = [int(answer.headers[f"x-image-{n}"]) for n in ("height", "width")]
-        return np.frombuffer(answer.content, answer.headers["x-image-dtype"]).reshape(size)
-    if kind == "application/x-npy":
-        return np.asarray(np.load(io.BytesIO(answer.content)))
-    return np.asarray(cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED))
-
-
-@pytest.mark.parametrize("name", ["png", "tiff", "npy", "raw"])
-def test_frames_are_exact(client: Any, station: Any, name: str) -> None:
-    run = station.film()
-    answer = client.get(f"{RUNS}/{run}/frames/2/3", params={"format": name})
-    np.testing.assert_array_equal(picture(answer), station.pixels[run, 2, 3])
-    assert answer.headers["x-frame-verdict"] == "ok"
-    assert "immutable" in answer.headers["cache-control"]
-
-
-def test_the_same_address_answers_by_accept_and_says_so(client: Any, station: Any) -> None:
-    address = f"{RUNS}/{station.film()}/frames/0/0"
-    jpeg = client.get(address, headers={"accept": "image/jpeg"})
-    png = client.get(address, headers={"accept": "image/png"})
-    assert (jpeg.headers["content-type"], png.headers["content-type"]) == ("image/jpeg", "image/png")
-    assert jpeg.headers["vary"] == "Accept"
-    assert jpeg.headers["etag"] != png.headers["etag"]
-    assert np.abs(picture(jpeg).astype(int) - picture(png)).mean() < 5
-
-
-@pytest.mark.parametrize("ask", [{"params": {"format": "bmp"}}, {"headers": {"accept": "text/html"}}])
-@pytest.mark.parametrize("what", ["frames/0/0", "components/U1/images/0"])
-def test_unknown_formats_are_answered_with_the_offer(client: Any, station: Any, ask: Any, what: str) -> None:
-    answer = client.get(f"{RUNS}/{station.film()}/{what}", **ask)
-    assert (answer.status_code, answer.json()["code"]) == (406, "not-acceptable")
-    assert "png" in answer.json()["detail"]
-
-
-def test_a_frame_with_holes_is_shown_only_to_who_asks_for_it(client: Any, station: Any) -> None:
-    address = f"{RUNS}/{station.film()}/frames/0/1"
-    assert client.get(address).status_code == 409
-    shown = client.get(address, params={"incomplete": "show"})
-    assert (shown.status_code, shown.headers["x-frame-verdict"]) == (200, "incomplete")
-    assert client.get(address, params={"incomplete": "perhaps"}).status_code == 422
-
-
-def test_a_frame_that_never_came(client: Any, station: Any) -> None:
-    answer = client.get(f"{RUNS}/{station.film()}/frames/1/2")
-    assert (answer.status_code, answer.json()["code"]) == (404, "not-found")
+from tests.api.routes.pictures import RUNS, picture
 
 
 def test_the_list_of_components_leads_to_their_views(client: Any, station: Any) -> None:
@@ -75,7 +22,7 @@ def test_the_list_of_components_leads_to_their_views(client: Any, station: Any) 
         assert content["views"]
 
 
-def test_a_view_is_where_its_matrices_say(client: Any, station: Any) -> None:
+def test_a_view_matches_its_matrices(client: Any, station: Any) -> None:
     """Pixels of the picture are pixels of the frame, moved by the matrix; both lead back to CAD."""
     run = station.film()
     view = client.get(f"{RUNS}/{run}/components/U1").json()["views"][0]
@@ -105,7 +52,7 @@ def test_temporary_images_in_every_format(client: Any, station: Any, ref: str, n
     assert again.status_code == 304
 
 
-def test_addresses_of_images_keep_the_resolution_and_coverage_they_were_listed_with(client: Any, station: Any) -> None:
+def test_image_addresses_keep_resolution_and_coverage_of_the_list(client: Any, station: Any) -> None:
     address = f"{RUNS}/{station.film()}/components/2/R1"
     views = client.get(address, params={"px_per_mm": 20, "min_coverage": 1}).json()["views"]
     assert len(views) < len(client.get(address, params={"min_coverage": 0.01}).json()["views"])
@@ -114,18 +61,18 @@ def test_addresses_of_images_keep_the_resolution_and_coverage_they_were_listed_w
         assert picture(client.get(view["url"])).shape == (24, 40)
 
 
-def test_nobody_renders_gigapixels(client: Any, station: Any) -> None:
+def test_huge_images_are_refused(client: Any, station: Any) -> None:
     answer = client.get(f"{RUNS}/{station.film()}/components/U1/images/0", params={"px_per_mm": 500})
     assert answer.status_code == 422
     assert "megapixels" in answer.json()["detail"]
 
 
 @pytest.mark.parametrize(("ref", "k", "status"), [("U1", "99", 404), ("U1", "x", 422), ("U9", "0", 404)])
-def test_views_and_components_that_are_not_there(client: Any, station: Any, ref: str, k: str, status: int) -> None:
+def test_unknown_views_and_components_are_refused(client: Any, station: Any, ref: str, k: str, status: int) -> None:
     assert client.get(f"{RUNS}/{station.film()}/components/{ref}/images/{k}").status_code == status
 
 
-def test_a_run_that_is_not_finished_is_not_kept(client: Any, station: Any) -> None:
+def test_an_unfinished_run_is_not_cached(client: Any, station: Any) -> None:
     run = station.film(finish=False)
     assert client.get(f"{RUNS}/{run}/components").headers["cache-control"] == "no-store"
     assert client.get(f"{RUNS}/{run}/components/U1").status_code == 409

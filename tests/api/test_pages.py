@@ -1,0 +1,47 @@
+"""Pages and static files; see web/ for the page in a browser."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from vaoi_station.api.problems import KINDS
+
+
+@pytest.mark.parametrize(
+    ("path", "media_type"),
+    [
+        ("/", "text/html"),
+        ("/docs", "text/html"),
+        ("/favicon.ico", "image/svg+xml"),
+        ("/web/app.js", "text/javascript"),
+        ("/web/style.css", "text/css"),
+    ],
+)
+def test_pages_are_revalidated(client: Any, path: str, media_type: str) -> None:
+    reply = client.get(path)
+    assert reply.status_code == 200
+    assert reply.headers["content-type"].startswith(media_type)
+    assert reply.headers["cache-control"] == "no-cache"
+    assert client.get(path, headers={"if-none-match": reply.headers["etag"]}).status_code in (200, 304)
+
+
+@pytest.mark.parametrize("path", ["/web/", "/web/missing.js", "/web/%2e%2e/problems.py", "/web/..%2fhosts.py"])
+def test_directories_and_files_outside_are_not_served(client: Any, path: str) -> None:
+    assert client.get(path).status_code == 404
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_every_problem_kind_is_explained(client: Any, kind: str) -> None:
+    status, title, action = KINDS[kind]
+    assert client.get(f"/problems/{kind}").text == f"{title} (HTTP {status}, {kind}).\n{action}\n"
+
+
+def test_an_unknown_kind_is_not_found(client: Any) -> None:
+    assert client.get("/problems/unknown").status_code == 404
+
+
+def test_pages_are_not_in_the_openapi_document(client: Any) -> None:
+    paths = client.get("/api/v1/openapi.json").json()["paths"]
+    assert all(path.startswith("/api/v1/") or path == "/healthz" for path in paths)

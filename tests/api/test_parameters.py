@@ -1,0 +1,68 @@
+"""Limits of path and query parameters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from vaoi_station.api import parameters as p
+
+
+def accepts(parameter: Any, value: Any) -> bool:
+    try:
+        TypeAdapter(parameter).validate_python(value)
+    except ValidationError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("r000001", True),
+        ("01m7-x", True),
+        ("a" * 64, True),
+        ("a" * 65, False),
+        ("", False),
+        (".x", False),
+        ("a/b", False),
+    ],
+)
+def test_run_ids(value: str, expected: bool) -> None:
+    assert accepts(p.RunId, value) is expected
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("demo board", True),
+        ("größer & <b>", True),
+        ("a" * 80, True),
+        ("a" * 81, False),
+        (".hidden", False),
+        ("a/b", False),
+        ("a\\b", False),
+        ("a\nb", False),
+        ("", False),
+    ],
+)
+def test_names_of_board_types_cannot_leave_their_directory(value: str, expected: bool) -> None:
+    assert accepts(p.BoardTypeName, value) is expected
+
+
+@pytest.mark.parametrize(
+    ("parameter", "lowest", "highest", "refused"),
+    [
+        (p.Camera, 0, 9999, [-1, 10_000]),
+        (p.Row, 0, 99_999, [-1, 100_000]),
+        (p.PxPerMm, 0.5, 500.0, [0.4, 501.0, float("nan"), float("inf")]),
+        (p.MinCoverage, 1e-9, 1.0, [0.0, 1.1, float("nan")]),
+        (p.TimeoutS, 0.0, 60.0, [-0.1, 60.1, float("inf")]),
+    ],
+)
+def test_numbers_are_limited(parameter: Any, lowest: float, highest: float, refused: list[float]) -> None:
+    assert accepts(parameter, lowest)
+    assert accepts(parameter, highest)
+    assert not any(accepts(parameter, value) for value in refused)
