@@ -94,7 +94,7 @@ class Cases:
 
 @pytest.fixture(scope="session")
 def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
-    """Recorded cases: those in VAOI_CASES, else filmed on first use and kept for later sessions."""
+    """Provide the recorded cases: those in VAOI_CASES, else filmed on first use and kept for later sessions."""
     need_films()
     kept = os.environ.get("VAOI_CASES")
     filmed = Path(kept) if kept else Path(tempfile.gettempdir()) / f"vaoi-cases-{os.getuid()}-{_fingerprint()}"

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.cases
 
 
 def turned(board_type: BoardType) -> BoardType:
-    """The same board described from its other end: point symmetry about the middle of its outline.
+    """Describe the same board from its other end: point symmetry about the middle of its outline.
 
     A recording of the board is then one of a board that lies turned by 180°.
     """

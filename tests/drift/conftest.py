@@ -54,7 +54,7 @@ Shown = list[tuple[float, float, float]]
 
 
 def check(run: int, shown: Shown, sigma_px: float = 0.02, board_type: str = "a") -> RunCheck:
-    """A run in which the cameras show these displacements."""
+    """Make a run in which the cameras show these displacements."""
     size = 3 * len(shown)
     information = np.eye(size) / sigma_px**2
     cameras = tuple(

@@ -70,7 +70,7 @@ def matrix_px(calibration: Calibration, passage: Passage, camera: int) -> str:
 
 
 def scenario_of(name: str, seed: int) -> dict[str, Any]:
-    """A scenario with boards of its own."""
+    """Read a scenario and give it boards of its own."""
     given = read_scenario(Path(name) if name.endswith(".toml") else scenario_path(name)).model_dump()
     given["belt"]["seed"] += seed
     given["array"]["seed"] += seed
@@ -94,7 +94,7 @@ def main(name: str, camera: int, undisturbed: int, knocked: int, seed: int = 0) 
 
 
 def measure_creep(scenario: dict[str, Any], camera: int, before: list[RunCheck]) -> None:
-    """A camera that turns by a fifth of a thousandth of a degree per board, until a drift is reported."""
+    """Turn a camera by a fifth of a thousandth of a degree per board, until a drift is reported."""
     checks = list(before)
     for step in range(1, 101):
         knock = {"camera": camera, "about": "x", "angle_deg": 2e-4 * step}

@@ -69,7 +69,7 @@ def seen(cameras: tuple[Camera, ...], with_marks: bool, sigma_px: float = 0.02) 
 
 
 def estimated(displacement_px: np.ndarray, with_marks: bool = True) -> DisplacementEstimate:
-    """The estimate under the calibration, when the cameras have moved since."""
+    """Estimate under the calibration, when the cameras have moved since."""
     hang = tuple(displace_camera(c, d) for c, d in zip(CAMERAS, displacement_px, strict=True))
     matrix = board_plane(BOARD, CAMERAS[0]).matrix(C) if with_marks else None
     stitch = Stitch(method="auto", image_matrices=(), cad_matrix=matrix, row_motion=(), status=Status.OK)
@@ -78,7 +78,7 @@ def estimated(displacement_px: np.ndarray, with_marks: bool = True) -> Displacem
 
 
 def predicted(estimate: DisplacementEstimate, d: np.ndarray) -> float:
-    """The largest violation of information · d = vector, in standard deviations of each equation."""
+    """Compute the largest violation of information · d = vector, in standard deviations of each equation."""
     left = estimate.information @ d.ravel() - estimate.vector
     return float((np.abs(left) / np.sqrt(np.diag(estimate.information))).max())
 

@@ -14,7 +14,7 @@ Size = tuple[int, int]
 
 
 def plain(size: Size, colour: tuple[int, int, int]) -> np.ndarray:
-    """A picture of one colour, which the sheet's 64 levels leave as it is."""
+    """Make a picture of one colour, which the sheet's 64 levels leave as it is."""
     return np.full((*size, 3), colour, np.uint8)
 
 

@@ -19,7 +19,7 @@ def pixels_of(shape: tuple[int, ...]) -> Any:
 
 
 def frame_of(s: Any, camera: int, row: int, dots: list[tuple[float, float]], radius_mm: float = 0.25) -> Any:
-    """What a camera sees of soft dots at CAD places, pixel by pixel through the inverse of the model."""
+    """Render soft dots at CAD places, pixel by pixel through the inverse of the model."""
     places = s.raw_px(camera, row, np.array(dots))
     at = pixels_of((s.cameras[camera].height_px, s.cameras[camera].width_px))
     reach = radius_mm * s.cameras[camera].px_per_mm

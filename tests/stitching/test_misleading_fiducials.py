@@ -22,7 +22,7 @@ MASK, COPPER = 55, 205
 
 
 def painted(filmed: Any, paint: Paint) -> dict[tuple[int, int], Picture]:
-    """The frames, changed at the true places of all fiducials in view."""
+    """Change the frames at the true places of all fiducials in view."""
     fiducials = np.array([(f.x, f.y) for f in filmed.board_type.fiducials])
     cameras = filmed.calibration.cameras(filmed.head.cameras)
     frames = {}
@@ -62,7 +62,7 @@ def cover(from_mm: float) -> Paint:
 
 
 def glare(levels: float) -> Paint:
-    """A spot of light beside the mark that reaches over it."""
+    """Paint a spot of light beside the mark that reaches over it."""
 
     def paint(picture: Picture, place: NDArray[np.float64], px_per_mm: float) -> None:
         y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]

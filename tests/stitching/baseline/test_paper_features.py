@@ -14,7 +14,7 @@ from vaoi_station.stitching.baseline import paper_features as paper
 
 
 def error_mm(motion: Any, truth: Any, points: NDArray[np.float64]) -> float:
-    """The largest deviation of a row's motion, over points of the board."""
+    """Compute the largest deviation of a row's motion, over points of the board."""
     return max(
         float(np.hypot(*(apply(d, points) - apply(t, points)).T).max()) for d, t in zip(motion, truth, strict=True)
     )
@@ -56,3 +56,36 @@ def test_frames_without_features_fail_with_a_reason(workshop: Any) -> None:
     failed = paper.chain_rows((workshop.camera(),), 3, lambda camera, row: grey)
     assert isinstance(failed, Failure)
     assert failed.reason == "rows 0 and 1: 0 matches between two rows; 6 are needed"
+
+
+def test_a_camera_without_features_leaves_the_step_to_the_others(workshop: Any) -> None:
+    g = np.random.default_rng(2)
+    cameras = (workshop.camera((0, 0)), workshop.camera((18, 0)))
+    at, descriptors = g.uniform(20, 140, (40, 2)), g.uniform(0, 255, (40, 128)).astype(np.float32)
+    blind = paper.Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32))
+    later = cameras[1].project(cameras[1].ground(at) + (0.1, 5.0))
+    step = paper.estimate_step(
+        [blind, paper.Features(at, descriptors)], [blind, paper.Features(later, descriptors)], cameras
+    )
+    assert isinstance(step, Euclidean)
+    assert step.matrix[:2, 2] == pytest.approx((-0.1, -5.0), abs=1e-4)
+
+
+def test_ambiguous_matches_are_left_out(workshop: Any) -> None:
+    """All descriptors are alike, so none is plainly the best."""
+    g = np.random.default_rng(3)
+    at, alike = g.uniform(20, 140, (50, 2)), np.ones((50, 128), dtype=np.float32)
+    failed = paper.estimate_step([paper.Features(at, alike)], [paper.Features(at + 3, alike)], [workshop.camera()])
+    assert isinstance(failed, Failure)
+    assert failed.reason == "0 matches between two rows; 6 are needed"
+
+
+def test_a_few_false_matches_do_not_change_the_step(workshop: Any) -> None:
+    g = np.random.default_rng(4)
+    camera = workshop.camera()
+    at, descriptors = g.uniform(20, 140, (60, 2)), g.uniform(0, 255, (60, 128)).astype(np.float32)
+    later = camera.project(camera.ground(at) + (0.0, 4.0))
+    later[:15] = g.uniform(20, 140, (15, 2))
+    step = paper.estimate_step([paper.Features(at, descriptors)], [paper.Features(later, descriptors)], [camera])
+    assert isinstance(step, Euclidean)
+    assert step.matrix == pytest.approx(np.array([[1, 0, 0], [0, 1, -4.0], [0, 0, 1]]), abs=1e-4)

@@ -12,7 +12,7 @@ from vaoi_station.stitching.board.expectation import Expectation
 
 
 def described(board_type: BoardType, *, turned: bool = False, **keys: Any) -> BoardType:
-    """The board type, perhaps as seen from its other end, with some keys replaced; None leaves a key out."""
+    """Change keys of a board type, perhaps seen from its other end; None leaves a key out."""
     data = board_type.model_dump(mode="json", exclude_none=True)
     if turned:
         x, y = np.sum(data["outline"], axis=0).tolist()

@@ -25,7 +25,7 @@ def part(ref: str, x: float, y: float, w: float = 2.0, h: float = 1.0, **keys: o
 
 
 def searched(index: ComponentIndex, place: np.ndarray) -> int:
-    """The smallest component that holds a CAD point; of two alike the later one."""
+    """Search the smallest component that holds a CAD point; of two alike the later one."""
     best, area = -1, math.inf
     for k in range(len(index.addresses)):
         u, v = place - index.center[k]

@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station.config import Line
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.expectation import expectation_of
+from vaoi_station.stitching.board.expectation import Expectation, expectation_of
 
 BOARD = BoardType(name="b", unit="inch", outline=((0.0, 0.0), (4.0, 2.0)))
 W, L = 101.6, 50.8
@@ -59,3 +59,20 @@ def test_tolerances_are_those_of_the_line() -> None:
     found = expectation_of(line((0, 100), tolerance_mm=2.5, rotation_tolerance_deg=3.0), BOARD)
     assert found.tolerance_mm == 2.5
     assert found.angle_tolerance_rad == pytest.approx(math.radians(3))
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.25])
+@pytest.mark.parametrize("speed", [40.0, -160.0])
+def test_the_board_travels_during_the_start_delay(speed: float, delay_s: float) -> None:
+    given_line = line((0.0, speed)).model_copy(update={"start_delay_s": delay_s})
+    low = expectation_of(given_line, BOARD).corner_mm[1]
+    assert low is not None
+    leading = low + L if speed > 0 else low
+    assert leading == pytest.approx(-40.0 + speed * delay_s)
+
+
+def test_by_default_only_the_direction_is_expected() -> None:
+    nothing = Expectation()
+    assert nothing.corner_mm == (None, None)
+    assert nothing.angle_rad == 0.0
+    assert 0 < nothing.angle_tolerance_rad < math.pi / 4

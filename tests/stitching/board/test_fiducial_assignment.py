@@ -56,7 +56,7 @@ def board(
 
 
 def placed(plane: BoardPlane, camera: Any, turn_rad: float = 0.0, at: tuple[float, float] = (12.0, -30.0)) -> Array:
-    """The similarity of a board that lies as expected except for a turn, with its middle at a place."""
+    """Make the similarity of a board that lies as expected except for a turn, with its middle at a place."""
     angle = expected_angle(plane, camera, UPRIGHT) + turn_rad
     scale = plane.board_type.mm_per_unit
     a, b = scale * math.cos(angle), scale * math.sin(angle)

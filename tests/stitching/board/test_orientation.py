@@ -6,12 +6,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.board.orientation import compare_orientations, measure_outline_contrast
+from vaoi_station.stitching.board.orientation import (
+    Orientation,
+    compare_orientations,
+    measure_outline_contrast,
+    outline_polygons,
+    straight_pieces,
+    subsample_pieces,
+)
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -131,3 +140,46 @@ def test_a_board_out_of_view_is_not_compared(workshop: Any) -> None:
     seen = scene(workshop, [(OUTLINE, 80.0)])
     assert measure_outline_contrast(board(outline=OUTLINE), PLACED, seen, away) is None
     assert compare_orientations(board(outline=OUTLINE), PLACED, TURNED, seen, away) is None
+
+
+@given(st.integers(1, 500))
+def test_few_pieces_are_all_taken_and_many_are_thinned_evenly(pieces: int) -> None:
+    chosen = subsample_pieces(pieces)
+    assert len(chosen) == min(pieces, 48)
+    assert (chosen[0], chosen[-1]) == (0, pieces - 1)
+    steps = np.diff(chosen)
+    assert steps.max(initial=0) - steps.min(initial=steps.max(initial=0)) <= 1
+
+
+@given(st.floats(1, 90), st.floats(1, 90), st.sampled_from([1.0, 25.4]))
+def test_pieces_follow_the_outline_without_gaps(w: float, h: float, mm_per_unit: float) -> None:
+    (polygon,) = outline_polygons(board(outline=[[0.0, 0.0], [w, h]]))
+    pieces = straight_pieces([polygon], mm_per_unit)
+    np.testing.assert_allclose(pieces[1:, 0], pieces[:-1, 1], atol=1e-9)
+    np.testing.assert_allclose(pieces[0, 0], pieces[-1, 1], atol=1e-9)
+    length = np.hypot(*(pieces[:, 1] - pieces[:, 0]).T)
+    assert length.sum() == pytest.approx(2 * (w + h))
+    assert (length * mm_per_unit).max() < 8.0, "an edge below twice 4 mm stays whole"
+
+
+def test_no_outline_has_no_pieces() -> None:
+    assert outline_polygons(BoardType.model_validate({"name": "b", "fiducials": []})) == []
+    assert straight_pieces([], 1.0).shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "placed", "turned", "confirms", "contradicts"),
+    [
+        ("outline", 30.0, 2.0, True, False),
+        ("outline", 2.0, 30.0, False, True),
+        ("outline", 30.0, 25.0, False, False),
+        ("outline", 4.0, 0.1, False, False),
+        ("components", 9.0, 0.1, False, False),
+        ("components", 30.0, 11.0, True, False),
+    ],
+)
+def test_an_orientation_needs_contrast_and_a_clear_factor(
+    evidence: str, placed: float, turned: float, confirms: bool, contradicts: bool
+) -> None:
+    found = Orientation(evidence, placed, turned)
+    assert (found.confirms, found.contradicts) == (confirms, contradicts)

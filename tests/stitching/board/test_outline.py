@@ -11,7 +11,7 @@ import pytest
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.board.outline import measure_outline_shift
+from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -89,3 +89,24 @@ def test_no_edge_no_shift(workshop: Any) -> None:
     assert measure_outline_shift(board(), PLACED, scene(workshop), away) is None
     nothing = BoardType.model_validate({"name": "b", "y_axis": "down", "fiducials": []})
     assert measure_outline_shift(nothing, PLACED, scene(workshop), STILL) is None
+
+
+def shift(mm: tuple[float, float], sigma: tuple[float, float], turn_rad: float = 0.0) -> OutlineShift:
+    return OutlineShift(np.array(mm), np.diag(np.square(sigma)), turn_rad, 1e-3, 30.0, 24)
+
+
+def test_a_shift_within_machining_is_no_excess() -> None:
+    assert shift((0.45, -0.45), (0.05, 0.05)).excess_mm == 0
+    assert shift((0.6, 0.1), (0.05, 0.05)).excess_mm == pytest.approx(0.6)
+    assert shift((0.6, -0.8), (0.05, 0.05)).excess_mm == pytest.approx(1.0)
+
+
+def test_a_shift_that_is_badly_known_is_no_excess() -> None:
+    assert shift((2.0, 0.0), (0.6, 0.05)).excess_mm == 0
+    assert shift((2.0, 0.7), (0.6, 0.05)).excess_mm == pytest.approx(0.7)
+
+
+def test_a_turn_counts_at_the_ends_of_the_board() -> None:
+    assert shift((0, 0), (0.1, 0.1), 0.006).turned_mm == 0
+    assert shift((0, 0), (0.1, 0.1), -0.02).turned_mm == pytest.approx(0.6)
+    assert shift((0, 0), (0.3, 0.2)).sigma_mm == pytest.approx((0.3, 0.2))

@@ -30,7 +30,7 @@ C = np.array([1.0, 0.0, -20.0, -10.0])
 
 
 def points(count: int = 4, sigma_px: float = 0.02) -> FiducialPoints:
-    """The first fiducials, each detected once, exactly where the CAD data put them."""
+    """Detect the first fiducials once each, exactly where the CAD data put them."""
     flat, which = PLANE.fiducials[:count], np.arange(count)
     row, none = np.zeros(count, dtype=np.int_), np.zeros((count, 2))
     ground = apply(PLANE.matrix(C), flat)

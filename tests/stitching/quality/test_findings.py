@@ -14,7 +14,7 @@ from vaoi_station.stitching.work import TaskRunner
 
 
 def findings_of(filmed: Any, frames: dict[tuple[int, int], Any] | None = None, **setup: Any) -> Findings:
-    """The findings of the twin's board, perhaps with other frames or another setup."""
+    """Return the findings of the twin's board, perhaps with other frames or another setup."""
     there = filmed.frames if frames is None else frames
     runner = TaskRunner(replace(filmed.setup, **setup), lambda i, j: there.get((i, j)))
     evidence = [runner.perform(task) for task in filmed.tasks if task.a in there and (task.b or task.a) in there]

@@ -36,7 +36,7 @@ BOARD = {
 
 
 def adjusted(shift_sigma_mm: list[float], angle_sigma: float = 0.0, c_sigma_mm: float = 0.0) -> AdjustmentResult:
-    """A solution of which only the covariance matters: with independent rows."""
+    """Make a solution of which only the covariance matters, with independent rows."""
     of_c = (0.0, 0.0, c_sigma_mm**2, c_sigma_mm**2)
     covariance = np.array([np.diag([angle_sigma**2, s**2, s**2, *of_c]) for s in shift_sigma_mm])
     motion = nominal_motion(np.arange(ROWS, dtype=np.float64), np.array([0.0, 8.0]), np.zeros(2))
