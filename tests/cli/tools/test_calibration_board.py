@@ -62,6 +62,15 @@ def test_station_without_nominal_centres_needs_the_other_options(tmp_path: Path)
     _run("--out", tmp_path / "b", "--cameras", "1", "--field-mm", "40×30")
 
 
+def test_artwork_fits_the_view_of_the_finest_camera(tmp_path: Path) -> None:
+    config = _station(tmp_path / "station.toml", nominal=True)
+    # The first camera sees less than the others.
+    config.write_text(config.read_text().replace("nominal_px_per_mm = 40.0", "nominal_px_per_mm = 44.0", 1))
+    _run("--out", tmp_path / "fine", "--config", config)
+    _run("--out", tmp_path / "given", "--config", config, "--px-per-mm", "44")
+    assert read_layout(tmp_path / "fine" / "layout.json") == read_layout(tmp_path / "given" / "layout.json")
+
+
 @pytest.mark.parametrize("field", ["34", "0x3", "ax3", "3..1x2"])
 def test_malformed_sizes_are_refused(tmp_path: Path, field: str) -> None:
     with pytest.raises(InputError, match="two numbers above 0"):

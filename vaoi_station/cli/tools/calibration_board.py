@@ -109,8 +109,9 @@ def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | Non
     pitch = None
     if len(cameras) > 1 and None not in centers:
         pitch = float(np.hypot(*np.diff(np.array(centers, dtype=np.float64), axis=0).T).max())
-    # A camera without a nominal resolution makes r zero: then the field of view must be given.
-    r = px_per_mm or min((c.nominal_px_per_mm or 0.0 for c in cameras), default=0.0)
+    # The finest camera sees least. If any resolution is unknown, the field of view must be given.
+    resolutions = [c.nominal_px_per_mm or 0.0 for c in cameras]
+    r = px_per_mm or (max(resolutions) if all(resolutions) else 0.0)
     # The smallest frame: the same marks must fit into the view of every camera.
     small = min(c.width for c in cameras), min(c.height for c in cameras)
     return len(cameras), pitch, (small[0] / r, small[1] / r) if r else None
