@@ -14,7 +14,7 @@ from vaoi_station.doctor.checks.network import judge_buffers
 from vaoi_station.doctor.checks.usb import PARAMETER, judge_memory
 from vaoi_station.doctor.finding import Level
 
-DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
+DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 PAPER = read_config(DEPLOY / "station-paper.toml")
 
 

@@ -14,7 +14,7 @@ from vaoi_station.optics import make_plan
 from vaoi_station.optics.paper_example import PAPER
 from vaoi_station.simulation import scenario_path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_example_fits_the_shipped_scenario() -> None:

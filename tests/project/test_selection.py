@@ -1,0 +1,38 @@
+"""The quick loop chooses the tests of what changed."""
+
+from __future__ import annotations
+
+from tests.project.selection import ALWAYS, SLOW, changed_files, quick_tests, select_tests
+
+
+def test_a_changed_module_brings_its_test_and_the_room_around_it() -> None:
+    chosen = select_tests(["vaoi_station/geometry/lens.py"])
+    assert "tests/geometry/test_transforms.py" in chosen
+    assert ALWAYS in chosen
+    assert all(path.startswith("tests/geometry/") or path == ALWAYS for path in chosen)
+
+
+def test_a_changed_module_of_a_slow_room_brings_its_own_test_only() -> None:
+    assert select_tests(["vaoi_station/acquisition/pairing/proof.py"]) == [
+        "tests/acquisition/pairing/test_proof.py",
+        ALWAYS,
+    ]
+
+
+def test_a_changed_test_is_chosen_itself() -> None:
+    assert select_tests(["tests/project/test_selection.py"]) == ["tests/project/test_selection.py", ALWAYS]
+
+
+def test_without_changes_all_quick_tests_are_chosen() -> None:
+    chosen = select_tests([])
+    assert chosen == quick_tests()
+    assert "tests/geometry" in chosen
+    assert not {f"tests/{folder}" for folder in SLOW} & set(chosen)
+
+
+def test_removed_files_are_passed_over() -> None:
+    assert select_tests(["vaoi_station/absent.py"]) == quick_tests()
+
+
+def test_the_working_tree_can_be_compared() -> None:
+    assert all(isinstance(path, str) and path for path in changed_files())
