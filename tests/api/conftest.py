@@ -1,4 +1,4 @@
-"""The REST service over a station that films nothing: in this process, and behind a real socket."""
+"""The REST service over a station without cameras: in this process, and behind a real socket."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Served:
         self.client.get("/healthz")  # answered as soon as the application has started
 
     def stop(self) -> None:
-        """As the station does it: its log ends, then the server."""
+        """Close the event log, then the server, as the station does."""
         self.station.close()
         self._server.should_exit = True
         self._thread.join(timeout=30)
@@ -53,7 +53,7 @@ def client(station: HeldStation) -> Iterator[TestClient]:
 
 @pytest.fixture(scope="module")
 def shared_client() -> Iterator[TestClient]:
-    """One client for all examples of a property: a station that has filmed two boards."""
+    """One client for all examples of a property, over a station that has filmed two boards."""
     station = HeldStation()
     station.film()
     station.film()
@@ -70,5 +70,5 @@ def served(station: HeldStation) -> Iterator[Served]:
 
 @pytest.fixture
 def serve() -> Callable[..., Served]:
-    """For tests that stop a server themselves."""
+    """Return the server class, for tests that stop a server themselves."""
     return Served

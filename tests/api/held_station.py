@@ -1,4 +1,4 @@
-"""A station for the REST tests: it films nothing, but keeps real boards, frames and results, and waits for real."""
+"""A station for the REST tests: no cameras, but real board types, frames, results and waits."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class HeldStation(StationCoordinator):
 
     # what happens to it
 
-    def tell(self, kind: str, message: str = "", **fields: Any) -> None:
+    def publish(self, kind: str, message: str = "", **fields: Any) -> None:
         with self._news:
             self.log.append(EventRecord(number=len(self.log) + 1, time=NOW, kind=kind, message=message, **fields))
             self._news.notify_all()
@@ -108,7 +108,7 @@ class HeldStation(StationCoordinator):
             software=VERSIONS, calibration="c0ffee",
         )  # fmt: skip
         self.filmed[run] = detail
-        self.tell("run", f"Run {run} is being stitched.", run=run, state="stitching")
+        self.publish("run", f"Run {run} is being stitched.", run=run, state="stitching")
         if finish:
             self.finish(run, verdict)
         return run
@@ -121,11 +121,11 @@ class HeldStation(StationCoordinator):
         )
         update = {"state": state, "verdict": verdict, "finished": NOW, "belt": belt, "timings": timings}
         self.filmed[run] = self.filmed[run].model_copy(update=update)
-        self.tell("run", f"Run {run} is {state}.", run=run, state=str(state))
+        self.publish("run", f"Run {run} is {state}.", run=run, state=str(state))
 
     def fault(self, code: str, message: str, action: str) -> None:
         self.state, self.reasons = StationState.FAULTED, (Reason(code=code, message=message, action=action),)
-        self.tell("station", message, state="faulted", code=code, action=action)
+        self.publish("station", message, state="faulted", code=code, action=action)
 
     def close(self) -> None:
         with self._news:
@@ -161,7 +161,7 @@ class HeldStation(StationCoordinator):
             Reason(code="camera-lost", message=f"Camera cam{k} is not connected.", action="Check its cable.")
             for k in cameras
         )
-        self.tell("camera", "Cameras were lost, or are back.")
+        self.publish("camera", "Cameras were lost, or are back.")
 
     def arm(
         self,
@@ -178,12 +178,12 @@ class HeldStation(StationCoordinator):
             raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
         self.armed = ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
         self.state = StationState.ARMED
-        self.tell("station", "Armed.", state="armed")
+        self.publish("station", "Armed.", state="armed")
         return self.snapshot()
 
     def disarm(self) -> StationSnapshot:
         self.state, self.armed = StationState.IDLE, None
-        self.tell("station", "Idle.", state="idle")
+        self.publish("station", "Idle.", state="idle")
         return self.snapshot()
 
     def board_types(self) -> tuple[BoardTypeSummary, ...]:
@@ -218,7 +218,7 @@ class HeldStation(StationCoordinator):
         """A camera was knocked: the station films on, and says so."""
         message = "Camera cam1 is displaced by 9.40 px from its calibration."
         self.warnings = (Reason(code="calibration-drift", message=message, action="Call the engineer."),)
-        self.tell("trouble", message, code="calibration-drift")
+        self.publish("trouble", message, code="calibration-drift")
 
     def reference(self, board_type: str) -> ReferenceStatus:
         self.board_type(board_type)
@@ -280,7 +280,7 @@ class HeldStation(StationCoordinator):
     def release(self, run: str) -> RunDetail:
         detail = self.run(run).model_copy(update={"state": RunState.RELEASED, "frames_available": False})
         self.filmed[run] = detail
-        self.tell("run", f"Run {run} is released.", run=run, state="released")
+        self.publish("run", f"Run {run} is released.", run=run, state="released")
         return detail
 
     def hold(self, run: str, holder: str, purpose: str) -> LeaseStatus:

@@ -1,4 +1,4 @@
-"""Choosing a format, and what travels in it."""
+"""Choice of the image format, and the encoded pictures."""
 
 from __future__ import annotations
 

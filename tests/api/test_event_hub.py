@@ -1,4 +1,4 @@
-"""The long poll, and that those who wait hold up nobody."""
+"""Long polls wait without delaying other requests."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_waiting_request_is_woken_when_a_run_finishes(served: Any, follows: bo
     with ThreadPoolExecutor() as pool:
         params = {"timeout": 30, **({"after": known} if follows else {})}
         waiting = pool.submit(served.client.get, NEXT, params=params)
-        served.station.tell("trouble", "something else", code="cable")
+        served.station.publish("trouble", "something else", code="cable")
         assert not waiting.done()
         wait_for_callers(served, 1)
         served.station.finish(unfinished)
@@ -121,6 +121,6 @@ def test_an_unreadable_event_log_ends_all_waits(station: Any, monkeypatch: pytes
 
 
 def wait_for_callers(served: Any, count: int) -> None:
-    """Look until so many callers wait; each look is a request that the server answers between theirs."""
+    """Poll until this number of requests wait; each poll is a request that the server handles between theirs."""
     while served.app.state.hub.waiting < count:
         served.client.get("/healthz")

@@ -1,4 +1,4 @@
-"""The samples of the guide for tester authors do what they say."""
+"""The samples of the guide for tester authors work as described."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def sample(language: str) -> str:
 
 @contextmanager
 def boards_pass(served: Any, count: int) -> Iterator[None]:
-    """A board passes whenever somebody waits for one."""
+    """Let boards pass whenever a request waits for one."""
 
     def pass_by() -> None:
         for _ in range(count):
@@ -58,8 +58,8 @@ def run(command: list[str], served: Any, directory: Path) -> str:
 def test_python(served: Any, tmp_path: Path) -> None:
     (tmp_path / "tester.py").write_text(sample("python"))
     with boards_pass(served, 1):
-        told = run([sys.executable, "tester.py", "demo-board", "2/R1"], served, tmp_path)
-    assert "run r000001: ok\n  camera 0 row 3: 16 x 10, mean " in told
+        found = run([sys.executable, "tester.py", "demo-board", "2/R1"], served, tmp_path)
+    assert "run r000001: ok\n  camera 0 row 3: 16 x 10, mean " in found
     assert [r.state for r in served.station.filmed.values()] == ["released"]
     assert served.station.state == "idle"
 

@@ -1,4 +1,4 @@
-"""The OpenAPI document: golden, tidy, and true."""
+"""The OpenAPI document equals the golden file, and replies match it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def parts(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def test_the_interface_changes_only_on_purpose(document: dict[str, Any]) -> None:
-    """After a change that is meant: run with VAOI_WRITE_GOLDEN=1, and look at the difference."""
+    """After an intended change: run with VAOI_WRITE_GOLDEN=1, and review the difference."""
     document["info"].pop("version")
     if os.environ.get("VAOI_WRITE_GOLDEN"):
         GOLDEN.write_text(json.dumps(document, indent=1, sort_keys=True) + "\n")
@@ -69,7 +69,7 @@ def test_every_reference_exists(document: dict[str, Any]) -> None:
 
 
 def fits(value: Any, schema: dict[str, Any], document: dict[str, Any]) -> bool:
-    """Whether a JSON value is of a schema; as much of JSON Schema as the document uses in answers."""
+    """Return whether a JSON value matches a schema; covers the JSON Schema that the document uses in replies."""
     if "$ref" in schema:
         return fits(value, document["components"]["schemas"][schema["$ref"].rsplit("/", 1)[1]], document)
     if "anyOf" in schema:
@@ -131,7 +131,7 @@ PIECES = st.one_of(
 @settings(deadline=None)
 @given(data=st.data())
 def test_every_reply_has_a_declared_status(shared_client: Any, data: st.DataObject) -> None:
-    """Any path and query parameters: an answer of the document or a problem of the caller's, never one of ours."""
+    """Any path and query parameters: the reply is declared or a problem of the caller, never an internal error."""
     document = shared_client.get("/api/v1/openapi.json").json()
     readable = [(p, o) for p, m, o in operations(document) if m == "get" and "events" not in p]
     path, operation = data.draw(st.sampled_from(readable))

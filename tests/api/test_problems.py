@@ -1,4 +1,4 @@
-"""Every refusal is a problem detail with a sentence to act on."""
+"""Every refusal is a problem detail with an action."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ API = "/api/v1"
 
 
 def problem(answer: Any, status: int, code: str) -> dict[str, Any]:
-    """The answer's problem, checked for what every problem has."""
+    """Return the reply's problem after checking the common fields."""
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["cache-control"] == "no-store"
     content: dict[str, Any] = answer.json()

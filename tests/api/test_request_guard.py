@@ -1,4 +1,4 @@
-"""What every request passes first."""
+"""Checks of every request, and security headers of every reply."""
 
 from __future__ import annotations
 

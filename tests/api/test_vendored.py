@@ -1,4 +1,4 @@
-"""Files of others are what `VENDORED.md` says, and nothing else is there."""
+"""Vendored files equal the list in `VENDORED.md`."""
 
 from __future__ import annotations
 

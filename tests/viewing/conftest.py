@@ -24,7 +24,7 @@ from vaoi_station.marks.mark_shape import Shape, coverage
 from vaoi_station.model import RecordingHead
 
 FINE = 4
-"""Pictures are drawn so many times finer and then reduced: the pixel's own width is part of the blur."""
+"""Factor by which pictures are drawn finer and then reduced: the pixel width is part of the blur."""
 CENTRES = ((60.0, 50.0), (260.0, 50.5), (60.25, 190.0), (260.0, 190.75))
 
 
@@ -109,7 +109,7 @@ def make_config(tmp_path: Path, painter: Painter) -> Callable[..., StationConfig
 
 @contextmanager
 def _viewing(config: StationConfig, folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """`vaoi view` as a process, and its address; ended by SIGTERM."""
+    """`vaoi view` as a process with its address; ended by SIGTERM."""
     (folder / "station.toml").write_text(to_toml(config))
     command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(folder / "station.toml"), "--port", "0"]
     process = subprocess.Popen(

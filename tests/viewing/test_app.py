@@ -1,4 +1,4 @@
-"""The addresses of the page: figures and pictures that belong together, from this machine's own files."""
+"""The addresses of the page: lists of frames, their pictures, and local files."""
 
 from __future__ import annotations
 
@@ -28,16 +28,21 @@ def client(latest: LatestFrames, make_config: Callable[..., StationConfig]) -> I
         yield client
 
 
-def test_before_the_first_frame_there_is_nothing_to_show(client: TestClient) -> None:
-    told = client.get("/api/look").json()
-    assert (told["station"], told["names"], told["cameras"], told["number"]) == ("view", ["c0", "c1"], [], 0)
-    assert told["notices"] == ["Armed: waiting for a board."]
+def test_before_the_first_frame_the_list_is_empty(client: TestClient) -> None:
+    document = client.get("/api/look").json()
+    assert (document["station"], document["names"], document["cameras"], document["number"]) == (
+        "view",
+        ["c0", "c1"],
+        [],
+        0,
+    )
+    assert document["notices"] == ["Armed: waiting for a board."]
 
 
 def test_figures_marks_and_picture_are_of_one_frame(client: TestClient, latest: LatestFrames, painter: Any) -> None:
     latest.put(0, "007", 4, painter.marks())
-    told = client.get("/api/look", params={"after": 0, "timeout_s": 5}).json()
-    camera = told["cameras"][0]
+    document = client.get("/api/look", params={"after": 0, "timeout_s": 5}).json()
+    camera = document["cameras"][0]
     assert (camera["run"], camera["row"], camera["number"], camera["name"]) == ("007", 4, 1, "c0")
     assert (len(camera["marks"]), camera["marks_expected"], camera["mark_size_px"]) == (4, 4, 24.0)
     assert set(camera["figures"]) == {
@@ -49,7 +54,7 @@ def test_figures_marks_and_picture_are_of_one_frame(client: TestClient, latest: 
     assert np.abs(pixels.astype(int) - painter.marks()).mean() < 3
 
 
-def test_what_is_not_there_is_refused_in_words(client: TestClient) -> None:
+def test_unknown_frames_are_refused(client: TestClient) -> None:
     gone = client.get("/api/cameras/0/picture", params={"number": 9})
     assert (gone.status_code, gone.json()["code"]) == (410, "gone")
     assert client.get("/api/look", params={"timeout_s": 999}).status_code == 422
@@ -57,7 +62,7 @@ def test_what_is_not_there_is_refused_in_words(client: TestClient) -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/web/view.js", "/web/view.css", "/favicon.ico"])
-def test_the_page_is_our_own_and_may_load_nothing_else(client: TestClient, path: str) -> None:
+def test_the_page_is_local_and_loads_nothing_else(client: TestClient, path: str) -> None:
     answer = client.get(path)
     assert answer.status_code == 200
     assert "default-src 'self'" in answer.headers["content-security-policy"]

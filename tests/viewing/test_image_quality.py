@@ -1,4 +1,4 @@
-"""The figures are what the pictures were made with."""
+"""Measured figures equal those with which the pictures were drawn."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vaoi_station.viewing.image_quality import full_scale, measure_quality
 
 @pytest.mark.parametrize("noise", [0.0, 1.5, 4.0])
 @pytest.mark.parametrize("blur", [0.5, 0.7, 1.0, 1.5, 2.0])
-def test_the_blur_is_that_of_the_picture(painter: Any, blur: float, noise: float) -> None:
+def test_the_measured_blur_is_that_of_the_picture(painter: Any, blur: float, noise: float) -> None:
     figures = measure_quality(painter.tilted_board(blur, noise))
     assert figures.blur_px == pytest.approx(blur, rel=0.06)
     assert figures.mtf50 == pytest.approx(min(0.187 / blur, 0.5), rel=0.07)
@@ -33,26 +33,26 @@ def test_focus_does_not_depend_on_the_exposure(painter: Any) -> None:
     assert measure_quality(dim).blur_px == pytest.approx(measure_quality(bright).blur_px, rel=0.05)
 
 
-def test_a_camera_sharp_on_one_side_only_shows_it(painter: Any) -> None:
+def test_the_blur_of_each_part_is_measured(painter: Any) -> None:
     half = np.hstack([painter.tilted_board(0.7)[:, :240], painter.tilted_board(2.5)[:, 240:]])
     tiles = measure_quality(half).blur_tiles_px
     assert all(row[0] == pytest.approx(0.7, rel=0.1) and row[2] == pytest.approx(2.5, rel=0.15) for row in tiles)
 
 
-def test_thin_lines_are_no_edges() -> None:
+def test_thin_lines_are_not_edges() -> None:
     lines = np.full((240, 320), 60, np.uint8)
     lines[::20], lines[:, ::20] = 200, 200
     assert measure_quality(lines).blur_px is None
 
 
 @pytest.mark.parametrize("noise", [0.0, 3.0])
-def test_without_edges_there_is_no_blur(painter: Any, noise: float) -> None:
+def test_without_edges_there_is_no_blur_figure(painter: Any, noise: float) -> None:
     figures = measure_quality(painter.exposed(np.full((120, 160), 90.0), noise))
     assert (figures.blur_px, figures.mtf50) == (None, None)
     assert {b for row in figures.blur_tiles_px for b in row} == {None}
 
 
-def test_exposure_is_in_shares_of_the_full_scale() -> None:
+def test_levels_are_shares_of_the_full_scale() -> None:
     ramp: Any = np.tile(np.arange(256), (256, 1)).astype(np.uint8)
     f = measure_quality(ramp)
     assert (f.mean, f.low, f.high) == pytest.approx((0.5, 0.01, 0.99), abs=0.006)
@@ -65,12 +65,12 @@ def test_exposure_is_in_shares_of_the_full_scale() -> None:
 
 
 @pytest.mark.parametrize(("top", "full"), [(0, 255), (255, 255), (256, 1023), (4000, 4095), (65535, 65535)])
-def test_full_scale_of_deep_pixels_is_that_of_the_bits_in_use(top: int, full: int) -> None:
+def test_full_scale_follows_from_the_bits_in_use(top: int, full: int) -> None:
     assert full_scale(np.full((2, 2), top, np.uint16)) == full
     assert full_scale(np.zeros((2, 2), np.uint8)) == 255
 
 
 @pytest.mark.parametrize("size", [(16, 16), (17, 40), (24, 24)])
-def test_the_smallest_frames_have_figures_too(size: tuple[int, int]) -> None:
+def test_the_smallest_frames_are_measured(size: tuple[int, int]) -> None:
     random = np.random.default_rng(1)
     assert measure_quality(random.integers(0, 255, size, dtype=np.uint8)).focus > 0

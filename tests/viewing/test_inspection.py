@@ -1,4 +1,4 @@
-"""A look finds the marks there are, and says in words what is wrong."""
+"""Inspection of a frame: detected marks and remarks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CROSS = MarkSpec("cross", 24.0, light=False)
 
 
 @pytest.mark.parametrize("spec", [CROSS, MarkSpec("cross", 24.0), MarkSpec("circle", 16.0), MarkSpec("square", 20.0)])
-def test_marks_are_found_where_they_are(painter: Any, centres: Any, spec: MarkSpec) -> None:
+def test_marks_are_detected_at_their_positions(painter: Any, centres: Any, spec: MarkSpec) -> None:
     found = find_marks(painter.marks(spec.shape, spec.size_px), spec)
     assert len(found) == 4
     for x, y in centres:
@@ -29,7 +29,7 @@ def test_a_good_frame_needs_no_remark(painter: Any) -> None:
     assert inspect_frame(painter.tilted_board(0.8), None).remarks == ()
 
 
-def test_what_is_wrong_is_said_with_its_number(painter: Any) -> None:
+def test_remarks_name_the_value_and_its_limit(painter: Any) -> None:
     board = painter.tilted_board(0.8)
     assert "too bright: " in inspect_frame(cv2.convertScaleAbs(board, alpha=1.3), None).remarks[0]
     assert "dark: the 99th percentile is 20 % of full scale" in inspect_frame(board // 4, None).remarks[0]
@@ -39,7 +39,7 @@ def test_what_is_wrong_is_said_with_its_number(painter: Any) -> None:
     assert inspect_frame(np.full((100, 100), 120, np.uint8), None).remarks == ("no edges: blur cannot be measured",)
 
 
-def test_marks_that_are_absent_or_damaged_are_told(painter: Any) -> None:
+def test_absent_and_damaged_marks_are_reported(painter: Any) -> None:
     assert "no mark found" in inspect_frame(painter.tilted_board(1.0), CROSS).remarks
     assert "no mark found" in inspect_frame(painter.marks(light=True), CROSS).remarks, "of the other polarity"
     covered = painter.marks()
@@ -51,7 +51,7 @@ def test_marks_that_are_absent_or_damaged_are_told(painter: Any) -> None:
     assert six.remarks == ("marks found: 4 of 6 expected in view",)
 
 
-def test_deep_and_coloured_frames_are_looked_at_alike(painter: Any) -> None:
+def test_16_bit_and_colour_frames_give_the_same_result(painter: Any) -> None:
     plain = painter.marks()
     deep = plain.astype(np.uint16) * 16
     for frame in (deep, np.dstack([plain] * 3)):

@@ -1,4 +1,4 @@
-"""The latest frame of each camera is kept, looked at once, and can be fetched while it is shown."""
+"""The latest frame of each camera is kept, inspected once, and can be fetched while it is shown."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def frame(level: int) -> Any:
     return np.full((24, 32), level, np.uint8)
 
 
-def test_only_the_newest_is_shown_but_what_was_shown_can_still_be_fetched() -> None:
+def test_listed_frames_can_be_fetched_for_a_while() -> None:
     latest = LatestFrames([None, None])
     assert latest.frames() == []
     for k in range(3):
@@ -38,7 +38,7 @@ def test_only_the_newest_is_shown_but_what_was_shown_can_still_be_fetched() -> N
         latest.frame(7, 1)
 
 
-def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_is_inspected_once(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
 
     def look(pixels: Any, _: Any) -> str:
@@ -57,7 +57,7 @@ def test_a_frame_is_measured_once_however_many_ask(monkeypatch: pytest.MonkeyPat
     assert calls == [5]
 
 
-def test_who_waits_is_woken_by_the_next_frame() -> None:
+def test_a_waiting_request_is_woken_by_the_next_frame() -> None:
     latest = LatestFrames([None])
     latest.put(0, "1", 0, frame(1))
     assert latest.wait(0, 0) == 1
@@ -71,7 +71,7 @@ def test_who_waits_is_woken_by_the_next_frame() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_pictures_use_the_whole_scale(dtype: type) -> None:
+def test_pictures_use_the_full_scale(dtype: type) -> None:
     latest = LatestFrames([None])
     pixels: Any = np.full((24, 32), 4095 if dtype is np.uint16 else 255, dtype)
     latest.put(0, "1", 0, pixels)

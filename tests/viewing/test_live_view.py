@@ -1,4 +1,4 @@
-"""A station is filmed and looked at: once for programs, all the time for people."""
+"""Filming with `vaoi view`: one row as a document, and the live page."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ View = Callable[..., AbstractContextManager[tuple[str, subprocess.Popen[str]]]]
 SPEC = MarkSpec("cross", 24.0, light=False)
 
 
-def test_one_row_is_told_with_what_is_missing_in_it(make_config: Make, tmp_path: Path) -> None:
-    told = one_row(make_config(), [SPEC, None], None, lambda _: None)
-    assert (told["row"], told["rows"], len(told["cameras"])) == (1, 3, 2)
-    assert len(told["cameras"][0]["marks"]) == 4
+def test_one_row_is_reported_with_its_missing_frames(make_config: Make, tmp_path: Path) -> None:
+    document = one_row(make_config(), [SPEC, None], None, lambda _: None)
+    assert (document["row"], document["rows"], len(document["cameras"])) == (1, 3, 2)
+    assert len(document["cameras"][0]["marks"]) == 4
     last = one_row(make_config(), [SPEC, None], 2, lambda _: None)
     assert last["cameras"][1]["name"] == "c1"
     assert last["cameras"][1]["missing"]
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_a_row_beyond_the_run_is_refused_and_nothing_stays(make_config: Make, tmp_path: Path) -> None:
+def test_a_row_beyond_the_run_is_refused_without_leftovers(make_config: Make, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--row: row is 3, but must be below 3"):
         one_row(make_config(), [None, None], 3, lambda _: None)
     assert list((tmp_path / "shm").iterdir()) == []
 
 
 def look(client: httpx2.Client, after: int) -> dict[str, Any]:
-    told: dict[str, Any] = client.get("/api/look", params={"after": after, "timeout_s": 5}).json()
-    return told
+    document: dict[str, Any] = client.get("/api/look", params={"after": after, "timeout_s": 5}).json()
+    return document
 
 
-def test_frames_keep_coming_until_it_is_stopped(make_config: Make, layout: Path, tmp_path: Path, viewing: View) -> None:
+def test_frames_come_until_it_is_stopped(make_config: Make, layout: Path, tmp_path: Path, viewing: View) -> None:
     config = make_config(nominal_px_per_mm=10.0, nominal_center_mm=(0.0, 0.0))
     with (
         viewing(config, tmp_path, "--boards", "--layout", str(layout)) as (address, _),
@@ -52,18 +52,18 @@ def test_frames_keep_coming_until_it_is_stopped(make_config: Make, layout: Path,
     ):
         number, runs = 0, set[str]()
         while len(runs) < 3:
-            told = look(client, number)
-            assert told["number"] >= number
-            number = told["number"]
-            runs |= {c["run"] for c in told["cameras"]}
-            for camera in told["cameras"]:
+            document = look(client, number)
+            assert document["number"] >= number
+            number = document["number"]
+            runs |= {c["run"] for c in document["cameras"]}
+            for camera in document["cameras"]:
                 params = {"number": camera["number"]}
                 assert client.get(f"/api/cameras/{camera['camera']}/picture", params=params).status_code == 200
-        assert [len(c["marks"]) for c in told["cameras"] if c["camera"] == 0] == [4]
+        assert [len(c["marks"]) for c in document["cameras"] if c["camera"] == 0] == [4]
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_a_replay_cannot_be_looked_at_without_its_boards(make_config: Make, tmp_path: Path) -> None:
+def test_a_replay_without_its_boards_is_refused(make_config: Make, tmp_path: Path) -> None:
     (tmp_path / "station.toml").write_text(to_toml(make_config()))
     command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(tmp_path / "station.toml"), "--port", "0"]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -74,7 +74,7 @@ def test_a_replay_cannot_be_looked_at_without_its_boards(make_config: Make, tmp_
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_when_no_more_boards_come_the_last_frames_stay(make_config: Make, tmp_path: Path, viewing: View) -> None:
+def test_the_last_frames_stay_after_the_last_board(make_config: Make, tmp_path: Path, viewing: View) -> None:
     config = make_config()
     assert config.replay is not None
     few = config.model_copy(update={"replay": config.replay.model_copy(update={"runs": 1})})
@@ -82,13 +82,13 @@ def test_when_no_more_boards_come_the_last_frames_stay(make_config: Make, tmp_pa
         assert process.stdout is not None
         said = [process.stdout.readline() for _ in range(2)]
         assert "No more boards" in said[-1], said
-        told = look(client, 0)
-        assert {(c["camera"], c["row"]) for c in told["cameras"]} == {(0, 2), (1, 1)}
-        assert told["notices"][-1] == "No more boards; these are the last frames."
+        document = look(client, 0)
+        assert {(c["camera"], c["row"]) for c in document["cameras"]} == {(0, 2), (1, 1)}
+        assert document["notices"][-1] == "No more boards; these are the last frames."
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-def test_a_port_that_is_taken_is_told(make_config: Make, tmp_path: Path, viewing: View) -> None:
+def test_a_port_in_use_is_refused(make_config: Make, tmp_path: Path, viewing: View) -> None:
     with viewing(make_config(), tmp_path, "--boards") as (address, _):
         port = address.rsplit(":", 1)[1]
         command = [sys.executable, "-m", "vaoi_station", "view", "--config", str(tmp_path / "station.toml")]

@@ -1,4 +1,4 @@
-"""How large marks are in the frames follows from calibration, design or option; half a description is refused."""
+"""Size of marks in frames from calibration, configuration or option; incomplete descriptions are refused."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from vaoi_station.viewing.mark_spec import mark_specs
 Make = Callable[..., StationConfig]
 
 
-def test_nothing_is_looked_for_unless_asked(make_config: Make) -> None:
+def test_without_options_no_marks_are_searched(make_config: Make) -> None:
     assert mark_specs(make_config(), None, None, None, None) == (None, None)
 
 
-def test_the_size_follows_from_whoever_knows_the_resolution(make_config: Make) -> None:
+def test_the_size_in_pixels_follows_from_the_resolution(make_config: Make) -> None:
     config = make_config(nominal_px_per_mm=10.0)
     assert [s.size_px for s in mark_specs(config, "cross", 2.4, None, None) if s] == [24.0, 24.0]
     assert [s.size_px for s in mark_specs(config, "cross", 2.4, None, 20.0) if s] == [48.0, 48.0]
@@ -31,7 +31,7 @@ def test_the_size_follows_from_whoever_knows_the_resolution(make_config: Make) -
     assert sizes == pytest.approx([20.0, 20.0]), "a calibration knows better than the design"
 
 
-def test_a_layout_says_it_all(make_config: Make, layout: Path) -> None:
+def test_a_layout_defines_the_marks(make_config: Make, layout: Path) -> None:
     config = make_config(nominal_px_per_mm=10.0, nominal_center_mm=(0.0, 0.0))
     spec = mark_specs(config, None, None, layout, None)[0]
     assert spec is not None
@@ -44,7 +44,7 @@ def test_a_layout_says_it_all(make_config: Make, layout: Path) -> None:
     assert unknown.expected is None
 
 
-def test_half_a_description_is_refused(make_config: Make, layout: Path) -> None:
+def test_an_incomplete_description_is_refused(make_config: Make, layout: Path) -> None:
     config = make_config()
     with pytest.raises(InputError, match="--mark-size-mm is missing"):
         mark_specs(config, "cross", None, None, None)

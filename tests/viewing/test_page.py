@@ -1,4 +1,4 @@
-"""The page in a browser: marks on the frame they were found in, the best focus remembered, hold means hold."""
+"""The live page in a browser: marks, best focus, hold."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def latest() -> LatestFrames:
 
 @pytest.fixture
 def browser() -> Iterator[Page]:
-    """A page in chromium; nothing may be complained of on its console."""
+    """A page in chromium; errors on its console fail the test."""
     complaints: list[str] = []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox", "--disable-gpu"])
@@ -48,7 +48,7 @@ def browser() -> Iterator[Page]:
 
 @pytest.fixture
 def page(browser: Page, latest: LatestFrames, make_config: Callable[..., StationConfig]) -> Iterator[Page]:
-    """The page with frames as a test puts them."""
+    """The page with frames that a test provides."""
     with open_listener("127.0.0.1", 0, "test") as socket_:
         server = WebServer(create_app(make_config(), latest, ["Armed."]), socket_, threading.Event().set)
         server.start()
@@ -59,7 +59,7 @@ def page(browser: Page, latest: LatestFrames, make_config: Callable[..., Station
         server.check()
 
 
-def test_frames_are_shown_as_they_come(page: Page, latest: LatestFrames, painter: Any) -> None:
+def test_new_frames_are_shown(page: Page, latest: LatestFrames, painter: Any) -> None:
     expect(page.locator("#state")).to_have_text("Waiting for the first frame.")
     latest.put(0, "001", 2, painter.marks())
     first = page.locator(".camera").nth(0)
@@ -74,7 +74,7 @@ def test_frames_are_shown_as_they_come(page: Page, latest: LatestFrames, painter
     expect(page.locator("#notices")).to_contain_text("Armed.")
 
 
-def test_the_best_focus_is_remembered_and_hold_holds(page: Page, latest: LatestFrames, painter: Any) -> None:
+def test_the_best_focus_is_kept_and_hold_stops_updates(page: Page, latest: LatestFrames, painter: Any) -> None:
     sharp = painter.marks()
     latest.put(0, "001", 0, sharp)
     words = page.locator(".words")
@@ -90,7 +90,7 @@ def test_the_best_focus_is_remembered_and_hold_holds(page: Page, latest: LatestF
     expect(words).to_contain_text("100 % of the best")
 
 
-def test_the_calibration_board_is_seen_steadily_though_nothing_passes(
+def test_the_calibration_board_is_filmed_without_a_passing_board(
     browser: Page, viewing: Callable[..., Any], tmp_path: Path
 ) -> None:
     toml, twin = write_station_files(scenario_path("small"), tmp_path)

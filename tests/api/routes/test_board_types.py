@@ -1,4 +1,4 @@
-"""`board-types`: taught, read, replaced, forgotten."""
+"""`board-types`: store, read, replace, delete."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_the_names_in_address_and_body_must_agree(client: Any, station: Any) -> 
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "reason"),
     [
         ({"components": [U1, U1]}, "contains 'U1' twice"),
         (
@@ -71,10 +71,10 @@ def test_the_names_in_address_and_body_must_agree(client: Any, station: Any) -> 
         ({"unit": "cm"}, "'mm', 'inch' or 'mil'"),
     ],
 )
-def test_impossible_boards_are_refused_with_the_reason(client: Any, fault: dict[str, Any], told: str) -> None:
+def test_impossible_boards_are_refused_with_the_reason(client: Any, fault: dict[str, Any], reason: str) -> None:
     answer = client.put(f"{TYPES}/new", json=NEW | fault)
     assert answer.status_code == 422
-    assert told in answer.json()["detail"]
+    assert reason in answer.json()["detail"]
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999"])

@@ -23,7 +23,7 @@ def test_the_list_of_components_leads_to_their_views(client: Any, station: Any) 
 
 
 def test_a_view_matches_its_matrices(client: Any, station: Any) -> None:
-    """Pixels of the picture are pixels of the frame, moved by the matrix; both lead back to CAD."""
+    """Pixels of the picture are pixels of the frame, shifted by the matrix; both map to the same CAD point."""
     run = station.film()
     view = client.get(f"{RUNS}/{run}/components/U1").json()["views"][0]
     crop = picture(client.get(view["url"]))

@@ -13,7 +13,7 @@ from vaoi_station.api import event_hub
 
 
 def messages(response: Any) -> Iterator[dict[str, str]]:
-    """The stream as a browser reads it: fields up to an empty line; comments are skipped."""
+    """Parse the stream as a browser does: fields up to an empty line; comments are skipped."""
     fields: dict[str, str] = {}
     for line in response.iter_lines():
         if not line:
@@ -86,7 +86,7 @@ def test_streams_end_when_the_station_stops(served: Any) -> None:
     with served.client.stream("GET", "/api/v1/events") as response:
         stream = messages(response)
         next(stream)
-        served.station.tell("station", "Stopping.", state="stopping")
+        served.station.publish("station", "Stopping.", state="stopping")
         assert [json.loads(m["data"])["state"] for m in stream] == ["stopping"]
 
 

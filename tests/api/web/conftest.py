@@ -1,4 +1,4 @@
-"""A browser without a network: only this machine answers, and every other request fails the test."""
+"""A browser without a network: a request to another machine fails the test."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
-    """A page that must stay on this machine and must not complain of its security policy or of errors in scripts."""
+    """A page that may use this machine only; security policy violations and script errors fail the test."""
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     page = context.new_page()
     page.set_default_timeout(20_000)

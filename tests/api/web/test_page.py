@@ -16,7 +16,7 @@ pytestmark = pytest.mark.browser
 MUCH_LATER_S = 60
 
 
-def test_it_says_the_state_and_what_to_do(page: Page, served: Any) -> None:
+def test_the_page_shows_state_and_instruction(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#state-word")).to_have_text("Not armed")
     expect(page.locator("#what-to-do")).to_have_text("Choose the board type and press Arm.")
@@ -24,7 +24,7 @@ def test_it_says_the_state_and_what_to_do(page: Page, served: Any) -> None:
     expect(page).to_have_title("Not armed – test")
 
 
-def test_a_fault_is_told_by_word_shape_colour_and_sentence(page: Page, served: Any) -> None:
+def test_a_fault_is_shown_by_word_shape_colour_and_instruction(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#state-shape")).to_have_attribute("data-mark", "idle")
     served.station.fault("camera-lost", "Camera 2 does not answer.", "Check the cable of camera 2.")
@@ -35,7 +35,7 @@ def test_a_fault_is_told_by_word_shape_colour_and_sentence(page: Page, served: A
     expect(page.locator("#state-word")).to_have_css("color", "rgb(176, 0, 32)")
 
 
-def test_a_fault_that_is_tried_again_much_later_says_when(page: Page, served: Any) -> None:
+def test_a_late_retry_is_shown_with_its_time(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#state-word")).to_have_text("Not armed")
     refuse_its_settings(served.station)
@@ -43,11 +43,11 @@ def test_a_fault_that_is_tried_again_much_later_says_when(page: Page, served: An
     expect(lines).to_have_count(2)
     expect(lines.nth(1)).to_have_text(re.compile(r"^Next attempt for acquisition: \d+:\d\d:\d\d.*\.$"))
     served.station.next_try = None
-    served.station.tell("process", "It is being started again.")
+    served.station.publish("process", "It is being started again.")
     expect(lines).to_have_count(1)
 
 
-def test_the_page_asks_when_the_next_try_is_over_though_nobody_tells_it_of_anything(page: Page, served: Any) -> None:
+def test_the_page_requests_the_state_after_a_retry(page: Page, served: Any) -> None:
     page.route("**/events?*", lambda route: route.abort())
     page.clock.install()
     refuse_its_settings(served.station)
@@ -60,7 +60,7 @@ def test_the_page_asks_when_the_next_try_is_over_though_nobody_tells_it_of_anyth
     expect(lines).to_have_count(1)
 
 
-def test_a_drift_is_told_while_boards_go_on(page: Page, served: Any) -> None:
+def test_a_drift_is_shown_while_boards_are_filmed(page: Page, served: Any) -> None:
     served.station.arm("demo-board")
     page.goto(served.url)
     expect(page.locator("#state-word")).to_have_text("Ready")
@@ -71,13 +71,11 @@ def test_a_drift_is_told_while_boards_go_on(page: Page, served: Any) -> None:
     )
     expect(page.locator("#what-to-do")).to_have_text("Let the next board in.")
     served.station.warnings = ()
-    served.station.tell("calibration", "Camera cam1 is back at its calibrated position.")
+    served.station.publish("calibration", "Camera cam1 is back at its calibrated position.")
     expect(page.locator("#warnings")).to_be_hidden()
 
 
-def test_a_lost_camera_is_told_before_a_board_comes_and_arming_without_it_takes_a_second_press(
-    page: Page, served: Any
-) -> None:
+def test_arming_without_a_lost_camera_takes_a_second_press(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#board-type")).to_have_value("demo-board")
     served.station.lose(2)
@@ -100,13 +98,13 @@ def test_only_faults_are_red(page: Page, served: Any) -> None:
     page.goto(served.url)
     for state, word in (("armed", "Ready"), ("filming", "Filming"), ("blocked", "Memory full"), ("idle", "Not armed")):
         served.station.state = state
-        served.station.tell("station", state=state)
+        served.station.publish("station", state=state)
         expect(page.locator("#state-word")).to_have_text(word)
         expect(page.locator("#state-shape")).to_have_attribute("data-mark", state)
         expect(page.locator("#state-word")).not_to_have_css("color", "rgb(176, 0, 32)")
 
 
-def test_the_last_board_and_its_pictures_come_by_themselves(page: Page, served: Any) -> None:
+def test_the_last_board_and_its_pictures_are_updated(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#verdict-word")).to_have_text("No board yet")
     served.station.film(board_id="SN-1")
@@ -121,7 +119,7 @@ def test_the_last_board_and_its_pictures_come_by_themselves(page: Page, served: 
     wait_for_pictures(page, 10)
 
 
-def test_another_component_can_be_chosen_and_stays_chosen(page: Page, served: Any) -> None:
+def test_the_chosen_component_is_kept(page: Page, served: Any) -> None:
     served.station.film()
     page.goto(served.url)
     page.locator("#component").select_option("2/R1")
@@ -132,7 +130,7 @@ def test_another_component_can_be_chosen_and_stays_chosen(page: Page, served: An
     expect(page.locator("#component")).to_have_value("2/R1")
 
 
-def test_pictures_whose_memory_is_gone_are_not_shown(page: Page, served: Any) -> None:
+def test_pictures_no_longer_in_memory_are_not_shown(page: Page, served: Any) -> None:
     run = served.station.film()
     page.goto(served.url)
     wait_for_pictures(page, 10)
@@ -152,7 +150,7 @@ def test_arming_works_by_keyboard_alone(page: Page, served: Any) -> None:
     expect(page.locator("#state-word")).to_have_text("Not armed")
 
 
-def test_a_scanner_gives_the_board_id_and_arms_with_its_enter(page: Page, served: Any) -> None:
+def test_a_scanner_enters_the_board_id_and_arms(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#board-type")).to_have_value("demo-board")
     reach(page, "board-id")
@@ -162,7 +160,7 @@ def test_a_scanner_gives_the_board_id_and_arms_with_its_enter(page: Page, served
     expect(page.locator("#board-id")).to_have_value("")
 
 
-def test_a_refusal_is_told_with_its_remedy(page: Page, served: Any) -> None:
+def test_a_refusal_is_shown_with_its_action(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#board-type")).to_have_value("demo-board")
     served.station.types.clear()
@@ -171,7 +169,7 @@ def test_a_refusal_is_told_with_its_remedy(page: Page, served: Any) -> None:
     expect(page.locator("#state-word")).to_have_text("Not armed")
 
 
-def test_old_data_look_old_and_recover(page: Page, station: Any, serve: Callable[..., Any]) -> None:
+def test_old_data_are_marked_until_new_data_come(page: Page, station: Any, serve: Callable[..., Any]) -> None:
     server = serve(station)
     station.arm("demo-board")
     page.goto(server.url)
@@ -183,7 +181,7 @@ def test_old_data_look_old_and_recover(page: Page, station: Any, serve: Callable
     expect(page.locator("#arm")).to_be_disabled()
 
 
-def test_a_page_that_lost_the_stream_finds_it_again(page: Page, station: Any, serve: Callable[..., Any]) -> None:
+def test_a_page_reconnects_to_the_event_stream(page: Page, station: Any, serve: Callable[..., Any]) -> None:
     server = serve(station)
     page.goto(server.url)
     expect(page.locator("#state-word")).to_have_text("Not armed")
@@ -199,7 +197,7 @@ def test_a_page_that_lost_the_stream_finds_it_again(page: Page, station: Any, se
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (1920, 1080)])
-def test_it_fits_the_screen_with_targets_for_gloves(page: Page, served: Any, width: int, height: int) -> None:
+def test_the_page_fits_the_screen_with_large_targets(page: Page, served: Any, width: int, height: int) -> None:
     served.station.film(board_id="SN-1")
     page.set_viewport_size({"width": width, "height": height})
     page.goto(served.url)
@@ -215,7 +213,7 @@ def test_it_fits_the_screen_with_targets_for_gloves(page: Page, served: Any, wid
         assert box["y"] + box["height"] <= height
 
 
-def test_words_stand_out_from_their_ground(page: Page, served: Any) -> None:
+def test_texts_have_enough_contrast(page: Page, served: Any) -> None:
     served.station.film(verdict=Status.DEGRADED)
     served.station.fault("x", "Message.", "Action.")
     page.goto(served.url)
@@ -227,26 +225,26 @@ def test_words_stand_out_from_their_ground(page: Page, served: Any) -> None:
         assert contrast(element) >= 4.5, element
 
 
-def test_the_drawn_interface_needs_no_network(page: Page, served: Any) -> None:
+def test_the_api_documentation_needs_no_network(page: Page, served: Any) -> None:
     page.goto(f"{served.url}/docs")
     expect(page.locator(".opblock")).to_have_count(28)
 
 
 def refuse_its_settings(station: Any) -> None:
-    """A fault that is tried again much later."""
+    """A fault whose next attempt is much later."""
     station.next_try = (datetime.now(UTC) + timedelta(seconds=MUCH_LATER_S)).isoformat(timespec="milliseconds")
     station.fault("setting-refused", "Camera 2 refuses Gain = 99.", "Set what it can do.")
 
 
 def wait_for_pictures(page: Page, count: int) -> None:
-    """Until every picture that can be shown has been."""
+    """Wait until every available picture is shown."""
     expect(page.locator("figure")).to_have_count(count)
     for image in page.locator("figure:not(.unloadable) img").all():
         expect(image).not_to_have_js_property("naturalWidth", 0)
 
 
 def reach(page: Page, target: str) -> None:
-    """Walk there with the tabulator key; what has the focus must show it."""
+    """Move the focus there with the tabulator key; the focused element must be visible."""
     for _ in range(12):
         page.keyboard.press("Tab")
         if page.evaluate("document.activeElement.id") == target:
@@ -256,7 +254,7 @@ def reach(page: Page, target: str) -> None:
 
 
 def contrast(element: Locator) -> float:
-    """Contrast of an element's text and what is behind it, as WCAG has it."""
+    """Contrast ratio of an element's text and background (WCAG 2)."""
     ink, ground = element.evaluate("""e => {
         const ink = getComputedStyle(e).color;
         while (e && getComputedStyle(e).backgroundColor === "rgba(0, 0, 0, 0)") e = e.parentElement;

@@ -169,7 +169,7 @@ class WorkerPool:
         )
         with keep_freed_memory():
             process.start()
-        # The child has its own copy. With ours open, its death would not close the pipe and `recv` would not end.
+        # The child holds a copy. If this end stayed open, the child's death would not close the pipe for `recv`.
         there.close()
         with self._lock:
             worker.process, worker.connection, worker.since_s = process, here, time.monotonic()
