@@ -112,12 +112,16 @@ def test_a_conclusion_waits_for_links_of_its_worker(hall: Hall) -> None:
 
 
 def test_links_of_the_next_board_do_not_wait_for_a_check(hall: Hall) -> None:
-    """The worker that checks keeps one waiting job; free workers take the others."""
     hall.workers[2].jobs = deque([Queued(CHECK)])
-    hall.add(hall.link(2, 0), hall.link(2, 1), hall.link(0))
+    hall.add(hall.link(2, 0))
     assert hall.queues.next_link(hall.workers[2]) is None
-    assert hall.choose(0) == hall.link(0)
-    assert hall.choose(1) == hall.link(2, 0)
+    assert hall.choose(0) == hall.link(2, 0)
+
+
+def test_gathered_evidence_waits_for_its_worker_even_during_a_check(hall: Hall) -> None:
+    hall.workers[2].jobs = deque([Queued(CHECK)])
+    hall.add(GatherJob(hall.board.context, {}))
+    assert hall.choose(0) is None
 
 
 def test_a_busy_worker_gets_its_next_link_if_the_run_is_open_there(hall: Hall) -> None:

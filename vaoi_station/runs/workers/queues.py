@@ -156,5 +156,9 @@ class JobQueues:
             # Another worker would first have to receive all evidence. That costs less than to wait for a picture or a
             # check, and more than to wait for a link or gather job.
             return not own.ready or (own.job is not None and own.job.job.priority > Priority.GATHER)
+        if isinstance(job, GatherJob):
+            return False
         # One waiting job is left to its worker, which prepares its frames only once; a second one would wait too long.
-        return not isinstance(job, GatherJob) and (not own.ready or waiting[home] > 1)
+        # A check takes longer than a link, so the next board's first frames go to a free worker at once.
+        checking = own.job is not None and own.job.job.priority is Priority.CHECK
+        return not own.ready or checking or waiting[home] > 1
