@@ -141,7 +141,7 @@ def test_slow_workers_are_a_warning_and_boards_are_filmed_anyway(
 ) -> None:
     monkeypatch.setattr(acquisition_link, "WARM_S", 0.0)
     with monkeypatch.context() as held:
-        held.setattr(WorkerPool, "_begin", lambda *_: None)
+        held.setattr(WorkerPool, "_start_worker", lambda *_: None)
         with Station(config) as started:
             opened = until(started, lambda snapshot: snapshot.processes[0].pid is not None)
             assert [warning.code for warning in opened.warnings] == ["workers-starting"]

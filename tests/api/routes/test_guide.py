@@ -19,7 +19,7 @@ import pytest
 from tests.needs import need
 from vaoi_station.files.images import read_image
 
-GUIDE = Path(__file__).parents[2] / "docs" / "rest.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "rest.md"
 
 
 def sample(language: str) -> str:
