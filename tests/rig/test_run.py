@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ from vaoi_station.rig.scoring.rig_report import RigReport
 from vaoi_station.rig.scoring.ring_check import RingCheck
 from vaoi_station.simulation import Scenario
 
+SHORT_TIMEOUT_S = 0.2
 TIMES: dict[str, Any] = {"edges": ((0.0, True), (0.001, False)), "views": {"R1": ((0.0, 1.0, 10.0, 20.0),)}}
 
 
@@ -32,6 +34,7 @@ class Station:
     """A station that finishes one run for every board that passes."""
 
     def __init__(self) -> None:
+        self.change = threading.Lock()
         self.runs: list[dict[str, Any]] = []
         self.commands: list[str] = []
         self.boards_missed = 0
@@ -39,6 +42,9 @@ class Station:
         """Number of a run → what differs from a good one."""
         self.skipped: set[int] = set()
         """Boards of which there is no run."""
+        self.stitching_s = 0.0
+        """Time from a passage until the ring shows its run as finished; only then the run can be requested."""
+        self.hidden: list[tuple[float, dict[str, Any]]] = []
 
     def record(self, passage: BoardPassage) -> None:
         """Take the run of a passage."""
@@ -53,12 +59,18 @@ class Station:
             "cameras": CAMERAS,
             "counts": {"ok": CAMERAS * ROWS},
         }
-        self.runs.append(run | self.changes.get(passage.board, {}))
+        with self.change:
+            self.hidden.append((time.monotonic() + self.stitching_s, run | self.changes.get(passage.board, {})))
 
     def get(self, path: str, **query: Any) -> Any:
         """Answer a request of the rig."""
         if path == "/station":
+            with self.change:  # the status watch asks from another thread
+                now_s = time.monotonic()
+                self.runs += [run for ends_s, run in self.hidden if now_s >= ends_s]
+                self.hidden = [(ends_s, run) for ends_s, run in self.hidden if now_s < ends_s]
             bays = [{"run": run["id"], "bay": n, "use": "finished"} for n, run in enumerate(self.runs)]
+            bays += [{"run": run["id"], "bay": 9, "use": "stitching"} for _, run in self.hidden]
             cameras = [{"connected": True}] * CAMERAS
             return {
                 "state": "armed", "cameras": cameras, "boards_missed": self.boards_missed, "ring": {"bays": bays},
@@ -71,7 +83,8 @@ class Station:
             if not self.runs:
                 raise NotFoundError("there is no run.")
             return self.runs[0]
-        run = next(run for run in self.runs if path.startswith(f"/runs/{run['id']}"))
+        known = [*self.runs, *(run for _, run in self.hidden)]
+        run = next(run for run in known if path.startswith(f"/runs/{run['id']}"))
         if path.endswith("/matrices"):
             if run["verdict"] == "failed":
                 raise NotFoundError("the run has no matrices.")
@@ -139,7 +152,7 @@ class Rig:
             "Client": lambda _: station, "Service": service, "Devices": devices, "prepare_boards": prepare,
             "build_site": lambda *_, **__: folder / "station.toml", "wait_until_idle": lambda _: None,
             "attach": lambda _: contextmanager(lambda: iter([None]))(), "check_bay": check,
-            "min_interval_s": lambda *_: 0.0, "NEXT_RUN_TIMEOUT_S": 0.2, "READY_TIMEOUT_S": 20.0,
+            "min_interval_s": lambda *_: 0.0, "NEXT_RUN_TIMEOUT_S": SHORT_TIMEOUT_S, "READY_TIMEOUT_S": 20.0,
         }  # fmt: skip
         for name, stand_in in stand_ins.items():
             monkeypatch.setattr(run_module, name, stand_in)
@@ -190,6 +203,14 @@ def test_a_board_without_a_run_is_reported_after_the_timeout(rig: Rig) -> None:
     assert not report.ok
     assert report.failings == ("board 1 has no run",)
     assert report.boards[1].run is None
+
+
+def test_a_run_that_takes_longer_than_the_timeout_is_awaited(rig: Rig) -> None:
+    """It becomes visible between two requests, as after an installation, when workers compile for minutes."""
+    rig.station.stitching_s = 3 * SHORT_TIMEOUT_S
+    report = rig.run(boards=1)
+    assert (report.ok, report.failings) == (True, ())
+    assert report.boards[0].proven == CAMERAS * ROWS
 
 
 def test_missed_boards_and_unexpected_pulses_fail(rig: Rig) -> None:

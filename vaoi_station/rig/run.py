@@ -134,20 +134,27 @@ def _collect_runs(
     plan: Plan, client: Client, feeder: BoardFeeder, record: _Record, progress: Callable[[str], None]
 ) -> None:
     """Collect every run, until there is one for each board or no more come."""
-    after, finished_s, limit_s = None, math.inf, NEXT_RUN_TIMEOUT_S
-    while len(record.runs) < plan.boards and time.monotonic() < finished_s + limit_s:
-        # The time limit starts when no more boards come; until then a run may take any time.
+    after, finished_s, busy_s = None, math.inf, 0.0
+    while len(record.runs) < plan.boards:
+        # The time limits start when no more boards come; until then a run may take any time.
         if feeder.finished.is_set() and math.isinf(finished_s):
             finished_s = time.monotonic()
+        # Before the request for a run: a run that ends between the two must not look like one that never comes.
+        if _check_ring(client, feeder, record):
+            busy_s = time.monotonic()
         run = client.get("/runs/next", after=after, timeout=POLL_S) or (_latest_run(client) if after is None else None)
-        limit_s = CONCLUDE_TIMEOUT_S if _check_ring(client, feeder, record) else NEXT_RUN_TIMEOUT_S
         if run is not None:
             after = run["id"]
             record.runs.append(run)
             counts = run["counts"]
-            progress(
-                f"run {len(record.runs)}: {run['verdict']}, {counts['ok']} of {run['rows'] * run['cameras']} frames."
-            )
+            frames = run["rows"] * run["cameras"]
+            progress(f"run {len(record.runs)}: {run['verdict']}, {counts['ok']} of {frames} frames.")
+            continue
+        now_s = time.monotonic()
+        if now_s > min(finished_s + CONCLUDE_TIMEOUT_S, max(finished_s, busy_s) + NEXT_RUN_TIMEOUT_S):
+            break
+    # The last run may have ended after the last check.
+    _check_ring(client, feeder, record)
 
 
 def _check_ring(client: Client, feeder: BoardFeeder, record: _Record) -> bool:
