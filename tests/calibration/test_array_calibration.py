@@ -59,7 +59,7 @@ def test_four_marks_suffice_and_say_that_nothing_checks_them(film: Any) -> None:
     rig = film(layout=layout, cameras=1, distortion_px=0.0)
     outcome = rig.calibrate()
     assert max(rig.errors_px(outcome.calibration())) < 0.04
-    assert "four marks fix N" in outcome.notes[0]
+    assert "four marks determine N" in outcome.notes[0]
 
 
 def test_a_covered_mark_is_told_and_the_rest_suffice(rig: Any) -> None:
@@ -73,7 +73,7 @@ def test_a_covered_mark_is_told_and_the_rest_suffice(rig: Any) -> None:
     outcome = rig.calibrate(change=cover)
     assert max(rig.errors_px(outcome.calibration())) < 0.015
     (note,) = outcome.notes
-    assert note.startswith("camera 1: the mark that belongs at")
+    assert note.startswith("camera 1: the mark expected at")
     assert "not used" in note
 
 
@@ -116,7 +116,7 @@ def test_collinear_marks_are_refused(rig: Any) -> None:
 )
 def test_a_mirrored_or_turned_layout_is_refused_by_name(rig: Any, way: tuple[int, int], name: str) -> None:
     said = _refused(rig.calibrate(layout=_moved(rig.layout, lambda p: p * way)))
-    assert f"The marks do fit the layout {name}" in said
+    assert f"The marks fit the layout {name}" in said
 
 
 def test_another_boards_layout_is_refused(rig: Any) -> None:

@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.calibration.homography_fit import IN_COMMON_MARKS, MARK_SIGMA_PX, Fit, estimate_homography, fit_camera
+from vaoi_station.calibration.homography_fit import (
+    CORRELATED_MARKS,
+    MARK_SIGMA_PX,
+    Fit,
+    estimate_homography,
+    fit_camera,
+)
 from vaoi_station.calibration.outlier_removal import remove_outliers
 from vaoi_station.geometry import Lens
 from vaoi_station.geometry.robust import Failure
@@ -75,7 +81,7 @@ def test_the_covariance_is_that_of_many_repetitions(a1: float) -> None:
         off = apply(fit.matrix, apply(np.linalg.inv(n), lens.undistort(FRAME))) - fit.lens.undistort(FRAME)
         scores.append(((off**2).sum(1) / fit.sigma_at_px(FRAME) ** 2).mean())
     assert len(scores) > 55
-    assert 0.75 < np.mean(scores) * (1 + len(marks) / IN_COMMON_MARKS) < 1.3
+    assert 0.75 < np.mean(scores) * (1 + len(marks) / CORRELATED_MARKS) < 1.3
 
 
 def test_distortion_is_modelled_where_marks_see_it_and_only_there() -> None:
@@ -96,7 +102,7 @@ def test_distortion_is_modelled_where_marks_see_it_and_only_there() -> None:
 @pytest.mark.parametrize(
     ("marks", "reason"),
     [
-        ([(0, 0), (10, 0), (0, 10)], "3 marks do not fix"),
+        ([(0, 0), (10, 0), (0, 10)], "3 marks do not determine"),
         ([(0, 0), (5, 0.01), (10, 0), (15, 0)], "its 4 marks are collinear: they lie within 0.00 mm"),
         ([(0, 0), (5, 0), (10, 0), (15, 0), (3, 9)], "all but one of its 5 marks are collinear"),
     ],
@@ -136,4 +142,4 @@ def test_marks_seen_all_in_one_place_are_a_reason() -> None:
     marks = _grid(0.0)
     refused = fit_camera(marks, np.full_like(marks, 500.0), CENTER, RADIUS)
     assert isinstance(refused, Failure)
-    assert "in one place, which fixes no view" in refused.reason
+    assert "at one position in the frame" in refused.reason

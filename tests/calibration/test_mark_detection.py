@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.calibration.mark_detection import MarkAppearance, blur_px, detect_marks, to_grey
+from vaoi_station.calibration.mark_detection import MarkAppearance, detect_marks, measure_blur_px, to_grey
 from vaoi_station.files.layouts import Layout
 
 KIND = MarkAppearance(24.0, 0.25, light=False)
@@ -61,7 +61,7 @@ def test_blur_is_measured_at_the_edges(rig: Any, sigma: float) -> None:
     frame, at = _of(rig)
     soft = cv2.GaussianBlur(frame, (0, 0), sigma)
     expected = np.sqrt(sigma**2 + 0.6**2 + 1 / 12)
-    assert blur_px(soft, at, KIND.size_px) == pytest.approx(expected, rel=0.2)
+    assert measure_blur_px(soft, at, KIND.size_px) == pytest.approx(expected, rel=0.2)
 
 
 def test_kinds_follow_the_layout() -> None:

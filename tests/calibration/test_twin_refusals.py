@@ -114,7 +114,7 @@ def test_of_nine_marks_one_covered_is_told_and_does_no_harm(nine: Film, share: f
     outcome = nine.covered(nine.first, share, grey)
     assert [c.used for c in outcome.cameras] == [9, 8, 9]
     x, y = nine.seen_at(nine.first)
-    assert re.match(rf"camera 1: the mark that belongs at \({x:.0f}, {y:.0f}\) px .*; not used$", outcome.notes[0])
+    assert re.match(rf"camera 1: the mark expected at \({x:.0f}, {y:.0f}\) px .*; not used$", outcome.notes[0])
     assert nine.worst_px(outcome) < 0.02
 
 

@@ -112,7 +112,7 @@ def test_a_disc_that_is_partly_covered_is_refused_by_its_size(paint: Paint) -> N
     image[:, 51:] = 60
     refused = locate_mark(image, np.array([48.0, 40.0]), "circle", 16.0)
     assert isinstance(refused, Failure)
-    assert "more than 15% off the artwork's" in refused.reason
+    assert "more than 15% off the nominal" in refused.reason
 
 
 def test_a_disc_that_is_partly_covered_and_found_says_how_unsure_it_is(paint: Paint) -> None:

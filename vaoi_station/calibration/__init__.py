@@ -1,7 +1,7 @@
-"""Calibration of the camera array: N_i and lenses from one look at a board of known marks; section 3.2 of the paper.
+"""Calibration of the camera array from one row of frames of a board of known marks; section 3.2 of the paper.
 
-Artwork of such a board, marks found and identified by themselves, camera matrices by least squares with
-their covariance, and the map of the difference of two calibrations.
+It contains the artwork of such boards, the detection and identification of marks, the least-squares fit of N_i and lens
+with covariances, and the difference of two calibrations.
 """
 
 from vaoi_station.calibration.array_calibration import Outcome, calibrate

@@ -1,4 +1,4 @@
-"""From a recording of the calibration board to the calibration of the array; section 3.2, equation 10."""
+"""Calibration of the array from frames of the calibration board; section 3.2, equation 10."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from vaoi_station.model import Calibration, CameraHead, Distortion
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """All cameras of an array: calibrated, or refused with the reasons."""
+    """The results of all cameras of an array: calibrated, or refused with reasons."""
 
     cameras: tuple[CameraResult, ...]
     limits: Limits
     hint: str = ""
-    """What would make the refused cameras fit."""
+    """A change of the layout with which all refused cameras fit."""
     ambiguous: tuple[str, ...] = ()
-    """Ways of writing the layout that change nothing, so that no picture could tell them from the right one."""
+    """Reflections and rotations that map the layout onto itself, so that no frame can exclude them."""
 
     @property
     def refused(self) -> bool:
-        """Whether any camera could not be calibrated; then there is no calibration."""
+        """Whether any camera was refused; then there is no calibration."""
         return any(c.refusal for c in self.cameras)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the operator should know, camera by camera."""
+        """The warnings, with cameras of the same warning merged."""
         whose: dict[str, list[int]] = {}
         for c in self.cameras:
             for note in c.notes:
@@ -49,20 +49,20 @@ class Outcome:
         ratios = [np.sqrt(np.prod(local_scales(n, head))) / (head.nominal_px_per_mm or 1.0) for n, head in fits]
         about_print = print_scale_note(float(np.median(ratios))) if ratios else None
         about_layout = (
-            f"the layout {' or '.join(self.ambiguous)} is the same layout: whether layout.json is written as the "
-            "cameras see the board cannot be checked; one mark more, off the pattern, would tell"
+            f"the layout {' or '.join(self.ambiguous)} is the same layout, so the orientation of layout.json cannot "
+            "be checked; one additional mark off the pattern would make it unambiguous"
         )
         return (*notes, *([about_print] if about_print else []), *([about_layout] if self.ambiguous else []))
 
     def error(self) -> InputError:
-        """Every refused camera in a sentence, and what to do."""
+        """Return an error that lists all refused cameras, with the remedies."""
         refused = [c for c in self.cameras if c.refusal]
-        said = "; ".join(f"camera {c.camera}: {c.refusal}" for c in refused)
+        reasons = "; ".join(f"camera {c.camera}: {c.refusal}" for c in refused)
         actions = " ".join(dict.fromkeys(c.action for c in refused))
-        return InputError(f"{said}.", action=self.hint or actions, code="not-calibrated")
+        return InputError(f"{reasons}.", action=self.hint or actions, code="not-calibrated")
 
     def calibration(self, created: datetime | None = None) -> Calibration:
-        """The calibration, with residuals and covariances; raises `error()` if a camera was refused."""
+        """Return the calibration with residuals and covariances; raises `error()` if a camera was refused."""
         if self.refused:
             raise self.error()
         fits = [c.fit for c in self.cameras if c.fit is not None]
@@ -96,14 +96,14 @@ def calibrate(
     """Calibrate an array from one frame per camera that shows the calibration board.
 
     Args:
-        heads: of the cameras, with the nominal view of each.
-        frame_of: the pixels of one camera's frame; None if it never arrived.
-        layout: of the board; its coordinates become the tester's.
-        limits: what the result must keep to, and the working distance.
+        heads: frame sizes and nominal views of the cameras.
+        frame_of: returns the frame of one camera, or None if it is missing.
+        layout: layout of the board; its coordinates become the tester's.
+        limits: limits of the result, and the working distance.
 
     Raises:
-        InputError: if a frame or a camera's nominal view is missing. What the pictures themselves do not allow is
-            in the outcome, with all there is to draw.
+        InputError: if a frame or a camera's nominal view is missing. Refusals because of the frames' content are in
+            the outcome, with the data for their picture.
     """
     limits = limits or Limits()
     kinds, detections = [], []
@@ -117,12 +117,13 @@ def calibrate(
             )
         detections.append(detect_marks(to_grey(frame), kinds[camera]))
     marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
-    results = _solved(heads, detections, kinds, marks_mm, limits)
-    hint = _hint(heads, detections, kinds, marks_mm, limits) if any(c.refusal for c in results) else ""
+    results = _calibrate_cameras(heads, detections, kinds, marks_mm, limits)
+    # The search for a hint calibrates the array once per variant, so it runs after a refusal only.
+    hint = _layout_hint(heads, detections, kinds, marks_mm, limits) if any(c.refusal for c in results) else ""
     return Outcome(results, limits, hint, find_symmetries(marks_mm, layout.mark.size * layout.mm_per_unit / 4))
 
 
-def _solved(
+def _calibrate_cameras(
     heads: Sequence[CameraHead],
     detections: list[DetectedMarks],
     kinds: list[MarkAppearance],
@@ -136,31 +137,29 @@ def _solved(
         other = None if option is None else find_rival(options[i], option)
         if option is not None and other is not None:
             x, y = other.offset_mm - option.offset_mm
-            told = (
+            note = (
                 f"the layout shifted by ({x:.1f}, {y:.1f}) mm explains its marks as well; "
-                "nominal_center_mm decided: it must be good to half of that"
+                "nominal_center_mm decided: it must be accurate to half of that"
             )
-            result = replace(result, notes=(*result.notes, told))
+            result = replace(result, notes=(*result.notes, note))
         results.append(result)
     return tuple(results)
 
 
-def _hint(
+def _layout_hint(
     heads: Sequence[CameraHead],
     detections: list[DetectedMarks],
     kinds: list[MarkAppearance],
     marks_mm: Floats,
     limits: Limits,
 ) -> str:
-    """The way of writing the layout under which every camera fits, where there is one."""
+    """Describe the changes of the layout with which all cameras fit; empty if there is none."""
     fitting = [
-        said
-        for said, changed in vary_layout(marks_mm, heads)
-        if not any(c.refusal for c in _solved(heads, detections, kinds, changed, limits))
+        way
+        for way, changed in vary_layout(marks_mm, heads)
+        if not any(c.refusal for c in _calibrate_cameras(heads, detections, kinds, changed, limits))
     ]
     if not fitting:
         return ""
     ways = " or ".join(dict.fromkeys(fitting))
-    return (
-        f"The marks do fit the layout {ways}: write layout.json as the cameras see the board, or lay the board right."
-    )
+    return f"The marks fit the layout {ways}: write layout.json as the cameras see the board, or turn the board."

@@ -1,7 +1,7 @@
-"""Cross-validation: where two calibrations of one array disagree, in px over every frame.
+"""Cross-validation: the difference of two calibrations of one array, in px over each frame.
 
-The board that fixes the tester's coordinates lies a little elsewhere each time. That is no disagreement: one
-rigid motion of the tester's plane, the same for all cameras, is taken out first and told.
+The calibration board defines the tester's coordinates and lies slightly elsewhere each time. Therefore one rigid motion
+of the tester's plane, common to all cameras, is estimated, removed and reported.
 """
 
 from __future__ import annotations
@@ -17,41 +17,43 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Calibration, CameraHead
 
 GRID = (9, 7)
-"""Points across and down a frame."""
+"""Number of sampled points across and down a frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDifference:
-    """Where the other calibration puts what this one sees at a pixel, minus that pixel."""
+    """The pixel at which this calibration images what the other one locates from a pixel, minus that pixel."""
 
     grid_px: tuple[Floats, ...]
-    """Per camera (rows, columns, 2): raw pixels looked at."""
+    """Per camera (rows, columns, 2): the sampled raw pixels."""
     difference_px: tuple[Floats, ...]
     """Per camera (rows, columns, 2)."""
     shift_mm: Floats
-    """The rigid motion taken out: of the middle of the array, (2,)."""
+    """Removed shift of the centre of the array, (2,)."""
     angle_rad: float
     one_board: bool = False
-    """Both calibrations are of one board where it lay: nothing was taken out."""
+    """Whether both calibrations share the tester's coordinates, so that no motion was removed."""
 
     @property
     def rms_px(self) -> tuple[float, ...]:
-        """Per camera."""
+        """Root mean square difference per camera."""
         return tuple(float(np.sqrt((d**2).sum(-1).mean())) for d in self.difference_px)
 
     @property
     def max_px(self) -> tuple[float, ...]:
-        """Per camera."""
+        """Largest difference per camera."""
         return tuple(float(np.sqrt((d**2).sum(-1).max())) for d in self.difference_px)
 
     def lines(self) -> list[str]:
-        """The comparison for people."""
+        """Return the comparison as lines of text."""
         turned = math.degrees(self.angle_rad)
         x, y = self.shift_mm
         out = (
             []
             if self.one_board
-            else [f"the board lay ({x:+.3f}, {y:+.3f}) mm and {turned:+.4f}° from where it lay; that is taken out"]
+            else [
+                f"board displaced by ({x:+.3f}, {y:+.3f}) mm and {turned:+.4f}° between the two; this motion is removed"
+            ]
         )
         for i, (rms, most) in enumerate(zip(self.rms_px, self.max_px, strict=True)):
             out.append(f"camera {i}: calibrations differ by {rms:.3f} px rms, {most:.3f} px at most")
@@ -66,17 +68,17 @@ def compare_calibrations(
     *,
     one_board: bool = False,
 ) -> CalibrationDifference:
-    """Map of the difference of two calibrations.
+    """Compute the difference of two calibrations over each frame.
 
     Args:
         this: one calibration.
         other: the other, of the same cameras.
         heads: sizes of the frames.
-        grid: points across and down each frame.
-        one_board: both share the tester's coordinates, as a calibration and its correction do; nothing is taken out.
+        grid: number of points across and down each frame.
+        one_board: both share the tester's coordinates, as a calibration and its correction; no motion is removed.
 
     Raises:
-        InputError: if they are for other numbers of cameras.
+        InputError: if the numbers of cameras differ.
     """
     counts = len(this.camera_matrices), len(other.camera_matrices), len(heads)
     if len(set(counts)) > 1:
@@ -86,10 +88,11 @@ def compare_calibrations(
         )
     mine, theirs = this.cameras(tuple(heads)), other.cameras(tuple(heads))
     grids = [_grid(head, grid) for head in heads]
+    # The motion is estimated on all cameras together: one per camera would hide a camera that was knocked.
     here = [camera.ground(g) for camera, g in zip(mine, grids, strict=True)]
     there = [camera.ground(g) for camera, g in zip(theirs, grids, strict=True)]
     a, b = (np.concatenate([p.reshape(-1, 2) for p in places]) for places in (here, there))
-    this_from_other, angle = (np.eye(3), 0.0) if one_board else _rigid(a, b)
+    this_from_other, angle = (np.eye(3), 0.0) if one_board else _fit_rigid_motion(a, b)
     differences = [
         camera.project(apply(this_from_other, place)) - g for camera, place, g in zip(mine, there, grids, strict=True)
     ]
@@ -101,8 +104,8 @@ def _grid(head: CameraHead, grid: tuple[int, int]) -> Floats:
     return np.stack(np.meshgrid(x, y), -1)
 
 
-def _rigid(target: Floats, source: Floats) -> tuple[Floats, float]:
-    """Least-squares rotation and shift (3, 3), target from source (k, 2), and the angle."""
+def _fit_rigid_motion(target: Floats, source: Floats) -> tuple[Floats, float]:
+    """Fit a rigid motion (3, 3), target from source (k, 2), by least squares; returns its angle too."""
     p, q = source - source.mean(0), target - target.mean(0)
     angle = math.atan2(float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum()))
     c, s = math.cos(angle), math.sin(angle)

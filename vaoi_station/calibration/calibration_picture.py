@@ -1,4 +1,4 @@
-"""The picture of a calibration: every frame with the marks found, the places expected, and the residuals enlarged."""
+"""The picture of a calibration: each frame with detected marks, expected positions and enlarged residuals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station.calibration.tile_sheet import Picture, arrange_tiles
 from vaoi_station.geometry.transforms import Floats
 
 _WIDTH, _BAND = 720, 74
-_FOUND, _EXPECTED, _MISSED, _STRANGE, _VECTOR = (
+_DETECTED, _EXPECTED, _UNUSED, _FOREIGN, _VECTOR = (
     (60, 200, 60),
     (230, 150, 40),
     (40, 40, 230),
@@ -27,9 +27,10 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def draw_calibration(outcome: Outcome) -> Picture:
-    """All cameras side by side, (h, w, 3) BGR: green found, blue expected, red not used, yellow in no layout.
+    """Draw all cameras side by side, (h, w, 3) BGR.
 
-    Residual vectors are enlarged by the factor that the caption tells, the same for all cameras.
+    Green marks are detected, blue ones expected, red ones unused, yellow ones not in the layout. Residual vectors are
+    enlarged by the factor in the caption, which is the same for all cameras.
     """
     factor = _enlargement(outcome.cameras)
     tiles = [_tile(c, factor, outcome.limits.residual_px) for c in outcome.cameras]
@@ -43,11 +44,12 @@ def _enlargement(cameras: Sequence[CameraResult]) -> int:
 
 
 def _tile(result: CameraResult, factor: int, limit_px: float) -> Picture:
-    """One camera: caption, frame, drawings."""
+    """Draw one camera: caption, frame and marks."""
     grey = result.detected.grey
     scale = _WIDTH / grey.shape[1]
     size = (_WIDTH, max(round(grey.shape[0] * scale), 1))
     frame = cv2.cvtColor(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+    # Half the contrast on a light ground, so that coloured marks stand out on dark and light parts of the frame.
     frame = np.asarray(frame // 2 + 110, dtype=np.uint8)
     _draw_marks(frame, result, scale, factor)
     band = np.full((_BAND, _WIDTH, 3), _PAPER, np.uint8)
@@ -61,21 +63,26 @@ def _draw_marks(frame: Picture, result: CameraResult, scale: float, factor: int)
     known = np.array([m.px for m in result.marks if m.px is not None]).reshape(-1, 2)
     for px in result.detected.px:
         if not len(known) or np.hypot(*(known - px).T).min() > 1:
-            cv2.circle(frame, _at(px, scale), r + 4, _STRANGE, 2, cv2.LINE_AA)
+            cv2.circle(frame, _tile_position(px, scale), r + 4, _FOREIGN, 2, cv2.LINE_AA)
     for (x, y), _ in result.detected.doubtful:
-        cv2.circle(frame, _at(np.array([x, y]), scale), r + 4, _STRANGE, 1, cv2.LINE_AA)
-    laid = result.fit is not None or any(m.px is not None for m in result.marks)
+        cv2.circle(frame, _tile_position(np.array([x, y]), scale), r + 4, _FOREIGN, 1, cv2.LINE_AA)
+    # Without any identified mark the expected positions are only nominal: none of them is then marked as missing.
+    identified = result.fit is not None or any(m.px is not None for m in result.marks)
     for m in result.marks:
-        x, y = _at(m.expected_px, scale)
+        x, y = _tile_position(m.expected_px, scale)
         cv2.rectangle(frame, (x - r, y - r), (x + r, y + r), _EXPECTED, 1, cv2.LINE_AA)
-        fine = m.used or (result.fit is None and m.px is not None)
+        good = m.used or (result.fit is None and m.px is not None)
         if m.px is not None:
-            cv2.drawMarker(frame, _at(m.px, scale), _FOUND if fine else _MISSED, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
-        if not fine and laid:
-            cv2.drawMarker(frame, (x, y), _MISSED, cv2.MARKER_TILTED_CROSS, 2 * r, 2, cv2.LINE_AA)
+            cv2.drawMarker(
+                frame, _tile_position(m.px, scale), _DETECTED if good else _UNUSED, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA
+            )
+        if not good and identified:
+            cv2.drawMarker(frame, (x, y), _UNUSED, cv2.MARKER_TILTED_CROSS, 2 * r, 2, cv2.LINE_AA)
         if m.px is not None and m.residual_px is not None:
             tip = m.px + m.residual_px * factor
-            cv2.arrowedLine(frame, _at(m.px, scale), _at(tip, scale), _VECTOR, 2, cv2.LINE_AA, tipLength=0.25)
+            cv2.arrowedLine(
+                frame, _tile_position(m.px, scale), _tile_position(tip, scale), _VECTOR, 2, cv2.LINE_AA, tipLength=0.25
+            )
 
 
 def _caption(result: CameraResult, factor: int, limit_px: float) -> list[tuple[str, tuple[int, int, int]]]:
@@ -89,16 +96,17 @@ def _caption(result: CameraResult, factor: int, limit_px: float) -> list[tuple[s
     if result.fit is not None:
         lines.append(
             (
-                f"residuals {result.fit.rms_px:.4f} px rms (limit {limit_px:g}), corners good to "
+                f"residuals {result.fit.rms_px:.4f} px rms (limit {limit_px:g}), frame corners known to "
                 f"{result.corner_sigma_px:.3f} px; vectors x{factor}",
                 _INK,
             )
         )
     if result.refusal:
-        said = "REFUSED: " + result.refusal
-        lines += [(line, _RED) for line in _wrapped(said, 100)]
+        text = "REFUSED: " + result.refusal
+        lines += [(line, _RED) for line in _wrapped(text, 100)]
     elif result.notes:
         lines += [(line, _INK) for line in _wrapped(result.notes[0], 100)]
+    # OpenCV's Hershey fonts contain ASCII only.
     return [(line.encode("ascii", "replace").decode(), ink) for line, ink in lines[:4]]
 
 
@@ -112,7 +120,8 @@ def _wrapped(text: str, width: int) -> list[str]:
     return [*lines, line]
 
 
-def _at(px: Floats, scale: float) -> tuple[int, int]:
-    """A place in the reduced frame; far-off ones are kept within what the drawing routines take."""
+def _tile_position(px: Floats, scale: float) -> tuple[int, int]:
+    """Convert frame pixels to pixels of the tile."""
+    # Far-off positions are clipped to a range that OpenCV's drawing functions accept.
     x, y = np.clip((np.asarray(px) + 0.5) * scale - 0.5, -5000, 15000)
     return round(float(x)), round(float(y))

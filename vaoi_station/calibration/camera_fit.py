@@ -1,4 +1,4 @@
-"""One camera: from the marks it sees to its N_i and lens, or to the reason why not."""
+"""Calibration of one camera: N_i and lens from detected marks, or a refusal with its reason."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vaoi_station.calibration.homography_fit import Fit, estimate_homography, fit_camera
-from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, least_score, locate_cross
+from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, locate_cross, score_limit
 from vaoi_station.calibration.mark_identification import Hypothesis
 from vaoi_station.calibration.nominal_view import is_in_frame, nominal_matrix
 from vaoi_station.calibration.outlier_removal import remove_outliers
@@ -17,20 +17,20 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
 
-LEAST_MARKS = 4
+MIN_MARKS = 4
 BLUR_LIMIT_PX = 2.0
-_LEAST_CONTRAST = 20.0
-_LEAST_SIZE_PX = 8
-_LEAST_SHARE = 0.3
-"""Of the marks that the layout puts into the frame, so many must be there, or it is the layout of another board."""
+_MIN_CONTRAST = 20.0
+_MIN_SIZE_PX = 8
+_MIN_SHARE = 0.3
+"""Share of the layout's marks in a frame that must be found; with fewer it is the layout of another board."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkObservation:
-    """A mark of the layout that belongs into the frame: where it is, or why it was not used."""
+    """A mark of the layout expected in the frame: its measured position, or the reason why it was not used."""
 
     index: int
-    """In the layout."""
+    """Index of the mark in the layout."""
     expected_px: Floats
     px: Floats | None = None
     residual_px: Floats | None = None
@@ -38,13 +38,13 @@ class MarkObservation:
 
     @property
     def used(self) -> bool:
-        """Whether N_i rests on it."""
+        """Whether the mark is part of the fit."""
         return self.residual_px is not None
 
 
 @dataclass(frozen=True, eq=False)
 class CameraResult:
-    """What became of one camera."""
+    """The result for one camera: the fit or the refusal, with all marks for the picture."""
 
     camera: int
     head: CameraHead
@@ -52,19 +52,19 @@ class CameraResult:
     marks: tuple[MarkObservation, ...] = ()
     fit: Fit | None = None
     refusal: str = ""
-    """Why there is no N_i, with number and limit."""
+    """The reason for a missing N_i, with value and limit."""
     action: str = ""
-    """What to do about it."""
+    """The remedy for the refusal."""
     notes: tuple[str, ...] = ()
 
     @property
     def used(self) -> int:
-        """Marks that N_i rests on."""
+        """Number of marks in the fit."""
         return sum(m.used for m in self.marks)
 
     @property
     def corner_sigma_px(self) -> float:
-        """How far a point in the worst corner of the frame may be off, one sigma; NaN without a fit."""
+        """Standard deviation of a point in the worst corner of the frame, px; NaN without a fit."""
         if self.fit is None:
             return math.nan
         w, h = self.head.width - 1.0, self.head.height - 1.0
@@ -73,177 +73,194 @@ class CameraResult:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a calibration must keep to."""
+    """Limits that a calibration must satisfy, and the known working distance."""
 
     residual_px: float = 0.2
-    """Root mean square residual of one camera."""
+    """Largest accepted rms residual of one camera."""
     working_distance_mm: float | None = None
 
 
 def calibrate_camera(
     camera: int,
     head: CameraHead,
-    seen: DetectedMarks,
-    option: Hypothesis | None,
+    detected: DetectedMarks,
+    hypothesis: Hypothesis | None,
     marks_mm: Floats,
-    kind: MarkAppearance,
-    to: Limits,
+    appearance: MarkAppearance,
+    limits: Limits,
 ) -> CameraResult:
     """Calibrate one camera.
 
     Args:
-        camera: its number.
-        head: its frame and nominal view.
-        seen: the marks in its frame.
-        option: which of them are which.
-        marks_mm: (k, 2) of the whole layout.
-        kind: how marks look in this frame.
-        to: the limits.
+        camera: index of the camera.
+        head: its frame size and nominal view.
+        detected: detected marks in its frame.
+        hypothesis: assignment of the detected marks to the layout.
+        marks_mm: (k, 2) all marks of the layout.
+        appearance: appearance of marks in this frame.
+        limits: limits of the result, and the working distance.
     """
-    due = _expected(head, camera, seen, option, marks_mm, kind)
-    if (unfit := _unfit_size(kind, head) or _unfit_picture(seen, option, due)) is not None:
-        return CameraResult(camera, head, seen, due, None, *unfit)
-    assert option is not None
-    pairs = option.pairs
-    place = estimate_homography(seen.px[pairs[:, 1]], marks_mm[pairs[:, 0]])
-    marks = _looked_up(place if place is not None else option.similarity, head, seen, option, marks_mm, kind)
-    index, px = _measured(marks)
-    fit = fit_camera(marks_mm[index], px, _center(head), math.hypot(head.width, head.height) / 2)
+    # Checks from cheap and general to specific: the first reason found is the most useful one for the operator.
+    due = _expected_marks(head, camera, detected, hypothesis, marks_mm, appearance)
+    if (unfit := _check_size(appearance, head) or _check_frame(detected, hypothesis, due)) is not None:
+        return CameraResult(camera, head, detected, due, None, *unfit)
+    assert hypothesis is not None
+    pairs = hypothesis.pairs
+    # A first homography predicts all marks of the layout, so that those missed by the search are measured too.
+    place = estimate_homography(detected.px[pairs[:, 1]], marks_mm[pairs[:, 0]])
+    marks = _measure_expected(
+        place if place is not None else hypothesis.similarity, head, detected, hypothesis, marks_mm, appearance
+    )
+    index, px = _measured_positions(marks)
+    fit = fit_camera(marks_mm[index], px, _frame_center(head), math.hypot(head.width, head.height) / 2)
     if isinstance(fit, Failure):
-        action = "Use marks that span the frame in both directions; uncover those that are not seen."
-        return CameraResult(camera, head, seen, marks, None, fit.reason, action)
+        action = "Use marks that span the frame in both directions; uncover those that are not detected."
+        return CameraResult(camera, head, detected, marks, None, fit.reason, action)
     fit, kept = remove_outliers(fit, marks_mm[index], px)
     marks = _with_residuals(marks, index, kept, fit)
-    result = CameraResult(camera, head, seen, marks, fit, notes=_notes(marks, seen, fit))
-    refusal, action = _unfit_result(result, option, to)
-    return CameraResult(camera, head, seen, marks, fit, refusal, action, result.notes)
+    result = CameraResult(camera, head, detected, marks, fit, notes=_warnings(marks, detected, fit))
+    refusal, action = _check_fit(result, hypothesis, limits)
+    return CameraResult(camera, head, detected, marks, fit, refusal, action, result.notes)
 
 
-def _unfit_size(kind: MarkAppearance, head: CameraHead) -> tuple[str, str] | None:
-    """Why marks of this size cannot be measured, and what to do."""
+def _check_size(appearance: MarkAppearance, head: CameraHead) -> tuple[str, str] | None:
+    """Return reason and remedy if marks of this size cannot be measured, else None."""
     most = min(head.width, head.height) / 2
-    if _LEAST_SIZE_PX <= kind.size_px <= most:
+    if _MIN_SIZE_PX <= appearance.size_px <= most:
         return None
     return (
-        f"the layout's marks would be {kind.size_px:.0f} px large in its frame, but must be {_LEAST_SIZE_PX} … "
+        f"the layout's marks would be {appearance.size_px:.0f} px large in its frame, but must be {_MIN_SIZE_PX} … "
         f"{most:.0f} px",
         "Correct unit and mark.size in layout.json, or nominal_px_per_mm.",
     )
 
 
-def _unfit_picture(
-    seen: DetectedMarks, option: Hypothesis | None, due: tuple[MarkObservation, ...]
+def _check_frame(
+    detected: DetectedMarks, hypothesis: Hypothesis | None, due: tuple[MarkObservation, ...]
 ) -> tuple[str, str] | None:
-    """Why the picture yields no marks to work with, and what to do."""
-    known = 0 if option is None else len(option.pairs)
-    if seen.contrast < _LEAST_CONTRAST:
+    """Return reason and remedy if the frame has too few usable marks, else None."""
+    known = 0 if hypothesis is None else len(hypothesis.pairs)
+    if detected.contrast < _MIN_CONTRAST:
         return (
-            f"its picture has a contrast of {seen.contrast:.0f} grey levels, at least {_LEAST_CONTRAST:.0f} are needed",
+            f"its picture has a contrast of {detected.contrast:.0f} grey levels, "
+            f"at least {_MIN_CONTRAST:.0f} are needed",
             "Check light, exposure, lens cap, and that the board lies in its view.",
         )
-    if known < LEAST_MARKS and seen.opposite > len(seen.px):
+    if known < MIN_MARKS and detected.opposite > len(detected.px):
         return (
-            f"it shows {seen.opposite} marks of the opposite brightness and {len(seen.px)} of the layout's polarity",
+            f"it shows {detected.opposite} marks of the opposite brightness and {len(detected.px)} "
+            "of the layout's polarity",
             "Correct mark.polarity in layout.json.",
         )
-    if seen.blur_px > BLUR_LIMIT_PX and not len(seen.px):
+    if detected.blur_px > BLUR_LIMIT_PX and not len(detected.px):
         return (
-            f"it shows no mark, and its steepest edges are blurred by {seen.blur_px:.1f} px (sigma), "
+            f"it shows no mark, and its steepest edges are blurred by {detected.blur_px:.1f} px (sigma), "
             f"the limit is {BLUR_LIMIT_PX:.1f} px",
             "Focus the lens, and check that the board lies uncovered in its view.",
         )
-    if seen.blur_px > BLUR_LIMIT_PX:
+    if detected.blur_px > BLUR_LIMIT_PX:
         return (
-            f"its picture is blurred by {seen.blur_px:.1f} px (sigma), the limit is {BLUR_LIMIT_PX:.1f} px",
+            f"its picture is blurred by {detected.blur_px:.1f} px (sigma), the limit is {BLUR_LIMIT_PX:.1f} px",
             "Focus the lens, and film the board at rest or with a short exposure.",
         )
-    if known >= LEAST_MARKS:
+    if known >= MIN_MARKS:
         return None
     return (
-        f"it shows {len(seen.px)} marks, of which {known} fit the layout; at least {LEAST_MARKS} are needed"
-        + _absent(due, option),
+        f"it shows {len(detected.px)} marks, of which {known} fit the layout; at least {MIN_MARKS} are needed"
+        + _missing_places(due, hypothesis),
         "Move the board until every camera sees four marks, uncover them, and check that layout.json belongs to this "
         "board and nominal_center_mm to this camera.",
     )
 
 
-def _absent(due: tuple[MarkObservation, ...], option: Hypothesis | None) -> str:
-    """Where marks of the layout should be seen whole and are not; nothing where that is not known."""
-    places = [m.expected_px for m in due if m.px is None] if option is not None else []
-    told = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in places[:LEAST_MARKS])
-    more = f" and {len(places) - LEAST_MARKS} places more" if len(places) > LEAST_MARKS else ""
-    return f"; no whole mark is seen at {told} px{more}, where the layout has one" if places else ""
+def _missing_places(due: tuple[MarkObservation, ...], hypothesis: Hypothesis | None) -> str:
+    """Describe where whole marks of the layout are expected and missing; empty if the assignment is unknown."""
+    places = [m.expected_px for m in due if m.px is None] if hypothesis is not None else []
+    listed = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in places[:MIN_MARKS])
+    more = f" and {len(places) - MIN_MARKS} places more" if len(places) > MIN_MARKS else ""
+    return f"; no whole mark is seen at {listed} px{more}, where the layout has one" if places else ""
 
 
-def _unfit_result(result: CameraResult, option: Hypothesis, to: Limits) -> tuple[str, str]:
-    """Why a fit is not to be trusted, and what to do; two empty texts if it is."""
+def _check_fit(result: CameraResult, hypothesis: Hypothesis, limits: Limits) -> tuple[str, str]:
+    """Return reason and remedy if a fit is not plausible; two empty strings if it is."""
     fit = result.fit
     assert fit is not None
     wrong = "Check that layout.json belongs to this board, its unit, and that it is written as cameras see the board."
-    if result.used < _LEAST_SHARE * len(result.marks):
+    if result.used < _MIN_SHARE * len(result.marks):
         return (
             f"it shows {result.used} of the {len(result.marks)} marks that the layout puts into its frame, "
-            f"at least {math.ceil(_LEAST_SHARE * len(result.marks))} are needed",
+            f"at least {math.ceil(_MIN_SHARE * len(result.marks))} are needed",
             wrong,
         )
-    strangers = len(result.detected.px) - len(option.pairs)
-    if strangers > result.used:
-        return f"it shows {strangers} marks that are not in the layout, more than the {result.used} that are", wrong
-    if fit.rms_px > to.residual_px:
+    foreign = len(result.detected.px) - len(hypothesis.pairs)
+    if foreign > result.used:
+        return f"it shows {foreign} marks that are not in the layout, more than the {result.used} that are", wrong
+    if fit.rms_px > limits.residual_px:
         return (
-            f"its residuals are {fit.rms_px:.2f} px (rms, {result.used} marks), the limit is {to.residual_px:.2f} px",
+            f"its residuals are {fit.rms_px:.2f} px (rms, {result.used} marks), "
+            f"the limit is {limits.residual_px:.2f} px",
             wrong + " A print can be off too: see the picture.",
         )
-    why = find_implausibility(fit.matrix, result.head, to.working_distance_mm)
+    why = find_implausibility(fit.matrix, result.head, limits.working_distance_mm)
     return ("", "") if why is None else (why, wrong)
 
 
-def _expected(
+def _expected_marks(
     head: CameraHead,
     camera: int,
-    seen: DetectedMarks,
-    option: Hypothesis | None,
+    detected: DetectedMarks,
+    hypothesis: Hypothesis | None,
     marks_mm: Floats,
-    kind: MarkAppearance,
+    appearance: MarkAppearance,
 ) -> tuple[MarkObservation, ...]:
-    """Where marks would be by what is known, and where those are that are known, for the picture of a refusal."""
-    px = apply(option.similarity if option else nominal_matrix(head, camera), marks_mm)
-    known = {int(k): seen.px[n] for k, n in option.pairs} if option else {}
-    due = sorted({*np.flatnonzero(is_in_frame(head, px, kind.margin_px)).tolist(), *known})
+    """List the marks expected in the frame with their detected positions, for the picture of a refusal."""
+    px = apply(hypothesis.similarity if hypothesis else nominal_matrix(head, camera), marks_mm)
+    known = {int(k): detected.px[n] for k, n in hypothesis.pairs} if hypothesis else {}
+    due = sorted({*np.flatnonzero(is_in_frame(head, px, appearance.margin_px)).tolist(), *known})
     return tuple(MarkObservation(k, px[k], known.get(k)) for k in due)
 
 
-def _looked_up(
-    matrix: Floats, head: CameraHead, seen: DetectedMarks, option: Hypothesis, marks_mm: Floats, kind: MarkAppearance
+def _measure_expected(
+    matrix: Floats,
+    head: CameraHead,
+    detected: DetectedMarks,
+    hypothesis: Hypothesis,
+    marks_mm: Floats,
+    appearance: MarkAppearance,
 ) -> tuple[MarkObservation, ...]:
-    """Every mark that belongs into the frame: as seen, or looked for where it must be."""
-    expected, known = apply(matrix, marks_mm), {int(k): int(n) for k, n in option.pairs}
-    least = least_score(seen.score)
+    """Return all marks expected in the frame: as detected, or measured at their predicted position."""
+    expected, known = apply(matrix, marks_mm), {int(k): int(n) for k, n in hypothesis.pairs}
+    least = score_limit(detected.score)
     marks = []
-    due = np.flatnonzero(is_in_frame(head, expected, kind.margin_px))
+    due = np.flatnonzero(is_in_frame(head, expected, appearance.margin_px))
     for k in sorted({*due.tolist(), *known}):
         if k in known:
-            marks.append(MarkObservation(k, expected[k], seen.px[known[k]]))
+            marks.append(MarkObservation(k, expected[k], detected.px[known[k]]))
             continue
-        mark = locate_cross(seen.grey, expected[k], kind)
+        mark = locate_cross(detected.grey, expected[k], appearance)
         if isinstance(mark, Failure):
-            marks.append(MarkObservation(k, expected[k], note=f"not seen ({mark.reason})"))
-        elif mark.light != kind.light or mark.score < least:
-            marks.append(MarkObservation(k, expected[k], note=f"unlike the others (correlation {mark.score:.2f})"))
-        elif np.hypot(*(mark.px - expected[k])) > 0.25 * kind.size_px:
-            marks.append(MarkObservation(k, expected[k], note="not where it must be"))
+            marks.append(MarkObservation(k, expected[k], note=f"not found ({mark.reason})"))
+        elif mark.light != appearance.light or mark.score < least:
+            marks.append(
+                MarkObservation(k, expected[k], note=f"less similar than the others (correlation {mark.score:.2f})")
+            )
+        # A quarter of a mark: further away it is another object, as the prediction is right to a few pixels.
+        elif np.hypot(*(mark.px - expected[k])) > 0.25 * appearance.size_px:
+            marks.append(MarkObservation(k, expected[k], note="not at its predicted position"))
         else:
             marks.append(MarkObservation(k, expected[k], mark.px))
     return tuple(marks)
 
 
-def _measured(marks: tuple[MarkObservation, ...]) -> tuple[list[int], Floats]:
+def _measured_positions(marks: tuple[MarkObservation, ...]) -> tuple[list[int], Floats]:
+    """Return indices and positions (k, 2) of the measured marks."""
     return [m.index for m in marks if m.px is not None], np.array([m.px for m in marks if m.px is not None])
 
 
 def _with_residuals(
     marks: tuple[MarkObservation, ...], index: list[int], kept: list[int], fit: Fit
 ) -> tuple[MarkObservation, ...]:
+    """Return the marks with the residuals of the fit; marks left out of it get a note."""
     residual = {index[k]: fit.residuals_px[n] for n, k in enumerate(kept)}
     out = []
     for m in marks:
@@ -253,26 +270,26 @@ def _with_residuals(
             expected = m.px - residual[m.index]
             out.append(MarkObservation(m.index, expected, m.px, residual[m.index]))
         else:
-            out.append(MarkObservation(m.index, m.expected_px, m.px, None, "at odds with the others"))
+            out.append(MarkObservation(m.index, m.expected_px, m.px, None, "inconsistent with the others"))
     return tuple(out)
 
 
-def _notes(marks: tuple[MarkObservation, ...], seen: DetectedMarks, fit: Fit) -> tuple[str, ...]:
-    """What the operator should know though the camera is calibrated."""
+def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: Fit) -> tuple[str, ...]:
+    """List the warnings for a calibrated camera."""
     notes = [
-        f"the mark that belongs at ({m.expected_px[0]:.0f}, {m.expected_px[1]:.0f}) px is {m.note}; not used"
+        f"the mark expected at ({m.expected_px[0]:.0f}, {m.expected_px[1]:.0f}) px is {m.note}; not used"
         for m in marks
         if not m.used
     ]
     notes += [
         f"the mark at ({x:.0f}, {y:.0f}) px {why}; not used"
-        for (x, y), why in seen.doubtful
+        for (x, y), why in detected.doubtful
         if all(m.used or np.hypot(*(m.expected_px - (x, y))) > 10 for m in marks)
     ]
     if fit.freedom == 0:
-        notes.append("four marks fix N and leave nothing over to check it by: its residuals are always 0")
+        notes.append("four marks determine N without redundancy: its residuals are always 0 and do not check it")
     return tuple(notes)
 
 
-def _center(head: CameraHead) -> tuple[float, float]:
+def _frame_center(head: CameraHead) -> tuple[float, float]:
     return (head.width - 1) / 2, (head.height - 1) / 2

@@ -1,7 +1,7 @@
-"""The picture of a comparison: over every frame, where and how far two calibrations disagree.
+"""The picture of a comparison: the difference of two calibrations over each frame.
 
-Colour tells how far, on one scale for all cameras with a bar that says what it means; arrows tell whereto,
-enlarged by a round factor. Frames have a margin, so that arrows at their borders are seen whole.
+Colours show the size of the difference, on one scale for all cameras with a colour bar. Arrows show its direction,
+enlarged by a round factor. Frames have a margin, so that arrows at their borders are complete.
 """
 
 from __future__ import annotations
@@ -18,48 +18,49 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
 WIDTH = 460
-"""Of a frame in the picture, px."""
+"""Width of a frame in the picture, px."""
 MARGIN = 50
-"""Around a frame; no arrow is longer."""
+"""Margin around a frame, px; no arrow is longer."""
 BAND = 30
 _FOOT = 86
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _INK, _PAPER, _ARROW = (30, 30, 30), (250, 250, 250), (255, 255, 255)
-_STEPS = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+_ROUND_NUMBERS = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
 def draw_difference(difference: CalibrationDifference, heads: Sequence[CameraHead]) -> Picture:
-    """All cameras, (h, w, 3) BGR, above a bar of the colours; everything is told in px of the frames."""
+    """Draw all cameras, (h, w, 3) BGR, above a colour bar; all figures are px of the frames."""
+    # One scale and one factor for all cameras, so that they can be compared by eye.
     top_px = round_up(max(*difference.max_px, 1e-3))
-    factor = round_down(min((MARGIN - 4) / (most_px(difference) * WIDTH / head.width) for head in heads))
+    factor = round_down(min((MARGIN - 4) / (largest_px(difference) * WIDTH / head.width) for head in heads))
     sheet = arrange_tiles([_tile(difference, i, head, top_px, factor) for i, head in enumerate(heads)])
     foot = _foot(sheet.shape[1], top_px, factor, difference.one_board)
     return np.vstack([sheet, foot])
 
 
-def most_px(difference: CalibrationDifference) -> float:
-    """The longest of all differences, but never 0."""
+def largest_px(difference: CalibrationDifference) -> float:
+    """Return the largest difference, or a tiny positive number."""
     return max(*difference.max_px, 1e-9)
 
 
 def round_up(value: float) -> float:
-    """The next of 1, 1.2, 1.5, 2, 3 … 10 and their decimal multiples that is not below a positive value."""
+    """Round a positive value up to 1, 1.2, 1.5, 2, 3 … 10 or one of their decimal multiples."""
     power = 10.0 ** math.floor(math.log10(value))
-    return next(s * power for s in _STEPS if s * power >= value * (1 - 1e-9))
+    return next(s * power for s in _ROUND_NUMBERS if s * power >= value * (1 - 1e-9))
 
 
 def round_down(value: float) -> float:
-    """The last of them that is not above a positive value."""
+    """Round a positive value down to one of these numbers."""
     power = 10.0 ** math.floor(math.log10(value))
-    return next(s * power for s in reversed(_STEPS) if s * power <= value * (1 + 1e-9))
+    return next(s * power for s in reversed(_ROUND_NUMBERS) if s * power <= value * (1 + 1e-9))
 
 
 def _tile(difference: CalibrationDifference, camera: int, head: CameraHead, top_px: float, factor: float) -> Picture:
-    """One camera: caption, and its frame within a margin."""
+    """Draw one camera: caption, and its frame within a margin."""
     scale, d_px = WIDTH / head.width, difference.difference_px[camera]
     size = (WIDTH, max(round(head.height * scale), 1))
     lengths = np.sqrt((d_px**2).sum(-1)).astype(np.float32)
-    shades = np.clip(_spread(lengths, size) * (255 / top_px), 0, 255).astype(np.uint8)
+    shades = np.clip(_interpolate(lengths, size) * (255 / top_px), 0, 255).astype(np.uint8)
     tile = np.full((size[1] + 2 * MARGIN, WIDTH + 2 * MARGIN, 3), _PAPER, np.uint8)
     tile[MARGIN:-MARGIN, MARGIN:-MARGIN] = cv2.applyColorMap(shades, cv2.COLORMAP_VIRIDIS)
     for place, d in zip(difference.grid_px[camera].reshape(-1, 2), d_px.reshape(-1, 2), strict=True):
@@ -70,8 +71,8 @@ def _tile(difference: CalibrationDifference, camera: int, head: CameraHead, top_
     return np.vstack([band, tile])
 
 
-def _spread(lengths: Floats, size: tuple[int, int]) -> Floats:
-    """Values at the grid's points, the outermost of which lie on the border, → all pixels (h, w)."""
+def _interpolate(lengths: Floats, size: tuple[int, int]) -> Floats:
+    """Interpolate values of the grid to all pixels (h, w); the outermost grid points lie on the border."""
     rows, columns = lengths.shape
     x, y = np.linspace(0, columns - 1, size[0]), np.linspace(0, rows - 1, size[1])
     at_x, at_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
@@ -79,7 +80,8 @@ def _spread(lengths: Floats, size: tuple[int, int]) -> Floats:
 
 
 def _arrow(picture: Picture, foot: Floats, way: Floats) -> None:
-    """White with a dark edge: seen on paper and on every colour."""
+    """Draw an arrow."""
+    # White with a dark edge is visible on white and on each colour of the scale.
     start, tip = (tuple(round(float(v)) for v in p) for p in (foot, foot + way))
     for ink, width in ((_INK, 3), (_ARROW, 1)):
         cv2.circle(picture, start, 1, ink, width, cv2.LINE_AA)
@@ -87,7 +89,7 @@ def _arrow(picture: Picture, foot: Floats, way: Floats) -> None:
 
 
 def _foot(width: int, top_px: float, factor: float, one_board: bool) -> Picture:
-    """The bar of colours with its ends, and a sentence on what is shown."""
+    """Draw the colour bar with its scale, and the caption."""
     foot = np.full((_FOOT, width, 3), _PAPER, np.uint8)
     ramp = np.tile(np.linspace(0, 255, WIDTH // 2).astype(np.uint8), (12, 1))
     foot[10:22, MARGIN : MARGIN + WIDTH // 2] = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)
@@ -95,9 +97,9 @@ def _foot(width: int, top_px: float, factor: float, one_board: bool) -> Picture:
         x = MARGIN + round(share * (WIDTH // 2 - 1))
         cv2.line(foot, (x, 22), (x, 26), _INK, 1)
         _write(foot, f"{share * top_px:g}" + (" px" if share == 1 else ""), (x - 4, 40))
-    _write(foot, f"arrows x{factor:g}: from a pixel to where the other calibration puts what it sees", (MARGIN, 60))
+    _write(foot, f"arrows x{factor:g}: displacement of a pixel in the other calibration", (MARGIN, 60))
     if not one_board:
-        _write(foot, "one motion, common to all cameras, is taken out", (MARGIN, 78))
+        _write(foot, "a motion common to all cameras is removed", (MARGIN, 78))
     return foot
 
 

@@ -1,7 +1,7 @@
-"""N_i and the lens from marks: equation 10 solved by least squares, for any number of marks from four on.
+"""Least-squares fit of N_i and the lens to at least four marks; equation 10.
 
-A normalised direct linear transform gives the start, Gauss-Newton on pixel residuals the result and its
-covariance. Coefficients of radial distortion are added one by one, as long as the marks see them.
+A normalised direct linear transform gives the initial value. Gauss-Newton on pixel residuals gives the result and its
+covariance. Coefficients of radial distortion are added one by one, as long as they are significant.
 """
 
 from __future__ import annotations
@@ -15,35 +15,35 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 
 MARK_SIGMA_PX = 0.007
-"""What a mark's place is good to per axis, before the residuals of a fit say better."""
+"""Prior standard deviation of a mark's position per axis, combined with the residuals of a fit."""
 _PRIOR_FREEDOM = 4.0
-"""Weight of that expectation, in degrees of freedom."""
-IN_COMMON_MARKS = 48.0
-"""Marks do not err independently (print, sampling, what the lens model leaves out): beyond so many, more add little."""
-_STEPS = 12
-_SEEN = 12.0
-"""A coefficient is seen when it lowers the sum of squares by so many variances: about 3.5 sigma."""
-_LEAST_MARKS = (4, 6, 16)
-"""Marks that 0, 1 and 2 coefficients of distortion ask for."""
+"""Weight of the prior in degrees of freedom."""
+CORRELATED_MARKS = 48.0
+"""Errors of marks are correlated (print, sampling, lens model): beyond this number, more marks add little."""
+_MAX_STEPS = 12
+_SIGNIFICANT = 12.0
+"""A coefficient is significant if it lowers the sum of squares by this many variances: about 3.5 sigma."""
+_MIN_MARKS = (4, 6, 16)
+"""Number of marks required for 0, 1 and 2 coefficients of distortion."""
 _DEGENERATE = 1e-3
 _SINGULAR = 1e-8
-"""Least singular value of the adjustment, in the largest: below, equation 10 has no one solution."""
+"""Smallest singular value of the adjustment relative to the largest, below which equation 10 has no unique solution."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A camera's N_i (`matrix`, N_33 = 1), its lens, and how well both are known."""
+    """A camera's N_i (`matrix`, N_33 = 1) and its lens, with residuals and covariance."""
 
     matrix: Floats
     lens: Lens
     residuals_px: Floats
-    """(k, 2) measured minus predicted, in undistorted pixels, which differ from raw ones by less than a thousandth."""
+    """(k, 2) measured minus predicted, in undistorted pixels."""
     covariance: Floats
-    """Of n11 n12 n13 n21 n22 n23 n31 n32 and the radial coefficients."""
+    """Covariance of n11 n12 n13 n21 n22 n23 n31 n32 and the radial coefficients."""
     sigma_px: float
-    """Standard deviation of a mark's place per axis."""
+    """Standard deviation of a mark's position per axis."""
     freedom: int
-    """Measurements minus parameters."""
+    """Degrees of freedom: measurements minus parameters."""
 
     @property
     def rms_px(self) -> float:
@@ -51,15 +51,15 @@ class Fit:
         return float(np.sqrt((self.residuals_px**2).sum(1).mean()))
 
     def sigma_at_px(self, raw_px: Floats) -> Floats:
-        """Standard deviation (k,) of where raw pixels (k, 2) lie, as a length in px: what the marks leave open."""
+        """Compute the standard deviation (k,) of the positions of raw pixels (k, 2), as a length in px."""
         undistorted = self.lens.undistort(raw_px)
         ground = apply(np.linalg.inv(self.matrix), undistorted)
-        rows = np.concatenate([-_slopes(self.matrix, ground), _powers(self.lens, raw_px)], axis=2)
+        rows = np.concatenate([-_homography_jacobian(self.matrix, ground), _lens_jacobian(self.lens, raw_px)], axis=2)
         return np.asarray(np.sqrt(np.einsum("kip,pq,kiq->k", rows, self.covariance, rows)))
 
 
 def fit_camera(marks_mm: Floats, px: Floats, center_px: tuple[float, float], radius_px: float) -> Fit | Failure:
-    """N_i and as much radial distortion as the marks can tell.
+    """Fit N_i and the significant coefficients of radial distortion.
 
     Args:
         marks_mm: (k, 2) tester coordinates, k ≥ 4.
@@ -67,20 +67,21 @@ def fit_camera(marks_mm: Floats, px: Floats, center_px: tuple[float, float], rad
         center_px: principal point, the centre of the distortion.
         radius_px: R of the distortion polynomial.
     """
-    if len(marks_mm) < _LEAST_MARKS[0]:
-        return Failure(f"{len(marks_mm)} marks do not fix the eight parameters of N; {_LEAST_MARKS[0]} are needed")
-    if (flat := _flatness(marks_mm)) is not None:
-        return flat
+    if len(marks_mm) < _MIN_MARKS[0]:
+        return Failure(f"{len(marks_mm)} marks do not determine the eight parameters of N; {_MIN_MARKS[0]} are needed")
+    if (collinear := _find_collinearity(marks_mm)) is not None:
+        return collinear
     best: Fit | None = None
-    for order, least in enumerate(_LEAST_MARKS):
+    for order, least in enumerate(_MIN_MARKS):
         if len(marks_mm) < least:
             break
         fit = _adjust(marks_mm, px, Lens(center_px, radius_px, (0.0,) * order))
+        # With more coefficients a fit may fail although the simpler one is sound.
         if isinstance(fit, Failure):
             if best is None:
                 return fit
             break
-        if best is not None and not _sees_more(best, fit):
+        if best is not None and not _is_significant(best, fit):
             break
         best = fit
     assert best is not None
@@ -88,21 +89,26 @@ def fit_camera(marks_mm: Floats, px: Floats, center_px: tuple[float, float], rad
 
 
 def estimate_homography(target: Floats, source: Floats) -> Floats | None:
-    """Normalised direct linear transform: (3, 3) with target ~ H source for (k, 2) each; None if degenerate."""
+    """Compute the homography (3, 3) with target ~ H·source for (k, 2) points each; None if degenerate.
+
+    Normalised direct linear transform (Hartley).
+    """
+    # Without normalisation the design matrix mixes px², mm·px and 1, and its null space loses half the digits.
     to_source, to_target = _normalizer(source), _normalizer(target)
     p, q = apply(to_source, source), apply(to_target, target)
     one, nil = np.ones(len(p)), np.zeros((len(p), 3))
     s = np.column_stack([p, one])
     design = np.vstack([np.hstack([s, nil, -q[:, :1] * s]), np.hstack([nil, s, -q[:, 1:] * s])])
     _, singular, vt = np.linalg.svd(design)
+    # For a unique solution the null space has dimension one: the eighth singular value must not vanish.
     if singular[7] < _DEGENERATE * singular[0]:
         return None
     h = np.linalg.inv(to_target) @ vt[8].reshape(3, 3) @ to_source
     return np.asarray(h / h[2, 2])
 
 
-def _flatness(marks_mm: Floats) -> Failure | None:
-    """Marks on one line, or all but one of them, fix no plane."""
+def _find_collinearity(marks_mm: Floats) -> Failure | None:
+    """Return a failure if all marks, or all except one, lie on one line; they determine no plane then."""
     offsets = marks_mm - marks_mm.mean(0)
     spread = np.linalg.svd(offsets, compute_uv=False) / np.sqrt(len(offsets))
     if spread[1] < 0.02 * spread[0]:
@@ -111,21 +117,22 @@ def _flatness(marks_mm: Floats) -> Failure | None:
             f"of {spread[0]:.1f} mm (rms)"
         )
     if estimate_homography(marks_mm, marks_mm) is None:
-        return Failure(f"all but one of its {len(marks_mm)} marks are collinear, which fixes no plane")
+        return Failure(f"all but one of its {len(marks_mm)} marks are collinear, which determines no plane")
     return None
 
 
 def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
-    """Gauss-Newton over the eight entries of N (source normalised) and the coefficients of `lens`."""
+    """Adjust the eight entries of N (source normalised) and the coefficients of `lens` by Gauss-Newton."""
     normal_from_mm = _normalizer(marks_mm)
     p, order = apply(normal_from_mm, marks_mm), len(lens.radial)
     h = estimate_homography(px, p)
     if h is None:
-        return Failure(f"its {len(p)} marks are seen in one place, which fixes no view of a plane")
+        return Failure(f"its {len(p)} marks are at one position in the frame, which determines no view of a plane")
     freedom = 2 * len(p) - 8 - order
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         residual = lens.undistort(px) - apply(h, p)
-        design = np.concatenate([_slopes(h, p), -_powers(lens, px)], axis=2).reshape(-1, 8 + order)
+        design = np.concatenate([_homography_jacobian(h, p), -_lens_jacobian(lens, px)], axis=2).reshape(-1, 8 + order)
+        # Columns scaled to 1, as entries of N and coefficients of the lens differ by orders of magnitude.
         scale = np.sqrt((design**2).sum(0))
         step = np.linalg.lstsq(design / scale, residual.ravel(), rcond=None)[0] / scale
         h = h + np.append(step[:8], 0).reshape(3, 3)
@@ -133,36 +140,38 @@ def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
         if np.abs(step * scale).max() < 1e-9:
             break
     residual = lens.undistort(px) - apply(h, p)
+    # Few marks leave few residuals, which may be small by chance; the prior bounds the variance from below.
     variance = float((residual**2).sum() + _PRIOR_FREEDOM * MARK_SIGMA_PX**2) / (freedom + _PRIOR_FREEDOM)
     scaled = design / scale
     _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
     if not singular[-1] > _SINGULAR * singular[0]:
-        return Failure(f"its {len(p)} marks fix no view of a plane: some of them are mistaken for others")
-    in_common = 1 + len(p) / IN_COMMON_MARKS
-    covariance = (vt.T / singular**2) @ vt / np.outer(scale, scale) * variance * in_common
-    matrix, jacobian = _in_mm(h, normal_from_mm, order)
+        return Failure(f"its {len(p)} marks determine no view of a plane: some are assigned wrongly")
+    correlation = 1 + len(p) / CORRELATED_MARKS
+    covariance = (vt.T / singular**2) @ vt / np.outer(scale, scale) * variance * correlation
+    matrix, jacobian = _denormalize(h, normal_from_mm, order)
     return Fit(matrix, lens, residual, jacobian @ covariance @ jacobian.T, float(np.sqrt(variance)), freedom)
 
 
-def _in_mm(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats, Floats]:
-    """N = H T with N_33 = 1, and its derivative by the eight entries of H; coefficients pass through."""
+def _denormalize(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats, Floats]:
+    """Compute N = H·T with N_33 = 1, and its Jacobian by the eight entries of H; lens coefficients are unchanged."""
     full = h @ normal_from_mm
     n = full / full[2, 2]
-    spread = np.kron(np.eye(3), normal_from_mm.T)[:, :8]  # d vec(H T) / d vec(H), row-major
+    # d vec(H·T) / d vec(H), row-major.
+    spread = np.kron(np.eye(3), normal_from_mm.T)[:, :8]
     by_h = (spread - np.outer(n.ravel(), spread[8])) / full[2, 2]
     jacobian = np.eye(8 + order)
     jacobian[:8, :8] = by_h[:8]
     return n, jacobian
 
 
-def _sees_more(less: Fit, more: Fit) -> bool:
-    """Whether one coefficient more lowers the sum of squares by more than noise does."""
+def _is_significant(less: Fit, more: Fit) -> bool:
+    """Return whether one more coefficient lowers the sum of squares by more than noise does."""
     gain = float((less.residuals_px**2).sum() - (more.residuals_px**2).sum())
-    return gain > _SEEN * more.sigma_px**2
+    return gain > _SIGNIFICANT * more.sigma_px**2
 
 
-def _slopes(h: Floats, p: Floats) -> Floats:
-    """Derivative (k, 2, 8) of H p by the first eight entries of H."""
+def _homography_jacobian(h: Floats, p: Floats) -> Floats:
+    """Compute the derivative (k, 2, 8) of H·p by the first eight entries of H."""
     w = p @ h[2, :2] + h[2, 2]
     q = apply(h, p)
     s, nil = np.column_stack([p, np.ones(len(p))]) / w[:, None], np.zeros((len(p), 3))
@@ -171,8 +180,8 @@ def _slopes(h: Floats, p: Floats) -> Floats:
     return np.stack([x, y], axis=1)
 
 
-def _powers(lens: Lens, raw_px: Floats) -> Floats:
-    """Derivative (k, 2, q) of undistorted pixels by the radial coefficients."""
+def _lens_jacobian(lens: Lens, raw_px: Floats) -> Floats:
+    """Compute the derivative (k, 2, q) of undistorted pixels by the radial coefficients."""
     offset = raw_px - lens.center_px
     rho2 = (offset**2).sum(1) / lens.radius_px**2
     columns = [offset * (rho2 ** (k + 1))[:, None] for k in range(len(lens.radial))]
@@ -180,7 +189,7 @@ def _powers(lens: Lens, raw_px: Floats) -> Floats:
 
 
 def _normalizer(points: Floats) -> Floats:
-    """Similarity (3, 3) that brings points to mean 0 and mean distance √2."""
+    """Compute the similarity (3, 3) that maps points to mean 0 and mean distance √2."""
     middle = points.mean(0)
     size = float(np.hypot(*(points - middle).T).mean()) / np.sqrt(2)
     k = 1 / max(size, 1e-12)

@@ -1,4 +1,4 @@
-"""Ways in which a layout is commonly written wrong: mirrored, turned round. They serve to name a mistake only."""
+"""Common mistakes in a layout: reflections, rotations, shifts. They only serve to name the mistake in a refusal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
-_WAYS = (
+_MISTAKES = (
     ("mirrored in x", ((-1, 0), (0, 1))),
     ("mirrored in y", ((1, 0), (0, -1))),
     ("turned by 180°", ((-1, 0), (0, -1))),
@@ -20,28 +20,29 @@ _WAYS = (
 
 
 def find_symmetries(marks_mm: Floats, tolerance_mm: float) -> tuple[str, ...]:
-    """Ways after which a layout (k, 2) lies on itself again: written so by mistake, nothing could tell."""
+    """List the reflections and rotations that map a layout (k, 2) onto itself."""
+    # Such a mistake cannot be detected in any frame, because the result is the same layout.
     middle = (marks_mm.min(0) + marks_mm.max(0)) / 2
     found = []
-    for said, way in _WAYS:
-        changed = (marks_mm - middle) @ np.array(way, dtype=np.float64).T + middle
+    for name, linear in _MISTAKES:
+        changed = (marks_mm - middle) @ np.array(linear, dtype=np.float64).T + middle
         apart = np.hypot(*np.moveaxis(changed[:, None] - marks_mm[None], 2, 0)).min(1)
         if apart.max() <= tolerance_mm:
-            found.append(said)
+            found.append(name)
     return tuple(found)
 
 
 def vary_layout(marks_mm: Floats, heads: Sequence[CameraHead]) -> Iterator[tuple[str, Floats]]:
-    """What was done to the layout (k, 2), and the layout after it: about the origin, its own middle, the array's."""
+    """Yield names of mistakes and the layout (k, 2) after each: about the origin, its centre, the array's centre."""
     views = np.array([h.nominal_center_mm or (0.0, 0.0) for h in heads])
     own, array = (marks_mm.min(0) + marks_mm.max(0)) / 2, (views.min(0) + views.max(0)) / 2
     about = [(np.zeros(2), np.zeros(2)), (own, own), (own, array)]
-    for said, way in _WAYS:
+    for name, linear in _MISTAKES:
         seen: list[Floats] = []
         for before, after in about:
-            changed = (marks_mm - before) @ np.array(way, dtype=np.float64).T + after
+            changed = (marks_mm - before) @ np.array(linear, dtype=np.float64).T + after
             if not any(np.allclose(changed, s) for s in seen):
                 seen.append(changed)
-                yield said, changed
+                yield name, changed
     x, y = array - own
     yield f"shifted by ({x:.1f}, {y:.1f}) mm", marks_mm + (x, y)

@@ -1,7 +1,7 @@
-"""Which mark is which: the layout laid over the marks seen, near where the camera is meant to look.
+"""Assignment of detected marks to the layout, near the nominal view of the camera.
 
-Marks carry no identity. Pairs of marks seen and pairs of the layout that fit in length and direction give
-hypotheses; each is judged by the marks it explains and by those that should be in the frame and are not.
+Marks carry no identity. Each pair of detected marks that matches a pair of the layout in length and direction gives a
+hypothesis. Its score is the number of marks it explains, minus a cost for expected marks that were not detected.
 """
 
 from __future__ import annotations
@@ -16,59 +16,62 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
 _SCALE, _ANGLE_RAD = 0.08, np.radians(8.0)
-"""How far scale and direction may be off the design."""
-_SEEDS, _MOST_SEEN = 48, 120
-_MISSED = 0.5
-"""What a mark that should be in the frame and is not costs, in marks explained."""
+"""Accepted deviation of scale and direction from the design."""
+_MAX_SEEDS, _MAX_DETECTED = 48, 120
+_MISSING_COST = 0.5
+"""Cost of an expected mark that was not detected, in explained marks."""
 _PRIOR_PER_MM2 = 0.04
-"""What a shift off the expected place costs: only enough to decide between equals."""
+"""Cost of a shift from the expected position: it only decides between hypotheses of equal score."""
 _CHUNK = 64
-_MOST_KEPT = 9
-_APART_MM, _AS_GOOD = 0.5, 1.0
+"""Number of hypotheses scored at a time, which bounds the memory of the distance table."""
+_MAX_KEPT = 9
+_APART_MM, _EQUAL_SCORE = 0.5, 1.0
+"""Smallest distance, and largest difference in score, of two hypotheses that make an assignment ambiguous."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """One way to lay the layout over a frame."""
+    """One assignment of detected marks to the layout."""
 
     similarity: Floats
     """(3, 3) tester mm → px."""
     pairs: NDArray[np.int_]
-    """(k, 2): index of the mark in the layout, index of the mark seen."""
+    """(k, 2): index of the mark in the layout, index of the detected mark."""
     score: float
     offset_mm: Floats
-    """How far the view is from its nominal place, (2,)."""
+    """Offset of the view from its nominal position, (2,)."""
 
 
 def find_hypotheses(
-    seen_px: Floats, marks_mm: Floats, head: CameraHead, camera: int, size_px: float
+    detected_px: Floats, marks_mm: Floats, head: CameraHead, camera: int, size_px: float
 ) -> tuple[Hypothesis, ...]:
-    """The best ways to explain the marks seen, the best first; none where fewer than two marks fit.
+    """Find the best assignments of detected marks, best first; none if fewer than two marks match.
 
     Args:
-        seen_px: (m, 2) raw pixels, the surest first.
-        marks_mm: (k, 2) of the whole layout, tester coordinates.
-        head: of the camera.
-        camera: its number.
-        size_px: of a mark.
+        detected_px: (m, 2) raw pixels of detected marks, best first.
+        marks_mm: (k, 2) all marks of the layout, tester coordinates.
+        head: frame size and nominal view of the camera.
+        camera: index of the camera.
+        size_px: size of a mark.
     """
     near = marks_in_view(head, camera, marks_mm, reach_mm(head) + size_px / (head.nominal_px_per_mm or 1.0))
-    seen = seen_px[:_MOST_SEEN]
+    seen = detected_px[:_MAX_DETECTED]
     if len(seen) < 2 or len(near) < 2:
         return ()
-    trial = _Trial(seen, marks_mm[near], nominal_matrix(head, camera), head, size_px)
-    found = trial.judged(trial.from_pairs())
-    return tuple(Hypothesis(h.similarity, _renamed(h.pairs, near), h.score, h.offset_mm) for h in found)
+    matching = _Matching(seen, marks_mm[near], nominal_matrix(head, camera), head, size_px)
+    found = matching.select_best(matching.from_pairs())
+    return tuple(Hypothesis(h.similarity, _to_layout_indices(h.pairs, near), h.score, h.offset_mm) for h in found)
 
 
 def find_rival(options: tuple[Hypothesis, ...], chosen: Hypothesis) -> Hypothesis | None:
-    """Another way to lay the layout that explains a frame as well as the chosen one; None if there is none."""
+    """Return another hypothesis that explains a frame as well as the chosen one, or None."""
     others = (h for h in options if h is not chosen and np.hypot(*(h.offset_mm - chosen.offset_mm)) > _APART_MM)
-    return next((h for h in others if h.score >= chosen.score - _AS_GOOD and len(h.pairs) >= 4), None)
+    return next((h for h in others if h.score >= chosen.score - _EQUAL_SCORE and len(h.pairs) >= 4), None)
 
 
 def choose_hypotheses(options: list[tuple[Hypothesis, ...]]) -> list[Hypothesis | None]:
-    """One hypothesis per camera: the board was laid once, so among equals the offset the cameras agree on wins."""
+    """Choose one hypothesis per camera."""
+    # All cameras show the same board, so among equal scores the offset common to most cameras is the right one.
     firsts = [_best(o, np.zeros(2)) for o in options]
     offsets = [h.offset_mm for h in firsts if h is not None]
     usual = np.median(np.array(offsets), axis=0) if len(offsets) > 1 else np.zeros(2)
@@ -83,13 +86,14 @@ def _best(options: tuple[Hypothesis, ...], expected_mm: Floats) -> Hypothesis | 
     )
 
 
-def _renamed(pairs: NDArray[np.int_], near: NDArray[np.int_]) -> NDArray[np.int_]:
+def _to_layout_indices(pairs: NDArray[np.int_], near: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Replace indices of nearby marks by indices of the whole layout."""
     return np.column_stack([near[pairs[:, 0]], pairs[:, 1]])
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
-    """One frame against the part of the layout that it may show."""
+class _Matching:
+    """Matching of one frame with the part of the layout that it can show."""
 
     seen: Floats
     marks: Floats
@@ -98,11 +102,13 @@ class _Trial:
     size_px: float
 
     def from_pairs(self) -> NDArray[np.complex128]:
-        """Similarities (h, 2) as complex factor and shift: image = a · place + b, from pairs that fit."""
+        """Compute similarities (h, 2), as complex factor a and shift b with px = a·mm + b, from matching pairs."""
         seen, marks = self.seen @ np.array([1, 1j]), self.marks @ np.array([1, 1j])
         between = (marks[None, :] - marks[:, None]) * self.nominal[0, 0]
         found = []
         for first, second in self._seeds():
+            # A quotient of complex numbers is the ratio of lengths and the difference of directions at once; the
+            # diagonal divides by zero, and its infinity or NaN fails both tests.
             way = seen[second] - seen[first]
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = way / between
@@ -114,23 +120,24 @@ class _Trial:
         return np.asarray(every[np.hypot(*self._offset_mm(every).T) < reach_mm(self.head)])
 
     def _seeds(self) -> list[tuple[int, int]]:
-        """Pairs of marks seen that are far enough apart to tell a direction."""
+        """Return pairs of detected marks that are far enough apart to give a direction."""
         m = len(self.seen)
         first, second = np.triu_indices(m, 1)
         length = np.hypot(*(self.seen[second] - self.seen[first]).T)
         far = np.flatnonzero(length >= np.quantile(length, 0.5))
-        chosen = np.random.default_rng(m).permutation(far)[:_SEEDS]
+        # Seeded by the number of marks: the same frame always gives the same result.
+        chosen = np.random.default_rng(m).permutation(far)[:_MAX_SEEDS]
         return [(int(first[k]), int(second[k])) for k in chosen]
 
     def _offset_mm(self, similarities: NDArray[np.complex128]) -> Floats:
-        """Where hypotheses put the middle of the view, minus where the design puts it, (h, 2) mm."""
+        """Compute the centre of the view under hypotheses, minus its nominal position, (h, 2) mm."""
         middle = complex((self.head.width - 1) / 2, (self.head.height - 1) / 2)
         place = (middle - similarities[:, 1]) / similarities[:, 0]
         design = (middle - complex(self.nominal[0, 2], self.nominal[1, 2])) / self.nominal[0, 0]
         return np.column_stack([(place - design).real, (place - design).imag])
 
-    def judged(self, similarities: NDArray[np.complex128]) -> list[Hypothesis]:
-        """The best hypotheses that differ from one another, each improved by all the marks it explains."""
+    def select_best(self, similarities: NDArray[np.complex128]) -> list[Hypothesis]:
+        """Return the best distinct hypotheses, each refined with all marks that it explains."""
         scores = np.concatenate(
             [self._scores(similarities[k : k + _CHUNK]) for k in range(0, len(similarities), _CHUNK)] or [np.zeros(0)]
         )
@@ -141,23 +148,26 @@ class _Trial:
             apart = all(np.hypot(*(offsets[n] - offsets[m])) * self.nominal[0, 0] > self.size_px / 2 for m in kept)
             if apart:
                 kept.append(int(n))
-            if len(kept) == _MOST_KEPT:
+            if len(kept) == _MAX_KEPT:
                 break
-        improved = (self._improved(similarities[n]) for n in kept)
-        return sorted((h for h in improved if h is not None), key=lambda h: -h.score)
+        refined = (self._refine(similarities[n]) for n in kept)
+        return sorted((h for h in refined if h is not None), key=lambda h: -h.score)
 
     def _scores(self, similarities: NDArray[np.complex128]) -> Floats:
+        """Compute the scores (h,) of hypotheses."""
         px, near, _ = self._matches(similarities)
+        # A mark cut by the frame's border is not detected, so it does not count as missing.
         expected = is_in_frame(self.head, px, 0.75 * self.size_px)
-        return np.asarray(near.sum(1) - _MISSED * (expected & ~near).sum(1), dtype=np.float64)
+        return np.asarray(near.sum(1) - _MISSING_COST * (expected & ~near).sum(1), dtype=np.float64)
 
     def _matches(self, similarities: NDArray[np.complex128]) -> tuple[Floats, NDArray[np.bool_], NDArray[np.int_]]:
-        """Places (h, k, 2) of the marks, whether one was seen there, and which."""
+        """Compute positions (h, k, 2) of the layout's marks, whether one was detected there, and its index."""
         at = similarities[:, :1] * (self.marks @ np.array([1, 1j])) + similarities[:, 1:]
         distance = np.abs(at[:, :, None] - self.seen @ np.array([1, 1j]))
         return np.stack([at.real, at.imag], -1), distance.min(2) < max(0.25 * self.size_px, 3.0), distance.argmin(2)
 
-    def _improved(self, similarity: NDArray[np.complex128]) -> Hypothesis | None:
+    def _refine(self, similarity: NDArray[np.complex128]) -> Hypothesis | None:
+        """Refine a hypothesis by least squares over all marks that it explains; None if fewer than two."""
         current = similarity[None]
         for _ in range(3):
             _, near, which = self._matches(current)

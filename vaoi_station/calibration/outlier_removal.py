@@ -1,4 +1,4 @@
-"""Marks that do not fit the others: a smudge, a bubble in the print, a stranger mistaken for a mark."""
+"""Removal of marks that are inconsistent with the others: a smudge, a bubble in the print, another object."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from vaoi_station.calibration.homography_fit import Fit, fit_camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 
-_LEAST_LEFT = 5
-"""Four marks fit anything, so the last five say nothing about one of them."""
-_MOST_SHARE = 0.4
-_TRIED = 12
-"""In how many leave-one-out fits the culprit is sought: those of the largest residuals."""
-_SIGMAS, _LEAST_PX = 6.0, 0.1
+_MIN_REMAINING = 5
+"""Four marks fit without residuals, so of five marks none can be identified as the outlier."""
+_MAX_REMOVED_SHARE = 0.4
+_MAX_TRIALS = 12
+"""Number of leave-one-out fits per outlier: those of the largest residuals."""
+_SIGMAS, _MIN_ERROR_PX = 6.0, 0.1
+"""Smallest prediction error of an outlier, in standard deviations and in px."""
 _RAYLEIGH = 1.1774
-"""Median length of a vector of two normal numbers, in their standard deviation; outliers do not move a median."""
+"""Median length of a vector of two normal variables, in their standard deviation."""
 
 
 def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[int]]:
-    """Leave out marks, one by one, whose place the others predict otherwise.
+    """Remove marks, one by one, that lie elsewhere than the others predict.
 
     Args:
-        fit: of all the marks.
+        fit: the fit of all marks.
         marks_mm: (k, 2) tester coordinates.
         px: (k, 2) raw pixels.
 
     Returns:
-        The fit of the marks kept, and their indices.
+        The fit of the remaining marks, and their indices.
     """
     kept = list(range(len(px)))
-    least = max(_LEAST_LEFT, int(np.ceil((1 - _MOST_SHARE) * len(px))))
+    least = max(_MIN_REMAINING, int(np.ceil((1 - _MAX_REMOVED_SHARE) * len(px))))
     while len(kept) > least:
         better = _leave_one_out(fit, marks_mm, px, kept)
         if better is None:
@@ -40,17 +41,20 @@ def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[i
 
 
 def _leave_one_out(fit: Fit, marks_mm: Floats, px: Floats, kept: list[int]) -> tuple[Fit, list[int]] | None:
-    """The fit without the mark that disturbs most, if it is off by more than noise explains."""
+    """Return the best fit with one mark less, if that mark is off by more than noise explains."""
     best: tuple[float, Fit, list[int]] | None = None
     lengths = np.hypot(*fit.residuals_px.T)
+    # The median is robust against the outliers that are still in the fit.
     usual = float(np.median(lengths)) / _RAYLEIGH * np.sqrt(2 * len(kept) / max(fit.freedom, 1))
-    for n in np.argsort(-lengths)[:_TRIED]:
+    # The largest residual need not be the outlier's: a least-squares fit bends towards it. So each candidate is left
+    # out in turn, and predicted by the others.
+    for n in np.argsort(-lengths)[:_MAX_TRIALS]:
         rest = [k for m, k in enumerate(kept) if m != n]
         trial = fit_camera(marks_mm[rest], px[rest], fit.lens.center_px, fit.lens.radius_px)
         if isinstance(trial, Failure):
             continue
         left, out = px[kept[n]], marks_mm[kept[n]]
         off = float(np.hypot(*(trial.lens.undistort(left) - apply(trial.matrix, out))))
-        if off > max(_SIGMAS * usual, _LEAST_PX) and (best is None or trial.rms_px < best[0]):
+        if off > max(_SIGMAS * usual, _MIN_ERROR_PX) and (best is None or trial.rms_px < best[0]):
             best = trial.rms_px, trial, rest
     return None if best is None else best[1:]

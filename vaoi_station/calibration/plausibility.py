@@ -1,6 +1,6 @@
-"""Whether an N_i can be that of a camera that looks down as designed.
+"""Plausibility of an N_i as that of a camera that looks down as designed.
 
-Four marks fit any layout without a residual; what a wrong one yields is a view that no camera has.
+Four marks fit any layout without residuals, but a wrong layout gives a view that no real camera has.
 """
 
 from __future__ import annotations
@@ -13,35 +13,38 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
 
 TILT_DEG = 6.0
-"""No camera looks askew by more; one that did would not focus over its frame."""
-SCALE_SHARE = 0.08
-_PRINT_SHARE = 0.02
-"""Boards whose print is off in scale by more are told of."""
+"""Largest plausible tilt of a camera; with more, it would not be in focus over its whole frame."""
+MAX_SCALE_ERROR = 0.08
+"""Largest accepted relative difference between fitted and nominal resolution."""
+_MAX_PRINT_ERROR = 0.02
+"""Relative scale error of the print beyond which a warning is given."""
 
 
 def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: float | None) -> str | None:
-    """Why N_i (3, 3) is no view of such a camera, with number and limit; None if it is one.
+    """Return the reason why N_i (3, 3) is implausible, with value and limit, or None.
 
     Args:
         matrix: tester mm → undistorted px.
-        head: with the nominal resolution.
-        working_distance_mm: if unknown, at least the diagonal of the view.
+        head: frame size and nominal resolution of the camera.
+        working_distance_mm: if None, the diagonal of the view is assumed.
     """
     low, high = local_scales(matrix, head)
     if np.linalg.det(matrix) < 0:
         return "its view is mirrored"
     nominal = head.nominal_px_per_mm or 1.0
-    if abs(math.sqrt(low * high) / nominal - 1) > SCALE_SHARE:
+    if abs(math.sqrt(low * high) / nominal - 1) > MAX_SCALE_ERROR:
         return (
-            f"its resolution is {math.sqrt(low * high):.2f} px/mm, more than {SCALE_SHARE:.0%} off the nominal "
+            f"its resolution is {math.sqrt(low * high):.2f} px/mm, more than {MAX_SCALE_ERROR:.0%} off the nominal "
             f"{nominal:.2f} px/mm"
         )
+    # A tilt by α compresses the view by cos α in one direction and leaves the other unchanged.
     stretch, most = high / low, 1 / math.cos(math.radians(TILT_DEG))
     if stretch > most:
         return (
             f"its view is stretched by {stretch - 1:.2%} in one direction, but a camera that is tilted by at most "
             f"{TILT_DEG:.0f}° stretches by {most - 1:.2%}"
         )
+    # The third row of N_i gives the relative depth; it varies over the frame by the tilt only.
     diagonal = math.hypot(head.width, head.height) / nominal
     distance = working_distance_mm or diagonal
     corners = np.array([[x, y] for x in (0, head.width - 1) for y in (0, head.height - 1)], dtype=np.float64)
@@ -58,8 +61,8 @@ def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: f
 
 
 def print_scale_note(scale_ratio: float) -> str | None:
-    """What to check when cameras see the board larger or smaller than designed; None if they do not."""
-    if abs(scale_ratio - 1) <= _PRINT_SHARE:
+    """Return a warning if all cameras together have a resolution off the nominal one, else None."""
+    if abs(scale_ratio - 1) <= _MAX_PRINT_ERROR:
         return None
     return (
         f"all cameras together see the board {abs(scale_ratio - 1):.1%} {'larger' if scale_ratio > 1 else 'smaller'} "
@@ -68,7 +71,8 @@ def print_scale_note(scale_ratio: float) -> str | None:
 
 
 def local_scales(matrix: Floats, head: CameraHead) -> tuple[float, float]:
-    """Least and greatest px per mm in the middle of the frame, over all directions."""
+    """Compute the smallest and the largest px per mm over all directions, at the centre of the frame."""
+    # They are the singular values of the Jacobian of the homography.
     middle = apply(np.linalg.inv(matrix), np.array([(head.width - 1) / 2, (head.height - 1) / 2]))
     w = float(matrix[2, :2] @ middle + matrix[2, 2])
     jacobian = (matrix[:2, :2] - np.outer(apply(matrix, middle), matrix[2, :2])) / w

@@ -1,4 +1,4 @@
-"""Pictures of single cameras side by side on one sheet, in as many lines as it takes to stay readable."""
+"""Arrangement of the pictures of single cameras on one sheet."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GAP = 8
 
 
 def arrange_tiles(tiles: Sequence[Picture]) -> Picture:
-    """Tiles of one width on white: three in a line, or four where there are more than six."""
+    """Arrange tiles of one width on white: three per line, or four if there are more than six."""
     columns = min(len(tiles), 4 if len(tiles) > 6 else 3)
     lines = [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
     heights = [max(t.shape[0] for t in line) for line in lines]

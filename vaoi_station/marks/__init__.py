@@ -1,4 +1,4 @@
-"""Fiducial marks: their artwork, finding look-alikes in a frame, and their place to a few hundredths of a pixel."""
+"""Fiducial-like marks: their shapes, the candidate search in a frame, and sub-pixel localisation."""
 
 from vaoi_station.marks.candidate_search import find_candidates
 from vaoi_station.marks.subpixel_localisation import Mark, locate_mark

@@ -1,7 +1,7 @@
-"""Is a mark all there? A cover, a smudge or glare moves the centre further than its noise tells; compiled.
+"""Asymmetry of a mark, as a bound of the error by covers, smudges or glare; compiled.
 
-Every mark is point symmetric, and so is the bare rim around it: where they differ from themselves turned by 180° about
-the centre, by more than vignetting makes them, the centre may be off.
+Each mark and the bare rim around it are point symmetric. If they differ from themselves rotated by 180° about the
+fitted centre by more than vignetting explains, the centre may be displaced by more than its noise.
 """
 
 from __future__ import annotations
@@ -14,64 +14,66 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 
 _SECTORS = 4
-"""Of the upper half: octants, which are compared with those that face them."""
+"""Octants of the upper half; each is compared with the opposite octant."""
 _EDGE_PX = 2.0
-"""So far outside a mark's edge its blur ends."""
+"""Distance outside a mark's edge at which its blur ends."""
 _RIM_PX, _RIM = 3.0, 0.25
-"""Width of the rim that is looked at: so many px, at most that share of the radius."""
-_ODD, _ODD_NOISE = 0.01, 3.0
-"""Oddness that marks have by themselves: in sizes, and in standard deviations of the centre."""
-_LIGHT, _LIGHT_NOISE = 0.03, 2.0
-"""The same for the light on the rim: in contrasts, and in contrasts per px of the centre's standard deviation."""
-_PULL = 0.2
-"""By such a share of the radius is the centre off when the light on the rim differs by the whole contrast, as spots of
-light beside marks showed."""
-_IN_COMMON = 2.0
-"""What lies on one fiducial lies on it in every frame, and lamps shine on all alike: it does not average out over
-sightings, which the adjustment takes to be independent."""
+"""Width of the compared rim in px, and its upper limit as a share of the radius."""
+_NORMAL_SHIFT, _NORMAL_SHIFT_NOISE = 0.01, 3.0
+"""Asymmetry of undisturbed marks: in sizes, and in standard deviations of the centre."""
+_NORMAL_LIGHT, _NORMAL_LIGHT_NOISE = 0.03, 2.0
+"""Asymmetry of the rim of undisturbed marks: in contrasts, and in contrasts per px of the centre's sigma."""
+_SHIFT_PER_LIGHT = 0.2
+"""Displacement of the centre, in radii, if the light on the rim differs by the whole contrast; measured with light
+spots beside marks."""
+_COMMON_FACTOR = 2.0
+"""A cover or glare affects all detections of a fiducial alike and does not average out, but the adjustment takes
+detections as independent."""
 
 
 def asymmetry_sigma_px(
     image: NDArray[np.uint8], px: tuple[float, float], size_px: float, contrast: float, sigma_px: float
 ) -> float:
-    """Standard deviation of a centre per axis (px) by what covers the mark or shines on it; 0 for one that is whole.
+    """Estimate the standard deviation of a centre per axis (px) by covers and glare; 0 for an undisturbed mark.
 
     Args:
         image: (h, w); the mark and some pixels around it should lie inside.
-        px: the centre that was fitted.
+        px: the fitted centre.
         size_px: diameter of the mark.
-        contrast: between mark and ground, grey levels.
+        contrast: difference of mark and ground, grey levels.
         sigma_px: standard deviation of the centre by noise.
     """
     radius = size_px / 2
     odd, light = measure_asymmetry(image, *px, radius, radius + _EDGE_PX + min(_RIM_PX, _RIM * radius), contrast)
-    covered = max(odd - _ODD * size_px - _ODD_NOISE * sigma_px, 0.0)
-    shone_on = _PULL * radius * max(light - _LIGHT - _LIGHT_NOISE * sigma_px, 0.0)
-    return _IN_COMMON * math.hypot(covered, shone_on)
+    # Only the part beyond that of undisturbed marks counts: the noise is already in `sigma_px`.
+    covered = max(odd - _NORMAL_SHIFT * size_px - _NORMAL_SHIFT_NOISE * sigma_px, 0.0)
+    glare = _SHIFT_PER_LIGHT * radius * max(light - _NORMAL_LIGHT - _NORMAL_LIGHT_NOISE * sigma_px, 0.0)
+    return _COMMON_FACTOR * math.hypot(covered, glare)
 
 
 @compiled
 def measure_asymmetry(
     image: NDArray[np.uint8], x: float, y: float, radius: float, reach: float, contrast: float
 ) -> tuple[float, float]:
-    """How far the two sides of a mark are from facing each other, as a shift of its centre in px; and those of its rim.
+    """Measure the asymmetry of a mark as a shift of its centre in px, and that of its rim in contrasts.
 
-    In every sector the light in excess of the opposite sector's, over the contrast and the length of the arc, is the
-    distance by which the edge would have to be displaced. A shift t of the whole mark leaves t·cos θ in a sector at θ,
-    t/√2 in the root mean square. Of the rim outside it is the mean difference, over the contrast, likewise.
+    In each sector, the excess of light over the opposite sector, divided by the contrast and the arc length, is a
+    displacement of the edge. A shift t of the whole mark gives t·cos θ in a sector at θ, which is t/√2 in the root mean
+    square. For the rim it is the mean difference, divided by the contrast, likewise.
 
     Args:
         image: (h, w).
-        x: of the centre, px.
-        y: of the centre, px.
-        radius: of the mark, px.
-        reach: to where the rim is compared, px.
-        contrast: between mark and ground, grey levels.
+        x: centre, px.
+        y: centre, px.
+        radius: radius of the mark, px.
+        reach: outer radius of the compared rim, px.
+        contrast: difference of mark and ground, grey levels.
     """
     excess, light, count = np.zeros(_SECTORS), np.zeros(_SECTORS), np.zeros(_SECTORS)
     edge = radius + _EDGE_PX
     for row in range(max(math.ceil(y - reach), 1), min(math.floor(y), image.shape[0] - 2) + 1):
         v = row - y
+        # The opposite point (x − u, y − v) lies between pixels, so it is interpolated bilinearly.
         i = math.floor(y - v)
         down = y - v - i
         for column in range(max(math.ceil(x - reach), 1), min(math.floor(x + reach), image.shape[1] - 2) + 1):
@@ -84,6 +86,7 @@ def measure_asymmetry(
             above = image[i, j] * (1 - across) + image[i, j + 1] * across
             below = image[i + 1, j] * (1 - across) + image[i + 1, j + 1] * across
             off = image[row, column] - above * (1 - down) - below * down
+            # An octant from two comparisons, without an arc tangent per pixel.
             sector = (1 if u > 0 else 0) + (2 if abs(u) > abs(v) else 0)
             if r < edge:
                 excess[sector] += min(edge - r, 1.0) * off

@@ -1,4 +1,4 @@
-"""The loops of the search, compiled: which pixels stand out from the rim around them and look like the artwork."""
+"""Compiled loops of the candidate search: pixels that stand out from the rim around them and match the template."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
 RING = 16
-"""Samples on the bare rim around a mark."""
-_MOST_ASTRAY = 4
-"""So many of them may be covered by something else."""
-_STANDS_OUT = 8
-"""Grey levels between a mark and its rim, at the least."""
+"""Number of samples on the bare rim around a mark."""
+_MAX_DEVIANT = 4
+"""Number of samples that may be covered by something else."""
+_MIN_DIFFERENCE = 8
+"""Smallest difference between a mark and its rim, grey levels."""
 
 
 def ring_offsets(radius_px: float) -> NDArray[np.int_]:
-    """Whole pixels (RING, 2), x and y, on a circle; the first lies on the x axis."""
+    """Compute offsets (RING, 2), x and y in whole pixels, on a circle; the first lies on the x axis."""
     angle = 2 * np.pi * np.arange(RING) / RING
     return np.rint(radius_px * np.stack([np.cos(angle), np.sin(angle)], -1)).astype(np.int_)
 
@@ -26,14 +26,14 @@ def ring_offsets(radius_px: float) -> NDArray[np.int_]:
 def scan_candidates(
     image: NDArray[np.uint8], template: NDArray[np.float32], ring: NDArray[np.int_], near: int, least_score: float
 ) -> Floats:
-    """Pixels (k, 3) that stand out from their rim and look like the template: x, y, absolute correlation.
+    """Find pixels (k, 3) that stand out from their rim and match the template: x, y, absolute correlation.
 
     Args:
         image: (h, w).
-        template: (s, s), s odd, of mean 0 and square sum 1.
+        template: (s, s), s odd, with mean 0 and square sum 1.
         ring: (RING, 2) offsets of the rim in whole pixels.
-        near: offset of pixels that belong to the mark's core, along the axes.
-        least_score: correlations below are left out.
+        near: offset along the axes of pixels that belong to the mark's core.
+        least_score: smallest accepted correlation.
     """
     h, w = image.shape
     half = template.shape[0] // 2
@@ -42,15 +42,17 @@ def scan_candidates(
     rim_below, rim_above = np.zeros(w, np.int16), np.zeros(w, np.int16)
     found, count, window = np.empty((256, 3)), 0, np.empty(template.size, np.float32)
     for y in range(edge, h - edge):
-        _stand_out(image, y, edge, reach, near, rim_below, rim_above)
+        # Three tests of growing cost: most pixels fail the first, which runs on a whole line in vector registers.
+        _contrast_line(image, y, edge, reach, near, rim_below, rim_above)
         for x in range(edge, w - edge):
             if rim_below[x - edge] == 0 and rim_above[x - edge] == 0:
                 continue
-            if not _ringed(image, x, y, ring, rim_below[x - edge], rim_above[x - edge]):
+            if not _has_bare_rim(image, x, y, ring, rim_below[x - edge], rim_above[x - edge]):
                 continue
             score = _correlation(image, template, x - half, y - half, window)
             if score < least_score:
                 continue
+            # The buffer doubles when full: a frame with texture can have far more hits than marks.
             if count == len(found):
                 larger = np.empty((2 * count, 3))
                 larger[:count] = found
@@ -61,7 +63,7 @@ def scan_candidates(
 
 
 @inlined
-def _stand_out(
+def _contrast_line(
     image: NDArray[np.uint8],
     y: int,
     edge: int,
@@ -70,9 +72,9 @@ def _stand_out(
     rim_below: NDArray[np.int16],
     rim_above: NDArray[np.int16],
 ) -> None:
-    """One line: below (above) which grey level the rim must be; 0 where a pixel does not stand out so.
+    """Compute for one line the grey level below (above) which the rim must be; 0 if a pixel does not stand out.
 
-    Three of four samples on the rim must be darker, or lighter, than all five of the core.
+    At least three of four samples on the rim must be darker, or lighter, than all five of the core.
     """
     last = image.shape[1] - edge
     core, over, under = image[y, edge:last], image[y - near, edge:last], image[y + near, edge:last]
@@ -80,24 +82,27 @@ def _stand_out(
     top, bottom = image[y - reach, edge:last], image[y + reach, edge:last]
     left, right = image[y, edge - reach : last - reach], image[y, edge + reach : last + reach]
     for x in range(last - edge):
+        # The third of four sorted values with min and max only, which vectorise; a sort does not.
         a, b = min(left[x], right[x]), max(left[x], right[x])
         c, d = min(top[x], bottom[x]), max(top[x], bottom[x])
         least, most = np.int16(min(max(a, c), b, d)), np.int16(max(min(b, d), a, c))
         darkest = np.int16(min(core[x], one[x], two[x], over[x], under[x]))
         lightest = np.int16(max(core[x], one[x], two[x], over[x], under[x]))
-        below, above = np.int16(darkest - _STANDS_OUT), np.int16(lightest + _STANDS_OUT)
+        below, above = np.int16(darkest - _MIN_DIFFERENCE), np.int16(lightest + _MIN_DIFFERENCE)
         rim_below[x] = below if most <= below else np.int16(0)
         rim_above[x] = above if least >= above else np.int16(0)
 
 
 @inlined
-def _ringed(image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], rim_below: int, rim_above: int) -> bool:
-    """Whether enough of the rim is as dark as `rim_below` or, where that is 0, as light as `rim_above`."""
-    astray = 0
+def _has_bare_rim(
+    image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], rim_below: int, rim_above: int
+) -> bool:
+    """Return whether enough of the rim is as dark as `rim_below` or, if that is 0, as light as `rim_above`."""
+    deviant = 0
     for k in range(RING):
         v = image[y + ring[k, 1], x + ring[k, 0]]
-        astray += v > rim_below if rim_below else v < rim_above
-        if astray > _MOST_ASTRAY:
+        deviant += v > rim_below if rim_below else v < rim_above
+        if deviant > _MAX_DEVIANT:
             return False
     return True
 
@@ -106,7 +111,7 @@ def _ringed(image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], ri
 def _correlation(
     image: NDArray[np.uint8], template: NDArray[np.float32], left: int, top: int, window: NDArray[np.float32]
 ) -> float:
-    """Absolute value of the zero-mean normalised correlation of a window with a template of mean 0 and square sum 1."""
+    """Compute the absolute zero-mean normalised correlation of a window with a normalised template."""
     side = template.shape[0]
     for v in range(side):
         line, part = image[top + v, left : left + side], window[v * side : (v + 1) * side]
@@ -114,8 +119,9 @@ def _correlation(
             part[u] = line[u]
     weights = template.ravel()
     total = square = product = np.float32(0)
+    # Relative to the first pixel the sums of 8-bit values stay small enough to be exact in single precision.
     for k in range(side * side):
-        p = window[k] - window[0]  # sums stay small, and exact
+        p = window[k] - window[0]
         total += p
         square += p * p
         product += weights[k] * p
@@ -125,7 +131,16 @@ def _correlation(
 
 @compiled
 def suppress_non_maxima(hits: Floats, apart: int, most: int) -> NDArray[np.int64]:
-    """Numbers of the best hits (k, 3), given best first, of which no two are within `apart` pixels along both axes."""
+    """Select hits by non-maximum suppression: no two are within `apart` pixels along both axes.
+
+    Args:
+        hits: (k, 3) x, y, score, the best first.
+        apart: size of the suppressed neighbourhood, px.
+        most: largest number of hits.
+
+    Returns:
+        Indices of the selected hits.
+    """
     kept = np.empty(min(most, len(hits)), np.int64)
     count = 0
     for n in range(len(hits)):

@@ -1,7 +1,7 @@
-"""Where in a frame something looks like a mark, at a size where the mark is a few pixels wide.
+"""Candidate search: positions in a reduced frame that look like a mark of a few pixels.
 
-What does not stand out from a bare rim all around is passed over (`scan`); the rest is correlated with the artwork. The
-compared square is the one that fits into the bare rim, so that what lies beyond does not matter.
+Pixels that do not stand out from a bare rim all around are skipped (`candidate_kernels`); the others are correlated
+with a template. The compared square fits into the bare rim, so that objects beyond it have no effect.
 """
 
 from __future__ import annotations
@@ -17,53 +17,55 @@ from vaoi_station.marks.candidate_kernels import ring_offsets, scan_candidates, 
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape, coverage
 
 SURROUND = 2.0
-"""Diameter of the compared disc in sizes of the mark: the mark, and the bare rim that board makers leave around it."""
-_SMALLEST_PX = 5.0
-_LEAST_SCORE = 0.75
+"""Diameter of the compared disc in sizes of the mark: the mark and the bare rim that board makers leave around it."""
+_MIN_SIZE_PX = 5.0
+_MIN_CORRELATION = 0.75
 _RIM_SHARE, _RIM_PX = 0.2, 1.25
-"""How far outside a mark the rim is looked at, in sizes, and at the least."""
+"""Distance of the sampled rim from the edge of the mark, in sizes, and its lower limit in px."""
 _CORE_SHARE = 0.22
-"""Pixels so far from the centre along the axes belong to every mark, in sizes."""
+"""Distance from the centre along the axes, in sizes, within which every shape is filled."""
 
 
 def reduction_factor(size_px: float) -> int:
-    """By which power of two a frame may be reduced so that the mark keeps five pixels."""
-    return 2 ** max(int(math.log2(size_px / _SMALLEST_PX)), 0) if size_px > _SMALLEST_PX else 1
+    """Return the largest power of two by which a frame can be reduced so that the mark keeps five pixels."""
+    return 2 ** max(int(math.log2(size_px / _MIN_SIZE_PX)), 0) if size_px > _MIN_SIZE_PX else 1
 
 
 def find_candidates(
     image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 16, *, arm: float = CROSS_ARM
 ) -> tuple[Floats, Floats]:
-    """Candidates for a mark, light on dark or dark on light.
+    """Find candidates for a mark, light on dark or dark on light.
 
     Args:
         image: (h, w), reduced so that `size_px` is at least about five.
-        shape: of the mark.
-        size_px: of the mark in this image.
-        most: how many candidates at the most, the best first.
+        shape: shape of the mark.
+        size_px: size of the mark in this image.
+        most: largest number of candidates; the best are returned.
         arm: width of a cross' arm as a share of its size.
 
     Returns:
-        Positions (k, 2) in pixels of `image`, good to about half a pixel, and scores (k,) in 0…1.
+        Positions (k, 2) in pixels of `image`, accurate to about half a pixel, and scores (k,) in 0…1, best first.
     """
-    template, ring, near = _artwork(shape, size_px, arm)
+    template, ring, near = _template(shape, size_px, arm)
     if min(image.shape) <= 2 * max(len(template) // 2, int(ring[0, 0])):
         return np.zeros((0, 2)), np.zeros(0)
     image = np.ascontiguousarray(image).view()
-    image.flags.writeable = False  # a function is compiled anew for arrays that may be written
-    hits = scan_candidates(image, template, ring, near, _LEAST_SCORE)
+    # Numba compiles a separate version for writeable arrays; read-only everywhere means one version.
+    image.flags.writeable = False
+    hits = scan_candidates(image, template, ring, near, _MIN_CORRELATION)
     hits = hits[np.argsort(-hits[:, 2], kind="stable")]
     hits = hits[suppress_non_maxima(hits, max(round(size_px / 2), 1), most)]
     return hits[:, :2], hits[:, 2]
 
 
 @lru_cache(maxsize=64)
-def _artwork(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.float32], NDArray[np.int_], int]:
-    """The template (of mean 0 and square sum 1), the rim around it, and how far along the axes its core reaches."""
+def _template(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.float32], NDArray[np.int_], int]:
+    """Return the template (mean 0, square sum 1), the offsets of the rim, and the reach of the core along the axes."""
     side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
     template = coverage(shape, size_px, side, arm=arm)
     template -= template.mean()
     template /= np.sqrt((template**2).sum())
+    # The rim must clear the corners of a square too; the other shapes lie within a circle of their size.
     outermost = size_px / 2 * (math.sqrt(2) if shape == "square" else 1)
     rim = outermost + max(_RIM_SHARE * size_px, _RIM_PX)
     return template, ring_offsets(rim), max(round(_CORE_SHARE * size_px), 1)

@@ -1,6 +1,6 @@
-"""The paper's way to a mark (section 3.2): template matching, thresholding, centre of gravity.
+"""The paper's localisation of a mark (section 3.2): template matching, thresholding, centre of gravity.
 
-Kept to compare with: shading over the mark pulls the centre of gravity, and so does what lies beside it.
+It serves as a baseline for benchmarks. Shading over the mark and copper beside it displace the centre of gravity.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape, coverage
 
-_LEAST_SCORE = 0.6
+_MIN_CORRELATION = 0.6
 
 
 def locate_by_centre_of_gravity(
@@ -26,16 +26,16 @@ def locate_by_centre_of_gravity(
     arm: float = CROSS_ARM,
     reach_px: float = 20.0,
 ) -> Floats | Failure:
-    """Place (2,) of a mark in raw pixels.
+    """Locate a mark in raw pixels, (2,), with the paper's method.
 
     Args:
         image: (h, w) full frame.
-        near_px: (2,) where it is looked for.
-        shape: of the mark.
-        size_px: its size in this image.
-        light: whether it is lighter than its surroundings.
+        near_px: (2,) predicted position.
+        shape: shape of the mark.
+        size_px: size of the mark in this image.
+        light: whether the mark is lighter than its surroundings.
         arm: width of a cross' arm as a share of its size.
-        reach_px: how far from there it may be.
+        reach_px: largest accepted distance from the prediction along each axis.
     """
     side = 2 * int(np.ceil(0.6 * size_px)) + 1
     half = side // 2 + int(np.ceil(reach_px))
@@ -45,14 +45,16 @@ def locate_by_centre_of_gravity(
     if min(patch.shape) < side:
         return Failure(f"the mark near ({x}, {y}) px is cut off by the frame's border")
     template = np.round(coverage(shape, size_px, side, arm=arm) * (200 if light else -200) + (20 if light else 220))
+    # Grey levels of the template do not matter: the normalised correlation is invariant to gain and offset.
     surface = cv2.matchTemplate(patch, template.astype(np.uint8), cv2.TM_CCOEFF_NORMED)
     _, score, _, (left, top) = cv2.minMaxLoc(surface)
-    if not score >= _LEAST_SCORE:
-        return Failure(f"correlation {score:.2f} near ({x}, {y}) px is below {_LEAST_SCORE}")
+    # `not >=`, because the correlation of a constant window is NaN.
+    if not score >= _MIN_CORRELATION:
+        return Failure(f"correlation {score:.2f} near ({x}, {y}) px is below {_MIN_CORRELATION}")
     window = patch[top : top + side, left : left + side]
     kind = cv2.THRESH_BINARY if light else cv2.THRESH_BINARY_INV
     _, mask = cv2.threshold(np.ascontiguousarray(window), 0, 1, kind | cv2.THRESH_OTSU)
     v, u = np.nonzero(mask)
     if not len(u):
-        return Failure(f"nothing stands out near ({x}, {y}) px")
+        return Failure(f"no pixel is above the threshold near ({x}, {y}) px")
     return np.array([low[0] + left + u.mean(), low[1] + top + v.mean()])

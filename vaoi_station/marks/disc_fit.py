@@ -1,8 +1,9 @@
-"""The centre of a disc: its picture, as lens and light make it, fitted to the pixels; compiled.
+"""Least-squares fit of a blurred disc to pixels, which gives its centre; compiled.
 
-Grey level = (ground + contrast · ½ erfc((r − R) / (√2 σ))) · (1 + gx·u + gy·v), with (u, v) and r from the centre:
-place, light on both sides, radius, blur and the slope of the light are all unknown. What the model leaves out (the bend
-of vignetting, a lens' real blur) is even about the centre, while a shift is odd: it pulls nothing.
+Grey level = (ground + contrast · ½ erfc((r − R) / (√2 σ))) · (1 + gx·u + gy·v), with (u, v) and r from the centre.
+Unknown are the centre, both grey levels, the radius R, the blur σ and the gradient (gx, gy) of the illumination.
+Deviations from the model (curvature of vignetting, the real blur of a lens) are even functions about the centre, and
+the effect of a shift is odd. They are orthogonal, so these deviations do not displace the centre.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from vaoi_station.marks.small_cholesky import position_variance, solve_cholesky
 FITTED, NO_EDGE, TOO_FAR = 0, 1, 2
 _COARSE_STEPS = 8
 _COARSE_BLUR, _COARSE_REACH, _COARSE_SAMPLES = 0.3, 1.45, 3.0
-"""In radii; and samples per radius: from afar a disc is looked at as a blurred one, through few pixels."""
-_LEAST_BLUR_PX, _RIM_PX, _WIDEST = 0.4, 3.5, 1.9
-"""The last in radii: further away nothing is looked at."""
-_LEAST_CONTRAST = 1.0
+"""Blur and reach of the coarse stage, in radii, and its samples per radius."""
+_MIN_BLUR_PX, _RIM_PX, _MAX_REACH = 0.4, 3.5, 1.9
+"""Smallest blur; width of the fitted rim outside the disc; largest fitted distance from the centre, in radii."""
+_MIN_CONTRAST = 1.0
 _OUTLIER = 0.1
-"""Of the contrast: pixels off the model by more lose weight, so that a reflection or a smudge pulls little."""
+"""Share of the contrast beyond which residuals lose weight, so that a reflection or a smudge has little effect."""
 
 
 @compiled
@@ -37,46 +38,52 @@ def fit_disc(
     enough_px: float,
     most_steps: int,
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Centre of a disc near (x, y).
+    """Fit a disc near (x, y).
 
     Args:
         image: (h, w); the disc and its rim must lie inside.
-        x: near its centre, px.
-        y: near its centre, px.
-        radius: about that of the disc, px.
-        furthest: how far from (x, y) it may be.
-        stride: 1: every pixel counts; 2: every second one of every second line.
-        enough_px: smaller steps end the search.
-        most_steps: the search ends after so many anyway; a bare disc takes three.
+        x: approximate centre, px.
+        y: approximate centre, px.
+        radius: approximate radius, px.
+        furthest: largest accepted distance of the centre from (x, y), px.
+        stride: 1 uses every pixel, 2 every second pixel of every second line.
+        enough_px: a smaller step ends the iteration.
+        most_steps: largest number of iterations; an undisturbed disc takes three.
 
     Returns:
         Code, x, y, standard deviation per axis, radius, blur (σ), ground and contrast in grey levels.
     """
-    p = np.zeros(8)  # x, y, gx, gy | ground, contrast, radius, blur
+    # Parameters: x, y, gx, gy (odd about the centre), then ground, contrast, radius, blur (even).
+    p = np.zeros(8)
     p[0], p[1], p[6], p[7] = x, y, radius, max(_COARSE_BLUR * radius, 1.0)
     odd, even = np.zeros((4, 5)), np.zeros((4, 5))
-    side = 2 * math.ceil(_WIDEST * radius) + 3
+    side = 2 * math.ceil(_MAX_REACH * radius) + 3
     pixels = np.empty((3, min(side * side, image.size)))
     coarse = max(math.ceil(radius / _COARSE_SAMPLES), 1)
+    # Coarse stage: a strongly blurred model on few pixels has a wide basin of convergence.
     for step in range(_COARSE_STEPS):
         _normal_equations(image, p, _COARSE_REACH * radius, coarse, np.inf, pixels, odd, even)
-        if not _move(p, odd, even, step > 0, False):
+        # The first step estimates the grey levels only: without a contrast the slopes for a shift are all zero.
+        if not _update(p, odd, even, step > 0, False):
             return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
         if np.hypot(p[0] - x, p[1] - y) > furthest:
             return TOO_FAR, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
         if step > 1 and max(abs(odd[0, 4]), abs(odd[1, 4])) < 0.1 * coarse:
             break
-    if abs(p[5]) < _LEAST_CONTRAST:
+    if abs(p[5]) < _MIN_CONTRAST:
         return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
+    # Fine stage: all parameters, on a rim of a few pixels around the disc.
     p[7], noise = 1.0, np.inf
     for step in range(most_steps):
-        rim = min(radius + max(3 * p[7], _RIM_PX), _WIDEST * radius)
+        rim = min(radius + max(3 * p[7], _RIM_PX), _MAX_REACH * radius)
+        # Outlier weights start after two steps: before, residuals show the shift that is still to be found.
         limit = max(3 * noise, _OUTLIER * abs(p[5])) if step > 1 else np.inf
         noise = _normal_equations(image, p, rim, stride, limit, pixels, odd, even)
-        if not _move(p, odd, even, True, True):
+        if not _update(p, odd, even, True, True):
             return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
+        # Bounds keep the fit on this disc: a growing radius could otherwise reach copper next to the bare rim.
         p[6] = min(max(p[6], 0.6 * radius), 1.5 * radius)
-        p[7] = min(max(p[7], _LEAST_BLUR_PX), 0.5 * radius)
+        p[7] = min(max(p[7], _MIN_BLUR_PX), 0.5 * radius)
         if np.hypot(p[0] - x, p[1] - y) > furthest:
             return TOO_FAR, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
         if step > 1 and max(abs(odd[0, 4]), abs(odd[1, 4])) < enough_px:
@@ -95,27 +102,30 @@ def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
     odd: NDArray[np.float64],
     even: NDArray[np.float64],
 ) -> float:
-    """Sums for the parameters that are odd about the centre (x, y, gx, gy) and the even ones, right side in column 4.
+    """Accumulate the normal equations and return the standard deviation of a pixel.
 
-    Pixels are first brought together in `pixels` (3, n), room for x and y from the centre and grey levels, so that the
-    compiler makes one vector loop of what is done with each. Returns the standard deviation of a pixel.
+    The parameters that are odd about the centre (x, y, gx, gy) and the even ones are uncorrelated, so there are two
+    systems of four; their right sides are in column 4. `pixels` (3, n) is work space for offsets and grey levels.
     """
     cx, cy, gx, gy, ground, contrast, radius, blur = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]
     a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = a0e = a1e = a2e = a3e = 0.0
     b00 = b01 = b02 = b03 = b11 = b12 = b13 = b22 = b23 = b33 = b0e = b1e = b2e = b3e = 0.0
     us, vs, greys = pixels[0], pixels[1], pixels[2]
-    count = _within(image, cx, cy, reach, stride, us, vs, greys)
+    # The pixels are gathered first, so that the compiler can vectorise the loop over them.
+    count = _gather_pixels(image, cx, cy, reach, stride, us, vs, greys)
     total = weights = 0.0
     for n in range(count):
         u, v = us[n], vs[n]
         r = math.sqrt(u * u + v * v)
         z = (r - radius) / blur
-        cover, bell = _step(z)
+        cover, bell = _edge_profile(z)
         light = 1 + gx * u + gy * v
         plain = ground + contrast * cover
         e = greys[n] - plain * light
+        # Pixels at the border of the window count partly, so that the sums change smoothly with the centre.
         weight = min(reach - r, 1.0) / (1 + (e / limit) ** 2)
-        slope = contrast * bell / blur * light  # along −r
+        # Derivative of the grey level by the radius R.
+        slope = contrast * bell / blur * light
         toward = slope / max(r, 1e-9)
         a0, a1, a2, a3 = toward * u, toward * v, plain * u, plain * v
         b0, b1, b2, b3 = light, cover * light, slope, slope * z
@@ -163,7 +173,7 @@ def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
 
 
 @inlined
-def _within(
+def _gather_pixels(
     image: NDArray[np.uint8],
     cx: float,
     cy: float,
@@ -173,7 +183,7 @@ def _within(
     vs: NDArray[np.float64],
     greys: NDArray[np.float64],
 ) -> int:
-    """Every stride-th pixel of every stride-th line within reach of the centre; how many there are."""
+    """Gather every stride-th pixel of every stride-th line within reach of the centre; returns their count."""
     left, right = max(math.ceil(cx - reach), 0), min(math.floor(cx + reach), image.shape[1] - 1)
     top, bottom = max(math.ceil(cy - reach), 0), min(math.floor(cy + reach), image.shape[0] - 1)
     count = 0
@@ -182,17 +192,16 @@ def _within(
         for column in range(left, right + 1, stride):
             u = column - cx
             us[count], vs[count], greys[count] = u, v, line[column]
+            # Write first and count afterwards: a loop without branches, where a pixel out of reach is overwritten.
             count += u * u + v * v < reach * reach
     return count
 
 
 @inlined
-def _step(z: float) -> tuple[float, float]:
-    """½ erfc(z / √2) to 1e-7 (Abramowitz and Stegun 7.1.26), and the normal density; beyond 4 the one ends.
-
-    The exponential is that of a 64th, by its series, squared six times: the compiler puts it into vectors.
-    """
+def _edge_profile(z: float) -> tuple[float, float]:
+    """Compute ½ erfc(z / √2) to 1e-7 (Abramowitz and Stegun 7.1.26) and the normal density; constant beyond |z| = 4."""
     far = min(abs(z), 4.0)
+    # exp(x) = exp(x / 64)^64, with a short series for the 64th: unlike a call of exp, this vectorises.
     t, q = 1 / (1 + 0.2316418882 * far), -0.5 / 64 * far * far
     e = 1 + q * (1 + q / 2 * (1 + q / 3 * (1 + q / 4 * (1 + q / 5 * (1 + q / 6)))))
     e = e * e
@@ -207,17 +216,18 @@ def _step(z: float) -> tuple[float, float]:
 
 
 @inlined
-def _move(
+def _update(
     p: NDArray[np.float64], odd: NDArray[np.float64], even: NDArray[np.float64], moves: bool, shapes: bool
 ) -> bool:
-    """One step of Gauss-Newton: light always, the place if it moves, slope, radius and blur if shapes are free.
+    """Make one Gauss-Newton step; returns False if the equations are singular.
 
-    False if nothing fixes them.
+    The grey levels are always free, the centre if `moves`; gradient, radius and blur are free if `shapes`.
     """
     if moves:
         unknowns = 4 if shapes else 2
         if not solve_cholesky(odd, unknowns):
             return False
+        # A step of more than half a radius leaves the range in which the linearisation holds.
         longest = max(abs(odd[0, 4]), abs(odd[1, 4]))
         share = min(1.0, 0.5 * p[6] / max(longest, 1e-12))
         for k in range(unknowns):
@@ -226,6 +236,7 @@ def _move(
         return False
     p[4] += even[0, 4]
     p[5] += even[1, 4]
+    # Radius and blur enter nonlinearly and are limited separately.
     if shapes:
         p[6] += min(max(even[2, 4], -0.2 * p[6]), 0.2 * p[6])
         p[7] += min(max(even[3, 4], -0.4 * p[7]), 0.4 * p[7])

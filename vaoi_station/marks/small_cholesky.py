@@ -1,4 +1,7 @@
-"""Four normal equations, compiled: solved in place, without a call into a library for each."""
+"""Cholesky solution of up to four normal equations, compiled and in place.
+
+A call into LAPACK for each of the small systems would cost more than the solution.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,16 @@ from vaoi_station.compiled import inlined
 
 @inlined
 def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
-    """Cholesky on the upper triangle of the first n equations; the solution comes to column 4."""
+    """Solve the first n equations in place; returns False if they are singular.
+
+    The upper triangle of `a` (4, 5) holds the matrix and becomes its Cholesky factor. Column 4 holds the right side and
+    becomes the solution.
+    """
     for i in range(n):
         largest = a[i, i]
         for k in range(i):
             a[i, i] -= a[k, i] * a[k, i]
+        # What is left of the diagonal is the part of this unknown that the others do not explain; `not >` catches NaN.
         if not a[i, i] > 1e-9 * largest or largest <= 0:
             return False
         a[i, i] = math.sqrt(a[i, i])
@@ -24,6 +32,7 @@ def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
             for k in range(i):
                 a[i, j] -= a[k, i] * a[k, j]
             a[i, j] /= a[i, i]
+    # Forward substitution, then back substitution.
     for i in range(n):
         for k in range(i):
             a[i, 4] -= a[k, i] * a[k, 4]
@@ -37,11 +46,12 @@ def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
 
 @inlined
 def position_variance(root: NDArray[np.float64]) -> float:
-    """Mean variance of the first two unknowns, measurements having 1, from what `solve` left of four equations."""
+    """Compute the mean variance of the first two unknowns from the Cholesky factor, for measurements of variance 1."""
     total = 0.0
     row = np.zeros(4)
+    # The covariance is R⁻¹·R⁻ᵀ, so a variance is the square sum of one row of R⁻¹.
     for i in range(2):
-        for j in range(i, 4):  # row i of the factor's inverse
+        for j in range(i, 4):
             row[j] = 1.0 if i == j else 0.0
             for k in range(i, j):
                 row[j] -= row[k] * root[k, j]

@@ -1,7 +1,8 @@
-"""The centre of point symmetry of a picture, compiled: where it best equals itself turned by 180°.
+"""Centre of point symmetry of an image, where it best equals itself rotated by 180°; compiled.
 
-Gauss-Newton on I(c + u) − I(c − u). A gain that rises by a share a per pixel across the mark adds 2·a·u times the
-mean of the two, odd in u like the trace of a shift; a is estimated too, so that vignetting pulls nothing.
+Gauss-Newton on I(c + u) − I(c − u). A gain that increases by a share a per pixel across the mark adds 2·a·u times the
+mean of both. This term is odd in u, like the effect of a shift, so a is estimated too and vignetting does not displace
+the centre.
 """
 
 from __future__ import annotations
@@ -14,48 +15,55 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.marks.small_cholesky import position_variance, solve_cholesky
 
-FITTED, NOTHING_FIXES, TOO_FAR = 0, 1, 2
+FITTED, UNDETERMINED, TOO_FAR = 0, 1, 2
 BEFORE, AFTER = 2, 3
-"""Pixels before and after a place that its value is interpolated from."""
-_STEPS, _LONGEST_PX = 18, 1.5
+"""Number of pixels before and after a position that its value is interpolated from."""
+_MAX_STEPS, _MAX_STEP_PX = 18, 1.5
 _COARSE_PX, _FINE_PX = 0.05, 1e-3
+"""Step lengths that end the coarse and the fine stage."""
 _OUTLIER = 0.15
-"""Of the contrast: what differs by more from its counterpart loses weight, so that copper on one side pulls little."""
+"""Share of the contrast beyond which differences lose weight, so that copper on one side has little effect."""
 
 
 @compiled
 def fit_symmetry(
     image: NDArray[np.float32], x: float, y: float, reach: int, furthest: float, coarse: int
 ) -> tuple[int, float, float, float]:
-    """Centre of symmetry near (x, y): code, x, y, standard deviation per axis.
+    """Find the centre of symmetry near (x, y).
 
     Args:
-        image: (h, w), smoothed, so that interpolation is exact; wider than the square by `furthest` and some pixels.
-        x: near the centre, px.
-        y: near the centre, px.
+        image: (h, w), smoothed so that interpolation is exact; wider than the square by `furthest` and some pixels.
+        x: approximate centre, px.
+        y: approximate centre, px.
         reach: half the side of the square that is compared with itself, px.
-        furthest: how far from (x, y) the centre may be along each axis.
-        coarse: with every so many-th pixel the centre is looked for first.
+        furthest: largest accepted distance of the centre from (x, y) along each axis, px.
+        coarse: stride of the pixels that the first stage uses.
+
+    Returns:
+        Code, x, y, standard deviation per axis.
     """
     side = 2 * reach + 3
     window, lines = np.empty((side, side), np.float32), np.empty((side + BEFORE + AFTER, side), np.float32)
     normal = np.zeros((4, 5))
     cx, cy, noise = x, y, 0.0
     for stage in range(2):
+        # Two unknowns on few pixels first; the gain's gradient only matters at the last hundredths of a pixel.
         stride, enough, unknowns = (coarse, _COARSE_PX, 2) if stage == 0 else (1, _FINE_PX, 4)
         limit = np.inf
-        for step in range(_STEPS):
-            _centred(image, cx, cy, reach + 1, window, lines)
-            square, count = _differences(window, stride, limit, normal)
+        for step in range(_MAX_STEPS):
+            _interpolate_window(image, cx, cy, reach + 1, window, lines)
+            square, count = _normal_equations(window, stride, limit, normal)
+            # The solution overwrites the right side, which is needed once more for the residual.
             right = normal[:, 4].copy()
+            # Along a straight edge the 2×2 matrix of the shift is singular: the aperture problem.
             if normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 < 1e-6 * (normal[0, 0] + normal[1, 1]) ** 2:
-                return NOTHING_FIXES, cx, cy, 0.0
+                return UNDETERMINED, cx, cy, 0.0
             if not solve_cholesky(normal, unknowns):
-                return NOTHING_FIXES, cx, cy, 0.0
+                return UNDETERMINED, cx, cy, 0.0
             dx, dy = normal[0, 4], normal[1, 4]
             noise = math.sqrt(max(square - (right * normal[:, 4])[:unknowns].sum(), 0.0) / max(count - unknowns, 1.0))
-            cx -= min(max(dx, -_LONGEST_PX), _LONGEST_PX)
-            cy -= min(max(dy, -_LONGEST_PX), _LONGEST_PX)
+            cx -= min(max(dx, -_MAX_STEP_PX), _MAX_STEP_PX)
+            cy -= min(max(dy, -_MAX_STEP_PX), _MAX_STEP_PX)
             if max(abs(cx - x), abs(cy - y)) > furthest:
                 return TOO_FAR, cx, cy, 0.0
             if max(abs(dx), abs(dy)) < enough and step > stage:
@@ -66,12 +74,12 @@ def fit_symmetry(
 
 
 @inlined
-def _differences(
+def _normal_equations(
     window: NDArray[np.float32], stride: int, limit: float, normal: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Normal equations of the shift and of the gain's slope, right side in column 4; square sum and count.
+    """Accumulate the normal equations of shift and gain gradient, and return the square sum and the weight sum.
 
-    Of every two pixels that face each other one suffices; differences beyond the limit lose weight.
+    The right side is in column 4. Differences beyond the limit lose weight.
     """
     last = window.shape[0] - 1
     half = window.shape[0] // 2
@@ -81,6 +89,7 @@ def _differences(
     a11 = a12 = a13 = a1e = a22 = a23 = a2e = a33 = a3e = 0.0
     total = count = 0.0
     steep = np.float32(1 / limit)
+    # Opposite pixels give the same equation with opposite sign, so one half of the window suffices.
     for i in range(1, half + 1, stride):
         over, here, under = window[i - 1], window[i], window[i + 1]
         far_over, far, far_under = window[last - i - 1], window[last - i], window[last - i + 1]
@@ -88,6 +97,7 @@ def _differences(
         end = last if i < half else half
         for j in range(1, end, stride):
             k = last - j
+            # Sobel slopes of the pixel (g) and of its counterpart (h).
             gx = (over[j + 1] - over[j - 1] + 2 * (here[j + 1] - here[j - 1]) + under[j + 1] - under[j - 1]) * eighth
             gy = (under[j - 1] + 2 * under[j] + under[j + 1] - over[j - 1] - 2 * over[j] - over[j + 1]) * eighth
             hx = far_over[k + 1] - far_over[k - 1] + 2 * (far[k + 1] - far[k - 1])
@@ -118,13 +128,14 @@ def _differences(
             total += e * e
     normal[0, 0], normal[0, 1], normal[0, 2], normal[0, 3], normal[0, 4] = a00, a01, a02, a03, a0e
     normal[1, 1], normal[1, 2], normal[1, 3], normal[1, 4] = a11, a12, a13, a1e
+    # A constant image leaves the gradient undetermined; the tiny ridge keeps the matrix positive definite.
     normal[2, 2], normal[2, 3], normal[2, 4] = a22 * (1 + 1e-6), a23, a2e
     normal[3, 3], normal[3, 4] = a33 * (1 + 1e-6), a3e
     return total, count
 
 
 @inlined
-def _centred(
+def _interpolate_window(
     image: NDArray[np.float32],
     x: float,
     y: float,
@@ -132,16 +143,17 @@ def _centred(
     window: NDArray[np.float32],
     lines: NDArray[np.float32],
 ) -> None:
-    """The square of 2·reach + 1 pixels about a place between pixels, by Lagrange's interpolation over six of them.
+    """Interpolate the square of 2·reach + 1 pixels about a position, with Lagrange polynomials over six pixels.
 
-    Bilinear interpolation errs in the third derivative, and with opposite signs on opposite edges of a mark.
+    Bilinear interpolation has errors of opposite sign on opposite edges of a mark, which would displace the centre.
     """
     side, taps = 2 * reach + 1, BEFORE + AFTER + 1
     column, row = math.floor(x), math.floor(y)
     across, down = np.empty(taps, np.float32), np.empty(taps, np.float32)
-    _lagrange(x - column, across)
-    _lagrange(y - row, down)
+    _lagrange_weights(x - column, across)
+    _lagrange_weights(y - row, down)
     left, top = column - reach - BEFORE, row - reach - BEFORE
+    # Separable: lines first, then columns. The six taps are written out, so that the inner loops vectorise.
     for i in range(side + taps - 1):
         line, out = image[top + i, left : left + side + taps - 1], lines[i]
         for j in range(side):
@@ -161,8 +173,8 @@ def _centred(
 
 
 @inlined
-def _lagrange(fraction: float, weights: NDArray[np.float32]) -> None:
-    """Weights of the pixels from `BEFORE` before to `AFTER` after, for a place `fraction` behind the pixel at 0."""
+def _lagrange_weights(fraction: float, weights: NDArray[np.float32]) -> None:
+    """Compute the weights of pixels −`BEFORE` … `AFTER` for a position `fraction` after pixel 0."""
     for i in range(BEFORE + AFTER + 1):
         w = 1.0
         for j in range(BEFORE + AFTER + 1):

@@ -1,4 +1,4 @@
-"""How alike the artwork a place of the picture is, compiled."""
+"""Normalised correlation of an image with the shape of a mark at a sub-pixel position; compiled."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from vaoi_station.marks.mark_shape import Shape
 
 SHAPE_CODE: dict[Shape, int] = {"circle": 0, "square": 1, "diamond": 2, "cross": 3}
 _EDGE_PX = 2.85
-"""Width of the S-shaped step that stands for a sharp camera's edge; as steep as a blur of 0.76 px."""
+"""Width of the smooth step that models an edge of a sharp camera; its slope is that of a blur of 0.76 px."""
 
 
 @compiled
 def correlate_with_shape(
     image: NDArray[np.uint8], x: float, y: float, code: int, size: float, arm: float, disc: float
 ) -> tuple[float, float]:
-    """Correlation with the artwork at a place, 0…1, and contrast (mark less ground) in grey levels.
+    """Compute the correlation with a shape, 0…1, and the contrast (mark minus ground) in grey levels.
 
     Args:
         image: (h, w).
-        x: of the mark's centre, px.
-        y: of the mark's centre, px.
-        code: of the shape, see `SHAPE_CODE`.
-        size: of the mark, px.
+        x: centre of the mark, px.
+        y: centre of the mark, px.
+        code: code of the shape, see `SHAPE_CODE`.
+        size: size of the mark, px.
         arm: width of a cross' arm as a share of its size.
-        disc: diameter of what is compared, px.
+        disc: diameter of the compared disc, px.
     """
     reach = 0.5 * disc + 0.5
     left, right = max(math.ceil(x - reach), 0), min(math.floor(x + reach), image.shape[1] - 1)
     top, bottom = max(math.ceil(y - reach), 0), min(math.floor(y + reach), image.shape[0] - 1)
     weights = p1 = q1 = pp = qq = pq = 0.0
     r, thin = 0.5 * size, 0.5 * size * arm
+    # One pass over the disc: the shape is computed per pixel, since a template would have to be shifted by a fraction.
     for row in range(top, bottom + 1):
         v, line = abs(row - y), image[row]
         for column in range(left, right + 1):
@@ -51,6 +52,7 @@ def correlate_with_shape(
                 outside = (u + v - r) * 0.7071067811865476
             else:
                 outside = min(max(u - r, v - thin), max(u - thin, v - r))
+            # The smoothstep polynomial 3t² − 2t³: no call of erf in the inner loop.
             t = min(max(0.5 - outside / _EDGE_PX, 0.0), 1.0)
             q, p = t * t * (3 - 2 * t), float(line[column])
             weights += weight
@@ -63,6 +65,7 @@ def correlate_with_shape(
         return 0.0, 0.0
     covariance = pq - p1 * q1 / weights
     of_picture, of_artwork = pp - p1 * p1 / weights, qq - q1 * q1 / weights
+    # Without variance in the image, or with a disc inside the mark, the correlation is undefined.
     if of_picture <= 1e-6 or of_artwork <= 1e-6:
         return 0.0, 0.0
     return abs(covariance) / math.sqrt(of_picture * of_artwork), covariance / of_artwork

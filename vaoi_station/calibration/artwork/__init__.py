@@ -1,7 +1,7 @@
-"""Artwork of calibration boards, tailored to an array, as SVG, PDF and Gerber; section 3.2 of the paper.
+"""Artwork of calibration boards for an array, as SVG, PDF and Gerber; section 3.2 of the paper.
 
-Coordinates of the layout are those the cameras see: x to the right, y down. Formats whose y points up get −y, so
-that the print looks to the camera as the layout says.
+Layout coordinates are those of the frames: x to the right, y down. Formats with y up get −y, so that the print appears
+in the frames as in the layout.
 """
 
 from vaoi_station.calibration.artwork.board_design import ArrayDesign, Board, design_board

@@ -1,4 +1,4 @@
-"""Where the marks of a calibration board go, for a given array: every camera sees enough, wherever it really looks."""
+"""Design of a calibration board for an array: each camera sees enough marks within its mounting tolerance."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Place
 
 _GOLDEN = (math.sqrt(5) - 1) / 2
-_STRAY = 0.12
-"""By how much of their spacing marks leave the grid: no two views look alike, however the board lies."""
-_CLEAR = 1.6
-"""Distance of neighbouring marks, in sizes, at least."""
+_JITTER = 0.12
+"""Displacement of marks from the grid, as a share of their spacing: all views differ, in each orientation."""
+_MIN_DISTANCE = 1.6
+"""Smallest distance of neighbouring marks, in sizes."""
 _MICRON = 1e-3
 
 
 @dataclass(frozen=True)
 class ArrayDesign:
-    """What the board must fit."""
+    """The array that the board is for, and the marks on it."""
 
     cameras: int
     pitch_mm: float
-    """Distance of neighbouring cameras, along tester x."""
+    """Distance between neighbouring cameras, along tester x."""
     field_mm: tuple[float, float]
-    """View of one camera, width × height."""
+    """Field of view of one camera, width × height."""
     columns: int = 5
     rows: int = 4
-    """Marks that every camera sees, across and down."""
+    """Marks in each view, across and down."""
     mark_mm: float = 2.0
     arm: float = 0.25
     tolerance_mm: float = 3.0
-    """How far cameras and board may be off: marks keep so far from the edge of a view."""
+    """Accepted misplacement of cameras and board; marks keep this distance from the edge of a view."""
     border_mm: float = 5.0
     polarity: Literal["dark", "light"] = "dark"
 
@@ -57,18 +57,18 @@ class ArrayDesign:
 
     @property
     def span_mm(self) -> tuple[float, float]:
-        """Across and down a view, where the centres of marks may be."""
+        """Width and height of the area of a view for centres of marks."""
         lost = 2 * self.tolerance_mm + self.mark_mm
         return self.field_mm[0] - lost, self.field_mm[1] - lost
 
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """A calibration board: its layout, and the rectangle it is cut to."""
+    """A calibration board: its layout and its outline."""
 
     layout: Layout
     low_mm: tuple[float, float]
-    """Least x and y of the outline, in coordinates of the layout."""
+    """Smallest x and y of the outline, in layout coordinates."""
     high_mm: tuple[float, float]
 
     @property
@@ -78,31 +78,32 @@ class Board:
 
     @property
     def places_mm(self) -> Floats:
-        """Centres of the marks, (k, 2), coordinates of the layout."""
+        """Centres of the marks, (k, 2) mm, in layout coordinates."""
         return np.array([(m.x, m.y) for m in self.layout.marks]) * self.layout.mm_per_unit
 
 
 def design_board(design: ArrayDesign) -> Board:
-    """A board on which every camera of an array sees its marks.
+    """Design a board on which each camera of an array sees its marks.
 
-    The origin lies under camera 0, x runs along the array, y as the cameras' images.
+    The origin lies below camera 0, x points along the array and y as in the frames.
 
     Raises:
-        InputError: if so many marks do not fit into a view.
+        InputError: if the marks do not fit into a view.
     """
     x, y = _columns(design), _line(design.span_mm[1], design.rows)
     spacing = min(_least_gap(x), _least_gap(y))
-    room = (1 - 2 * _STRAY) * spacing
-    if room < _CLEAR * design.mark_mm:
+    room = (1 - 2 * _JITTER) * spacing
+    if room < _MIN_DISTANCE * design.mark_mm:
         raise InputError(
             f"{design.columns}×{design.rows} marks of {design.mark_mm:g} mm come within {room:.2f} mm of one another "
             f"in a view of {design.field_mm[0]:g}×{design.field_mm[1]:g} mm, the limit is "
-            f"{_CLEAR * design.mark_mm:.2f} mm.",
+            f"{_MIN_DISTANCE * design.mark_mm:.2f} mm.",
             action="Ask for fewer or smaller marks, or for less tolerance.",
         )
-    stray = _STRAY * spacing
+    # Whole microns: all formats then contain exactly the coordinates of layout.json.
+    jitter = _JITTER * spacing
     places = [
-        (round(u + stray * dx, 3), round(v + stray * dy, 3))
+        (round(u + jitter * dx, 3), round(v + jitter * dy, 3))
         for n, (u, v) in enumerate((u, v) for u in x for v in y)
         for dx, dy in [_off_grid(n)]
     ]
@@ -116,7 +117,7 @@ def design_board(design: ArrayDesign) -> Board:
 
 
 def _columns(design: ArrayDesign) -> Floats:
-    """x of the columns: a group under every camera, or one even row where views overlap too much for groups."""
+    """Compute x of the columns: a group below each camera, or one even row if views overlap too much for groups."""
     span = design.span_mm[0]
     group = _line(span, design.columns)
     gap = group[1] - group[0]
@@ -128,12 +129,13 @@ def _columns(design: ArrayDesign) -> Floats:
 
 
 def _line(span: float, count: int) -> Floats:
+    """Compute even positions on a line within a span, which marks do not leave after their jitter."""
     if span <= 0:
         raise InputError(
             f"the view leaves {span:.1f} mm for marks after tolerance and mark size.",
             action="Ask for less tolerance or smaller marks.",
         )
-    inner = span / (1 + 2 * _STRAY / (count - 1))  # what strays outwards stays within the span
+    inner = span / (1 + 2 * _JITTER / (count - 1))
     return np.linspace(-inner / 2, inner / 2, count)
 
 
@@ -142,7 +144,8 @@ def _least_gap(line: Floats) -> float:
 
 
 def _off_grid(n: int) -> tuple[float, float]:
-    """A pair of numbers in −1 … 1 that differs from mark to mark without a pattern; always the same for the same n."""
+    """Compute the displacement of mark n, as a vector of at most length 1."""
+    # Multiples of irrational numbers modulo 1 have no pattern and, unlike random numbers, no seed or library version.
     angle, length = 2 * math.pi * ((n + 1) * _GOLDEN % 1.0), math.sqrt((n + 1) * _GOLDEN * math.e % 1.0)
     return length * math.cos(angle), length * math.sin(angle)
 

@@ -1,4 +1,4 @@
-"""What all formats draw: the cross of a mark, the scale bar, the line of text that names the board."""
+"""Elements that all formats draw: the cross of a mark and the scale bar."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats
 
 LABEL_MM = 8.0
-"""Strip below the views for the scale bar and the name; no camera takes them for marks there."""
+"""Height of the strip below the views for scale bar and title, outside all views."""
 BAR_MM = 50.0
-"""Length of the scale bar, where the board is wide enough."""
+"""Length of the scale bar, if the board is wide enough."""
 
 
 def cross(center: Floats, size_mm: float, width_mm: float) -> Floats:
-    """Corners (12, 2) of a cross, all the way round."""
+    """Compute the corners (12, 2) of a cross, in order."""
     r, a = size_mm / 2, width_mm / 2
     quarter = [(a, -r), (a, -a), (r, -a)]
     corners = []
@@ -24,7 +24,7 @@ def cross(center: Floats, size_mm: float, width_mm: float) -> Floats:
 
 
 def scale_bar(low_mm: tuple[float, float], high_mm: tuple[float, float]) -> tuple[Floats, float]:
-    """Strokes (3, 2, 2) mm of a bar with end ticks in the strip below the views, and its length in mm."""
+    """Compute the strokes (3, 2, 2) mm of a bar with end ticks in the strip below the views, and its length in mm."""
     length = BAR_MM if high_mm[0] - low_mm[0] >= BAR_MM + 10 else 10.0
     x, y = low_mm[0] + 5, high_mm[1] - LABEL_MM / 2
     ends = [(x, y), (x + length, y)]

@@ -1,6 +1,6 @@
-"""The board as Gerber (RS-274X): the marks as flashes of one cross-shaped aperture, the outline in a file of its own.
+"""The board as Gerber (RS-274X): marks are flashes of one cross-shaped aperture, the outline is a separate file.
 
-Gerber's y points up: a place (x, y) of the layout is flashed at (x, −y), in mm with six decimals.
+The y axis of Gerber points up: a mark at (x, y) of the layout is flashed at (x, −y), in mm with six decimals.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from vaoi_station.calibration.artwork.drawing_elements import scale_bar
 
 
 def render_gerber_marks(board: Board) -> str:
-    """Marks and scale bar. The layer is positive: what is drawn differs from the board's ground as marks do."""
+    """Render marks and scale bar."""
+    # The layer is positive: what is drawn gets the polarity of the marks, light or dark.
     mark = board.layout.mark
     size, width = (v * board.layout.mm_per_unit for v in (mark.size, mark.width))
     strokes, _ = scale_bar(board.low_mm, board.high_mm)
@@ -29,7 +30,7 @@ def render_gerber_marks(board: Board) -> str:
 
 
 def render_gerber_outline(board: Board) -> str:
-    """The rectangle the board is cut to."""
+    """Render the outline of the board."""
     (x0, y0), (x1, y1) = board.low_mm, board.high_mm
     around = [(x1, y0), (x1, y1), (x0, y1), (x0, y0)]
     lines = [*_head("Profile,NP"), "%ADD10C,0.100000*%", "D10*", f"{_place(x0, y0)}D02*"]

@@ -1,4 +1,4 @@
-"""The board as PDF 1.4: one page of the board's size, vectors only, 1:1 when printed without "fit to page"."""
+"""The board as PDF 1.4: one page of the board's size with vectors only, 1:1 if printed without "fit to page"."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from vaoi_station.calibration.artwork.drawing_elements import cross, scale_bar
 from vaoi_station.errors import InputError
 
 _POINTS_PER_MM = 72 / 25.4
-_LARGEST_POINTS = 14400
+_MAX_POINTS = 14400
+"""Largest page side of PDF 1.4 without a user unit: 200 inches (PDF Reference, appendix C)."""
 
 
 def render_pdf(board: Board, title: str) -> bytes:
-    """The artwork. The page's matrix turns mm of the layout into points, y down.
+    """Render the artwork.
 
     Raises:
-        InputError: if the board is larger than a page of PDF may be (5 m).
+        InputError: if the board is larger than the largest PDF page (5 m).
     """
     w, h = (v * _POINTS_PER_MM for v in board.size_mm)
-    if max(w, h) > _LARGEST_POINTS:
-        limit = f"at most {_LARGEST_POINTS / _POINTS_PER_MM:.0f} mm"
+    if max(w, h) > _MAX_POINTS:
+        limit = f"at most {_MAX_POINTS / _POINTS_PER_MM:.0f} mm"
         raise InputError.field("calibration board", "length for PDF", f"{max(board.size_mm):.0f} mm", limit)
     content = _content(board, title, h).encode("latin-1", "replace")
     page = (
@@ -37,15 +38,16 @@ def render_pdf(board: Board, title: str) -> bytes:
 
 
 def _content(board: Board, title: str, page_height: float) -> str:
-    """Operators: `re f` the paper, `m l h f` each mark, `m l S` the scale bar, `Tj` the text."""
+    """Write the page's operators: `re f` the ground, `m l h f` each mark, `m l S` the scale bar, `Tj` the text."""
+    # The transformation matrix (cm) maps mm with y down to points with y up, so marks keep their layout coordinates.
     (x, y), (w, h), mark, k = board.low_mm, board.size_mm, board.layout.mark, _POINTS_PER_MM
-    paper, ink = (1, 0) if mark.polarity == "dark" else (0, 1)
+    ground, ink = (1, 0) if mark.polarity == "dark" else (0, 1)
     size, width = (v * board.layout.mm_per_unit for v in (mark.size, mark.width))
     strokes, length = scale_bar(board.low_mm, board.high_mm)
     lines = [
         "q",
         f"{k:.10f} 0 0 {-k:.10f} {-x * k:.7f} {page_height + y * k:.7f} cm",
-        f"{paper} g {x:.6f} {y:.6f} {w:.6f} {h:.6f} re f",
+        f"{ground} g {x:.6f} {y:.6f} {w:.6f} {h:.6f} re f",
         f"{ink} g {ink} G 0.2 w",
     ]
     for place in board.places_mm:
@@ -53,18 +55,19 @@ def _content(board: Board, title: str, page_height: float) -> str:
         lines.append(f"{first} m " + " ".join(f"{corner} l" for corner in rest) + " h f")
     lines += [f"{a[0]:.6f} {a[1]:.6f} m {b[0]:.6f} {b[1]:.6f} l S" for a, b in strokes]
     end = ((strokes[0, 1] - (x, y)) * k).tolist()
-    said = f"{length:g} mm  {title}".replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
-    lines += ["Q", f"{ink} g", f"BT /F1 7.5 Tf {end[0] + 6:.3f} {page_height - end[1] - 3:.3f} Td ({said}) Tj ET"]
+    text = f"{length:g} mm  {title}".replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
+    # The text comes after Q, in points: the flipped matrix would mirror it.
+    lines += ["Q", f"{ink} g", f"BT /F1 7.5 Tf {end[0] + 6:.3f} {page_height - end[1] - 3:.3f} Td ({text}) Tj ET"]
     return "\n".join(lines)
 
 
 def _document(objects: list[bytes]) -> bytes:
-    """Objects numbered from 1, the table of where they begin, and the trailer."""
-    out, begins = b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n", []
+    """Assemble a document: objects numbered from 1, the cross-reference table of their offsets, and the trailer."""
+    out, offsets = b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n", []
     for number, content in enumerate(objects, start=1):
-        begins.append(len(out))
+        offsets.append(len(out))
         out += b"%d 0 obj\n%s\nendobj\n" % (number, content)
-    table = b"".join(b"%010d 00000 n \n" % begin for begin in begins)
+    table = b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
     count = len(objects) + 1
     return out + (
         b"xref\n0 %d\n0000000000 65535 f \n%strailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n"

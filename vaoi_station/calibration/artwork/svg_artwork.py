@@ -1,4 +1,4 @@
-"""The board as SVG: user units are mm, the width and height of the document make it print 1:1."""
+"""The board as SVG: user units are mm, and width and height of the document give a scale of 1:1."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from vaoi_station.calibration.artwork.drawing_elements import cross, scale_bar
 
 
 def render_svg(board: Board, title: str) -> str:
-    """The artwork.
+    """Render the artwork.
 
     Args:
-        board: what to draw; coordinates of the document are those of the layout.
+        board: the board; coordinates of the document are layout coordinates.
         title: a line of text below the views.
     """
     (x, y), (w, h), mark = board.low_mm, board.size_mm, board.layout.mark
     dark = mark.polarity == "dark"
-    paper, ink = ("#ffffff", "#000000") if dark else ("#000000", "#ffffff")
+    ground, ink = ("#ffffff", "#000000") if dark else ("#000000", "#ffffff")
     size, width = (v * board.layout.mm_per_unit for v in (mark.size, mark.width))
     strokes, length = scale_bar(board.low_mm, board.high_mm)
     lines = [
@@ -25,7 +25,7 @@ def render_svg(board: Board, title: str) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{w:.6g}mm" height="{h:.6g}mm" '
         f'viewBox="{x:.6g} {y:.6g} {w:.6g} {h:.6g}">',
         f"<title>{escape(title)}</title>",
-        f'<rect id="board" x="{x:.6g}" y="{y:.6g}" width="{w:.6g}" height="{h:.6g}" fill="{paper}"/>',
+        f'<rect id="board" x="{x:.6g}" y="{y:.6g}" width="{w:.6g}" height="{h:.6g}" fill="{ground}"/>',
         f'<g id="marks" fill="{ink}">',
     ]
     for place in board.places_mm:

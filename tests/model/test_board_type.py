@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from vaoi_station.model import MM_PER_UNIT, BoardType
+
+
+def board(**change: Any) -> BoardType:
+    return BoardType.model_validate({"name": "b"} | change)
+
+
+def component(**change: Any) -> dict[str, Any]:
+    return {"ref": "U1", "center": [10, 20], "width": 4, "height": 2} | change
+
+
+def fiducial(**change: Any) -> dict[str, Any]:
+    return {"name": "F1", "x": 5, "y": 5, "diameter": 1} | change
+
+
+@pytest.mark.parametrize(
+    ("y_axis", "side", "mirrors"),
+    [("up", "top", True), ("down", "top", False), ("up", "bottom", False), ("down", "bottom", True)],
+)
+def test_handedness_follows_from_axis_and_side_alone(y_axis: str, side: str, mirrors: bool) -> None:
+    assert board(y_axis=y_axis, side=side).mirrors is mirrors
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("mm", 1.0), ("inch", 25.4), ("mil", 0.0254)])
+def test_units(unit: str, mm: float) -> None:
+    assert board(unit=unit).mm_per_unit == MM_PER_UNIT[unit] == pytest.approx(mm)
+
+
+@pytest.mark.parametrize("y_axis", ["up", "down"])
+@pytest.mark.parametrize("side", ["top", "bottom"])
+def test_rotation_is_counter_clockwise_with_cad_up_shown_up(y_axis: str, side: str) -> None:
+    up = 1 if y_axis == "up" else -1
+    turned = board(y_axis=y_axis, side=side, components=[component(rotation=30)])
+    straight = board(y_axis=y_axis, side=side, components=[component()])
+    right = straight.footprint(straight.components[0])[1:3].mean(0) - (10, 20)
+    after = turned.footprint(turned.components[0])[1:3].mean(0) - (10, 20)
+    np.testing.assert_allclose(right, (2, 0), atol=1e-12)
+    np.testing.assert_allclose(after, (2 * math.cos(math.pi / 6), up * 1.0), atol=1e-12)
+
+
+@given(st.floats(-720, 720), st.floats(0.1, 50), st.floats(0.1, 50))
+def test_a_footprint_keeps_centre_and_sides(rotation: float, width: float, height: float) -> None:
+    b = board(components=[component(rotation=rotation, width=width, height=height)])
+    corners = b.footprint(b.components[0])
+    np.testing.assert_allclose(corners.mean(0), (10, 20), atol=1e-9)
+    sides = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+    np.testing.assert_allclose(sides, (width, height, width, height), rtol=1e-9)
+
+
+def test_the_extent_is_that_of_the_outline_else_of_all_parts() -> None:
+    parts = [component(rotation=90)]
+    low, high = board(outline=[[0, 50], [40, 0]], components=parts).extent()
+    assert (low.tolist(), high.tolist()) == ([0, 0], [40, 50])
+    low, high = board(components=parts, fiducials=[fiducial(x=30, y=1)]).extent()
+    np.testing.assert_allclose([low, high], [[9, 1], [30, 22]])
+    with pytest.raises(ValueError, match="'b' has neither outline nor fiducials nor components"):
+        board().extent()
+
+
+def test_components_are_addressed_by_panel_and_ref() -> None:
+    b = board(components=[component(), component(panel=2), component(panel="left")])
+    assert [c.address for c in b.components] == ["U1", "2/U1", "left/U1"]
+    assert b.component("2/U1") is b.components[1]
+    assert b.component("3/U1") is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "a\nb"}, "name"),
+        ({"name": ""}, "name"),
+        ({"components": [component(ref="U\x001")]}, "ref"),
+        ({"outline": [[0, 0]]}, "outline has one point"),
+        ({"outline": [[0, 0], [10, 0]]}, "outline has no area"),
+        ({"outline": [[0, 0], [10, 10], [10, 0], [0, 10]]}, "crosses itself: its edges from corners 0 and 2"),
+        ({"outline": [[0, 0], [4, 4]], "fiducials": [fiducial()]}, r"fiducial 'F1' at \(5.0, 5.0\) lies outside"),
+        ({"components": [component(), component()]}, "components contains 'U1' twice; names must be unique"),
+        ({"fiducials": [fiducial(), fiducial(x=9)]}, "fiducials contains 'F1' twice"),
+        ({"fiducials": [fiducial(), fiducial(name="F2")]}, "'F2' is at the place of another fiducial"),
+        ({"fiducials": [fiducial(diameter=0.04)]}, "diameter 0.04 mm, must be 0.05 to 50 mm"),
+        ({"components": [component(width=2001)]}, "2001.0×2.0 mm, must be 0.01 to 2000 mm"),
+        ({"fixture_marks": [{"x": 1, "y": 2}]}, "fixture_mark is missing"),
+        ({"fiducials": [fiducial(name=f"F{n}", x=n) for n in range(1001)]}, "1001 entries, the limit is 1000"),
+    ],
+)
+def test_invalid_board_types_are_refused_with_the_value(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        board(**change)
+
+
+@given(unit=st.sampled_from(sorted(MM_PER_UNIT)), mm=st.floats(0.06, 49))
+def test_limits_of_sizes_are_in_mm_whatever_the_unit(unit: str, mm: float) -> None:
+    size = mm / MM_PER_UNIT[unit]
+    accepted = board(unit=unit, fiducials=[fiducial(diameter=size)])
+    assert accepted.fiducials[0].diameter == size
+    with pytest.raises(ValidationError, match=r"must be 0\.05 to 50 mm"):
+        board(unit=unit, fiducials=[fiducial(diameter=size * 1000)])

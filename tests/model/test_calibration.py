@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from vaoi_station.geometry import System
+from vaoi_station.model import Calibration, CameraHead
+
+HEADS = tuple(CameraHead(width=w, height=64, exposure_us=100.0) for w in (80, 96))
+MATRICES = (np.diag([40.0, 40.0, 1.0]), np.array([[40.0, 0, -900], [0, 40.0, 3], [0, 0, 1]]))
+
+
+def calibration(**change: Any) -> Calibration:
+    base = {"format": "vaoi-calibration", "version": 1, "unit": "mm", "camera_matrices": MATRICES}
+    return Calibration.model_validate(base | change)
+
+
+def test_cameras_have_their_matrices_and_frame_sizes() -> None:
+    cameras = calibration(working_distance_mm=483.0).cameras(HEADS)
+    assert [(c.width_px, c.height_px) for c in cameras] == [(80, 64), (96, 64)]
+    for camera, matrix in zip(cameras, MATRICES, strict=True):
+        assert np.array_equal(camera.image_from_row.matrix, matrix)
+        assert (camera.image_from_row.target, camera.image_from_row.source) == (System.IMAGE, System.ROW)
+        assert camera.lens.ideal
+        assert camera.working_distance_mm == 483.0
+
+
+def test_cameras_have_their_lenses_and_principal_points() -> None:
+    lenses = [{"center": (40, 32), "radius": 50, "radial": [a]} for a in (0.0, -0.01)]
+    first, second = calibration(distortion=lenses, principal_point=[(40, 32), (47, 31)]).cameras(HEADS)
+    assert first.lens.ideal
+    assert second.lens.radial == (-0.01,)
+    assert second.principal_point_px == (47.0, 31.0)
+    raw = (80.0, 32.0)
+    expected = 40 + 40 * (1 - 0.01 * (40 / 50) ** 2)
+    assert second.lens.undistort(raw)[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"camera_matrices": []}, "camera_matrices"),
+        ({"residual_px": [0.1]}, "residual_px has 1 entries, must have one per camera: 2"),
+        ({"principal_point": [(1, 2)] * 3}, "principal_point has 3 entries"),
+        ({"distortion": []}, "distortion has 0 entries"),
+        ({"unit": "inch"}, "unit"),
+        ({"working_distance_mm": 0}, "working_distance_mm"),
+    ],
+)
+def test_inconsistent_calibrations_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        calibration(**change)

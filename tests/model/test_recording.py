@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from vaoi_station.model import RecordingHead
+
+
+def head(**change: Any) -> RecordingHead:
+    base = {
+        "format": "vaoi-recording",
+        "version": 1,
+        "cameras": [{"width": 80, "height": 64, "exposure_us": e} for e in (200.0, 250.0)],
+        "rows": 3,
+        "trigger_period_s": 0.125,
+        "conveyor_mm_s": [0, -100],
+    }
+    return RecordingHead.model_validate(base | change)
+
+
+@given(rows=st.integers(1, 50), period=st.floats(0.01, 1))
+def test_nominal_row_times_are_multiples_of_the_period(rows: int, period: float) -> None:
+    times = head(rows=rows, trigger_period_s=period).row_times_s()
+    assert times.shape == (rows,)
+    np.testing.assert_allclose(times, [k * period for k in range(rows)])
+
+
+def test_measured_times_replace_the_nominal_ones() -> None:
+    assert head(trigger_times_s=[5.0, 5.2, 5.3]).row_times_s().tolist() == [5.0, 5.2, 5.3]
+
+
+def test_exposures_are_those_of_the_camera_unless_given_per_frame() -> None:
+    assert [head().exposure_us(camera, 2) for camera in (0, 1)] == [200.0, 250.0]
+    hdr = head(exposures_us=[[10.0, 20], [30, 40], [50, 60]])
+    assert hdr.exposure_us(1, 0) == 20
+    assert hdr.exposure_us(0, 2) == 50
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"missing": [(2, 0)]}, r"missing names \[2, 0\], but there are 2 cameras and 3 rows"),
+        ({"missing": [(0, 3)]}, r"missing names \[0, 3\]"),
+        ({"missing": [(-1, 0)]}, r"missing names \[-1, 0\]"),
+        ({"trigger_times_s": [0, 1]}, "trigger_times_s has 2 entries, must have one per row: 3"),
+        ({"trigger_times_s": [0, 2, 2]}, "must increase from row to row"),
+        ({"exposures_us": [[1.0, 2.0]]}, "exposures_us has 1 entries"),
+        ({"exposures_us": [[1.0, 2.0], [1.0], [1.0, 2.0]]}, "exposures_us must have 2 entries in every row"),
+        ({"lights": ["a"]}, "lights has 1 entries"),
+        ({"rows": 0}, "rows"),
+        ({"cameras": []}, "cameras"),
+    ],
+)
+def test_inconsistent_heads_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        head(**change)
