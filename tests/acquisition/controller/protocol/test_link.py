@@ -136,6 +136,51 @@ def test_the_heartbeat_goes_before_requests_and_keeps_its_interval() -> None:
     assert types.count(Type.BEAT) == round(1.0 / HEARTBEAT_S)
 
 
+def test_a_queued_request_is_sent_after_an_unanswered_heartbeat() -> None:
+    """A heartbeat is given up after more than its interval, so the next one is due already."""
+    link = Link(heartbeat=True)
+    link.request(PING)
+    sent_types: list[int] = []
+    unanswered: list[Notification] = []
+    for k in range(1000):
+        if message := sent(link, k * 0.01):
+            sent_types.append(message.type)
+        unanswered += link.receive(b"", k * 0.01)
+    assert sent_types[: 2 * MAX_TRIES + 1] == [Type.BEAT] * MAX_TRIES + [Type.CLOCK] * MAX_TRIES + [Type.BEAT]
+    assert unanswered[:3] == [Unanswered(Request(Type.BEAT)), Unanswered(PING), Unanswered(Request(Type.BEAT))]
+
+
+@pytest.mark.parametrize("kind", [Type.STATUS, Type.READ_EVENT])
+def test_a_queued_request_is_sent_after_an_unanswered_request_of_the_link(kind: Type) -> None:
+    link = known(events=0 if kind == Type.STATUS else 1)
+    if kind == Type.STATUS:
+        link.receive(event(0, boots=2), 0.0)
+    link.request(PING)
+    sent_types: list[int] = []
+    unanswered: list[Notification] = []
+    for k in range(250):
+        if message := sent(link, k * 0.01):
+            sent_types.append(message.type)
+        unanswered += link.receive(b"", k * 0.01)
+    assert sent_types[: 2 * MAX_TRIES] == [kind] * MAX_TRIES + [Type.CLOCK] * MAX_TRIES
+    assert unanswered[1] == Unanswered(PING)
+
+
+def test_after_a_reply_the_heartbeat_goes_first_again() -> None:
+    link = Link(heartbeat=True)
+    for k in range(MAX_TRIES + 1):
+        sent(link, 1.1 * k * RETRY_S)
+        link.receive(b"", 1.1 * k * RETRY_S)
+    beat = sent(link, 2.0)
+    assert beat is not None
+    assert beat.type == Type.BEAT
+    link.receive(encode(Message(beat.type | REPLY, beat.sequence, STATUS.pack())), 2.0)
+    link.request(PING)
+    following = sent(link, 2.0 + HEARTBEAT_S)
+    assert following is not None
+    assert following.type == Type.BEAT
+
+
 def test_an_event_of_another_boot_is_not_passed_on_until_the_boot_is_known() -> None:
     link = known(boots=1)
     assert link.receive(event(0, boots=2), 0.0) == []

@@ -193,6 +193,37 @@ def test_a_silent_controller_is_reported_and_opened_again(
     assert device[1].in_state(State.ARMED)
 
 
+def test_an_armed_controller_that_becomes_silent_is_reported_and_armed_again(
+    controller: SerialController, events: EventQueue, device: tuple[str, FakeFirmware]
+) -> None:
+    """Its port stays open, so nothing but the missing replies shows it."""
+    controller.arm(PLAN)
+    device[1].mute = True
+    assert until(events, DeviceFault).error.code == "controller-silent"
+    assert "not reachable" in controller.health()
+    device[1].state = State.SAFE  # the firmware does this itself after 3 s without a heartbeat
+    device[1].mute = False
+    wait_reachable(controller)
+    assert device[1].in_state(State.ARMED)
+    assert controller.health().startswith("serial: armed")
+
+
+@pytest.mark.parametrize("calls", [("close",), ("disarm", "close")], ids=["closed", "disarmed"])
+def test_an_armed_controller_that_is_silent_can_be_disarmed_and_closed(
+    device: tuple[str, FakeFirmware], calls: tuple[str, ...]
+) -> None:
+    controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
+    controller.start(SimpleQueue())
+    controller.arm(PLAN)
+    device[1].mute = True
+    with ThreadPoolExecutor(1) as caller:
+        try:
+            for call in calls:
+                caller.submit(getattr(controller, call)).result(timeout=10)
+        finally:
+            device[1].mute = False  # so that the threads end even if this test fails
+
+
 def test_closing_disarms(device: tuple[str, FakeFirmware]) -> None:
     controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
     controller.start(SimpleQueue())

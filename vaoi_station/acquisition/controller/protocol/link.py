@@ -53,7 +53,10 @@ class Refused:
 
 @dataclass(frozen=True)
 class Unanswered:
-    """A request whose fate is unknown: no try had a reply, or the controller was reset."""
+    """A request whose fate is unknown: no try had a reply, or the controller was reset.
+
+    It may also be a request of the link itself, such as BEAT: the controller is silent then, too.
+    """
 
     request: Request
 
@@ -118,6 +121,8 @@ class Link:
         self._order = EventOrder()
         self._acknowledged = 0
         self._next_heartbeat_s = 0.0
+        self._yielding = False
+        """Whether the link's last own request was given up; a queued request is then sent before its next one."""
         self._out_of_sync = False
         """Whether a message did not fit the known boot; the next request is then STATUS."""
 
@@ -143,7 +148,7 @@ class Link:
     def drop_requests(self) -> None:
         """Forget all requests without a notification, because the port is gone."""
         self._queue.clear()
-        self._pending = None
+        self._pending, self._yielding = None, False
 
     def skip_history(self) -> None:
         """Discard the events up to the newest status, which belong to an earlier process."""
@@ -171,11 +176,27 @@ class Link:
         pending = self._pending
         if pending is not None and pending.tries >= MAX_TRIES and now_s - pending.last_s >= RETRY_S:
             self._pending = None
-            news += [] if pending.internal else [Unanswered(pending.request)]
+            self._yielding = pending.internal
+            news.append(Unanswered(pending.request))
         return news
 
     def _next_request(self, now_s: float) -> _Pending | None:
-        """Take the next request; the link's own come first: heartbeat, STATUS, lost events."""
+        """Take the next request; the link's own come first, but they give way once after silence."""
+        # Giving up takes longer than the interval of the heartbeat, so the next one is always due. Without this rule a
+        # silent controller would be sent nothing but BEAT, and no caller would ever get an outcome.
+        own = None if self._yielding and self._queue else self._own_request(now_s)
+        if own is not None:
+            return own
+        if self._queue:
+            self._yielding = False
+            return self._queue.popleft()
+        # Acknowledgements go last: the firmware overwrites its oldest event anyway and only counts losses by them.
+        if self._acknowledged < self._order.next_number:
+            return _Pending(number_request(Type.ACK_EVENTS, self._order.next_number), internal=True)
+        return None
+
+    def _own_request(self, now_s: float) -> _Pending | None:
+        """Make the most urgent request of the link itself: heartbeat, STATUS, lost events."""
         # The heartbeat goes first, because the controller switches everything off without it.
         if self.heartbeat and now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_S
@@ -184,11 +205,6 @@ class Link:
             return _Pending(Request(Type.STATUS), internal=True)
         if (missing := self._order.missing()) is not None:
             return _Pending(number_request(Type.READ_EVENT, missing), internal=True)
-        if self._queue:
-            return self._queue.popleft()
-        # Acknowledgements go last: the firmware overwrites its oldest event anyway and only counts losses by them.
-        if self._acknowledged < self._order.next_number:
-            return _Pending(number_request(Type.ACK_EVENTS, self._order.next_number), internal=True)
         return None
 
     def _on_message(self, message: Message, now_s: float) -> list[Notification]:
@@ -214,6 +230,7 @@ class Link:
         except ValueError:
             self.unmatched += 1
             return []
+        self._yielding = False
         # A reset, noticed in the reply, may have replaced the pending request already.
         if self._pending is pending:
             self._pending = None

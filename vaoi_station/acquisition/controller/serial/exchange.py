@@ -92,11 +92,6 @@ class Exchange:
                     return item
                 if isinstance(item, Refused):
                     raise RefusalError.of(item.nak)
-                if isinstance(item, Unanswered):
-                    raise SilentError(
-                        f"The controller at {self._name} does not answer.",
-                        action="Check its power and its cable.",
-                    )
 
     def read_status(self) -> Status:
         """Read the present status, after all events up to it have been passed on."""
@@ -108,7 +103,13 @@ class Exchange:
         return self.link.status
 
     def poll(self) -> list[Notification]:
-        """Send what is due and process what arrives within `POLL_S`; ResetError or PortLostError."""
+        """Send what is due and process what arrives within `POLL_S`.
+
+        Raises:
+            SilentError: a request had no reply; also a heartbeat, which is sent without a caller.
+            ResetError: the controller was reset.
+            PortLostError: the port has gone.
+        """
         try:
             if data := self.link.outgoing(time.monotonic()):
                 self.port.write(data)
@@ -131,6 +132,13 @@ class Exchange:
                 raise ResetError(
                     f"The controller was reset (its start number {item.boots}).",
                     action="Nothing: it is being configured again.",
+                )
+            elif isinstance(item, Unanswered):
+                # The request of the caller may still be queued. Sent later, its reply would be taken for another's.
+                self.link.drop_requests()
+                raise SilentError(
+                    f"The controller at {self._name} does not answer.",
+                    action="Check its power and its cable.",
                 )
         return news
 
