@@ -8,8 +8,8 @@ import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-import click
 import pytest
 import typer.main
 
@@ -110,7 +110,7 @@ def commands() -> dict[str, frozenset[str]]:
     """Return the options of every command of `vaoi`, by the command's words."""
     found: dict[str, frozenset[str]] = {}
 
-    def visit(command: click.Command, words: tuple[str, ...]) -> None:
+    def visit(command: Any, words: tuple[str, ...]) -> None:
         options = (o for p in command.params for o in (*p.opts, *p.secondary_opts) if o.startswith("--"))
         found[" ".join(words)] = frozenset(options) | {"--help"}
         for name, child in getattr(command, "commands", {}).items():
