@@ -1,0 +1,32 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.calibration.artwork.drawing_elements import BAR_MM, LABEL_MM, cross, scale_bar
+
+
+@given(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), st.floats(0.5, 10), st.floats(0.05, 0.5))
+def test_a_cross_has_its_size_width_and_area(center: tuple[float, float], size: float, arm: float) -> None:
+    corners = cross(np.array(center), size, size * arm)
+    assert corners.shape == (12, 2)
+    assert np.ptp(corners, axis=0) == pytest.approx((size, size))
+    x, y = (corners - center).T
+    area = 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    assert area == pytest.approx(size**2 * arm * (2 - arm))
+    edges = np.roll(corners, -1, axis=0) - corners
+    assert (np.abs(edges).min(axis=1) < 1e-9).all(), "all edges are parallel to an axis"
+
+
+@pytest.mark.parametrize(("width", "length"), [(100.0, BAR_MM), (60.0, BAR_MM), (59.0, 10.0), (25.0, 10.0)])
+def test_the_scale_bar_is_shorter_on_small_boards_and_lies_in_the_label_strip(width: float, length: float) -> None:
+    low, high = (-5.0, -20.0), (width - 5.0, 30.0)
+    strokes, reported = scale_bar(low, high)
+    assert reported == length
+    assert np.hypot(*(strokes[0, 1] - strokes[0, 0])) == pytest.approx(length)
+    assert strokes[..., 0].min() >= low[0]
+    assert strokes[..., 0].max() <= high[0]
+    assert strokes[..., 1].min() >= high[1] - LABEL_MM
+    assert strokes[..., 1].max() <= high[1]
