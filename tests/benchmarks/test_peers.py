@@ -1,4 +1,4 @@
-"""The comparison with other stitchers, as far as it needs none of them: strips, scores, table."""
+"""The comparison with other stitchers, except for the stitchers themselves: strips, scores, table."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.benchmarks.peers import film, place, table
+from tests.benchmarks.peers import place, render_strips, table
 from tests.benchmarks.peers.adapter import Setting
 from tests.benchmarks.peers.adapters import ours
 from tests.benchmarks.peers.scoring import score
@@ -26,9 +26,9 @@ FRAME_PX = (320, 240)
 
 
 @pytest.fixture(scope="module", params=["plain", "yaw", "line"])
-def filmed(request: pytest.FixtureRequest) -> film.Filmed:
+def rendered(request: pytest.FixtureRequest) -> render_strips.RenderedStrip:
     variant = str(request.param)
-    return film.film(variant, film.twin_of(variant, **SMALL))
+    return render_strips.render_strip(variant, render_strips.twin_of(variant, **SMALL))
 
 
 def shifted(true: Floats, by_px: Floats) -> Matrices:
@@ -40,7 +40,7 @@ def shifted(true: Floats, by_px: Floats) -> Matrices:
     angle=st.floats(-3.1, 3.1),
     shift=st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)),
 )
-def test_a_mosaic_has_a_scale_a_rotation_and_an_origin_of_its_own(
+def test_scale_rotation_and_origin_of_a_mosaic_do_not_matter(
     scale: float, angle: float, shift: tuple[float, float]
 ) -> None:
     true = np.stack([m for m in translations(np.array([[0.0, 0], [280, 3], [1, 180]])) if m is not None])
@@ -50,8 +50,8 @@ def test_a_mosaic_has_a_scale_a_rotation_and_an_origin_of_its_own(
     assert result.rms_px == pytest.approx(0, abs=1e-6)
 
 
-def test_errors_come_out_in_pixels_of_the_frames() -> None:
-    """Eight frames far apart, each off by a pixel to one side or the other: a similarity takes nothing of that away."""
+def test_errors_are_in_pixels_of_the_frames() -> None:
+    """Eight frames far apart, each shifted by a pixel to the left or right: no similarity reduces these errors."""
     places = np.array([[x, y] for y in (0.0, 4000, 8000, 12000) for x in (0.0, 4000)])
     true = np.stack([m for m in translations(places) if m is not None])
     off = np.array([[1.0, 0], [-1, 0], [-1, 0], [1, 0]] * 2)
@@ -60,7 +60,7 @@ def test_errors_come_out_in_pixels_of_the_frames() -> None:
     assert result.max_px == pytest.approx(1, rel=1e-2)
 
 
-def test_a_shear_or_a_mirror_image_is_no_similarity() -> None:
+def test_shear_and_reflection_count_as_errors() -> None:
     true = np.stack([m for m in translations(np.array([[0.0, 0], [280, 0]])) if m is not None])
     for wrong in (np.diag([1.0, -1, 1]), np.array([[1, 0.01, 0], [0, 1, 0], [0, 0, 1]])):
         result = score([wrong @ m for m in true], true, FRAME_PX)
@@ -68,7 +68,7 @@ def test_a_shear_or_a_mirror_image_is_no_similarity() -> None:
         assert result.rms_px > 0.5
 
 
-def test_a_strip_with_holes_gets_no_number() -> None:
+def test_strip_with_dropped_frames_has_no_error_in_pixels() -> None:
     true = np.stack([np.eye(3)] * 3)
     result = score([np.eye(3), None, np.eye(3)], true, FRAME_PX)
     assert (result.dropped, result.rms_px, result.max_px) == (1, None, None)
@@ -76,39 +76,40 @@ def test_a_strip_with_holes_gets_no_number() -> None:
         score([np.eye(3)] * 2, true, FRAME_PX)
 
 
-def test_frames_show_board_where_the_truth_says(filmed: film.Filmed) -> None:
-    """Neighbours in a column, brought together by the truth, show the same; three pixels away they do so less."""
-    frames, true = filmed.strip.frames.astype(np.float64), filmed.board_from_flat
-    assert len(frames) == 2 * film.ROWS
+def test_frames_agree_with_the_truth(rendered: render_strips.RenderedStrip) -> None:
+    """Neighbours in a column correlate when aligned by the truth, and less when shifted by three pixels."""
+    frames, true = rendered.strip.frames.astype(np.float64), rendered.board_from_flat
+    assert len(frames) == 2 * render_strips.ROWS
     x, y = np.meshgrid(np.arange(60, 260), np.arange(30, 70))
     later_from_earlier = np.linalg.inv(true[2]) @ true[0]
     dx, dy = np.rint(later_from_earlier[:2, 2]).astype(int)
-    assert 100 < dy < 150, "the belt carries what is seen down the image, by about 10.5 mm a row"
+    assert 100 < dy < 150, "the belt moves the image down by about 10.5 mm per row"
 
-    def likeness(off: int) -> float:
+    def correlation(off: int) -> float:
         return float(np.corrcoef(frames[0][y, x].ravel(), frames[2][y + dy, x + dx + off].ravel())[0, 1])
 
-    assert likeness(0) > 0.9
-    assert likeness(0) > max(likeness(-3), likeness(3))
+    assert correlation(0) > 0.9
+    assert correlation(0) > max(correlation(-3), correlation(3))
 
 
-def test_the_prior_is_good_to_a_few_pixels(filmed: film.Filmed) -> None:
-    result = score(translations(filmed.strip.nominal_px), filmed.board_from_flat, FRAME_PX)
+def test_nominal_positions_are_wrong_by_a_few_pixels(rendered: render_strips.RenderedStrip) -> None:
+    result = score(translations(rendered.strip.nominal_px), rendered.board_from_flat, FRAME_PX)
     assert result.rms_px is not None
     assert 0.05 < result.rms_px < 5
 
 
-def test_with_yaw_the_board_turns_by_what_the_page_says() -> None:
-    for variant, turn_deg in (("plain", 0.0), ("yaw", film.TURN_DEG)):
-        true = film.film(variant, film.twin_of(variant, **SMALL)).board_from_flat
+def test_board_turns_by_the_documented_angle_in_strips_with_yaw() -> None:
+    for variant, turn_deg in (("plain", 0.0), ("yaw", render_strips.TURN_DEG)):
+        twin = render_strips.twin_of(variant, **SMALL)
+        true = render_strips.render_strip(variant, twin).board_from_flat
         first, last = (np.arctan2(m[1, 0], m[0, 0]) for m in true[[0, -1]])
         assert abs(np.degrees(last - first)) == pytest.approx(turn_deg, abs=1e-6)
 
 
-def test_ours_is_placed_and_scored_like_any_peer(filmed: film.Filmed, tmp_path: Path) -> None:
+def test_our_stitcher_runs_and_is_scored_like_a_peer(rendered: render_strips.RenderedStrip, tmp_path: Path) -> None:
     strips = tmp_path / "strips"
-    filmed.write(strips / filmed.strip.name)
-    runs = list(place.run(ours, [strips / filmed.strip.name]))
+    rendered.write(strips / rendered.strip.name)
+    runs = list(place.run(ours, [strips / rendered.strip.name]))
     assert [run["setting"] for run in runs] == list(ours.SETTINGS)
     lines = [json.dumps({"name": "ours"} | run) for run in runs]
     for run in table.scored(lines, strips):
@@ -117,8 +118,8 @@ def test_ours_is_placed_and_scored_like_any_peer(filmed: film.Filmed, tmp_path: 
         assert "matrices" not in run
 
 
-def test_what_a_peer_raises_is_its_result(filmed: film.Filmed, tmp_path: Path) -> None:
-    class Stubborn:
+def test_exception_of_a_peer_is_its_result(rendered: render_strips.RenderedStrip, tmp_path: Path) -> None:
+    class Failing:
         PACKAGES: ClassVar[tuple[str, ...]] = ()
         SETTINGS: ClassVar[dict[str, Setting]] = {"a": Setting(), "b": Setting(strips=("another",))}
 
@@ -130,8 +131,8 @@ def test_what_a_peer_raises_is_its_result(filmed: film.Filmed, tmp_path: Path) -
         def place(strip: Strip) -> Matrices:
             raise LookupError("there is no good top pair")
 
-    filmed.write(tmp_path)
-    (run,) = place.run(Stubborn(), [tmp_path])
+    rendered.write(tmp_path)
+    (run,) = place.run(Failing(), [tmp_path])
     assert run["failure"] == "LookupError: there is no good top pair"
     part = table.page_part([{"name": "ashlar", "versions": {"ashlar": "1"}, "machine": "m"} | run | {"strip": "plain"}])
     assert "gave up: LookupError: there is no good top pair" in part
@@ -145,7 +146,7 @@ def figures(name: str, setting: str, rms: float, *, dropped: int = 0, as_it_is: 
     }  # fmt: skip
 
 
-def test_a_stitcher_is_shown_at_its_best_and_only_with_what_it_did_itself() -> None:
+def test_best_setting_without_our_help_represents_a_stitcher() -> None:
     runs = [
         figures("nominal", "", 4.0),
         figures("stitching", "default", 0.0, dropped=10),
@@ -158,15 +159,15 @@ def test_a_stitcher_is_shown_at_its_best_and_only_with_what_it_did_itself() -> N
     assert "| ASHLAR | failed | – | not run" in part
     assert "10 frames not placed" in part
     assert "wrong: worse than the nominal places" in part
-    assert "620" not in part, "what failed gets no number"
+    assert "620" not in part, "a failed run has no error in pixels"
     assert "0.125" in part
 
 
-def test_a_new_run_takes_the_place_of_the_old_one_and_the_page_is_renewed(tmp_path: Path) -> None:
-    runs = table.renewed([figures("ours", "a", 0.5), figures("ashlar", "b", 0.02)], [figures("ours", "c", 0.25)])
+def test_new_run_replaces_the_old_one_and_the_page_is_updated(tmp_path: Path) -> None:
+    runs = table.updated([figures("ours", "a", 0.5), figures("ashlar", "b", 0.02)], [figures("ours", "c", 0.25)])
     assert [(r["name"], r["rms_px"]) for r in runs] == [("ashlar", 0.02), ("ours", 0.25)]
     page = tmp_path / "peers.md"
-    page.write_text(f"above\n{table.MARKS[0]}\nold\n{table.MARKS[1]}\nbelow\n")
+    page.write_text(f"above\n{table.MARKERS[0]}\nold\n{table.MARKERS[1]}\nbelow\n")
     table.write_page(page, table.page_part(runs))
     text = page.read_text()
     assert text.startswith("above\n")
@@ -178,7 +179,6 @@ def test_a_new_run_takes_the_place_of_the_old_one_and_the_page_is_renewed(tmp_pa
         table.write_page(page, "")
 
 
-def test_the_page_shows_the_results_that_are_kept() -> None:
-    """Whoever renews one renews the other."""
+def test_page_agrees_with_the_stored_results() -> None:
     part = table.page_part(json.loads(table.RESULTS.read_text()))
     assert part in table.PAGE.read_text()

@@ -1,1 +1,1 @@
-"""What `vaoi bench` measures: ratios in one run, on frames in memory, one thread."""
+"""Benchmarks behind `vaoi bench`: speed in memory here, a station in real time in `station`, errors in `accuracy`."""

@@ -1,4 +1,4 @@
-"""What a module of `adapters/` offers, and the settings a stitcher is tried with."""
+"""The interface of the modules in `adapters/`, and the settings with which a stitcher is run."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Setting:
 
     Attributes:
         options: keyword arguments of `place`.
-        strips: the strips it is tried on; all if empty.
-        as_it_is: whether the stitcher did it all by itself, so that the setting may stand for it in the table.
+        strips: the strips it runs on; all if empty.
+        as_it_is: whether the stitcher ran without our help, so that the setting may represent it in the table.
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -30,16 +30,16 @@ class Adapter(Protocol):
 
     @property
     def PACKAGES(self) -> tuple[str, ...]:  # noqa: N802 - a constant of the module
-        """Whose versions matter."""
+        """Packages whose versions are recorded."""
 
     @property
     def SETTINGS(self) -> dict[str, Setting]:  # noqa: N802 - a constant of the module
-        """By the name they have in the table."""
+        """Settings by their name in the table."""
 
     @property
     def prepare(self) -> Callable[[Strip, Path], Any]:
-        """Not timed: from the strip, and the directory it lies in, to what the stitcher takes."""
+        """Conversion of a strip and its directory to the input of the stitcher; not timed."""
 
     @property
     def place(self) -> Callable[..., Matrices]:
-        """Timed: one matrix mosaic_from_frame per frame."""
+        """Placement, timed: returns one matrix mosaic_from_frame per frame."""

@@ -1,9 +1,8 @@
-"""Runs one stitcher over the strips, in its own environment: `python -m peers.place NAME STRIPS OUT.jsonl`.
+"""Run one stitcher over the strips, in a separate environment: `python -m peers.place NAME STRIPS OUT.jsonl`.
 
-The clock runs for the placement alone: not for imports, reading, conversion or blending. CPU time is that of all
-threads and children. Every setting is repeated until it has run `REPEATS` times or used `PATIENCE_S` of CPU time, and
-the quickest counts: the first call of a library compiles, plans and caches. A stitcher that gives up is recorded with
-what it said.
+Only the placement is timed: not imports, reading, conversion or blending. CPU time includes all threads and child
+processes. Each setting is repeated until it has run `REPEATS` times or used `CPU_LIMIT_S`, and the fastest run counts,
+because the first call of a library compiles, plans and caches. The error of a stitcher that fails is its result.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from .adapter import Adapter
 from .strip import STRIPS, Matrices, Strip
 
 REPEATS = 3
-PATIENCE_S = 15.0
+CPU_LIMIT_S = 15.0
 
 
 def run(adapter: Adapter, strips: list[Path]) -> Iterator[dict[str, Any]]:
-    """Every setting on every strip, one after the other."""
+    """Yield the results of all settings on all strips."""
     for directory in strips:
         strip = Strip.read(directory)
         prepared = adapter.prepare(strip, directory)
@@ -42,11 +41,11 @@ def run(adapter: Adapter, strips: list[Path]) -> Iterator[dict[str, Any]]:
 
 def _timed(work: Callable[[], Matrices]) -> dict[str, Any]:
     times: list[tuple[float, float]] = []
-    while not times or (len(times) < REPEATS and sum(cpu for cpu, _ in times) < PATIENCE_S):
+    while not times or (len(times) < REPEATS and sum(cpu for cpu, _ in times) < CPU_LIMIT_S):
         cpu, wall = _cpu_s(), time.perf_counter()
         try:
             matrices = work()
-        except Exception as error:  # noqa: BLE001 - whatever a peer raises is its result
+        except Exception as error:  # noqa: BLE001 - any exception of a peer is its result
             traceback.print_exc()
             return {"failure": f"{type(error).__name__}: {error}"}
         times.append((_cpu_s() - cpu, time.perf_counter() - wall))
@@ -64,16 +63,16 @@ def _cpu_s() -> float:
 
 
 def this_machine() -> str:
-    """Processor, number of cores and Python of this machine."""
+    """Return processor, number of cores and Python version of this machine."""
     info = Path("/proc/cpuinfo")
     models = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
     return f"{models[0] if models else platform.machine()}, {len(models)} cores, Python {platform.python_version()}"
 
 
 def main() -> None:
-    """Run the stitcher that is named on every strip of a directory; one line of JSON for each run."""
+    """Run the named stitcher on all strips of a directory; write one line of JSON per run."""
     name, strips, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
-    warnings.simplefilter("ignore")  # theirs, of their own dependencies
+    warnings.simplefilter("ignore")  # peers use deprecated names of their dependencies
     adapter = cast("Adapter", importlib.import_module(f"{__package__}.adapters.{name}"))
     found = [strips / strip for strip in STRIPS]
     versions = {package: version(package) for package in adapter.PACKAGES}

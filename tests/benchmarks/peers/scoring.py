@@ -1,8 +1,8 @@
-"""How well frames were placed: the same arithmetic for every stitcher, ours included.
+"""Score the placement of frames; the same computation for all stitchers, ours included.
 
-A grid of points of every frame goes to the mosaic by what the stitcher says, and to the board by the truth. One
-similarity for the whole strip (a mosaic has a scale, a rotation and an origin of its own) is fitted between the two;
-what is left, in pixels of the frames, is the error.
+A grid of points of every frame is mapped to the mosaic by the stitcher's matrices, and to the board by the truth. A
+mosaic has an arbitrary scale, rotation and origin, so one similarity for the whole strip is fitted between the two.
+The residuals, in pixels of the frames, are the errors.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .strip import Floats, Matrices
 
 GRID = (7, 5)
-"""Points across and along a frame, its corners among them."""
+"""Number of points across and along a frame; the corners are among them."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class Score:
     """Errors of a strip.
 
     Attributes:
-        dropped: how many frames were not placed.
-        rms_px: root mean square length of the residuals, px; None where frames were dropped, since a strip with
-            holes is not stitched and what is left of it would compare with nothing.
-        max_px: the longest.
+        dropped: number of frames that were not placed.
+        rms_px: root mean square length of the residuals, px; None if frames were dropped, as the errors of a part of a
+            strip are not comparable with those of a whole one.
+        max_px: length of the longest residual, px; None if frames were dropped.
     """
 
     dropped: int
@@ -38,7 +38,7 @@ def score(mosaic_from_frame: Matrices, board_from_frame: NDArray[np.float64], fr
     """Score the placement of all frames of a strip.
 
     Args:
-        mosaic_from_frame: what the stitcher says; None where it placed nothing.
+        mosaic_from_frame: the stitcher's matrices; None for a frame that was not placed.
         board_from_frame: (k, 3, 3) the truth, in px of the board (mm times the nominal px per mm).
         frame_px: width and height of the frames.
     """
@@ -48,9 +48,9 @@ def score(mosaic_from_frame: Matrices, board_from_frame: NDArray[np.float64], fr
     if dropped:
         return Score(dropped, None, None)
     grid = _grid(frame_px)
-    said = np.concatenate([_apply(m, grid) for m in mosaic_from_frame if m is not None])
+    estimated = np.concatenate([_apply(m, grid) for m in mosaic_from_frame if m is not None])
     true = np.concatenate([_apply(m, grid) for m in board_from_frame])
-    lengths = np.abs(_residuals(said, true))
+    lengths = np.abs(_residuals(estimated, true))
     return Score(0, float(np.sqrt(np.mean(lengths**2))), float(lengths.max()))
 
 
@@ -64,8 +64,8 @@ def _apply(matrix: Floats, points: Floats) -> Floats:
     return np.asarray(q[:, :2] / q[:, 2:])
 
 
-def _residuals(said: Floats, true: Floats) -> NDArray[np.complex128]:
-    """true − (a·said + b) over the best complex a and b: a rotation and a scale, and a shift."""
-    z, w = (p[:, 0] + 1j * p[:, 1] for p in (said, true))
+def _residuals(estimated: Floats, true: Floats) -> NDArray[np.complex128]:
+    """Return true − (a·estimated + b) as complex numbers, after a fit of a (rotation and scale) and b (shift)."""
+    z, w = (p[:, 0] + 1j * p[:, 1] for p in (estimated, true))
     z, w = z - z.mean(), w - w.mean()
     return np.asarray(w - z * (np.vdot(z, w) / np.vdot(z, z)))

@@ -1,7 +1,7 @@
-"""A strip as every stitcher gets it: flattened 8-bit grey frames, and where the mechanics would have put them.
+"""A strip, the input of all stitchers: flattened 8-bit grey frames with their nominal positions.
 
-Only numpy is needed here: this module runs in the environment of every peer. The truth lies in a
-file of its own, which the scorer alone opens.
+This module needs only numpy, because it runs in the environment of each peer. The truth is in a separate file, which
+only the scorer opens.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 STRIPS = ("plain", "yaw", "parts", "line")
-"""Variants, in the order of the table; `film.VARIANTS` says what they are."""
+"""Variants, in the order of the table; `render_strips.VARIANTS` defines them."""
 
 Floats = NDArray[np.float64]
 Matrices = list[Floats | None]
-"""One 3×3 mosaic_from_frame per frame of the strip, in its order; None where a frame could not be placed."""
+"""One (3, 3) mosaic_from_frame per frame of the strip; None for a frame that was not placed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +26,10 @@ class Strip:
     """Frames of n cameras and m rows, row by row.
 
     Attributes:
-        name: of the variant.
+        name: name of the variant.
         frames: (n·m, h, w) uint8, flattened: undistorted, upright, one scale for all.
         cells: (n·m, 2) camera and row of every frame.
-        nominal_px: (n·m, 2) x and y of the first pixel of every frame on the mosaic, by the mechanics alone.
+        nominal_px: (n·m, 2) x and y of the first pixel of each frame on the mosaic, from the mechanics alone.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Strip:
     nominal_px: Floats
 
     def write(self, directory: Path) -> None:
-        """Write the strip into a directory, which is made."""
+        """Write the strip into a directory, which is created."""
         directory.mkdir(parents=True, exist_ok=True)
         np.save(directory / "frames.npy", self.frames)
         layout = {"name": self.name, "cells": self.cells.tolist(), "nominal_px": self.nominal_px.tolist()}
@@ -46,14 +46,14 @@ class Strip:
 
     @classmethod
     def read(cls, directory: Path) -> Strip:
-        """The strip of a directory."""
+        """Read the strip of a directory."""
         layout = json.loads((directory / "strip.json").read_text())
         cells, nominal_px = np.array(layout["cells"], np.int64), np.array(layout["nominal_px"], np.float64)
         return cls(layout["name"], np.load(directory / "frames.npy"), cells, nominal_px)
 
 
 def translations(places_px: Floats) -> Matrices:
-    """Matrices of frames that were only shifted, from x and y (k, 2) of their first pixels; NaN: not placed."""
+    """Return matrices of pure shifts from x and y (k, 2) of the first pixels; NaN means not placed."""
     return [_translation(x, y) if np.isfinite(x + y) else None for x, y in places_px]
 
 

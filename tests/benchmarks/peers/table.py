@@ -1,7 +1,7 @@
-"""Scores what was run and renews the table: `python -m peers.table STRIPS RUNS`.
+"""Score the runs and update the table: `python -m peers.table STRIPS RUNS`.
 
-Only stitchers that were run anew are scored anew; of the others `results.json` keeps what it had. The page in the
-documentation is written between its two marks, from `results.json` alone.
+Only stitchers with new runs are scored; `results.json` keeps its entries of the others. The table in the documentation
+is written between two markers, from `results.json` alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .strip import STRIPS, Strip, translations
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.json"
 PAGE = HERE.parents[2] / "docs" / "measured" / "peers.md"
-MARKS = ("<!-- table -->", "<!-- end of table -->")
+MARKERS = ("<!-- table -->", "<!-- end of table -->")
 TITLES = {
     "ours": "this station",
     "stitching": "`stitching`",
@@ -35,12 +35,12 @@ Run = dict[str, Any]
 
 
 def scored(lines: Iterable[str], strips: Path) -> list[Run]:
-    """Runs of `place`, one a line, with their scores in place of their matrices."""
+    """Read runs of `place`, one per line, and replace their matrices by their scores."""
     return [_scored(json.loads(line), strips) for line in lines]
 
 
 def nominal(strips: Path) -> list[Run]:
-    """What placing every frame where the mechanics put it would have given."""
+    """Score the nominal positions: the result of no stitching at all."""
     runs = []
     for name in STRIPS:
         matrices = [m.tolist() for m in translations(Strip.read(strips / name).nominal_px) if m is not None]
@@ -58,14 +58,14 @@ def _scored(run: Run, strips: Path) -> Run:
     return kept | {key: round(v, 4) if isinstance(v, float) else v for key, v in (kept | asdict(errors)).items()}
 
 
-def renewed(before: list[Run], new: list[Run]) -> list[Run]:
-    """Earlier results, but of those stitchers that were run again."""
+def updated(before: list[Run], new: list[Run]) -> list[Run]:
+    """Return the earlier results, with those of stitchers that were run again replaced."""
     names = {run["name"] for run in new}
     return [run for run in before if run["name"] not in names] + new
 
 
 def page_part(runs: list[Run]) -> str:
-    """The tables as Markdown."""
+    """Return the tables as Markdown."""
     return "\n".join([*_summary(runs), "", *_details(runs), "", *_circumstances(runs)])
 
 
@@ -85,17 +85,18 @@ def _no_result(runs: list[Run], name: str, strip: str) -> str:
 
 
 def _best(runs: list[Run], name: str, strip: str) -> Run | None:
-    """The setting with the smallest error; of equals the quickest. None where none placed every frame."""
+    """Return the setting with the smallest error, among equals the fastest; None if none placed all frames."""
     own = [r for r in runs if (r["name"], r["strip"]) == (name, strip) and r.get("as_it_is", True)]
     return min((r for r in own if not _verdict(r, runs)), key=lambda r: (r["rms_px"], r.get("cpu_s", 0)), default=None)
 
 
 def _verdict(run: Run, runs: list[Run]) -> str:
-    """Why a run is no result; empty if it is one."""
+    """Return the reason why a run is not counted as a result; empty if it is."""
     if "failure" in run:
         return f"gave up: {run['failure'].splitlines()[0][:120]}"
     if run["dropped"]:
         return f"{run['dropped']} frames not placed"
+    # A stitcher whose result is worse than its prior has not found the right matches.
     mechanics = next((r for r in runs if (r["name"], r["strip"]) == ("nominal", run["strip"])), None)
     if mechanics is not None and run["rms_px"] > mechanics["rms_px"]:
         return "wrong: worse than the nominal places"
@@ -138,22 +139,22 @@ def _circumstances(runs: list[Run]) -> list[str]:
 
 
 def write_page(page: Path, part: str) -> None:
-    """Put the tables between the marks of a page."""
-    before, found, rest = page.read_text().partition(MARKS[0])
-    _, ended, after = rest.partition(MARKS[1])
+    """Write the tables between the markers of a page."""
+    before, found, rest = page.read_text().partition(MARKERS[0])
+    _, ended, after = rest.partition(MARKERS[1])
     if not (found and ended):
-        raise ValueError(f"{page.name} has no {MARKS[0]} … {MARKS[1]}")
-    page.write_text(f"{before}{MARKS[0]}\n{part}\n{MARKS[1]}{after}")
+        raise ValueError(f"{page.name} has no {MARKERS[0]} … {MARKERS[1]}")
+    page.write_text(f"{before}{MARKERS[0]}\n{part}\n{MARKERS[1]}{after}")
 
 
 def main() -> None:
-    """Score the runs of a directory, renew `results.json` and the page."""
+    """Score the runs of a directory, and update `results.json` and the page."""
     strips, runs = Path(sys.argv[1]), Path(sys.argv[2])
     new = nominal(strips)
     for path in sorted(runs.glob("*.jsonl")):
         new += scored(path.read_text().splitlines(), strips)
     before = json.loads(RESULTS.read_text()) if RESULTS.is_file() else []
-    results = renewed(before, new)
+    results = updated(before, new)
     RESULTS.write_text("[\n" + ",\n".join(json.dumps(run) for run in results) + "\n]\n")
     write_page(PAGE, page_part(results))
 

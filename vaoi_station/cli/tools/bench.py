@@ -78,17 +78,17 @@ def bench(
 
 
 def _stitching(case: Path | None, repetitions: int) -> dict[str, Any]:
-    from vaoi_station.benchmarks.frames import of_recording, of_twin
-    from vaoi_station.benchmarks.measure import measure
+    from vaoi_station.benchmarks.benchmark_board import board_from_recording, board_from_twin
+    from vaoi_station.benchmarks.stitch_speed import measure_stitching
 
-    figures = measure(of_recording(case) if case else of_twin(), repetitions)
+    figures = measure_stitching(board_from_recording(case) if case else board_from_twin(), repetitions)
     for key, value in figures.document().items():
         typer.echo(f"{key:28s} {value}")
     return figures.document()
 
 
 def _marks(plot: Path | None) -> dict[str, Any]:
-    from vaoi_station.benchmarks.marks import measure_marks
+    from vaoi_station.benchmarks.accuracy.mark_accuracy import measure_marks
     from vaoi_station.files.documents import write_bytes
 
     figures = measure_marks()
@@ -101,10 +101,10 @@ def _marks(plot: Path | None) -> dict[str, Any]:
 
 
 def _links(plot: Path | None) -> dict[str, Any]:
-    from vaoi_station.benchmarks.pull import measure_pull
+    from vaoi_station.benchmarks.accuracy.subpixel_bias import measure_subpixel_bias
     from vaoi_station.files.documents import write_bytes
 
-    figures = measure_pull()
+    figures = measure_subpixel_bias()
     for line in figures.lines():
         typer.echo(line)
     if plot is not None:
@@ -113,50 +113,56 @@ def _links(plot: Path | None) -> dict[str, Any]:
 
 
 def _consistency(count: int, recordings: Path | None, plot: Path | None) -> dict[str, Any]:
-    from vaoi_station.benchmarks.consistency import recorded_runs, recordings_with_truth, together, twin_runs
-    from vaoi_station.benchmarks.consistency_plot import draw
+    from vaoi_station.benchmarks.accuracy.consistency import (
+        recorded_runs,
+        recordings_with_truth,
+        summarise_runs,
+        twin_runs,
+    )
+    from vaoi_station.benchmarks.accuracy.consistency_plot import draw_consistency
     from vaoi_station.files.documents import write_bytes
 
     found = recordings_with_truth(recordings) if recordings else []
-    groups = {"twin": list(twin_runs(count, tell=typer.echo)), "recordings": list(recorded_runs(found, typer.echo))}
-    document = {name: together(runs).document() for name, runs in groups.items() if runs}
+    groups = {"twin": list(twin_runs(count, report=typer.echo)), "recordings": list(recorded_runs(found, typer.echo))}
+    document = {name: summarise_runs(runs).document() for name, runs in groups.items() if runs}
     for name, figures in document.items():
         for key, value in figures.items():
             typer.echo(f"{name:12s} {key:24s} {value}")
     if plot is not None:
-        write_bytes(plot, draw(groups["twin"], groups["recordings"]).encode())
+        write_bytes(plot, draw_consistency(groups["twin"], groups["recordings"]).encode())
     return document
 
 
 def _station(
     scenario: str, rates: tuple[float, ...], boards: int, workers: int, films: Path | None, ring: Path
 ) -> dict[str, Any]:
-    from vaoi_station.benchmarks.film import film
-    from vaoi_station.benchmarks.paced import paced
-    from vaoi_station.benchmarks.tables import shares_table, station_table
+    from vaoi_station.benchmarks.station.prerendered_run import prerender
+    from vaoi_station.benchmarks.station.station_pace import measure_station_pace
+    from vaoi_station.benchmarks.station.tables import process_table, station_table
     from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import read_scenario
 
-    # Films given by --films are kept: to render a large board takes longer than all measurements.
+    # Boards rendered into --films are kept: to render a large board takes longer than all measurements.
     with temporary_folder("bench") as temporary:
-        board = film(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
+        board = prerender(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
         figures = []
         for rate in rates:
             typer.echo(f"{boards} boards at {rate:g} times the scenario's rate.")
-            figures.append(paced(board, rate, boards, workers, temporary / f"station-{rate:g}", ring))
-    typer.echo("\n" + station_table(figures) + "\n\n" + shares_table(figures))
+            folder = temporary / f"station-{rate:g}"
+            figures.append(measure_station_pace(board, rate, boards, workers, folder, ring))
+    typer.echo("\n" + station_table(figures) + "\n\n" + process_table(figures))
     return {"scenario": scenario, "workers": workers, "rates": [f.document() for f in figures]}
 
 
 def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[str, Any]:
-    from vaoi_station.benchmarks.growth import growth
-    from vaoi_station.benchmarks.tables import growth_table
+    from vaoi_station.benchmarks.station.scaling import measure_scaling
+    from vaoi_station.benchmarks.station.tables import scaling_table
     from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import read_scenario
 
     with temporary_folder("bench") as temporary:
-        figures = growth(read_scenario(_path(scenario)), films or temporary, rows, typer.echo)
-    typer.echo("\n" + growth_table(figures))
+        figures = measure_scaling(read_scenario(_path(scenario)), films or temporary, rows, typer.echo)
+    typer.echo("\n" + scaling_table(figures))
     return {"scenario": scenario, "boards": [f.document() for f in figures]}
 
 

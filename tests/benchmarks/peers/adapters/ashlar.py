@@ -1,7 +1,6 @@
-"""ASHLAR: phase correlation of overlaps, a threshold learnt from strips that cannot match, a spanning tree.
+"""ASHLAR: phase correlation of overlaps, a threshold from pairs that cannot match, a spanning tree.
 
-Its readers go through Bio-Formats; frames in memory need a reader of their own, which its classes foresee. One unit
-of its stage is one pixel here.
+Its readers use Bio-Formats; frames in memory need the two subclasses below. One unit of its stage is one pixel here.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ SETTINGS = {
 
 
 class _Stage(reg.Metadata):  # type: ignore[misc]  # it ships no types
-    """Frames of one size at their nominal places; ASHLAR counts (y, x).
+    """Frames of one size at their nominal positions, in order (y, x).
 
-    Whole pixels: it cuts overlaps at whole pixels and takes the fractions it was given for granted, which costs it
-    0.2 px. The prior is wrong by pixels anyway.
+    Positions are rounded to whole pixels: ASHLAR cuts overlaps at whole pixels and keeps the fractions of the prior,
+    which costs it 0.2 px. The prior is wrong by some pixels anyway.
     """
 
     def __init__(self, strip: Strip) -> None:
@@ -66,12 +65,12 @@ class _Frames(reg.Reader):  # type: ignore[misc]  # it ships no types
 
 
 def prepare(strip: Strip, directory: Path) -> Strip:
-    """Nothing to convert."""
+    """Return the strip: there is nothing to convert."""
     return strip
 
 
 def place(strip: Strip, **options: Any) -> Matrices:
-    """Places of all frames; the thumbnail, which serves other cycles of staining, is left out."""
+    """Return positions of all frames, without the thumbnail that ASHLAR needs only for further staining cycles."""
     aligner = reg.EdgeAligner(_Frames(strip), do_make_thumbnail=False, **options)
     aligner.run()
     return translations(aligner.positions[:, ::-1])

@@ -1,4 +1,4 @@
-"""m2stitch: the algorithm of MIST; places are whole pixels."""
+"""m2stitch: the algorithm of MIST; positions are whole pixels."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ Prepared = tuple[NDArray[np.float32], NDArray[np.int64], Floats]
 
 
 def prepare(strip: Strip, directory: Path) -> Prepared:
-    """A stack of zero mean: its phase correlation is not windowed and sees a bright border otherwise."""
+    """Return frames of zero mean, grid indices and nominal positions (y, x)."""
+    # Its phase correlation has no window, so a mean above zero acts as a bright border.
     stack = strip.frames.astype(np.float32)
-    rows = strip.cells[:, 1].max() - strip.cells[:, 1]  # of its grid, which runs down the mosaic; ours moves up
+    # Rows of its grid run down the mosaic; ours run up.
+    rows = strip.cells[:, 1].max() - strip.cells[:, 1]
     return stack - stack.mean(), np.column_stack([rows, strip.cells[:, 0]]), strip.nominal_px[:, ::-1]
 
 
 def place(prepared: Prepared, **options: Any) -> Matrices:
-    """Places of all frames from the grid and the nominal places, both as (y, x)."""
+    """Return positions of all frames, from the grid and the nominal positions."""
     stack, indices, guess = prepared
     grid, _ = m2stitch.stitch_images(
         stack, position_indices=indices, position_initial_guess=guess, row_col_transpose=False, **options

@@ -1,4 +1,4 @@
-"""multiview-stitcher (BigStitcher's way in Python): pairs of overlaps, then least squares over all of them."""
+"""multiview-stitcher (the method of BigStitcher in Python): pairwise overlaps, then least squares over all pairs."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ SETTINGS = {
     "default": Setting(),
     "ANTsPy, rigid, keep_axis_aligned": Setting(_RIGID, ("yaw",)),
 }
-"""Pairs that are turned against each other need another registration than the default; it takes many minutes."""
+"""Pairs with a relative rotation need a registration other than the default; it takes many minutes."""
 
 
 def prepare(strip: Strip, directory: Path) -> tuple[list[Any], Floats]:
-    """Views at their nominal places, in units of pixels."""
+    """Return views at their nominal positions, in pixels."""
     views = []
     for frame, (x, y) in zip(strip.frames, strip.nominal_px, strict=True):
         place = {"y": float(y), "x": float(x)}
@@ -43,7 +43,7 @@ def prepare(strip: Strip, directory: Path) -> tuple[list[Any], Floats]:
 
 
 def place(prepared: tuple[list[Any], Floats], **options: Any) -> Matrices:
-    """Transforms of all views, from pixels."""
+    """Return transforms of all views, from pixels."""
     views, nominal_px = prepared
     with dask.config.set(scheduler="single-threaded"):
         found = registration.register(views, transform_key=_STAGE, reg_channel_index=0, **options)
@@ -51,7 +51,7 @@ def place(prepared: tuple[list[Any], Floats], **options: Any) -> Matrices:
 
 
 def _from_pixels(transform: Any, start_px: Floats) -> Floats:
-    """Its matrices take (y, x) at nominal places to (y, x); ours take (x, y) of pixels to (x, y)."""
+    """Convert its matrix, (y, x) at nominal positions to (y, x), into ours, (x, y) of pixels to (x, y)."""
     swap = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]])
     shift = np.eye(3)
     shift[:2, 2] = start_px

@@ -1,4 +1,4 @@
-"""This station's own stitching: raw frames, calibration, nominal belt; offline, one task after the other."""
+"""The stitching of this station: raw frames, calibration, nominal belt speed; offline, one task after the other."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Known:
 
 
 def prepare(strip: Strip, directory: Path) -> _Known:
-    """Read what the station has of a run: raw frames and the calibration in force."""
+    """Read the station's input: raw frames and calibration."""
     cv2.setNumThreads(1)
     known, arrays = json.loads((directory / "ours.json").read_text()), np.load(directory / "ours.npz")
     cells = [(int(i), int(j)) for i, j in strip.cells]
@@ -50,7 +50,7 @@ def prepare(strip: Strip, directory: Path) -> _Known:
 
 
 def place(known: _Known, *, cad: bool) -> Matrices:
-    """From frames to matrices: where flattened pixels lie on the board as it was at row 0, in mm."""
+    """Stitch, and return matrices from flattened pixels to the board at row 0, mm."""
     head = known.head
     cameras = known.calibration.cameras(head.cameras)
     board_type = known.board_type if cad else None

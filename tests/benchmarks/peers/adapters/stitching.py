@@ -1,6 +1,6 @@
-"""stitching: OpenCV's panorama pipeline, here its affine one for scans, up to the cameras; nothing is blended.
+"""stitching: the panorama pipeline of OpenCV in its affine variant for scans, up to the cameras, without blending.
 
-It takes no nominal places: it matches every frame with every other.
+It takes no nominal positions and matches all pairs of frames.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..strip import Floats, Matrices, Strip
 
 PACKAGES = ("stitching", "opencv-python", "numpy")
 _SIFT: dict[str, Any] = {"detector": "sift", "medium_megapix": 1.5, "nfeatures": 2000}
-"""Features of frames at full size: its default of 0.6 megapixels shrinks ours by a third."""
+"""Features at full size: the default of 0.6 megapixels reduces our frames by a third."""
 SETTINGS = {
     "default": Setting(),
     "SIFT, full size": Setting({**_SIFT, "nfeatures": 500}, ("plain", "yaw")),
@@ -33,17 +33,18 @@ SETTINGS = {
 
 
 def prepare(strip: Strip, directory: Path) -> list[NDArray[np.uint8]]:
-    """BGR images."""
+    """Return frames as BGR images."""
     cv2.setNumThreads(1)
     return [cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) for frame in strip.frames]
 
 
 def place(images: list[NDArray[np.uint8]], *, chained_here: bool = False, **options: Any) -> Matrices:
-    """The affine matrices of its cameras, frame_from_mosaic; frames it leaves out of the panorama are not placed.
+    """Return mosaic_from_frame of all frames; those that the stitcher leaves out of the panorama are None.
 
     OpenCV's affine estimator (and its adjuster, which starts there) multiplies the matrices of a chain in reverse:
-    R_from · H where H · R_from would carry a point from frame to frame. Shifts commute, rotations do not.
-    `chained_here` does it in the right order from the same matches, to tell this from what its features are worth.
+    R_from · H, where H · R_from would map a point from frame to frame. Shifts commute, rotations do not.
+    `chained_here` multiplies in the right order from the same matches, which separates this error from the quality of
+    the features.
     """
     stitcher = AffineStitcher(**options)
     stitcher.images = Images.of(images, stitcher.medium_megapix, stitcher.low_megapix, stitcher.final_megapix)
@@ -66,7 +67,7 @@ def place(images: list[NDArray[np.uint8]], *, chained_here: bool = False, **opti
 
 
 def _chained(matches: Any, count: int) -> list[Floats]:
-    """frame_from_mosaic along the tree of the most confident pairs; the mosaic is that of the frame in the middle."""
+    """Chain frame_from_mosaic along a tree of the most confident pairs; the mosaic is the middle frame."""
     pairs = {(m.src_img_idx, m.dst_img_idx): m for m in matches if np.size(m.H) == 9}
     chain = {count // 2: np.eye(3)}
     while len(chain) < count:

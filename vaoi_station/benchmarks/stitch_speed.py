@@ -1,4 +1,4 @@
-"""The measurements, each a few repetitions of which the median counts."""
+"""Measure stitching and rendering in memory, in one thread, beside the paper's method; medians of repetitions count."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.benchmarks.frames import Material
+from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Stitch
 from vaoi_station.rendering import ViewCalculator, render
@@ -24,62 +24,69 @@ from vaoi_station.stitching.work import TaskRunner, all_tasks
 
 
 @dataclass(frozen=True)
-class Figures:
-    """What one run of the benchmark found; times are CPU time of one thread unless said otherwise."""
+class SpeedFigures:
+    """Figures of one benchmark; times are CPU time of one thread unless a field states otherwise."""
 
     material: str
+    """Name of the measured board."""
     cameras: int
     rows: int
     frame_px: tuple[int, int]
     repetitions: int
     stitch_ms_per_frame: float
-    """From frame to finished matrices, fiducials and C included."""
+    """Time from the frames to all matrices, fiducials and C included."""
     stitch_spread_ms: tuple[float, float]
+    """Smallest and largest of the repetitions, per frame."""
     paper_ms_per_frame: float
     ratio_to_paper_method: float
+    """Time of the paper's method over ours."""
     paper_failed: str
+    """Reason for which the paper's method found no chain; empty if it did."""
     ready_after_last_frame_ms: float
-    """Wall time of the last row's tasks and the adjustment, one thread, everything before being done."""
+    """Wall time of the tasks of the last row and of the adjustment, when all earlier tasks are done."""
     images_per_s: float
-    """Component images, views included, on one thread."""
+    """Component images per second, with the computation of their views."""
     render_ratio_to_warp: float
-    """Time of bare cv2.warpPerspective of the same crops over ours."""
+    """Time of `cv2.warpPerspective` alone, on the same crops, over ours."""
     status: str
     cad_sigma_px: float | None
     opencv: str
 
     def document(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the figures for JSON."""
         return asdict(self)
 
 
-def measure(material: Material, repetitions: int = 5) -> Figures:
+def measure_stitching(board: BenchmarkBoard, repetitions: int = 5) -> SpeedFigures:
     """Measure everything on one board."""
+    # Ratios compare algorithms, so neither side may use more than one thread.
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        return _measure(material, repetitions)
+        return _measure(board, repetitions)
     finally:
         cv2.setNumThreads(threads)
 
 
-def _measure(material: Material, repetitions: int) -> Figures:
-    stitch = _stitch(material)
-    frames = len(material.frames)
+def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
+    # The first run also compiles and is not timed.
+    stitch = _stitch(board)
+    frames = len(board.frames)
     ours, theirs = [], []
     failed = ""
     for _ in range(repetitions):
-        ours.append(_cpu_ms(lambda: _stitch(material)) / frames)
+        ours.append(_cpu_ms(lambda: _stitch(board)) / frames)
+    # Half the repetitions: the paper's method takes many times longer.
     for _ in range(max(repetitions // 2, 1)):
-        theirs.append(_cpu_ms(lambda: _paper(material)) / frames)
-    outcome = _paper(material)
+        theirs.append(_cpu_ms(lambda: _paper(board)) / frames)
+    outcome = _paper(board)
     if isinstance(outcome, Failure):
         failed = outcome.reason
-    ready = [_ready_ms(material) for _ in range(repetitions)]
-    per_second, ratio = _rendering(material, stitch, repetitions)
-    head = material.head
-    return Figures(
-        material=material.name,
+    ready = [_ready_ms(board) for _ in range(repetitions)]
+    per_second, ratio = _rendering(board, stitch, repetitions)
+    head = board.head
+    return SpeedFigures(
+        material=board.name,
         cameras=len(head.cameras),
         rows=head.rows,
         frame_px=(head.cameras[0].width, head.cameras[0].height),
@@ -98,28 +105,28 @@ def _measure(material: Material, repetitions: int) -> Figures:
     )
 
 
-def _stitch(material: Material) -> Stitch:
-    times_s = material.head.row_times_s()
-    runner = TaskRunner(material.setup, lambda i, j: material.frames.get((i, j)))
-    present = sorted(material.frames, key=lambda key: (key[1], key[0]))
-    evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), material.setup)]
+def _stitch(board: BenchmarkBoard) -> Stitch:
+    times_s = board.head.row_times_s()
+    runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
+    present = sorted(board.frames, key=lambda key: (key[1], key[0]))
+    evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), board.setup)]
     return runner.conclude(times_s, present, evidence)
 
 
-def _paper(material: Material) -> Any:
+def _paper(board: BenchmarkBoard) -> Any:
     def grey(camera: int, row: int) -> NDArray[np.uint8]:
-        return to_eight_bit(to_grey(material.frames[camera, row]))
+        return to_eight_bit(to_grey(board.frames[camera, row]))
 
-    return paper.chain_rows(material.setup.cameras, material.head.rows, grey)
+    return paper.chain_rows(board.setup.cameras, board.head.rows, grey)
 
 
-def _ready_ms(material: Material) -> float:
-    """Everything but the last row's tasks is done beforehand; the clock runs for the rest."""
-    times_s = material.head.row_times_s()
-    runner = TaskRunner(material.setup, lambda i, j: material.frames.get((i, j)))
-    present = list(material.frames)
+def _ready_ms(board: BenchmarkBoard) -> float:
+    """Return the wall time from the last frame to the result; all tasks of earlier rows are done before."""
+    times_s = board.head.row_times_s()
+    runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
+    present = list(board.frames)
     last = max(row for _, row in present)
-    tasks = all_tasks(present, dict(enumerate(times_s)), material.setup)
+    tasks = all_tasks(present, dict(enumerate(times_s)), board.setup)
     late = [t for t in tasks if last in {t.a[1], (t.b or t.a)[1]}]
     evidence: list[Evidence] = [runner.perform(t) for t in tasks if t not in set(late)]
     start = time.perf_counter()
@@ -128,35 +135,37 @@ def _ready_ms(material: Material) -> float:
     return (time.perf_counter() - start) * 1e3
 
 
-def _rendering(material: Material, stitch: Stitch, repetitions: int) -> tuple[float, float]:
-    """Component images per second, and bare warps of the same crops over ours."""
-    cameras = material.setup.cameras
+def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple[float, float]:
+    """Return component images per second, and the time of bare warps of the same crops over ours."""
+    cameras = board.setup.cameras
     if stitch.cad_matrix is None:
         return 0.0, 0.0
 
     def ours() -> int:
-        views = ViewCalculator(material.board_type, stitch, cameras).compute_all(material.board_type.components)
+        views = ViewCalculator(board.board_type, stitch, cameras).compute_all(board.board_type.components)
         for view in chain.from_iterable(views.values()):
-            render(view, material.frames[view.camera, view.row])
+            render(view, board.frames[view.camera, view.row])
         return sum(map(len, views.values()))
 
-    views = ViewCalculator(material.board_type, stitch, cameras).compute_all(material.board_type.components)
+    views = ViewCalculator(board.board_type, stitch, cameras).compute_all(board.board_type.components)
     crops = list(chain.from_iterable(views.values()))
 
     def bare() -> None:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         for v in crops:
-            frame, matrix = material.frames[v.camera, v.row], v.image_from_crop.matrix
+            frame, matrix = board.frames[v.camera, v.row], v.image_from_crop.matrix
             cv2.warpPerspective(frame, matrix, (v.width, v.height), flags=flags)
 
     count = ours()
     bare()
+    # Alternating, so that a change of the clock rate of the CPU affects both sides.
     pairs = [(_cpu_ms(ours), _cpu_ms(bare)) for _ in range(repetitions)]
     ours_ms = statistics.median(a for a, _ in pairs)
     return count / ours_ms * 1e3, statistics.median(b / a for a, b in pairs)
 
 
 def _cpu_ms(work: Callable[[], Any]) -> float:
+    # CPU time, as the machine may be busy with other work.
     start = time.process_time()
     work()
     return (time.process_time() - start) * 1e3

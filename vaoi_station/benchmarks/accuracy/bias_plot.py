@@ -1,4 +1,4 @@
-"""The S-curve as a drawing: how a place errs over the fraction of a pixel it lies at."""
+"""Draw bias over the sub-pixel fraction (S-curve of digital image correlation) as SVG."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ from vaoi_station.reporting.drawing.svg import drawing, polyline, tag, text
 
 _WIDTH, _PANEL, _LEFT, _TOP, _GAP = 640.0, 120.0, 64.0, 34.0, 26.0
 _RANGE_PX = 0.02
-"""A panel shows errors up to so many px to both sides; other ways may leave it."""
+"""Largest error inside a panel, to both sides; larger errors are drawn at its edge."""
 _OURS, _THEIRS, _AXIS, _INK = "#0b6e4f", "#c0392b", "#bbbbbb", "#222222"
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One curve of ours, and of another way beside it; None where that found nothing."""
+    """Our curve and that of another method, px over fractions of a pixel.
+
+    Attributes:
+        name: caption.
+        fraction: −0.5 … 0.5.
+        ours_px: our errors; NaN where nothing was found.
+        theirs_px: errors of the other method; None where nothing was found.
+    """
 
     name: str
     fraction: Sequence[float]
@@ -24,16 +31,23 @@ class Panel:
     theirs_px: Sequence[float | None]
 
 
-def draw(panels: Sequence[Panel], head: str, ways: tuple[str, str]) -> str:
-    """SVG, one panel each: ours in green, the other way in red; `ways` are their names, `head` says what is shown."""
+def draw_bias_panels(panels: Sequence[Panel], title: str, methods: tuple[str, str]) -> str:
+    """Draw panels one below the other: our curve in green, the other one in red.
+
+    Args:
+        panels: the curves.
+        title: one line above the panels.
+        methods: names of our method and of the other one.
+    """
     height = _TOP + len(panels) * (_PANEL + _GAP) + 20
     drawn = [part for n, panel in enumerate(panels) for part in _panel(panel, _TOP + n * (_PANEL + _GAP))]
     key = [
-        tag("text", text(head), x=_LEFT, y=16.0, font_size=12, fill=_INK),
-        tag("text", text(ways[0]), x=_WIDTH - 150, y=16.0, font_size=12, fill=_OURS),
-        tag("text", text(ways[1]), x=_WIDTH - 100, y=16.0, font_size=12, fill=_THEIRS),
+        tag("text", text(title), x=_LEFT, y=16.0, font_size=12, fill=_INK),
+        tag("text", text(methods[0]), x=_WIDTH - 150, y=16.0, font_size=12, fill=_OURS),
+        tag("text", text(methods[1]), x=_WIDTH - 100, y=16.0, font_size=12, fill=_THEIRS),
     ]
     ground = tag("rect", x=0.0, y=0.0, width=_WIDTH, height=height, fill="#ffffff")
+    # The namespace is needed in a file of its own; inside an HTML page it is not, so `drawing` leaves it out.
     return drawing(_WIDTH, height, ground, *key, *drawn, label="Bias over the sub-pixel fraction").replace(
         "<svg", '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"', 1
     )
@@ -52,6 +66,7 @@ def _panel(panel: Panel, top: float) -> list[str]:
         y = at(0, error)[1] + 4
         out.append(tag("text", text(f"{error:+.2f}"), x=_LEFT - 6, y=y, font_size=11, text_anchor="end", fill=_INK))
     out.append(tag("text", text(panel.name), x=_LEFT + 6, y=top + 15, font_size=12, fill=_INK))
+    # Points that were not found are left out; the polyline joins their neighbours.
     theirs = [at(f, e) for f, e in zip(panel.fraction, panel.theirs_px, strict=True) if e is not None]
     ours = [at(f, e) for f, e in zip(panel.fraction, panel.ours_px, strict=True) if math.isfinite(e)]
     out.append(polyline(theirs, stroke=_THEIRS, stroke_width=1.2, stroke_dasharray="4 3"))

@@ -1,4 +1,4 @@
-"""A board filmed beforehand: all its frames in one flat file, to be mapped by whoever plays them."""
+"""A board that the twin rendered beforehand: all its frames in one flat file, to be mapped by several processes."""
 
 from __future__ import annotations
 
@@ -20,72 +20,85 @@ from vaoi_station.files.documents import parse, read_json, write_json
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.simulation import Passage, Scenario, Twin
 
-_FRAMES, _HEAD, _LINE, _SCENARIO = "frames.raw", "recording.json", "line.json", "scenario.sha256"
+_FRAMES, _HEAD, _LINE, _DIGEST = "frames.raw", "recording.json", "line.json", "scenario.sha256"
 
 
 @dataclass(frozen=True)
-class Film:
-    """A directory with the frames of one passage, (rows, cameras, h, w) uint8, and what was known of it beforehand."""
+class PrerenderedRun:
+    """A directory with the frames of one passage, (rows, cameras, h, w) uint8, and all that a station needs with them.
+
+    It holds only a path, so that it can be sent to other processes.
+    """
 
     directory: Path
 
     @property
     def head(self) -> RecordingHead:
-        """What was filmed."""
+        """Cameras, rows and trigger times."""
         return parse(RecordingHead, read_json(self.directory / _HEAD), self.directory / _HEAD)
 
     @property
     def calibration(self) -> Calibration:
-        """That of the array."""
+        """Camera matrices N_i and lenses of the twin."""
         return read_calibration(self.directory / "calibration.json")
 
     @property
     def board_type(self) -> BoardType:
-        """What was on the belt."""
+        """CAD data of the board."""
         return read_board_type(self.directory / "board.json")
 
     @property
     def line(self) -> Line:
-        """The mechanics of the line it was filmed on."""
+        """Mechanics of the simulated line."""
         return parse(Line, read_json(self.directory / _LINE), self.directory / _LINE)
 
     def map(self) -> NDArray[np.uint8]:
-        """All frames, (rows, cameras, h, w), read-only; nothing is copied."""
+        """Map all frames, (rows, cameras, h, w), read-only and without a copy."""
         with (self.directory / _FRAMES).open("rb") as file:
+            # The array keeps the mapping open after the file is closed; processes share its pages in the page cache.
             memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         return np.frombuffer(memory, np.uint8).reshape(_shape(self.head))
 
 
-def film(scenario: Scenario, directory: Path, tell: Callable[[str], None] = lambda _: None) -> Film:
-    """The first board of a scenario, rendered on all cores; kept films of the same scenario are used again."""
-    made, digest = Film(directory), hashlib.sha256(scenario.model_dump_json().encode()).hexdigest()
-    note = directory / _SCENARIO
+def prerender(scenario: Scenario, directory: Path, report: Callable[[str], None] = lambda _: None) -> PrerenderedRun:
+    """Render the first board of a scenario on all cores; reuse the directory if it holds the same scenario.
+
+    Args:
+        scenario: the board and the line.
+        directory: where the frames are kept.
+        report: called with a sentence before each long step.
+    """
+    run, digest = PrerenderedRun(directory), hashlib.sha256(scenario.model_dump_json().encode()).hexdigest()
+    note = directory / _DIGEST
     if note.is_file() and note.read_text() == digest:
-        return made
+        return run
     passage = Twin(scenario).passage(0)
     head = passage.head()
-    tell(f"Drawing a board of {scenario.board.width_mm:.0f} × {scenario.board.length_mm:.0f} mm.")
+    report(f"Drawing a board of {scenario.board.width_mm:.0f} × {scenario.board.length_mm:.0f} mm.")
+    # Cached properties: computed here once, before threads would compute them at the same time.
     _ = passage.twin.scene, passage.placements
     directory.mkdir(parents=True, exist_ok=True)
+    # The digest goes first and comes last: an interrupted rendering must not pass for a complete one.
     note.unlink(missing_ok=True)
-    tell(f"Filming {head.rows} rows of {len(head.cameras)} cameras.")
+    report(f"Rendering {head.rows} rows of {len(head.cameras)} cameras.")
     _render(passage, head, directory / _FRAMES)
     write_calibration(directory / "calibration.json", passage.twin.calibration)
     write_board_type(directory / "board.json", passage.twin.board_type)
     write_json(directory / _LINE, passage.twin.line.model_dump(mode="json"))
     write_json(directory / _HEAD, head.model_dump(mode="json", exclude_none=True))
     note.write_text(digest)
-    return made
+    return run
 
 
 def _render(passage: Passage, head: RecordingHead, path: Path) -> None:
-    """Threads suffice: OpenCV and numpy do the work, and the drawn board is there only once."""
+    """Write all frames of a passage into a new file."""
     frames: NDArray[Any] = np.memmap(path, np.uint8, "w+", shape=_shape(head))
 
     def render(row: int) -> None:
         for camera in range(len(head.cameras)):
             frames[row, camera] = passage.frame(camera, row)
 
+    # Threads, not processes: OpenCV and numpy release the GIL, and the drawn board (gigabytes) exists only once.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(render, range(head.rows)))
 

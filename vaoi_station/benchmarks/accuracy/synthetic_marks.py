@@ -1,4 +1,4 @@
-"""Marks painted exactly, filmed as recorded cases are: what a measurement of marks is held against."""
+"""Render marks with exactly known centres, under imaging conditions like those of the recorded cases."""
 
 from __future__ import annotations
 
@@ -20,15 +20,29 @@ CONDITIONS: dict[Condition, str] = {
     "copper": "clean, with a track as bright as the mark 0.3 sizes from its edge, on one side",
 }
 _FINE = 5
-"""Points per axis within a pixel."""
+"""Samples per axis in a pixel."""
 _LIGHT, _DARK = 200.0, 50.0
+"""Grey levels of mark and ground, or of ground and mark."""
 _SHOT, _READ = 0.03, 1.5
 _SLOPE = 0.003
 _VIGNETTE, _FRAME_PX = 0.25, (1392, 1040)
 
 
-def paint(shape: Shape, light: bool, size_px: float, at: Floats, side: int, copper: bool) -> Floats:
-    """A mark at (2,) px on a square picture, (side, side) in grey levels, blurred by 0.6 px."""
+def render_mark(shape: Shape, light: bool, size_px: float, at: Floats, side: int, copper: bool) -> Floats:
+    """Render a mark, blurred by 0.6 px.
+
+    Args:
+        shape: its shape.
+        light: whether the mark is lighter than its ground.
+        size_px: its size.
+        at: (2,) its centre, px.
+        side: width and height of the image.
+        copper: whether a track runs beside the mark.
+
+    Returns:
+        (side, side) grey levels, not rounded.
+    """
+    # Centres of the samples; pixel 0 reaches from −0.5 to 0.5 (docs/conventions.md).
     fine = (np.arange(side * _FINE) + 0.5) / _FINE - 0.5
     cover = _covered(shape, fine[None] - at[0], fine[:, None] - at[1], size_px)
     if copper:
@@ -39,32 +53,36 @@ def paint(shape: Shape, light: bool, size_px: float, at: Floats, side: int, copp
     return np.asarray(_DARK + (_LIGHT - _DARK) * (share if light else 1 - share))
 
 
-def film(picture: Floats, condition: Condition, g: np.random.Generator) -> tuple[NDArray[np.uint8], Floats]:
-    """A picture under a condition, and the variance of every pixel's noise."""
-    side = len(picture)
+def apply_condition(image: Floats, condition: Condition, g: np.random.Generator) -> tuple[NDArray[np.uint8], Floats]:
+    """Return an image taken under a condition, and the variance of the noise of each pixel."""
+    side = len(image)
     at = np.arange(side) - (side - 1) / 2
     if condition == "slope":
-        picture = picture * (1 + _SLOPE * at)[None]
-    variance = np.full_like(picture, 1 / 12)
+        image = image * (1 + _SLOPE * at)[None]
+    # Rounding to whole grey levels has a variance of 1/12.
+    variance = np.full_like(image, 1 / 12)
     if condition == "noise":
+        # The mark lies anywhere in a full frame, which decides how much vignetting it has.
         place = g.uniform(-0.5, 0.5, 2) * (np.array(_FRAME_PX) - side)
         u, v = (2 * (at + p) / extent for p, extent in zip(place, _FRAME_PX, strict=True))
-        picture = picture * (1 - _VIGNETTE * (u[None] ** 2 + v[:, None] ** 2) / 2)
-        variance = variance + _SHOT * picture + _READ**2
-        picture = picture + g.normal(size=picture.shape) * np.sqrt(variance)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8), variance
+        image = image * (1 - _VIGNETTE * (u[None] ** 2 + v[:, None] ** 2) / 2)
+        variance = variance + _SHOT * image + _READ**2
+        image = image + g.normal(size=image.shape) * np.sqrt(variance)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8), variance
 
 
-def bound_px(picture: Floats, variance: Floats) -> float:
-    """Cramér-Rao bound of the place, per axis, were nothing else unknown."""
-    waves = 2j * np.pi * np.fft.fftfreq(len(picture))
-    spectrum = np.fft.fft2(picture)  # differences of neighbours would make edges softer than they are
+def cramer_rao_px(image: Floats, variance: Floats) -> float:
+    """Return the Cramér-Rao bound of the centre, px per axis, if nothing but the centre is unknown."""
+    waves = 2j * np.pi * np.fft.fftfreq(len(image))
+    # Derivatives by Fourier transform: differences of neighbouring pixels would make edges softer than they are.
+    spectrum = np.fft.fft2(image)
     gx, gy = (np.fft.ifft2(spectrum * way).real for way in (waves[None], waves[:, None]))
     information = np.array([[(a * b / variance).sum() for b in (gx, gy)] for a in (gx, gy)])
     return float(math.sqrt(np.trace(np.linalg.inv(information)) / 2))
 
 
 def _covered(shape: Shape, x: Floats, y: Floats, size: float) -> Floats:
+    """Return the share of each sample that a shape at the origin covers."""
     x, y, r = np.abs(x), np.abs(y), size / 2
     if shape == "circle":
         return _within(np.hypot(x, y) - r)
@@ -76,11 +94,12 @@ def _covered(shape: Shape, x: Floats, y: Floats, size: float) -> Floats:
 
 
 def _within_diagonal(cells: Floats) -> Floats:
-    """Share of a fine cell on the near side of an outline at 45° that meets the axes so many cells away."""
+    """Return the share of a sample inside an outline at 45°, from the distance along an axis in samples."""
+    # Integral of the triangular width of a unit square along its diagonal.
     t = np.clip(cells, -1, 1)
     return np.asarray(np.where(t < 0, 1 - (1 + t) ** 2 / 2, (1 - t) ** 2 / 2))
 
 
 def _within(beyond: Floats) -> Floats:
-    """Share of a fine cell that lies on the near side of an outline `beyond` px away."""
+    """Return the share of a sample inside an outline; its centre lies `beyond` px outside."""
     return np.asarray(np.clip(0.5 - beyond * _FINE, 0, 1))

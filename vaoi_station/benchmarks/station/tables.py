@@ -1,15 +1,15 @@
-"""The figures of the station and of growth as tables, for the terminal and for the documentation."""
+"""Format figures of the station and of scaling as Markdown tables, for the terminal and the documentation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from vaoi_station.benchmarks.growth import Growth
-from vaoi_station.benchmarks.paced import RateFigures
+from vaoi_station.benchmarks.station.scaling import ScalingFigures
+from vaoi_station.benchmarks.station.station_pace import RateFigures
 
 
 def station_table(figures: Sequence[RateFigures]) -> str:
-    """One row per rate."""
+    """Return a table with one row per rate."""
     head = (
         "rate", "frames/s", "Mbit/s", "boards", "missed", "frames lost", "kept up", "ready ms (median, p99)",
         "conclude ms", "link lag ms", "links open", "cores", "sender cores", "load",
@@ -17,8 +17,8 @@ def station_table(figures: Sequence[RateFigures]) -> str:
     return _table(head, [_station_row(f) for f in figures])
 
 
-def shares_table(figures: Sequence[RateFigures]) -> str:
-    """CPU ms per frame and MB of every process, one row per process."""
+def process_table(figures: Sequence[RateFigures]) -> str:
+    """Return a table of CPU time per frame and private memory, one row per process and one column per rate."""
     names = list(figures[0].cpu_ms_per_frame)
     head = ("process", *(f"{f.rate:g}×: CPU ms/frame, MB" for f in figures))
     return _table(
@@ -26,13 +26,13 @@ def shares_table(figures: Sequence[RateFigures]) -> str:
     )
 
 
-def growth_table(figures: Sequence[Growth]) -> str:
-    """One row per board."""
+def scaling_table(figures: Sequence[ScalingFigures]) -> str:
+    """Return a table with one row per board."""
     head = ("frames", "rows", "board mm", "components", "links ms/frame", "conclude ms/frame", "own MB", "frames MB")
-    return _table(head, [_growth_row(f) for f in figures])
+    return _table(head, [_scaling_row(f) for f in figures])
 
 
-def _growth_row(f: Growth) -> tuple[object, ...]:
+def _scaling_row(f: ScalingFigures) -> tuple[object, ...]:
     width, length = f.board_mm
     return (
         f.frames, f.rows, f"{width:.0f} × {length:.0f}", f.components, f"{f.links_ms_per_frame:.2f}",

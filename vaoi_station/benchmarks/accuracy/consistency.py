@@ -1,8 +1,9 @@
-"""Is the predicted uncertainty that of the real error? Boards whose truth is known, stitched and compared.
+"""Compare predicted uncertainty with real errors, on stitched boards with known truth.
 
-Of every view of a component the error e (px) is normalised by its predicted covariance Σ: eᵀ·Σ⁻¹·e / 2 is 1 on the
-average where Σ is right, less where it is too careful, more where it is too sure. Places of components do not
-depend on the gauge. The errors of one run are correlated (all views share C), so a run counts once, by its mean.
+The measure is the normalised squared error of each view of a component: for an error e (px) with predicted covariance
+Σ it is eᵀ·Σ⁻¹·e / 2. Its mean is 1 if Σ is right, below 1 if Σ is too large, above 1 if Σ is too small. Positions of
+components in frames do not depend on the gauge. The errors of one run are correlated, because all its views share C;
+therefore each run contributes one value, its mean.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.benchmarks.frames import Material, of_recording
+from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard, board_from_recording
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
@@ -25,76 +26,89 @@ from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 from vaoi_station.stitching.work import TaskRunner, all_tasks
 
 FIRST_SEED = 3000
-"""Of the runs that are measured; the model was fitted to others."""
+"""First seed of the measured boards; the noise model was fitted to boards with other seeds."""
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """One board: what its views are off, and what was predicted."""
+class RunErrors:
+    """Real errors of one stitched board, with their predicted covariances."""
 
     name: str
     status: str
     error_px: Floats
-    """(k, 2) of every view of a component."""
+    """(k, 2) error of each view of a component."""
     covariance_px2: Floats
-    """(k, 2, 2) as predicted."""
+    """(k, 2, 2) predicted covariances of these errors."""
     surface_error_mm: Floats
-    """(k,) height of the board under every component, estimated less true; empty where the truth is not known."""
+    """(k,) error of the surface height under each component; empty if the true surface is not known."""
     surface_sigma_mm: Floats
+    """(k,) predicted standard deviations of these errors."""
 
     @property
     def distance(self) -> Floats:
-        """(k,) length of every error in standard deviations."""
+        """(k,) Mahalanobis length of each error: its length in standard deviations."""
         e, s = self.error_px, self.covariance_px2
         return np.asarray(np.sqrt(np.einsum("ki,kij,kj->k", e, np.linalg.inv(s), e)))
 
     @property
     def normalised(self) -> float:
-        """Mean normalised squared error per degree of freedom."""
+        """Mean normalised squared error of the run."""
+        # Two degrees of freedom: x and y.
         return float((self.distance**2).mean() / 2)
 
     @property
     def rms_px(self) -> float:
-        """Of the errors' length."""
+        """Root mean square length of the errors."""
         return float(np.sqrt((self.error_px**2).sum(1).mean()))
 
     @property
     def predicted_rms_px(self) -> float:
-        """What it should be, by the covariances."""
+        """Root mean square length that the covariances predict."""
         return float(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2).mean()))
 
     @property
-    def line(self) -> str:
-        """For a reader who waits."""
+    def summary(self) -> str:
+        """One line of text, to show progress."""
         figures = f"{self.rms_px:.4f} px, predicted {self.predicted_rms_px:.4f}" if len(self.error_px) else "no C"
         return f"{self.name:24s} {self.status:9s} {figures}"
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """What some runs say together."""
+    """Summary of several runs.
+
+    Attributes:
+        runs: number of runs with a CAD matrix C.
+        failed: number of runs without one; they count nowhere else.
+        normalised_mean: mean over the runs of the normalised squared error.
+        normalised_median: its median.
+    """
 
     runs: int
     failed: int
     normalised_mean: float
     normalised_median: float
     beyond_three: float
-    """Share of views whose error is longer than 3 standard deviations: 1.1 % of normal errors in two dimensions."""
+    """Share of views with an error above 3 standard deviations: exp(−9/2) = 1.1 % for normal errors in the plane."""
     worst: float
-    """The longest error, in standard deviations."""
+    """Longest error, in standard deviations."""
     surface_normalised: float | None
-    """The same measure of the board's height under its components."""
+    """Mean normalised squared error of the surface height; None if no true surface is known."""
 
     def document(self) -> dict[str, Any]:
-        """For JSON, rounded."""
+        """Return the figures for JSON, rounded."""
         return {k: round(v, 3) if isinstance(v, float) else v for k, v in vars(self).items()}
 
 
-def together(runs: Sequence[Run]) -> Consistency:
-    """The figures of several runs; those without C count as failed and nowhere else."""
+def summarise_runs(runs: Sequence[RunErrors]) -> Consistency:
+    """Summarise several runs.
+
+    Raises:
+        InputError: no run has a CAD matrix, so there is nothing to compare.
+    """
     good = [r for r in runs if len(r.error_px)]
     if not good:
-        raise InputError(f"none of {len(runs)} boards was found, so there is nothing to compare.")
+        raise InputError(f"none of {len(runs)} boards has a CAD mapping, so there is nothing to compare.")
     each = np.array([r.normalised for r in good])
     distances = np.concatenate([r.distance for r in good])
     heights = [float(((r.surface_error_mm / r.surface_sigma_mm) ** 2).mean()) for r in good if len(r.surface_error_mm)]
@@ -109,72 +123,82 @@ def together(runs: Sequence[Run]) -> Consistency:
     )
 
 
-def _untold(line: str) -> None:
-    """Nobody wants to know."""
+def _ignore(line: str) -> None:
+    """Discard a line of progress."""
 
 
-def twin_runs(count: int, first_seed: int = FIRST_SEED, tell: Callable[[str], object] = _untold) -> Iterable[Run]:
-    """Boards of the twin, each with its own array, board, belt, light and noise."""
+def twin_runs(
+    count: int, first_seed: int = FIRST_SEED, report: Callable[[str], object] = _ignore
+) -> Iterable[RunErrors]:
+    """Render and stitch boards of the twin; array, board, belt, light and noise differ from board to board.
+
+    Args:
+        count: number of boards.
+        first_seed: seed of the first board; the next boards have the next seeds.
+        report: called with a line of text per board.
+    """
     for seed in range(first_seed, first_seed + count):
-        twin = Twin(varied(seed))
+        twin = Twin(random_scenario(seed))
         passage = twin.passage(0)
         head, truth = passage.head(), passage.truth()
         frames = passage.render_all()
-        material = Material(f"seed {seed}", head, twin.calibration, twin.board_type, frames, truth)
+        board = BenchmarkBoard(f"seed {seed}", head, twin.calibration, twin.board_type, frames, truth)
         places = np.array([p.place for p in twin.parts])
         heights = dict(zip([p.ref for p in twin.parts], twin.scene.surface_z(places), strict=True))
-        run = run_of(material, {ref: float(mm) for ref, mm in heights.items()})
-        tell(run.line)
+        run = compare_with_truth(board, {ref: float(mm) for ref, mm in heights.items()})
+        report(run.summary)
         yield run
 
 
 def recordings_with_truth(directory: Path) -> list[Path]:
-    """Recordings in a directory that have a board and a truth, in the order of names."""
+    """Find the recordings of a directory that have a board type and a truth, sorted by name."""
     return sorted(p.parent for p in directory.glob("*/truth.json") if (p.parent / "board.json").is_file())
 
 
-def recorded_runs(recordings: Iterable[Path], tell: Callable[[str], object] = _untold) -> Iterable[Run]:
-    """Recordings with their truth."""
+def recorded_runs(recordings: Iterable[Path], report: Callable[[str], object] = _ignore) -> Iterable[RunErrors]:
+    """Stitch recordings and compare them with their truth files."""
     for case in recordings:
+        # A truth file holds no true surface, so only positions are compared.
         truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
-        run = run_of(replace(of_recording(case), truth=truth))
-        tell(run.line)
+        run = compare_with_truth(replace(board_from_recording(case), truth=truth))
+        report(run.summary)
         yield run
 
 
-def run_of(material: Material, surface_mm: dict[str, float] | None = None) -> Run:
-    """Stitch one board and compare.
+def compare_with_truth(board: BenchmarkBoard, surface_mm: dict[str, float] | None = None) -> RunErrors:
+    """Stitch one board and compare its component positions with the truth.
 
     Args:
-        material: with its truth.
-        surface_mm: true height of the board under every component, where it is known.
+        board: the frames, with their truth.
+        surface_mm: true surface height under each component, by address; None if it is not known.
     """
-    assert material.truth is not None
-    runner = TaskRunner(material.setup, lambda i, j: material.frames.get((i, j)))
-    present, times_s = sorted(material.frames), material.head.row_times_s()
-    tasks = all_tasks(present, dict(enumerate(times_s)), material.setup)
+    assert board.truth is not None
+    runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
+    present, times_s = sorted(board.frames), board.head.row_times_s()
+    tasks = all_tasks(present, dict(enumerate(times_s)), board.setup)
     stitch, findings = runner.conclude_with_findings(times_s, present, [runner.perform(task) for task in tasks])
-    ours = {(ref, i, j): (x, y) for ref, views in (stitch.components or {}).items() for i, j, x, y in views}
+    found = {(ref, i, j): (x, y) for ref, views in (stitch.components or {}).items() for i, j, x, y in views}
     errors, covariances = [], []
-    for ref, views in material.truth["views"].items():
+    for ref, views in board.truth["views"].items():
         for i, j, x, y in views:
             covariance = findings.sigma.views.get(ref, {}).get((i, j))
+            # The run has no such view: the frame has no matrix, or C was not found.
             if covariance is not None:
-                errors.append(np.subtract(ours[ref, i, j], (x, y)))
+                errors.append(np.subtract(found[ref, i, j], (x, y)))
                 covariances.append(covariance)
-    off, sigma = _surface(findings, surface_mm or {})
-    return Run(
-        material.name,
+    surface_error, surface_sigma = _surface(findings, surface_mm or {})
+    return RunErrors(
+        board.name,
         stitch.status.value,
         np.array(errors).reshape(-1, 2),
         np.array(covariances).reshape(-1, 2, 2),
-        off,
-        sigma,
+        surface_error,
+        surface_sigma,
     )
 
 
 def _surface(findings: Findings, true_mm: dict[str, float]) -> tuple[Floats, Floats]:
-    """Errors and standard deviations (k,) mm of the board's height under its components."""
+    """Return errors and standard deviations (k,), mm, of the surface height under the components."""
     plane, adjusted = findings.plane, findings.adjusted
     if plane is None or not len(adjusted.surface_mm) or not true_mm:
         return np.zeros(0), np.zeros(0)
@@ -184,11 +208,13 @@ def _surface(findings: Findings, true_mm: dict[str, float]) -> tuple[Floats, Flo
     return found - [true_mm[p.address] for p in parts], surface_sigma_mm(plane, adjusted, cad)
 
 
-def varied(seed: int) -> Scenario:
-    """A scenario of small frames in which everything that may differ from board to board does.
+def random_scenario(seed: int) -> Scenario:
+    """Return a scenario of small frames whose parameters are drawn at random from realistic ranges.
 
-    Noise, exposure, focus, vignetting, lenses, mounting; speed, slip, sway and yaw; lift, tilt and bow; lamp, shadow.
+    They are noise, exposure, focus, vignetting, lens, mounting; speed, slip, sway and yaw of the belt; lift, tilt and
+    bow of the board; direction and shadows of the light.
     """
+    # The second number keeps these draws apart from those that the twin derives from its seeds.
     g = np.random.default_rng([seed, 9001])
 
     def between(low: float, high: float) -> float:

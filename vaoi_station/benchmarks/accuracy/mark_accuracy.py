@@ -1,10 +1,10 @@
-"""How well and how fast marks are found: `vaoi bench --marks`, beside the paper's way and the Cramér-Rao bound."""
+"""Measure accuracy and speed of the detection of marks, beside the paper's method and the Cramér-Rao bound."""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, get_args
@@ -12,9 +12,15 @@ from typing import Any, get_args
 import cv2
 import numpy as np
 
-from vaoi_station.benchmarks.frames import Material, of_twin
-from vaoi_station.benchmarks.painted import CONDITIONS, Condition, bound_px, film, paint
-from vaoi_station.benchmarks.s_curve import Panel, draw
+from vaoi_station.benchmarks.accuracy.bias_plot import Panel, draw_bias_panels
+from vaoi_station.benchmarks.accuracy.synthetic_marks import (
+    CONDITIONS,
+    Condition,
+    apply_condition,
+    cramer_rao_px,
+    render_mark,
+)
+from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard, board_from_twin
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, locate_mark
@@ -26,13 +32,24 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZES_PX = (12.0, 16.0, 20.0, 24.0, 32.0, 40.0)
 _OFF_SHARE = 0.15
-"""How far from the truth the prediction is, in sizes, at the most along each axis."""
+"""Largest error of the predicted centre along each axis, in sizes of the mark."""
 _S_CURVE_PX = 16.0
+"""Size of the marks of the S-curves."""
 
 
 @dataclass(frozen=True)
-class Row:
-    """One kind of mark under one condition; rms and bias per axis, the baseline's rms beside."""
+class MarkErrors:
+    """Errors of one kind of mark under one condition; rms and bias are per axis.
+
+    Attributes:
+        shape: shape of the mark.
+        light: whether it is lighter than its ground.
+        size_px: its size.
+        condition: name of the imaging condition.
+        found: number of marks that were found.
+        of: number of marks that were rendered.
+        largest_px: length of the longest error.
+    """
 
     shape: str
     light: bool
@@ -43,21 +60,23 @@ class Row:
     rms_px: float
     bias_px: tuple[float, float]
     largest_px: float
-    said_px: float
-    """Standard deviation that the marks claim, rms."""
+    claimed_px: float
+    """Standard deviation that the detector reports, rms; `said_px` in JSON."""
     bound_px: float
+    """Cramér-Rao bound, median."""
     paper_rms_px: float | None
-    """None where the paper's way found none of them."""
+    """Rms error of the paper's method; None if it found no mark."""
     ms: float
     """CPU time per mark in its predicted area, median."""
 
 
 _NAMES = {"circle": "disc"}
+"""Names in tables and plots where they differ from the shape's."""
 
 
 @dataclass(frozen=True)
-class Curve:
-    """Error along x over the fraction of a pixel, px; light marks of one size, clean."""
+class MarkCurve:
+    """Error along x over the fraction of a pixel, px, of light marks of one size without noise."""
 
     shape: str
     size_px: float
@@ -68,27 +87,31 @@ class Curve:
 
 @dataclass(frozen=True)
 class MarkFigures:
-    """Everything `vaoi bench --marks` finds."""
+    """Results of `vaoi bench --marks`."""
 
-    rows: tuple[Row, ...]
-    curves: tuple[Curve, ...]
+    rows: tuple[MarkErrors, ...]
+    curves: tuple[MarkCurve, ...]
     material: str
+    """Name of the board for the search of whole frames."""
     whole_frame_ms: float
-    """CPU time of the search of a whole frame, median over a board; its quarter-size copy is there already."""
+    """CPU time of the search of a whole frame, median over a board, without the reduction to a quarter of its size."""
 
     def document(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
+        """Return the figures for JSON."""
+        document = asdict(self)
+        # "said_px" is the key of the JSON file, which programs outside may read.
+        document["rows"] = [_renamed(row, "claimed_px", "said_px") for row in document["rows"]]
+        return document
 
     def plot(self) -> str:
-        """The curves as SVG."""
+        """Draw the curves as SVG."""
         panels = [Panel(_NAMES.get(c.shape, c.shape), c.fraction, c.error_px, c.paper_px) for c in self.curves]
         size = self.curves[0].size_px if self.curves else 0.0
-        head = f"error along x, px, over the fraction of a pixel; light marks of {size:g} px, clean"
-        return draw(panels, head, ("fitted", "paper's way"))
+        title = f"error along x, px, over the fraction of a pixel; light marks of {size:g} px, clean"
+        return draw_bias_panels(panels, title, ("fitted", "paper"))
 
     def lines(self) -> Iterator[str]:
-        """A table of Markdown: sizes go down, conditions across."""
+        """Yield the lines of a Markdown table: one row per kind and size, one column per condition."""
         yield "| mark | size, px | " + " | ".join(f"{c}: rms / largest (paper)" for c in CONDITIONS) + " | bound | ms |"
         yield "|---|---|" + "---|" * (len(CONDITIONS) + 2)
         keys = dict.fromkeys((r.shape, r.light, r.size_px) for r in self.rows)
@@ -100,46 +123,54 @@ class MarkFigures:
             yield f"| {kind} | {size:g} | {cells} | {rows['noise'].bound_px:.4f} | {ms:.2f} |"
 
 
-def measure_marks(positions: int = 24, material: Material | None = None) -> MarkFigures:
-    """Measure marks of every kind at many sub-pixel positions, the same ones each time."""
+def measure_marks(
+    positions: int = 24, board: BenchmarkBoard | None = None, sizes_px: Sequence[float] = SIZES_PX
+) -> MarkFigures:
+    """Measure marks of all kinds at random sub-pixel positions, the same at each call.
+
+    Args:
+        positions: number of marks of each kind and condition.
+        board: the board for the search of whole frames; by default one of the twin.
+        sizes_px: sizes of the marks.
+    """
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        kinds = list(product(get_args(Shape), (True, False), SIZES_PX))
-        rows = [row for shape, light, size in kinds for row in _rows(shape, light, size, positions)]
-        curves = tuple(_curve(shape) for shape in get_args(Shape))
-        board = material or of_twin()
-        return MarkFigures(tuple(rows), curves, board.name, _whole_frame_ms(board))
+        kinds = list(product(get_args(Shape), (True, False), sizes_px))
+        rows = [row for shape, light, size in kinds for row in measure_mark_kind(shape, light, size, positions)]
+        curves = tuple(measure_s_curve(shape) for shape in get_args(Shape))
+        searched = board or board_from_twin()
+        return MarkFigures(tuple(rows), curves, searched.name, _whole_frame_ms(searched))
     finally:
         cv2.setNumThreads(threads)
 
 
-def _rows(shape: Shape, light: bool, size_px: float, positions: int) -> Iterator[Row]:
+def measure_mark_kind(shape: Shape, light: bool, size_px: float, positions: int) -> Iterator[MarkErrors]:
+    """Measure one kind of mark under each condition."""
     g, side = np.random.default_rng(7), 2 * round(1.5 * size_px + 12) + 1
     truths = (side - 1) / 2 + g.uniform(-0.5, 0.5, (positions, 2))
-    plain = [paint(shape, light, size_px, at, side, False) for at in truths]
-    tracked = [paint(shape, light, size_px, at, side, True) for at in truths]
+    plain = [render_mark(shape, light, size_px, at, side, False) for at in truths]
+    tracked = [render_mark(shape, light, size_px, at, side, True) for at in truths]
     for condition in CONDITIONS:
         pictures = tracked if condition == "copper" else plain
-        yield _row(shape, light, size_px, condition, list(zip(truths, pictures, strict=True)), g)
+        yield _errors((shape, light, size_px), condition, list(zip(truths, pictures, strict=True)), g)
 
 
-def _row(
-    shape: Shape,
-    light: bool,
-    size_px: float,
+def _errors(
+    kind: tuple[Shape, bool, float],
     condition: Condition,
-    painted: list[tuple[Floats, Floats]],
+    rendered: list[tuple[Floats, Floats]],
     g: np.random.Generator,
-) -> Row:
+) -> MarkErrors:
+    shape, light, size_px = kind
     errors, claims, theirs, times, bounds = [], [], [], [], []
-    for truth, picture in painted:
-        image, variance = film(picture, condition, g)
+    for truth, picture in rendered:
+        image, variance = apply_condition(picture, condition, g)
         near = truth + g.uniform(-_OFF_SHARE, _OFF_SHARE, 2) * size_px
         start = time.process_time()
         mark = locate_mark(image, near, shape, size_px)
         times.append((time.process_time() - start) * 1e3)
-        bounds.append(bound_px(picture, variance))
+        bounds.append(cramer_rao_px(picture, variance))
         if isinstance(mark, Mark):
             errors.append(mark.px - truth)
             claims.append(mark.sigma_px)
@@ -147,13 +178,13 @@ def _row(
         if not isinstance(other, Failure):
             theirs.append(other - truth)
     e = np.array(errors).reshape(-1, 2)
-    return Row(
+    return MarkErrors(
         shape,
         light,
         size_px,
         condition,
         len(errors),
-        len(painted),
+        len(rendered),
         _rms(e),
         (round(float(e[:, 0].mean()), 5), round(float(e[:, 1].mean()), 5)),
         round(float(np.hypot(*e.T).max()), 5),
@@ -164,38 +195,46 @@ def _row(
     )
 
 
-def _curve(shape: Shape, steps: int = 20) -> Curve:
+def measure_s_curve(shape: Shape, steps: int = 20) -> MarkCurve:
+    """Measure the error along x of a mark that moves by one pixel in equal steps."""
     g, side = np.random.default_rng(3), 2 * round(1.5 * _S_CURVE_PX + 12) + 1
     fractions = np.arange(steps + 1) / steps - 0.5
     ours: list[float] = []
     theirs: list[float | None] = []
     for fraction in fractions:
+        # Off the pixel centre along y as well: there a mark's samples would be symmetric, which is a special case.
         truth = np.array([(side - 1) / 2 + fraction, (side - 1) / 2 + 0.2])
-        image, _ = film(paint(shape, True, _S_CURVE_PX, truth, side, False), "clean", g)
+        image, _ = apply_condition(render_mark(shape, True, _S_CURVE_PX, truth, side, False), "clean", g)
         mark = locate_mark(image, truth, shape, _S_CURVE_PX)
         ours.append(round(float(mark.px[0] - truth[0]), 5) if isinstance(mark, Mark) else float("nan"))
         other = locate_by_centre_of_gravity(image, truth, shape, _S_CURVE_PX, light=True, reach_px=4.0)
         theirs.append(None if isinstance(other, Failure) else round(float(other[0] - truth[0]), 5))
-    return Curve(shape, _S_CURVE_PX, tuple(float(f) for f in fractions), tuple(ours), tuple(theirs))
+    return MarkCurve(shape, _S_CURVE_PX, tuple(float(f) for f in fractions), tuple(ours), tuple(theirs))
 
 
-def _whole_frame_ms(material: Material) -> float:
+def _whole_frame_ms(board: BenchmarkBoard) -> float:
     times = []
-    for key, pixels in material.frames.items():
+    for key, pixels in board.frames.items():
         frame = PreparedFrame(pixels)
-        _ = frame.quarter  # links want it anyway
-        camera = material.setup.cameras[key[0]]
+        # Links need the quarter-size image too, so it does not count as a cost of the marks.
+        _ = frame.quarter
+        camera = board.setup.cameras[key[0]]
         start = time.process_time()
-        detect_marks(Task("marks", key), frame, camera, material.board_type)
+        detect_marks(Task("marks", key), frame, camera, board.board_type)
         times.append((time.process_time() - start) * 1e3)
     return round(statistics.median(times), 3)
+
+
+def _renamed(row: dict[str, Any], name: str, key: str) -> dict[str, Any]:
+    """Return a row with one entry under another name, at the same place."""
+    return {key if k == name else k: v for k, v in row.items()}
 
 
 def _rms(values: Floats) -> float:
     return round(float(np.sqrt(np.mean(np.square(values)))), 5)
 
 
-def _cell(row: Row) -> str:
+def _cell(row: MarkErrors) -> str:
     missed = "" if row.found == row.of else f", {row.of - row.found} refused"
     paper = "–" if row.paper_rms_px is None else f"{row.paper_rms_px:.3f}"
     return f"{row.rms_px:.4f} / {row.largest_px:.3f} ({paper}){missed}"

@@ -1,4 +1,4 @@
-"""How cost and memory grow with the frames: longer and longer boards, each stitched in a process of its own."""
+"""Measure CPU time and memory of stitching over the length of the board, each length in a new process."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.benchmarks.film import Film, film
-from vaoi_station.benchmarks.usage import own_memory_bytes
+from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun, prerender
+from vaoi_station.benchmarks.station.process_usage import private_memory_bytes
 from vaoi_station.errors import InternalError
 from vaoi_station.runs.host.process_setup import set_up_process
 from vaoi_station.simulation import Scenario
 
 ROWS = (4, 10, 33, 100, 333)
-"""Of three cameras: 12 to 999 frames."""
+"""Rows of the boards; with three cameras 12 to 999 frames."""
 _CAMERAS, _BOARD_WIDTH_MM = 3, 90.0
 _OVERLAP = 1.15
-"""So much that neighbours overlap for certain, however crooked they hang."""
+"""Width of the view over the pitch of the cameras; neighbours overlap despite their mounting errors."""
 _SAMPLE_S = 0.005
+"""Period of the memory samples."""
 
 
 @dataclass(frozen=True)
-class Growth:
-    """One board; times are CPU time of one thread, once everything is compiled."""
+class ScalingFigures:
+    """Figures of one board; times are CPU time of one thread after compilation."""
 
     frames: int
     rows: int
@@ -38,29 +39,39 @@ class Growth:
     links_ms_per_frame: float
     conclude_ms_per_frame: float
     own_memory_mb: float
-    """The most the process held of its own while stitching, above what it held before: frames are not its own."""
+    """Peak of the private memory during stitching above its value before; frames are mapped and not counted."""
     frames_mb: float
-    """What the frames take in shared memory."""
+    """Size of all frames."""
     status: str
     reasons: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the figures for JSON."""
         return asdict(self)
 
 
-def growth(scenario: Scenario, folder: Path, rows: tuple[int, ...], tell: Callable[[str], None]) -> list[Growth]:
-    """Stitch boards of a scenario's kind, made so long that they take so many rows of three cameras."""
+def measure_scaling(
+    scenario: Scenario, folder: Path, rows: tuple[int, ...], report: Callable[[str], None]
+) -> list[ScalingFigures]:
+    """Stitch boards like that of a scenario, each as long as the given number of rows needs.
+
+    Args:
+        scenario: boards, belt and cameras.
+        folder: where the frames of the boards are kept.
+        rows: numbers of rows.
+        report: called with a sentence before each long step.
+    """
     found = []
     for count in rows:
-        made = film(long_board(scenario, count), folder / f"{count}", tell)
-        found.append(_stitched_apart(made))
+        board = prerender(long_board(scenario, count), folder / f"{count}", report)
+        found.append(_stitch_in_new_process(board))
     return found
 
 
 def long_board(scenario: Scenario, rows: int) -> Scenario:
-    """The scenario with three cameras and a board of so many rows."""
+    """Return the scenario with three cameras and a board that takes this number of rows."""
     line, belt = scenario.line, scenario.belt
+    # Half a period less than `rows` periods: the board ends safely between two pulses.
     passing_s = (rows - 0.5) * line.period_s + line.start_delay_s - line.tail_s
     length_mm = round(passing_s * belt.speed_mm_s * (1 + belt.speed_error), 1)
     changes: dict[str, dict[str, Any]] = {
@@ -72,17 +83,18 @@ def long_board(scenario: Scenario, rows: int) -> Scenario:
     return Scenario.model_validate(plain | {name: plain[name] | section for name, section in changes.items()})
 
 
-def _stitched_apart(board: Film) -> Growth:
+def _stitch_in_new_process(board: PrerenderedRun) -> ScalingFigures:
+    # A new process per board: the allocator keeps freed memory, so a peak would hide the smaller one after it.
     spawn = multiprocessing.get_context("spawn")
     here, there = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_stitch, args=(board, there), name="vaoi-bench-growth", daemon=True)
     process.start()
     there.close()
     try:
-        figures: Growth = here.recv()
+        figures: ScalingFigures = here.recv()
     except EOFError as end:
         process.join()
-        raise InternalError(f"stitching {board.directory} ended with code {process.exitcode}.") from end
+        raise InternalError(f"the process that stitched {board.directory} ended with code {process.exitcode}.") from end
     finally:
         here.close()
     process.join()
@@ -90,8 +102,9 @@ def _stitched_apart(board: Film) -> Growth:
     return figures
 
 
-def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
+def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
     set_up_process(one_thread=True)
+    # After `set_up_process`: numeric libraries read their number of threads when they are imported.
     import cv2
 
     from vaoi_station.runs.workers.warmup import warm_up
@@ -106,8 +119,9 @@ def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
     times_s = head.row_times_s()
     present = [(camera, row) for row in range(head.rows) for camera in range(len(cameras))]
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
+    # Compiled functions are loaded beforehand; short boards would pay for that in every figure.
     warm_up()
-    with _Highest() as highest:
+    with _PeakMemory() as peak:
         runner = TaskRunner(setup, lambda i, j: frames[j, i])
         began_s = time.process_time()
         evidence = [runner.perform(t) for t in tasks]
@@ -115,32 +129,32 @@ def _stitch(board: Film, answer: Connection[Any, Any]) -> None:
         stitch = runner.conclude(times_s, present, evidence)
         ended_s = time.process_time()
     width_mm, length_mm = np.ptp(board_type.extent(), axis=0) * board_type.mm_per_unit
-    figures = Growth(
+    figures = ScalingFigures(
         frames=len(present),
         rows=head.rows,
         board_mm=(round(float(width_mm), 1), round(float(length_mm), 1)),
         components=len(board_type.components),
         links_ms_per_frame=round((linked_s - began_s) * 1e3 / len(present), 3),
         conclude_ms_per_frame=round((ended_s - linked_s) * 1e3 / len(present), 3),
-        own_memory_mb=round(highest.bytes / 1e6, 1),
+        own_memory_mb=round(peak.bytes / 1e6, 1),
         frames_mb=round(frames.nbytes / 1e6, 1),
         status=str(stitch.status),
         reasons=stitch.reasons,
     )
-    answer.send(figures)
-    answer.close()
+    reply.send(figures)
+    reply.close()
 
 
-class _Highest:
-    """Watches this process's own memory from a thread; `bytes` is the most it was above the beginning."""
+class _PeakMemory:
+    """The peak of this process's private memory above its value on entry, sampled by a thread."""
 
     def __init__(self) -> None:
         self.bytes = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
 
-    def __enter__(self) -> _Highest:
-        self._before = own_memory_bytes()
+    def __enter__(self) -> _PeakMemory:
+        self._before = private_memory_bytes()
         self._thread.start()
         return self
 
@@ -149,7 +163,8 @@ class _Highest:
         self._thread.join()
 
     def _watch(self) -> None:
+        # The kernel's own peak (VmHWM) also counts the mapped frames, so the private part is sampled.
         while True:
-            self.bytes = max(self.bytes, own_memory_bytes() - self._before)
+            self.bytes = max(self.bytes, private_memory_bytes() - self._before)
             if self._ended.wait(_SAMPLE_S):
                 return

@@ -1,4 +1,4 @@
-"""Frames to measure on: a board of the twin, or a recording, held in memory."""
+"""The board that a benchmark runs on: a board of the twin or a recording, with all frames in memory."""
 
 from __future__ import annotations
 
@@ -15,8 +15,17 @@ from vaoi_station.stitching.work import StitchSetup
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """One filmed board."""
+class BenchmarkBoard:
+    """Frames of one board, with its calibration and CAD data.
+
+    Attributes:
+        name: name of the scenario or of the recording's directory.
+        head: cameras, rows and trigger times.
+        calibration: camera matrices N_i and lenses.
+        board_type: CAD data.
+        frames: pixels by (camera, row); missing frames are absent.
+        truth: exact values of the twin; None for a recording.
+    """
 
     name: str
     head: RecordingHead
@@ -27,7 +36,7 @@ class Material:
 
     @property
     def setup(self) -> StitchSetup:
-        """What the station knows beforehand."""
+        """What the station knows before the first frame."""
         return StitchSetup(
             self.calibration.cameras(self.head.cameras),
             self.head.conveyor_mm_s,
@@ -36,23 +45,24 @@ class Material:
         )
 
 
-def of_twin(scenario: str = "demo", board: int = 0) -> Material:
-    """A board of a shipped scenario."""
+def board_from_twin(scenario: str = "demo", board: int = 0) -> BenchmarkBoard:
+    """Render a board of a shipped scenario."""
     twin = Twin(read_scenario(scenario_path(scenario)))
     passage = twin.passage(board)
     frames = passage.render_all()
-    return Material(scenario, passage.head(), twin.calibration, twin.board_type, frames, passage.truth())
+    return BenchmarkBoard(scenario, passage.head(), twin.calibration, twin.board_type, frames, passage.truth())
 
 
-def of_recording(directory: Path) -> Material:
-    """A recording with its calibration and board type."""
+def board_from_recording(directory: Path) -> BenchmarkBoard:
+    """Read a recording with its calibration and board type."""
     recording = open_recording(directory)
     head = recording.head
     calibration = read_calibration(directory / "calibration.json", head.cameras)
+    # Frames are decoded here, once: benchmarks measure computation, not reading of files.
     frames = {}
     for i in range(len(head.cameras)):
         for j in range(head.rows):
             pixels = recording.frame(i, j)
             if pixels is not None:
                 frames[i, j] = pixels
-    return Material(directory.name, head, calibration, read_board_type(directory / "board.json"), frames, None)
+    return BenchmarkBoard(directory.name, head, calibration, read_board_type(directory / "board.json"), frames, None)

@@ -1,8 +1,8 @@
-"""Films the strips with the digital twin: `python -m peers.film DIRECTORY`.
+"""Render the strips with the digital twin: `python -m peers.render_strips DIRECTORY`.
 
-The cameras of a strip see nothing but board. Frames are flattened beforehand for all peers: even illumination, no
-distortion, and, where the cameras are mounted as cameras are, seen straight from above by the calibration in force.
-What the peers get as a prior is what the mechanics say: where each camera looks, and the belt's nominal speed.
+Every frame of a strip is filled by the board. Frames are flattened for all peers: even illumination, no distortion,
+and, for cameras with mounting errors, seen straight from above by means of the calibration. The peers get the nominal
+positions as prior knowledge: where each camera looks, and the nominal speed of the belt.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PERIOD_S = 0.105
 TURN_DEG = 0.2
 """Rotation of the board from the first to the last row of the strips with yaw."""
 CROPPED_PX = 6
-"""Cut from every side of a frame that was flattened, where it may show nothing."""
+"""Margin cut from each side of a flattened frame, which may be empty."""
 
 IDEAL: dict[str, float] = {"tilt_deg": 0.0, "roll_deg": 0.0, "position_mm": 0.0, "focal_length": 0.0}
 STRAIGHT: dict[str, float] = {"yaw_sigma_deg": 0.0, "yaw_wander_deg": 0.0, "speed_error": 0.004}
@@ -42,19 +42,19 @@ VARIANTS: dict[str, dict[str, dict[str, float]]] = {
     "parts": {"array": IDEAL, "belt": STRAIGHT, "board": {}},
     "line": {"array": {}, "belt": {"speed_error": 0.004}, "board": {}},
 }
-"""What differs: cameras without any tilt or not, a belt that turns the board or not, parts with a height or not."""
+"""Parameters of the variants: mounting errors of the cameras, yaw of the belt, height of the components."""
 
 
 @dataclass(frozen=True, eq=False)
-class Filmed:
-    """A strip, and what only our own adapter (raw frames, calibration) and only the scorer (truth) may see."""
+class RenderedStrip:
+    """A strip, with raw frames and calibration for our own adapter alone, and the truth for the scorer alone."""
 
     strip: Strip
     head: RecordingHead
     calibration: dict[str, Any]
     board_type: dict[str, Any]
     raw: NDArray[np.uint8]
-    """(k, h, w) frames as the cameras gave them."""
+    """(k, h, w) frames before flattening."""
     tester_from_flat: Floats
     """(k, 3, 3) flattened pixels to mm in the calibrated plane, at the moment of the frame."""
     board_from_flat: Floats
@@ -74,7 +74,7 @@ class Filmed:
 
 
 def twin_of(variant: str, **sections: dict[str, Any]) -> Twin:
-    """The twin of a variant: the paper's cameras and a board that fills their view; sections may be overridden."""
+    """Return the twin of a variant: the paper's cameras, a board that fills their view; sections override."""
     base: dict[str, dict[str, Any]] = {
         "array": {"cameras": 3, "px_per_mm": PX_PER_MM, "overlap": 1.1, "vignetting": 0.0},
         "belt": {"offset_sigma_mm": 0.0},
@@ -87,8 +87,8 @@ def twin_of(variant: str, **sections: dict[str, Any]) -> Twin:
     return Twin(Scenario.model_validate(base))
 
 
-def film(variant: str, twin: Twin, rows: int = ROWS) -> Filmed:
-    """Film the first rows of a board in which every camera sees nothing but board."""
+def render_strip(variant: str, twin: Twin, rows: int = ROWS) -> RenderedStrip:
+    """Render the first rows of a board in which every frame is filled by the board."""
     passage = twin.passage(0)
     first = _first_full_row(passage, rows)
     cells = np.array([(i, j) for j in range(rows) for i in range(len(twin.pinholes))])
@@ -99,7 +99,7 @@ def film(variant: str, twin: Twin, rows: int = ROWS) -> Filmed:
     poses = [passage.pose(passage.pulse_times_s[first + j]) for j in range(rows)]
     to_px = np.diag([twin.scenario.array.px_per_mm, twin.scenario.array.px_per_mm, 1.0])
     truth = np.stack([to_px @ np.linalg.inv(poses[j]) @ m for m, (_, j) in zip(tester_from_flat, cells, strict=True)])
-    return Filmed(
+    return RenderedStrip(
         Strip(variant, frames, cells, _nominal_px(twin, tester_from_flat, cells)),
         _head(passage, first, rows),
         twin.calibration.model_dump(mode="json", exclude_none=True),
@@ -111,7 +111,7 @@ def film(variant: str, twin: Twin, rows: int = ROWS) -> Filmed:
 
 
 def _first_full_row(passage: Passage, rows: int) -> int:
-    """The first row from which on, for so many rows, no frame shows what lies beside the board."""
+    """Return the first row after which, for the given number of rows, the board fills every frame."""
     board, pinholes = passage.twin.scenario.board, passage.twin.pinholes
     w, h = pinholes[0].width_px - 1, pinholes[0].height_px - 1
     corners = np.concatenate([p.ground(np.array([[0, 0], [w, 0], [0, h], [w, h]], float), 0.0) for p in pinholes])
@@ -129,7 +129,7 @@ def _first_full_row(passage: Passage, rows: int) -> int:
 
 
 def _flattening(twin: Twin, camera: int) -> tuple[Floats, Floats]:
-    """raw_from_flat and tester_from_flat of a camera: straight from above, at the design's resolution."""
+    """Return raw_from_flat and tester_from_flat of a camera: seen straight from above, at the design's resolution."""
     array, raw_from_tester = twin.scenario.array, twin.pinholes[camera].plane()
     if not (array.tilt_deg or array.roll_deg or array.focal_length):
         return np.eye(3), np.asarray(np.linalg.inv(raw_from_tester))
@@ -142,7 +142,7 @@ def _flattening(twin: Twin, camera: int) -> tuple[Floats, Floats]:
 
 
 def _flattened(raw: NDArray[np.uint8], raw_from_flat: Floats, _: Floats) -> NDArray[np.uint8]:
-    """Resampled bilinearly, which shifts nothing; untouched where there is nothing to flatten."""
+    """Resample a frame bilinearly; return it unchanged if its camera has no mounting errors."""
     if np.array_equal(raw_from_flat, np.eye(3)):
         return raw
     size = (raw.shape[1] - 2 * CROPPED_PX, raw.shape[0] - 2 * CROPPED_PX)
@@ -151,7 +151,8 @@ def _flattened(raw: NDArray[np.uint8], raw_from_flat: Floats, _: Floats) -> NDAr
 
 
 def _nominal_px(twin: Twin, tester_from_flat: Floats, cells: NDArray[np.int64]) -> Floats:
-    """Where frames would lie if the belt ran at its nominal speed; the board moves on, so frames move back."""
+    """Return the positions of the frames if the belt had its nominal speed."""
+    # The board moves forward under fixed cameras, so on the board each next frame lies further back.
     belt, r = twin.line.conveyor_mm_s, twin.scenario.array.px_per_mm
     moved_mm = np.outer(cells[:, 1] * twin.line.trigger_period_s, belt)
     corner_mm = tester_from_flat[:, :2, 2] / tester_from_flat[:, 2:, 2]
@@ -171,10 +172,10 @@ def _head(passage: Passage, first: int, rows: int) -> RecordingHead:
 
 
 def main() -> None:
-    """Film every variant into a directory of its own."""
+    """Render every variant into a separate directory."""
     for variant in VARIANTS:
-        film(variant, twin_of(variant)).write(Path(sys.argv[1]) / variant)
-        print(f"filmed {variant}")
+        render_strip(variant, twin_of(variant)).write(Path(sys.argv[1]) / variant)
+        print(f"rendered {variant}")
 
 
 if __name__ == "__main__":

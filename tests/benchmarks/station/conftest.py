@@ -1,0 +1,18 @@
+"""The small scenario, rendered once for all tests of the station's benchmarks."""
+
+from __future__ import annotations
+
+import pytest
+
+from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun, prerender
+from vaoi_station.simulation import Scenario, read_scenario, scenario_path
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    return read_scenario(scenario_path("small"))
+
+
+@pytest.fixture(scope="session")
+def small_run(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> PrerenderedRun:
+    return prerender(scenario, tmp_path_factory.mktemp("prerendered"))

@@ -1,0 +1,1 @@
+"""Benchmarks of accuracy: measured and predicted errors of component positions, links and marks."""

@@ -1,0 +1,278 @@
+"""Measure a whole station in real time: frames arrive at the rate of a line, and figures show whether it keeps up."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vaoi_station.acquisition.ring.ring import ring_path
+from vaoi_station.benchmarks.station.frame_sender import run_frame_sender
+from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
+from vaoi_station.benchmarks.station.process_usage import CpuMeter, private_memory_bytes
+from vaoi_station.benchmarks.station.sender_devices import Playback, acquisition_launcher
+from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.errors import StateError
+from vaoi_station.files import write_board_type, write_calibration
+from vaoi_station.model import RecordingHead
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import RunDetail, Timeline
+from vaoi_station.station import Station
+
+PAUSE_S = 1.0
+"""Pause between two boards at the run's own rate; it shrinks in proportion at higher rates."""
+READY_S = 120.0
+"""Time limit until the station is ready: processes start, workers compile and warm up."""
+RUN_LIMIT_S = 180.0
+"""Time limit for one run to end; after it the benchmark stops waiting."""
+
+
+@dataclass(frozen=True)
+class BoardFigures:
+    """Figures of one run."""
+
+    state: str
+    status: str
+    frames: int
+    lost: int
+    ready_after_last_frame_ms: float
+    conclude_ms: float
+    links_open_at_last_frame: int
+    """Links that were possible but not computed when the last frame arrived, without those of the last row."""
+    lag_first_half_ms: float
+    """Time from the arrival of the later of two frames to their link, median over the rows of the first half."""
+    lag_second_half_ms: float
+    """The same over the rows of the second half; growth shows that the station falls behind."""
+
+
+@dataclass(frozen=True)
+class RateFigures:
+    """Figures of all boards at one rate; times are wall time unless the name says CPU."""
+
+    rate: float
+    """Multiple of the run's own trigger rate."""
+    frames_per_s: float
+    """Frame rate of each camera."""
+    mbit_per_s: float
+    """Data rate of all cameras while a board passes."""
+    boards: int
+    boards_missed: int
+    """Boards for which no bay was free, because earlier boards were still being stitched."""
+    frames_lost: int
+    kept_up: bool
+    """Whether no board or frame was lost, and at each last frame no more links were open than one row has."""
+    ready_after_last_frame_ms: dict[str, float]
+    conclude_ms: float
+    lag_first_half_ms: float
+    lag_second_half_ms: float
+    links_open_at_last_frame: float
+    cpu_ms_per_frame: dict[str, float]
+    """By process; `sender` replaces cameras and network cards and is not part of the station."""
+    cores: float
+    """CPU time of the station's processes over the time in which boards pass, without the gaps between them."""
+    sender_cores: float
+    """The same for the sender."""
+    memory_mb: dict[str, float]
+    """Private memory of each process after the last board; the ring is not counted."""
+    statuses: dict[str, int]
+    """Number of boards by verdict."""
+    load_before: float
+    """Load average of the machine over the minute before: other programs may have used part of the CPU."""
+    each: tuple[BoardFigures, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the figures for JSON."""
+        return asdict(self)
+
+
+class StationUsage(NamedTuple):
+    """Use of the machine while the boards passed; mappings go by the name of the process."""
+
+    load_before: float
+    boards_missed: int
+    cpu_s: Mapping[str, float]
+    memory_mb: dict[str, float]
+
+
+def measure_station_pace(
+    run: PrerenderedRun, rate: float, boards: int, workers: int, folder: Path, ring: Path
+) -> RateFigures:
+    """Run a station with the prerendered board at a multiple of its trigger rate, and measure it.
+
+    Args:
+        run: the board, its array and its line.
+        rate: at 2, the line is twice as fast and triggers twice as often, so that the frames are the same.
+        boards: number of boards that pass.
+        workers: number of worker processes.
+        folder: for the station's data, which stay there.
+        ring: directory for the ring.
+    """
+    config, load = _config(run, rate, workers, folder, ring), os.getloadavg()[0]
+    playback = Playback(run, rate, PAUSE_S / rate)
+    with run_frame_sender(run) as sender:
+        launch = acquisition_launcher(config, ring_path(config), playback, sender.connection)
+        with Station(config, launch) as station:
+            coordinator = station.coordinator
+            # Compilation and warm-up happen once per start of the station and would count as CPU time per frame.
+            _wait_until(coordinator, lambda: _all_ready(coordinator), READY_S)
+            pids = {"station": os.getpid(), "sender": sender.pid}
+            pids |= {p.name: p.pid for p in coordinator.snapshot().processes if p.pid is not None}
+            meter = CpuMeter(pids)
+            coordinator.arm(run.board_type.name, runs=boards)
+            details = _follow(coordinator, boards)
+            missed = coordinator.snapshot().boards_missed
+            # Before the timelines are read: their transfer is not part of the work per frame.
+            cpu = meter.read()
+            memory = {name: round(private_memory_bytes(pid) / 1e6, 1) for name, pid in pids.items()}
+            each = tuple(board_figures(d, coordinator.timeline(d.id)) for d in details)
+    return rate_figures(run.head, rate, each, StationUsage(load, missed, cpu, memory))
+
+
+def _config(run: PrerenderedRun, rate: float, workers: int, folder: Path, ring: Path) -> StationConfig:
+    """Return the configuration of a station with the run's array over a line that is `rate` times as fast."""
+    head = run.head
+    write_calibration(folder / "calibration.json", run.calibration)
+    write_board_type(folder / "board-types" / f"{run.board_type.name}.json", run.board_type)
+    return StationConfig(
+        name=f"vaoi-bench-{os.getpid()}",
+        calibration=folder / "calibration.json",
+        board_types=folder / "board-types",
+        data=folder / f"data-{rate:g}",
+        workers=workers,
+        line=_faster(run.line, rate),
+        cameras=tuple(
+            CameraConfig(
+                name=f"camera {n}", backend="replay", width=c.width, height=c.height, exposure_us=c.exposure_us
+            )
+            for n, c in enumerate(head.cameras)
+        ),
+        controller={"backend": "replay"},
+        replay=ReplayConfig(recordings=(run.directory,)),
+        ring=RingConfig(directory=ring, runs=3),
+    )  # fmt: skip
+
+
+def _faster(line: Line, rate: float) -> Line:
+    # All times shrink together, so that each pulse meets the board at the same place as in the prerendered run.
+    return line.model_copy(
+        update={
+            "conveyor_mm_s": tuple(v * rate for v in line.conveyor_mm_s),
+            "start_delay_s": line.start_delay_s / rate,
+            "trigger_period_s": line.trigger_period_s / rate,
+            "tail_s": line.tail_s / rate,
+        }
+    )
+
+
+def _all_ready(coordinator: StationCoordinator) -> bool:
+    snapshot = coordinator.snapshot()
+    return snapshot.state == "idle" and not any(p.doing == "starting" for p in snapshot.processes)
+
+
+def _wait_until(coordinator: StationCoordinator, holds: Callable[[], bool], limit_s: float) -> None:
+    """Wait until a condition holds; raise a StateError after the limit."""
+    deadline, seen = time.monotonic() + limit_s, 0
+    while not holds():
+        if time.monotonic() > deadline:
+            raise StateError(f"The station was not ready within {limit_s:.0f} s: {coordinator.snapshot().reasons}.")
+        # Workers become ready without an event, so the condition is also checked twice a second.
+        records = coordinator.events(seen, 0.5)
+        seen = records[-1].number if records else seen
+
+
+def _follow(coordinator: StationCoordinator, boards: int) -> list[RunDetail]:
+    """Return the details of the runs in the order in which they end; fewer than `boards` if a run takes too long."""
+    runs: list[RunDetail] = []
+    while len(runs) < boards:
+        run = _next(coordinator, runs[-1].id if runs else None)
+        if run is None:
+            break
+        runs.append(run)
+    if not runs:
+        raise StateError(f"No run ended within {RUN_LIMIT_S:.0f} s.", action="See the log.")
+    return runs
+
+
+def _next(coordinator: StationCoordinator, after: str | None) -> RunDetail | None:
+    """Return the run that ends next after a run, or first of all; None after the time limit."""
+    if after is not None:
+        return coordinator.next_run(after, RUN_LIMIT_S)
+    deadline, seen = time.monotonic() + RUN_LIMIT_S, 0
+    while (first := coordinator.latest()) is None and time.monotonic() < deadline:
+        records = coordinator.events(seen, 1.0)
+        seen = records[-1].number if records else seen
+    return first
+
+
+def board_figures(run: RunDetail, timeline: Timeline) -> BoardFigures:
+    """Compute the figures of one run from its details and the times of its tasks."""
+    last_row = run.rows - 1
+    # A link of the last row becomes possible only with the last frame, so it says nothing about a backlog.
+    earlier = [t for t in timeline.tasks if max(t.row, t.other_row or 0) < last_row]
+    lag = np.array([t.done_s - t.ready_s for t in timeline.tasks]) * 1e3
+    late = np.array([max(t.row, t.other_row or 0) >= run.rows / 2 for t in timeline.tasks])
+    timings = run.timings
+    assert timings is not None
+    return BoardFigures(
+        state=run.state,
+        status=str(run.verdict),
+        frames=run.counts.ok,
+        lost=run.counts.missing + run.counts.incomplete,
+        ready_after_last_frame_ms=_ms(timings.ready_after_last_frame_ms),
+        conclude_ms=_ms(timings.conclude_ms),
+        links_open_at_last_frame=sum(t.done_s > timeline.last_frame_s for t in earlier),
+        lag_first_half_ms=_ms(np.median(lag[~late])),
+        lag_second_half_ms=_ms(np.median(lag[late])),
+    )
+
+
+def rate_figures(head: RecordingHead, rate: float, each: tuple[BoardFigures, ...], usage: StationUsage) -> RateFigures:
+    """Combine the figures of all boards at one rate."""
+    frames = sum(b.frames for b in each)
+    ready = [b.ready_after_last_frame_ms for b in each]
+    lost = sum(b.lost for b in each)
+    per_s = rate / head.trigger_period_s
+    # Each frame is linked with its predecessor and at most one neighbour.
+    links_of_a_row = 2 * len(head.cameras)
+    # Derived from the frames instead of a clock: pauses between boards would make the load look smaller than it is.
+    passing_s = frames / (per_s * len(head.cameras))
+    station_cpu_s = sum(s for name, s in usage.cpu_s.items() if name != "sender")
+    return RateFigures(
+        rate=rate,
+        frames_per_s=round(per_s, 2),
+        mbit_per_s=round(sum(c.width * c.height for c in head.cameras) * 8 * per_s * 1e-6, 1),
+        boards=len(each),
+        boards_missed=usage.boards_missed,
+        frames_lost=lost,
+        kept_up=not usage.boards_missed
+        and not lost
+        and max(b.links_open_at_last_frame for b in each) <= links_of_a_row,
+        ready_after_last_frame_ms={
+            "median": _ms(statistics.median(ready)),
+            # A measured value, not one interpolated between two boards.
+            "p99": _ms(np.percentile(ready, 99, method="higher")),
+            "max": max(ready),
+        },
+        conclude_ms=_ms(statistics.median(b.conclude_ms for b in each)),
+        lag_first_half_ms=_ms(statistics.median(b.lag_first_half_ms for b in each)),
+        lag_second_half_ms=_ms(statistics.median(b.lag_second_half_ms for b in each)),
+        links_open_at_last_frame=statistics.median(b.links_open_at_last_frame for b in each),
+        cpu_ms_per_frame={name: round(s * 1e3 / frames, 3) for name, s in usage.cpu_s.items()},
+        cores=round(station_cpu_s / passing_s, 3),
+        sender_cores=round(usage.cpu_s["sender"] / passing_s, 3),
+        memory_mb=usage.memory_mb,
+        statuses={status: sum(b.status == status for b in each) for status in sorted({b.status for b in each})},
+        load_before=round(usage.load_before, 2),
+        each=each,
+    )
+
+
+def _ms(value: Any) -> float:
+    # A run without a result has no times; infinity keeps it in medians as the slowest.
+    return round(float(value), 2) if value is not None else float("inf")
