@@ -26,7 +26,7 @@ _FINE = 3
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras a little off their design, and the board they look at, filmed by rays of its own."""
+    """Cameras slightly off their design, and their frames of a board from an independent ray tracer."""
 
     layout: Layout
     heads: tuple[CameraHead, ...]
@@ -115,7 +115,6 @@ def film() -> Film:
         *,
         layout: Layout | None = None,
         cameras: int = 2,
-        marks: tuple[int, int] = (5, 4),
         shift_mm: float = 0.5,
         roll_deg: float = 0.5,
         distortion_px: float = 0.0,
@@ -126,7 +125,7 @@ def film() -> Film:
         pitch = 0.95 * FIELD[0]
         if layout is None:
             layout = design_board(
-                ArrayDesign(cameras, pitch, FIELD, columns=marks[0], rows=marks[1], mark_mm=1.2, tolerance_mm=1.5)
+                ArrayDesign(cameras, pitch, FIELD, columns=5, rows=4, mark_mm=1.2, tolerance_mm=1.5)
             ).layout
         heads = tuple(
             CameraHead(

@@ -45,7 +45,9 @@ def test_every_camera_is_right_over_its_whole_frame(rig: Any) -> None:
 
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10_000), distortion_px=st.sampled_from([0.0, 0.8]), turned=st.floats(0, 2))
-def test_wherever_the_cameras_hang(film: Any, seed: int, distortion_px: float, turned: float) -> None:
+def test_cameras_off_their_nominal_position_are_calibrated(
+    film: Any, seed: int, distortion_px: float, turned: float
+) -> None:
     rig = film(seed, shift_mm=1.0, roll_deg=turned, distortion_px=distortion_px, cameras=1)
     outcome = rig.calibrate()
     assert max(rig.errors_px(outcome.calibration())) < 0.04
@@ -53,7 +55,7 @@ def test_wherever_the_cameras_hang(film: Any, seed: int, distortion_px: float, t
     assert (bent is not None) or not distortion_px
 
 
-def test_four_marks_suffice_and_say_that_nothing_checks_them(film: Any) -> None:
+def test_four_marks_suffice_with_a_warning(film: Any) -> None:
     marks = [{"x": x, "y": y} for x in (-7.0, 7.3) for y in (-5.5, 5.2)]
     layout = Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": marks})
     rig = film(layout=layout, cameras=1, distortion_px=0.0)
@@ -62,7 +64,7 @@ def test_four_marks_suffice_and_say_that_nothing_checks_them(film: Any) -> None:
     assert "four marks determine N" in outcome.notes[0]
 
 
-def test_a_covered_mark_is_told_and_the_rest_suffice(rig: Any) -> None:
+def test_a_covered_mark_is_reported_and_the_others_suffice(rig: Any) -> None:
     x, y = np.round(rig.seen_at(1, rig.in_view(1)[4])).astype(int)
 
     def cover(camera: int, frame: Any) -> Any:
@@ -130,7 +132,7 @@ def test_another_boards_layout_is_refused(rig: Any) -> None:
     _refused(rig.calibrate(layout=_moved(rig.layout, lambda p: p * 1.3)))
 
 
-def test_a_wrong_layout_of_four_marks_shows_as_a_view_no_camera_has(film: Any) -> None:
+def test_a_wrong_layout_of_four_marks_is_an_implausible_view(film: Any) -> None:
     marks = np.array([(-7.0, -5.5), (7.3, -5.5), (-7.0, 5.2), (7.3, 5.2)])
 
     def layout(places: np.ndarray) -> Layout:
@@ -142,7 +144,7 @@ def test_a_wrong_layout_of_four_marks_shows_as_a_view_no_camera_has(film: Any) -
     assert "stretched by" in said
 
 
-def test_a_layout_of_which_the_board_shows_a_few_marks_only_is_refused(rig: Any, film: Any) -> None:
+def test_a_layout_with_mostly_other_marks_is_refused(rig: Any, film: Any) -> None:
     few = Layout.model_validate(rig.layout.model_dump() | {"marks": rig.layout.model_dump()["marks"][:40:4]})
     said = _refused(film(layout=few).calibrate(layout=rig.layout))
     assert "of the 20 marks that the layout puts into its frame" in said or "fit the layout" in said
@@ -171,13 +173,13 @@ def test_a_dark_camera_is_refused(rig: Any) -> None:
     assert "contrast" in _refused(rig.calibrate(change=lambda i, f: f // 20))
 
 
-def test_a_print_out_of_scale_is_calibrated_and_told(rig: Any) -> None:
+def test_a_print_out_of_scale_is_calibrated_with_a_warning(rig: Any) -> None:
     outcome = rig.calibrate(layout=_moved(rig.layout, lambda p: p * 0.97))
     outcome.calibration()
     assert "check the scale bar of the print" in outcome.notes[-1]
 
 
-def test_without_a_nominal_view_nothing_can_be_known(rig: Any) -> None:
+def test_missing_nominal_views_and_frames_are_refused(rig: Any) -> None:
     from vaoi_station.calibration import calibrate
 
     heads = [h.model_copy(update={"nominal_center_mm": None}) for h in rig.heads]
@@ -187,7 +189,7 @@ def test_without_a_nominal_view_nothing_can_be_known(rig: Any) -> None:
         calibrate(rig.heads, lambda i: None if i else rig.frames[i], rig.layout)
 
 
-def test_strangers_do_no_harm(rig: Any) -> None:
+def test_foreign_marks_have_no_effect(rig: Any) -> None:
     def add(camera: int, frame: Any) -> Any:
         g, free = np.random.default_rng(camera), [rig.seen_at(camera, k) for k in rig.in_view(camera)]
         for _ in range(40):
@@ -206,15 +208,15 @@ def test_strangers_do_no_harm(rig: Any) -> None:
     assert max(rig.errors_px(outcome.calibration())) < 0.02
 
 
-def test_a_layout_that_is_its_own_mirror_image_is_told(film: Any) -> None:
-    """Nothing could tell it from itself, so it is no error; but its symmetry hides how layout.json is written."""
+def test_a_symmetric_layout_gives_a_warning(film: Any) -> None:
+    """No frame can show the orientation of such a layout, so it is accepted."""
     places = [(x, y) for x in (-7.0, 0.0, 7.0) for y in (-5.0, 5.0)]
 
     def laid(*more: tuple[float, float]) -> Layout:
         marks = [{"x": x, "y": y} for x, y in (*places, *more)]
         return Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": marks})
 
-    told = film(layout=laid(), cameras=1, distortion_px=0.0).calibrate().notes
-    assert any("mirrored in x or mirrored in y or turned by 180° is the same layout" in note for note in told)
-    cured = film(layout=laid((3.1, 1.2)), cameras=1, distortion_px=0.0).calibrate().notes
-    assert not any("is the same layout" in note for note in cured)
+    notes = film(layout=laid(), cameras=1, distortion_px=0.0).calibrate().notes
+    assert any("mirrored in x or mirrored in y or turned by 180° is the same layout" in note for note in notes)
+    corrected = film(layout=laid((3.1, 1.2)), cameras=1, distortion_px=0.0).calibrate().notes
+    assert not any("is the same layout" in note for note in corrected)

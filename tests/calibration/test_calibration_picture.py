@@ -19,7 +19,7 @@ def test_the_picture_shows_marks_places_and_residuals(rig: Any) -> None:
     assert not _has(picture, (30, 30, 200))
 
 
-def test_the_picture_of_a_refusal_says_so_in_red(rig: Any) -> None:
+def test_the_picture_of_a_refusal_has_a_red_text(rig: Any) -> None:
     outcome = rig.calibrate(change=lambda i, f: f if i else np.full_like(f, 150))
     assert outcome.refused
     assert _has(draw_calibration(outcome), (30, 30, 200))

@@ -1,4 +1,4 @@
-"""The picture says how far and whereto, on one scale for all cameras, with nothing cut off."""
+"""The picture of a difference: complete arrows, and one scale for all cameras."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WHITE, _INK = (255, 255, 255), (30, 30, 30)
 
 @pytest.fixture
 def knocked(rig: Any) -> CalibrationDifference:
-    """Camera 1 looks 2 px further to the right than it did; nothing is taken out."""
+    """Camera 1 is displaced by 2 px to the right; no motion is removed."""
     one = rig.calibrate().calibration()
     n0, n1 = one.camera_matrices
     moved = np.array([[1, 0, -2.0], [0, 1, 0], [0, 0, 1]]) @ n1
@@ -45,7 +45,7 @@ def test_colours_mean_the_same_in_every_camera_and_on_the_bar(knocked: Calibrati
     assert np.array_equal(foot[MARGIN + WIDTH // 2 - 1], loud), "2 px is a round number: the top of the bar"
 
 
-def test_calibrations_that_agree_are_drawn_too(rig: Any) -> None:
+def test_equal_calibrations_are_drawn_too(rig: Any) -> None:
     one = rig.calibrate().calibration()
     assert draw_difference(compare_calibrations(one, one, rig.heads), rig.heads).shape[2] == 3
 

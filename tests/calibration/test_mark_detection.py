@@ -18,7 +18,7 @@ def _of(rig: Any) -> tuple[Any, Any]:
     return frame, at
 
 
-def test_every_mark_is_seen_to_a_hundredth(rig: Any) -> None:
+def test_every_mark_is_detected_to_a_few_hundredths_of_a_pixel(rig: Any) -> None:
     frame, at = _of(rig)
     seen = detect_marks(frame, KIND)
     assert len(seen.px) == len(at)

@@ -38,16 +38,16 @@ def _framed(px: Floats) -> list[int]:
     turn_deg=st.floats(-4, 4),
     scale=st.floats(0.97, 1.03),
     covered=st.integers(0, 8),
-    strangers=st.integers(0, 6),
+    foreign=st.integers(0, 6),
     seed=st.integers(0, 1000),
 )
-def test_marks_are_known_by_their_pattern(
-    shift: tuple[float, float], turn_deg: float, scale: float, covered: int, strangers: int, seed: int
+def test_marks_are_identified_by_their_pattern(
+    shift: tuple[float, float], turn_deg: float, scale: float, covered: int, foreign: int, seed: int
 ) -> None:
     g, px = np.random.default_rng(seed), _seen(OWN, 1, shift, turn_deg, scale)
     inside = _framed(px)
     kept = [int(k) for k in g.permutation(inside)[: max(len(inside) - covered, 5)]]
-    seen = np.vstack([px[kept], g.uniform(60, 980, (strangers, 2))])
+    seen = np.vstack([px[kept], g.uniform(60, 980, (foreign, 2))])
     best = choose_hypotheses([find_hypotheses(seen, OWN, HEADS[1], 1, SIZE)])[0]
     assert best is not None
     right = {(k, n) for n, k in enumerate(kept)}
@@ -56,7 +56,7 @@ def test_marks_are_known_by_their_pattern(
     assert np.abs(apply(best.similarity, OWN[kept]) - px[kept]).max() < 4
 
 
-def test_what_is_missing_at_the_edge_decides_between_shifts_of_a_grid() -> None:
+def test_missing_marks_at_the_edge_decide_between_shifts_of_a_grid() -> None:
     x, y = np.arange(7) * 3.5 - 10.5, np.arange(7) * 2.8 - 8.4
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     px = _seen(grid, 0, (2.9, 2.2), 1.0)  # more than half a spacing off
@@ -65,7 +65,7 @@ def test_what_is_missing_at_the_edge_decides_between_shifts_of_a_grid() -> None:
     assert [(a, b) for a, b in best.pairs.tolist()] == [(k, n) for n, k in enumerate(_framed(px))]
 
 
-def test_cameras_agree_on_how_the_board_lies_where_a_grid_could_lie_anyhow() -> None:
+def test_the_common_offset_of_all_cameras_decides_for_an_ambiguous_grid() -> None:
     x, y = np.arange(-20, 60) * 4.0, np.arange(-20, 20) * 4.0
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     options = []
@@ -81,13 +81,13 @@ def test_cameras_agree_on_how_the_board_lies_where_a_grid_could_lie_anyhow() -> 
     assert np.hypot(*(other.offset_mm - best[0].offset_mm)) > 3.9
 
 
-def test_nothing_comes_of_nothing() -> None:
+def test_without_marks_there_is_no_hypothesis() -> None:
     assert find_hypotheses(np.zeros((0, 2)), OWN, HEADS[0], 0, SIZE) == ()
     assert find_hypotheses(np.array([[600.0, 500], [700, 700]]), OWN + 500, HEADS[0], 0, SIZE) == ()
     assert choose_hypotheses([()]) == [None]
 
 
-def test_our_own_board_has_no_rival() -> None:
+def test_the_designed_board_is_unambiguous() -> None:
     px = _seen(OWN, 1, (1.0, -2.0), 2.0)
     options = find_hypotheses(px[_framed(px)], OWN, HEADS[1], 1, SIZE)
     assert find_rival(options, options[0]) is None

@@ -36,6 +36,15 @@ def test_exactly_the_displaced_marks_are_removed(seed: int, wrong: set[int], off
     assert len(found.residuals_px) == len(kept)
 
 
+def test_two_outliers_are_removed_one_after_the_other() -> None:
+    px = noisy(5)
+    px[3] += (0.8, 0)
+    px[11] -= (0, 2.0)
+    found, kept = remove_outliers(fit(MARKS, px), MARKS, px)
+    assert sorted(set(range(20)) - set(kept)) == [3, 11]
+    assert found.rms_px < 0.01
+
+
 def test_outliers_that_mask_each_other_leave_large_residuals() -> None:
     """With three of five marks of an edge no single one is inconsistent, but the residuals refuse the fit."""
     px = noisy(0)

@@ -15,7 +15,7 @@ def _view(x: float = 40.0, y: float = 40.0, tilt_per_mm: float = 0.0) -> Floats:
     return np.asarray(middle @ np.array([[x, 0, 0], [0, y, 0], [tilt_per_mm, 0, 1.0]]))
 
 
-def test_a_camera_as_designed_is_believed() -> None:
+def test_a_camera_as_designed_is_plausible() -> None:
     assert find_implausibility(_view(), HEAD, 483.0) is None
     assert find_implausibility(_view(40.05, 40.0, 3e-6), HEAD, 483.0) is None
     assert local_scales(_view(), HEAD) == pytest.approx((40, 40))
@@ -31,13 +31,13 @@ def test_a_camera_as_designed_is_believed() -> None:
         (_view(40, 40, 0.06), "horizon"),
     ],
 )
-def test_views_no_camera_has_are_refused(matrix: Floats, reason: str) -> None:
+def test_impossible_views_are_refused(matrix: Floats, reason: str) -> None:
     said = find_implausibility(matrix, HEAD, 483.0)
     assert said is not None
     assert reason in said
 
 
-def test_a_print_out_of_scale_is_told() -> None:
+def test_a_print_out_of_scale_gives_a_warning() -> None:
     assert print_scale_note(1.01) is None
     said = print_scale_note(0.97)
     assert said is not None

@@ -1,4 +1,4 @@
-"""A pinhole camera written out by itself, against which `geometry.Camera` is checked."""
+"""An independent pinhole camera, against which `geometry.Camera` is checked."""
 
 from __future__ import annotations
 

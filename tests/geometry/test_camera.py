@@ -44,7 +44,7 @@ def test_foot_does_not_depend_on_the_scale_of_the_matrix(pinhole: Any, calibrate
 
 @shared
 @given(place=places, tilt=tilts, y_down=st.booleans(), around=offsets, height=st.floats(-5, 60))
-def test_project_sees_heights_as_a_pinhole_camera_does(
+def test_projection_of_heights_agrees_with_a_pinhole_camera(
     *, pinhole: Any, calibrated: Make, place: Any, tilt: Any, y_down: bool, around: Any, height: float
 ) -> None:
     truth = pinhole(40 * place[2], place, tilt, y_down)
@@ -55,7 +55,7 @@ def test_project_sees_heights_as_a_pinhole_camera_does(
 
 @shared
 @given(tilt=tilts, around=offsets, heights=st.lists(st.floats(-5, 60), min_size=5, max_size=5))
-def test_ground_undoes_project_at_heights(
+def test_ground_inverts_project_at_each_height(
     pinhole: Any, calibrated: Make, tilt: Any, around: Any, heights: list[float]
 ) -> None:
     camera = calibrated(pinhole(40 * 483.0, (100.0, -50.0, 483.0), tilt), lens=LENS)
@@ -76,7 +76,7 @@ def test_the_homography_of_a_plane_at_a_height_agrees_with_project(
 
 @shared
 @given(tilt=tilts, height=st.floats(-5, 20), margin=st.floats(-5, 40), a1=st.floats(-0.02, 0.02))
-def test_what_is_seen_lies_in_the_box_of_the_view(
+def test_all_visible_points_lie_in_the_box_of_the_view(
     pinhole: Any, calibrated: Make, tilt: Any, height: float, margin: float, a1: float
 ) -> None:
     lens = Lens((695.5, 519.5), 868.8, (a1,))
@@ -88,7 +88,7 @@ def test_what_is_seen_lies_in_the_box_of_the_view(
 
 
 def test_parallax_points_to_the_foot(pinhole: Any, calibrated: Make) -> None:
-    """What is seen at 48.3 mm from the foot and stands 10 mm high is really 1 mm nearer to the foot."""
+    """A point seen at 48.3 mm from the foot with a height of 10 mm is 1 mm nearer to the foot."""
     camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.0, 0.0, 0.0)))
     np.testing.assert_allclose(camera.parallax((48.3, 0)) * 10, (-1, 0), atol=1e-9)
     np.testing.assert_allclose(camera.ground(camera.project((48.3, 0)), 10.0), (47.3, 0), atol=1e-9)
@@ -124,7 +124,7 @@ def test_sees_ends_at_the_border_pixels_less_the_margin(pinhole: Any, calibrated
     assert camera.sees(p, margin_px=10).tolist() == [False] * 6
 
 
-def test_a_distant_neighbour_does_not_see_the_board_through_its_lens(pinhole: Any, calibrated: Make) -> None:
+def test_distant_points_do_not_fold_back_into_the_frame(pinhole: Any, calibrated: Make) -> None:
     camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.0, 0.0, 0.0)), lens=LENS)
     far = np.column_stack([np.linspace(20, 4000, 400), np.zeros(400)])
     assert not camera.sees(camera.project(far)).any()

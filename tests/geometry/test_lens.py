@@ -25,14 +25,14 @@ def test_the_polynomial_is_the_one_of_the_format() -> None:
     st.tuples(st.floats(600, 800), st.floats(400, 600)),
     st.lists(st.floats(-0.05, 0.15), min_size=1, max_size=3),
 )
-def test_distort_undoes_undistort(raw: np.ndarray, center: tuple[float, float], radial: list[float]) -> None:
+def test_distort_inverts_undistort(raw: np.ndarray, center: tuple[float, float], radial: list[float]) -> None:
     lens = Lens(center, RADIUS, tuple(radial))
     assume(lens.turning_point > 1.05 * np.hypot(*(raw - center).T).max() / RADIUS)
     np.testing.assert_allclose(lens.distort(lens.undistort(raw)), raw, atol=1e-9)
 
 
 @given(pixels, st.floats(-0.25, 1.0))
-def test_undistort_undoes_distort_even_for_a_fisheye(undistorted: np.ndarray, a1: float) -> None:
+def test_undistort_inverts_distort_even_for_a_fisheye(undistorted: np.ndarray, a1: float) -> None:
     lens = Lens((695.5, 519.5), RADIUS, (a1,))
     inside = np.hypot(*(undistorted - lens.center_px).T) < 0.9 * RADIUS * min(1.0, lens.turning_point * 2 / 3)
     np.testing.assert_allclose(lens.undistort(lens.distort(undistorted))[inside], undistorted[inside], atol=1e-9)
@@ -58,7 +58,7 @@ def test_turning_point_is_where_the_polynomial_stops_growing() -> None:
 
 @pytest.mark.parametrize("a1", [-0.00115, -0.02, -0.1])
 def test_points_beyond_the_turning_point_never_fall_back_into_the_frame(a1: float) -> None:
-    """A camera is asked where it would see what its twelfth neighbour films; the answer is: far outside."""
+    """Points that only a distant camera films project far outside the frame."""
     lens = Lens((695.5, 519.5), RADIUS, (a1,))
     out = np.geomspace(RADIUS, 100 * RADIUS, 200)
     raw = lens.distort(np.column_stack([695.5 + out, np.full_like(out, 519.5)]))[:, 0] - 695.5

@@ -55,7 +55,7 @@ def test_no_other_similarity_fits_noisy_points_better(p: np.ndarray) -> None:
         assert cost(found) <= cost(other) + 1e-9
 
 
-def test_handedness_is_told_never_guessed() -> None:
+def test_handedness_is_given_and_never_estimated() -> None:
     p = np.array([[0, 0], [10, 0], [0, 5.0]])
     found = fit(p * (1, -1), p, mirrored=False)
     assert isinstance(found, Similarity)
@@ -74,13 +74,13 @@ def test_handedness_is_told_never_guessed() -> None:
         ([[1, 0], [-1, 0], [0, 1], [0, -1]], [[1, 0], [-1, 0], [0, -1], [0, 1]], "nothing in common"),
     ],
 )
-def test_what_fixes_nothing_fails_with_a_reason(target: object, source: object, reason: str) -> None:
+def test_degenerate_points_fail_with_a_reason(target: object, source: object, reason: str) -> None:
     found = fit(target, source)
     assert isinstance(found, Failure)
     assert reason in found.reason
 
 
-def test_unpaired_points_are_our_mistake() -> None:
+def test_unpaired_points_are_an_internal_error() -> None:
     with pytest.raises(InternalError, match="pairs"):
         fit([[1, 2]], [[1, 2], [3, 4]])
 

@@ -40,7 +40,7 @@ def test_apply_divides_by_the_homogeneous_part_and_keeps_the_shape() -> None:
 
 
 @given(similarities, points)
-def test_inverse_undoes_a_similarity(tester_from_cad: Similarity, p: np.ndarray) -> None:
+def test_the_inverse_of_a_similarity_maps_back(tester_from_cad: Similarity, p: np.ndarray) -> None:
     back = tester_from_cad.inverse()
     assert (back.target, back.source) == (System.CAD, System.TESTER)
     assert type(back) is Similarity
@@ -48,12 +48,14 @@ def test_inverse_undoes_a_similarity(tester_from_cad: Similarity, p: np.ndarray)
 
 
 @given(homographies, points)
-def test_inverse_undoes_a_homography(image_from_row: Projective, p: np.ndarray) -> None:
+def test_the_inverse_of_a_homography_maps_back(image_from_row: Projective, p: np.ndarray) -> None:
     np.testing.assert_allclose(image_from_row.inverse()(image_from_row(p)), p, atol=1e-5)
 
 
 @given(homographies, motions, similarities, points)
-def test_a_product_is_one_after_the_other(n: Projective, d: Euclidean, c: Similarity, p: np.ndarray) -> None:
+def test_a_product_applies_its_factors_from_right_to_left(
+    n: Projective, d: Euclidean, c: Similarity, p: np.ndarray
+) -> None:
     image_from_cad = n @ d @ c
     assert (image_from_cad.target, image_from_cad.source) == (System.IMAGE, System.CAD)
     np.testing.assert_allclose(image_from_cad(p), n(d(c(p))), rtol=1e-6, atol=1e-6)
@@ -70,7 +72,7 @@ def test_a_product_is_of_the_more_general_kind() -> None:
     assert type(d @ e) is Euclidean
 
 
-def test_a_product_of_strangers_is_refused() -> None:
+def test_a_product_with_different_inner_systems_is_refused() -> None:
     d = Euclidean.identity(System.ROW, System.TESTER)
     with pytest.raises(InternalError, match="row_from_tester @ image_from_row: no match"):
         d @ Projective(np.eye(3), System.IMAGE, System.ROW)
@@ -89,7 +91,7 @@ def test_angles_run_from_x_towards_y() -> None:
 
 
 @given(scales, angles, shifts, st.booleans())
-def test_a_similarity_tells_what_it_was_made_of(k: float, a: float, t: tuple[float, float], mirrored: bool) -> None:
+def test_a_similarity_returns_its_parameters(k: float, a: float, t: tuple[float, float], mirrored: bool) -> None:
     made = Similarity.of(k, a, t, System.TESTER, System.CAD, mirrored=mirrored)
     assert made.scale == pytest.approx(k)
     assert math.cos(made.angle_rad - a) == pytest.approx(1)
@@ -123,7 +125,7 @@ def test_scale_at_is_the_root_of_the_area_ratio(n: Projective, p: tuple[float, f
 
 
 @pytest.mark.parametrize("bad", [np.eye(2), np.full((3, 3), np.nan), np.diag([1, 1, np.inf])])
-def test_what_is_no_finite_matrix_is_refused(bad: np.ndarray) -> None:
+def test_a_matrix_that_is_not_finite_is_refused(bad: np.ndarray) -> None:
     with pytest.raises(InternalError, match="image_from_row is not a finite 3×3 matrix"):
         Projective(bad, System.IMAGE, System.ROW)
 
@@ -138,13 +140,13 @@ def test_what_is_no_finite_matrix_is_refused(bad: np.ndarray) -> None:
         [[0, 0, 0], [0, 0, 0], [0, 0, 1]],
     ],
 )
-def test_what_stretches_shears_or_tilts_is_no_similarity(bad: list[list[float]]) -> None:
+def test_stretch_shear_and_tilt_are_no_similarity(bad: list[list[float]]) -> None:
     with pytest.raises(InternalError, match="tester_from_cad is no similarity"):
         Similarity(np.array(bad), System.TESTER, System.CAD)
 
 
 @pytest.mark.parametrize("bad", [np.diag([2, 2, 1.0]), np.diag([1, -1, 1.0])])
-def test_what_scales_or_mirrors_is_no_motion(bad: np.ndarray) -> None:
+def test_scale_and_reflection_are_no_motion(bad: np.ndarray) -> None:
     with pytest.raises(InternalError, match="no rigid motion"):
         Euclidean(bad, System.ROW, System.TESTER)
 
@@ -165,7 +167,7 @@ def test_matrices_are_copied_and_read_only() -> None:
 
 
 @given(st.one_of(similarities, motions, homographies))
-def test_in_another_process_a_transform_is_the_same_and_cannot_be_changed_either(transform: Projective) -> None:
+def test_a_pickled_transform_is_equal_and_read_only(transform: Projective) -> None:
     there = pickle.loads(pickle.dumps(transform))
     assert type(there) is type(transform)
     assert (there.target, there.source) == (transform.target, transform.source)

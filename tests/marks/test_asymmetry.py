@@ -1,4 +1,4 @@
-"""Marks that are whole are trusted as they are; others say by how much they may be off."""
+"""Standard deviations of undisturbed, covered and glaring marks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def found(picture: Any, shape: Any = "circle") -> Mark:
 
 @pytest.mark.parametrize("shape", ["circle", "square", "diamond", "cross"])
 @pytest.mark.parametrize(("contrast", "noise"), [(150.0, 0.0), (150.0, 3.0), (60.0, 3.0)])
-def test_a_whole_mark_is_as_sure_as_its_noise_lets_it_be(
+def test_the_sigma_of_an_undisturbed_mark_is_that_of_its_noise(
     paint: Paint, shape: str, contrast: float, noise: float
 ) -> None:
     mark = found(marked(paint, shape, mark=60 + contrast, noise=noise), shape)
@@ -34,7 +34,7 @@ def test_a_whole_mark_is_as_sure_as_its_noise_lets_it_be(
     assert np.hypot(*(mark.px - PLACE)) < 4 * mark.sigma_px + 0.01
 
 
-def test_vignetting_is_no_glare(paint: Paint) -> None:
+def test_vignetting_does_not_increase_sigma(paint: Paint) -> None:
     y, x = np.mgrid[:120, :120]
     picture = marked(paint) * (1 + 0.001 * (x - 60) - 0.0005 * (y - 60))
     assert found(picture.clip(0, 255).astype(np.uint8)).sigma_px < 0.02
@@ -42,7 +42,7 @@ def test_vignetting_is_no_glare(paint: Paint) -> None:
 
 @pytest.mark.parametrize("covered", [0.38, 0.34, 0.3])
 @pytest.mark.parametrize("turn", [0, 1])
-def test_a_covered_mark_admits_what_it_is_off(paint: Paint, covered: float, turn: int) -> None:
+def test_the_sigma_of_a_covered_mark_covers_its_error(paint: Paint, covered: float, turn: int) -> None:
     picture = marked(paint)
     from_px = round(PLACE[turn] + covered * SIZE)
     if turn:
@@ -57,11 +57,11 @@ def test_a_covered_mark_admits_what_it_is_off(paint: Paint, covered: float, turn
 
 @pytest.mark.parametrize("levels", [60, 120, 180])
 @pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
-def test_a_mark_in_a_glare_admits_what_it_is_off(paint: Paint, levels: float, angle: float) -> None:
+def test_the_sigma_of_a_mark_in_glare_covers_its_error(paint: Paint, levels: float, angle: float) -> None:
     y, x = np.mgrid[:120, :120]
     u, v = (x - PLACE[0]) / SIZE - 0.45 * np.cos(angle), (y - PLACE[1]) / SIZE - 0.45 * np.sin(angle)
     picture = (marked(paint) + levels * np.exp(-2 * (u**2 + v**2))).clip(0, 255).astype(np.uint8)
     mark = locate_mark(picture, PLACE, "circle", SIZE)
     if isinstance(mark, Mark):
         assert np.hypot(*(mark.px - PLACE)) < (3 if levels < 180 else 5) * mark.sigma_px
-        assert levels < 180 or mark.sigma_px > 0.5, "half of it is white: it has no say"
+        assert levels < 180 or mark.sigma_px > 0.5, "half of it is saturated: its weight must vanish"

@@ -32,7 +32,7 @@ def test_every_mark_is_found(paint: Paint, shape: Shape, light: bool, size: floa
     assert (np.diff(scores) <= 0).all(), "the best first"
 
 
-def test_no_more_than_asked_for_and_those_the_best(paint: Paint) -> None:
+def test_at_most_the_requested_number_of_best_candidates_is_returned(paint: Paint) -> None:
     image = paint([("circle", x, y, 6.0) for x, y in PLACES], size=(128, 88), noise=1.0)
     all_of_them, scores = find_candidates(image, "circle", 6.0)
     two, best = find_candidates(image, "circle", 6.0, most=2)

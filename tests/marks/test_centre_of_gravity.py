@@ -10,7 +10,7 @@ from vaoi_station.marks.mark_shape import Shape, coverage
 
 @pytest.mark.parametrize("shape", ["circle", "cross", "square", "diamond"])
 @pytest.mark.parametrize("light", [False, True])
-def test_the_papers_way_finds_a_mark_to_half_a_pixel(shape: Shape, light: bool) -> None:
+def test_the_paper_method_locates_a_mark_to_half_a_pixel(shape: Shape, light: bool) -> None:
     ink, paper = (210, 40) if light else (40, 210)
     image = np.rint(paper + (ink - paper) * coverage(shape, 24.0, 160, (83.3, 71.6))).astype(np.uint8)
     found = locate_by_centre_of_gravity(image, np.array([80.0, 76.0]), shape, 24.0, light=light)
@@ -18,7 +18,7 @@ def test_the_papers_way_finds_a_mark_to_half_a_pixel(shape: Shape, light: bool) 
     assert np.hypot(*(found - (83.3, 71.6))) < 0.5
 
 
-def test_what_is_not_there_is_a_failure() -> None:
+def test_a_missing_mark_is_a_failure() -> None:
     image = np.random.default_rng(1).integers(90, 110, (160, 160)).astype(np.uint8)
     found = locate_by_centre_of_gravity(image, np.array([80.0, 80.0]), "cross", 24.0, light=True)
     assert isinstance(found, Failure)

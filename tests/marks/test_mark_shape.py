@@ -26,12 +26,12 @@ def test_coverage_is_a_share_and_adds_up_to_the_area(shape: Shape, size: float, 
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_it_is_what_the_shape_covers(paint: Callable[..., Any], shape: Shape) -> None:
+def test_coverage_agrees_with_fine_sampling(paint: Callable[..., Any], shape: Shape) -> None:
     exact = paint([(shape, 20.3, 19.6, 15.0)], size=(41, 41), mark=200.0, ground=0.0, blur_px=0) / 200
     assert np.abs(coverage(shape, 15.0, 41, (20.3, 19.6)) - exact).max() < (0.12 if shape == "circle" else 0.3)
 
 
-def test_in_the_middle_by_default() -> None:
+def test_the_default_centre_is_that_of_the_picture() -> None:
     picture = coverage("circle", 9.0, 21)
     assert np.array_equal(picture, picture[::-1])
     assert np.array_equal(picture, picture.T)

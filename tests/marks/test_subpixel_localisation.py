@@ -36,7 +36,7 @@ def test_a_clean_mark_is_found_to_two_hundredths_of_a_pixel(
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_whole_pixels_do_not_attract(paint: Paint, shape: Shape) -> None:
+def test_the_position_has_no_bias_towards_whole_pixels(paint: Paint, shape: Shape) -> None:
     bias = []
     for f in np.arange(0, 1, 0.125):
         truth = np.array([48 + f, 40.25])
@@ -48,7 +48,7 @@ def test_whole_pixels_do_not_attract(paint: Paint, shape: Shape) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_noise_scatters_as_little_as_it_says(paint: Paint, shape: Shape) -> None:
+def test_the_scatter_by_noise_agrees_with_sigma(paint: Paint, shape: Shape) -> None:
     g, truth, errors, sigmas = np.random.default_rng(2), np.array([48.3, 39.8]), [], []
     clean = paint([(shape, *truth, 16.0)]).astype(float)
     for _ in range(40):
@@ -58,13 +58,13 @@ def test_noise_scatters_as_little_as_it_says(paint: Paint, shape: Shape) -> None
         errors.append(found.px - truth)
         sigmas.append(found.sigma_px)
     rms = float(np.sqrt(np.mean(np.square(errors))))
-    print(shape, f"rms {rms:.4f} px, said {np.mean(sigmas):.4f} px")
+    print(shape, f"rms {rms:.4f} px, claimed {np.mean(sigmas):.4f} px")
     assert rms < 0.04
     assert rms < 4 * np.mean(sigmas)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_light_and_its_slope_do_not_matter(paint: Paint, shape: Shape) -> None:
+def test_a_gradient_of_the_light_has_little_effect(paint: Paint, shape: Shape) -> None:
     truth = np.array([48.2, 40.4])
     slope = 1 + 0.0008 * (np.arange(96) - 48)
     image = np.round(paint([(shape, *truth, 16.0)], mark=120.0, ground=70.0) * slope).astype(np.uint8)
@@ -74,7 +74,7 @@ def test_light_and_its_slope_do_not_matter(paint: Paint, shape: Shape) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_nothing_there_is_a_reason(shape: Shape) -> None:
+def test_a_frame_without_a_mark_fails_with_a_reason(shape: Shape) -> None:
     flat = np.full((80, 96), 90, dtype=np.uint8)
     grainy = np.random.default_rng(0).normal(90, 2, (80, 96)).round().astype(np.uint8)
     for image in (flat, grainy):
@@ -115,7 +115,7 @@ def test_a_disc_that_is_partly_covered_is_refused_by_its_size(paint: Paint) -> N
     assert "more than 15% off the nominal" in refused.reason
 
 
-def test_a_disc_that_is_partly_covered_and_found_says_how_unsure_it_is(paint: Paint) -> None:
+def test_the_sigma_of_a_partly_covered_disc_covers_its_error(paint: Paint) -> None:
     image = paint([("circle", 48, 40, 30.0)])
     image[:, 54:] = 60
     found = locate_mark(image, np.array([48.0, 40.0]), "circle", 30.0)
@@ -123,7 +123,7 @@ def test_a_disc_that_is_partly_covered_and_found_says_how_unsure_it_is(paint: Pa
     assert np.hypot(*(found.px - (48, 40))) < 4 * found.sigma_px
 
 
-def test_an_edge_is_no_mark(paint: Paint) -> None:
+def test_an_edge_is_refused(paint: Paint) -> None:
     image = np.full((80, 96), 60, dtype=np.uint8)
     image[:, 48:] = 200
     for shape in SHAPES:
@@ -138,8 +138,8 @@ def test_a_mark_cut_off_by_the_border_is_refused(paint: Paint, place: tuple[int,
     assert f"the mark at {place} px is cut off by the frame's border" in refused.reason
 
 
-def test_a_mark_too_far_from_its_prediction_is_not_claimed(paint: Paint) -> None:
-    """Right to a third of its size is the promise; what lies further is another mark's business."""
+def test_a_mark_too_far_from_its_prediction_is_refused(paint: Paint) -> None:
+    """Predictions are right to a third of the size; a mark further away is another one."""
     image = paint([("circle", 48, 40, 16.0)], size=(120, 100))
     found = locate_mark(image, np.array([48.0 + 16.0, 40.0]), "circle", 16.0)
     assert isinstance(found, Failure) or np.hypot(*(found.px - (48, 40))) < 0.05

@@ -23,7 +23,7 @@ def test_frames_and_buffers() -> None:
     assert buffer_bytes(12, 40, 1392 * 1040, runs=3) == 3 * 694_886_400
 
 
-def test_nothing_to_hold_is_refused() -> None:
+def test_zero_rows_and_bits_are_refused() -> None:
     with pytest.raises(InputError, match="rows is 0"):
         buffer_bytes(12, 0, 100)
     with pytest.raises(InputError, match="bits_per_pixel is 0"):

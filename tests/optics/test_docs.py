@@ -1,4 +1,4 @@
-"""docs/engineering/optics.md tells the truth: its map of equations, and the output it shows."""
+"""docs/engineering/optics.md: its table of equations, and the output that it shows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_every_numbered_equation_is_in_the_map_once() -> None:
     assert numbered == ["1", "2", "3", "4", "5", "6"]
 
 
-def test_no_row_of_the_tables_escapes_these_tests() -> None:
+def test_all_rows_of_the_tables_are_tested() -> None:
     assert len(ROWS) == len(re.findall(r"^\|.*tests/", TEXT, re.MULTILINE))
     assert len({function for _, function, *_ in ROWS}) == len(ROWS)
 
@@ -46,7 +46,7 @@ def test_the_docstring_of_a_numbered_function_names_its_equation(number: int) ->
     assert f"equation ({number})" in (getattr(optics, function).__doc__ or "")
 
 
-def test_the_paper_is_among_the_examples_and_none_escapes() -> None:
+def test_both_examples_of_the_page_are_tested() -> None:
     assert EXAMPLES[0][0] == "vaoi plan --example paper"
     assert len(EXAMPLES) == TEXT.count("```console") == 2
 

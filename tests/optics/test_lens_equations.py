@@ -21,7 +21,7 @@ def test_equation_1_by_similar_triangles() -> None:
     assert focal_length_mm(100, sensor_px_h=1000, resolution_px_per_mm=100, sensor_width_mm=10) == pytest.approx(50)
 
 
-def test_the_75_mm_lens_stands_at_483_mm() -> None:
+def test_the_75_mm_lens_has_a_distance_of_483_mm() -> None:
     assert working_distance_mm(75, 1392, 40, 6.4) == pytest.approx(483, abs=0.5)
 
 
@@ -62,7 +62,7 @@ def test_the_airy_disc_at_unit_magnification() -> None:
 
 @pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), True, "75"])
 @pytest.mark.parametrize("place", range(4))
-def test_equation_1_refuses_what_is_no_length(bad: float, place: int) -> None:
+def test_equation_1_refuses_invalid_lengths(bad: float, place: int) -> None:
     given_values: list[float] = [500, 1392, 40, 6.4]
     given_values[place] = bad
     name = ["distance_mm", "sensor_px_h", "resolution_px_per_mm", "sensor_width_mm"][place]

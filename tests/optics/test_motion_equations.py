@@ -57,7 +57,7 @@ def test_parallax_per_mm_is_the_slope_at_the_board() -> None:
 
 
 @pytest.mark.parametrize("bad", [0, -3, float("nan")])
-def test_what_does_not_move_or_resolve_is_refused(bad: float) -> None:
+def test_zero_and_invalid_quantities_are_refused(bad: float) -> None:
     with pytest.raises(InputError, match="speed_mm_s"):
         motion_blur_px(bad, 40, 250)
     with pytest.raises(InputError, match="exposure_us"):

@@ -28,7 +28,7 @@ def test_the_papers_choice_gives_the_papers_figures() -> None:
     assert plan.data.rows == 40
 
 
-def test_the_paper_rounds_in_its_own_favour_twice_and_the_plan_says_so() -> None:
+def test_the_plan_reports_both_favourable_roundings_of_the_paper() -> None:
     plan = make_plan(PAPER)
     assert not plan.ok
     assert [c.name for c in plan.constraints if c.ok is False] == ["cameras", "frame rate"]
@@ -52,7 +52,7 @@ def test_without_a_circle_of_confusion_the_aperture_stays_open() -> None:
     assert "gives none" in figure.remark
 
 
-def test_a_plan_with_free_hands_chooses_what_just_suffices() -> None:
+def test_a_free_plan_chooses_what_just_suffices() -> None:
     plan = make_plan(FREE)
     assert plan.ok
     assert plan.array.cameras == 13
@@ -79,7 +79,7 @@ def test_a_plan_with_free_hands_chooses_what_just_suffices() -> None:
         blur_px=st.floats(0.5, 4),
     )
 )
-def test_a_plan_with_free_hands_violates_nothing(requirements: Requirements) -> None:
+def test_a_free_plan_violates_no_constraint(requirements: Requirements) -> None:
     plan = make_plan(requirements)
     assert plan.ok
     for c in plan.constraints:
@@ -126,7 +126,7 @@ def test_each_constraint_can_be_violated_and_can_hold(change: dict[str, Any], vi
     assert held.margin >= 0
 
 
-def test_depth_of_field_is_taken_where_the_camera_stands() -> None:
+def test_depth_of_field_is_computed_at_the_working_distance() -> None:
     plan = make_plan(replace(PAPER, circle_of_confusion_mm=0.0046))
     assert plan.lens.f_number == pytest.approx(10 * 75**2 / (0.0046 * (482.8125 - 75) * (482.8125 - 10)))
     assert plan.lens.depth_of_field_mm == pytest.approx(10)

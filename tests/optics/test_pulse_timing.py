@@ -54,7 +54,7 @@ def test_every_point_is_in_as_many_rows_as_promised(board: float, view: float, v
     assert seen >= math.floor(m_v)
 
 
-def test_nonsense_is_refused() -> None:
+def test_invalid_times_are_refused() -> None:
     with pytest.raises(InputError, match="frame_rate_hz is 0"):
         trigger_period_us(0)
     with pytest.raises(InputError, match="readout_us is -1, but must be a finite number, 0 or above"):

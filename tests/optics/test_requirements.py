@@ -31,7 +31,7 @@ from vaoi_station.optics.paper_example import PAPER
         ({"circle_of_confusion_mm": 6.4}, "circle_of_confusion_mm is 6.4, but must be below sensor_width_mm, 6.4 mm"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_field_value_and_limit(change: dict[str, Any], complaint: str) -> None:
+def test_invalid_quantities_are_refused_with_field_value_and_limit(change: dict[str, Any], complaint: str) -> None:
     with pytest.raises(InputError) as refused:
         replace(PAPER, **change)
     assert str(refused.value).startswith(f"requirements: {complaint}")

@@ -62,6 +62,6 @@ def test_no_view_looks_like_another_or_its_mirror_image() -> None:
         ({"arm": 0.9}, "arm is 0.9"),
     ],
 )
-def test_boards_that_cannot_be_are_refused(change: dict[str, float], said: str) -> None:
+def test_impossible_boards_are_refused(change: dict[str, float], said: str) -> None:
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
         design_board(replace(PAPER, **change))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Marks covered and lenses out of focus, on films of the twin: what is calibrated all the same, and what is said."""
+"""Covered marks and blurred frames of the twin: accepted calibrations and messages of refusals."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_the_picture_of_a_covered_mark_shows_in_red_which_it_is(four: Film) -> N
 
 @pytest.mark.parametrize("grey", GREYS)
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.2])
-def test_of_nine_marks_one_covered_is_told_and_does_no_harm(nine: Film, share: float, grey: int) -> None:
+def test_of_nine_marks_one_covered_is_reported_and_has_no_effect(nine: Film, share: float, grey: int) -> None:
     outcome = nine.covered(nine.first, share, grey)
     assert [c.used for c in outcome.cameras] == [9, 8, 9]
     x, y = nine.seen_at(nine.first)
@@ -119,7 +119,7 @@ def test_of_nine_marks_one_covered_is_told_and_does_no_harm(nine: Film, share: f
 
 
 @pytest.mark.parametrize("grey", GREYS)
-def test_however_little_of_a_mark_is_covered_the_calibration_is_right_or_refused(film: Film, grey: int) -> None:
+def test_with_a_slightly_covered_mark_the_calibration_is_right_or_refused(film: Film, grey: int) -> None:
     for share in (0.02, 0.05, 0.1):
         outcome = film.covered(film.first, share, grey)
         assert outcome.refused or film.worst_px(outcome) < 0.06, share

@@ -1,4 +1,4 @@
-"""The recorded cases, scored by the program that knows the truth, and the twin's own recording."""
+"""The recorded cases, scored by a program with the truth, and a recording of the twin."""
 
 from __future__ import annotations
 
