@@ -54,7 +54,7 @@ def test_refusals_are_the_errors_of_the_station(served: Served) -> None:
 def test_an_address_without_a_station_is_refused() -> None:
     with pytest.raises(vaoi.InputError, match="must start with http"):
         vaoi.connect("localhost:8350")
-    with pytest.raises(vaoi.DeviceError, match="does not answer"):
+    with pytest.raises(vaoi.DeviceError, match="does not reply"):
         vaoi.connect("http://127.0.0.1:9")
 
 

@@ -112,7 +112,7 @@ def torn_document(case: Path) -> None:
         (foreign_calibration, "calibration.json", "format is 'opencv-calibration'"),
         (nan_in_a_matrix, "calibration.json", "camera_matrices.1.0.2 is nan"),
         (one_matrix_too_few, "calibration.json", "camera_matrices has 1 entries, but 2 cameras were filming"),
-        (two_of_one_name, "board.json", "twice; names must differ"),
+        (two_of_one_name, "board.json", "twice; names must be unique"),
         (fiducial_outside, "board.json", "fiducial 'FID2' at (500.0, 5.6) lies outside the outline"),
         (unknown_key, "board.json", "unknown key(s) 'colour'"),
         (torn_document, "recording.json", "not valid JSON at line"),
