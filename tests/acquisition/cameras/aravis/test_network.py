@@ -1,16 +1,14 @@
-"""Arithmetic of packets, and what this machine says of its network."""
+"""Arithmetic of packets, and queries of the network of this machine."""
 
 from __future__ import annotations
 
 import socket
-import struct
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.cameras.aravis import gvcp, network
+from vaoi_station.acquisition.cameras.aravis import network
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.errors import DeviceError, InputError
 
@@ -22,7 +20,7 @@ from vaoi_station.errors import DeviceError, InputError
     st.integers(1500, 16404),
     st.sampled_from([1, 2, 4, 8, 16]),
 )
-def test_packets_are_as_large_as_everybody_permits(
+def test_packets_are_as_large_as_camera_port_and_setting_permit(
     wanted: int | None, mtu: int, smallest: int, largest: int, step: int
 ) -> None:
     most = min(wanted or network.LARGEST_PACKET, mtu, largest)
@@ -66,7 +64,7 @@ def test_loopback_takes_large_packets_and_has_no_speed() -> None:
     assert network.packet_delay_ns(9000, 12, None) == 0
 
 
-def test_a_socket_is_found_by_its_port_and_the_kernel_says_what_it_grants() -> None:
+def test_a_socket_is_found_by_its_port_and_the_granted_size_is_returned() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.bind(("127.0.0.1", 0))
         port = ours.getsockname()[1]
@@ -75,52 +73,3 @@ def test_a_socket_is_found_by_its_port_and_the_kernel_says_what_it_grants() -> N
         assert granted == ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2 == 150_000 != before // 2
         assert network.widen_receive_buffer(port, 2**30) < 2**30
     assert network.widen_receive_buffer(port, 150_000) == 0
-
-
-def test_only_the_answer_to_our_question_counts() -> None:
-    assert gvcp.command(0x80, 77, bytes(4)) == bytes.fromhex("42 01 0080 0004 004d 00000000")
-    assert gvcp.is_reply(bytes.fromhex("0000 0081 0004 004d 00010002"), 0x80, 77)
-    assert gvcp.is_reply(bytes.fromhex("8006 0081 0000 004d"), 0x80, 77), "who refuses is there"
-    assert not gvcp.is_reply(bytes.fromhex("0000 0081 0004 004e 00010002"), 0x80, 77)
-    assert not gvcp.is_reply(bytes.fromhex("0000 0083 0004 004d 00010002"), 0x80, 77)
-    assert not gvcp.is_reply(b"\x00\x00", 0x80, 77)
-
-
-@pytest.mark.parametrize(
-    ("answer", "control"),
-    [
-        ("0000 00000000", gvcp.Control.FREE),
-        ("0000 00000001", gvcp.Control.CONTROLLED),
-        ("0000 00000002", gvcp.Control.CONTROLLED),
-        ("8006", gvcp.Control.CONTROLLED),
-        ("8006 00000000", gvcp.Control.CONTROLLED),
-    ],
-)
-def test_only_a_camera_that_says_so_is_nobodys(
-    monkeypatch: pytest.MonkeyPatch, answer: str, control: gvcp.Control
-) -> None:
-    """One that refuses the question, with or without content, does not tell."""
-    status, content = bytes.fromhex(answer)[:2], bytes.fromhex(answer)[2:]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera, ThreadPoolExecutor(1) as caller:
-        camera.settimeout(20)
-        camera.bind(("127.0.0.1", 0))
-        monkeypatch.setattr(gvcp, "CONTROL_PORT", camera.getsockname()[1])
-        said = caller.submit(gvcp.read_control, "127.0.0.1", timeout_s=20, tries=1)
-        question, asker = camera.recvfrom(1024)
-        assert question[8:] == bytes.fromhex("00000a00")
-        camera.sendto(status + struct.pack(">HH", 0x81, len(content)) + question[6:8] + content, asker)
-        assert said.result() is control
-
-
-def test_a_serial_number_ends_with_a_zero_or_with_its_room() -> None:
-    registers = bytearray(8 + 248)
-    registers[8 + 0x24 : 8 + 0x28] = bytes([192, 168, 7, 31])
-    registers[8 + 0xD8 : 8 + 0xE8] = b"21433566\0garbage"
-    assert gvcp.parse_discovery(bytes(registers)) == gvcp.DiscoveredCamera("192.168.7.31", "21433566")
-    registers[8 + 0xD8 : 8 + 0xE8] = b"0123456789ABCDEF"
-    assert gvcp.parse_discovery(bytes(registers)).serial == "0123456789ABCDEF"
-
-
-def test_where_nobody_listens_nobody_answers() -> None:
-    assert not gvcp.is_reachable("127.0.0.1", timeout_s=0.01)
-    assert gvcp.read_control("127.0.0.1", timeout_s=0.01) is gvcp.Control.ABSENT

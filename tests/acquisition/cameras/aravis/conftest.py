@@ -1,0 +1,16 @@
+"""The stand-in for Aravis in every module that uses the library."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.acquisition.cameras.aravis.stand_in import LIBRARY, StandInError
+from vaoi_station.acquisition.cameras.aravis import connection, discovery, settings, stream
+
+
+@pytest.fixture
+def _stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace the library; the tests of this folder then run where it is not installed."""
+    for module in (connection, discovery, settings, stream):
+        monkeypatch.setattr(module, "aravis", lambda: LIBRARY)
+        monkeypatch.setattr(module, "glib_error", lambda: StandInError, raising=False)

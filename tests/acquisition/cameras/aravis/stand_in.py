@@ -1,0 +1,300 @@
+"""A stand-in for an Aravis camera and its stream: features in a dictionary, no threads and no network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from types import SimpleNamespace
+from typing import Any
+
+from vaoi_station.config import CameraConfig
+from vaoi_station.pixel_formats import PIXEL_FORMATS
+
+
+class StandInError(Exception):
+    """Takes the place of `GLib.Error`, which cannot be imported everywhere."""
+
+    def __init__(self, message: str = "timed out.") -> None:
+        super().__init__(f"domain: {message}")
+        self.message = message
+
+
+class BufferStatus(Enum):
+    """The statuses that the package distinguishes."""
+
+    SUCCESS = "success"
+    CLEARED = "cleared"
+    FILLING = "filling"
+    MISSING_PACKETS = "missing-packets"
+    NEW_ONE = "new-one"
+
+    @property
+    def value_nick(self) -> str:
+        return self.value
+
+
+class StandInBuffer:
+    """A buffer of a stream; tests set what the receive thread would write."""
+
+    def __init__(self, size: int, address: int) -> None:
+        self.size, self.address = size, address
+        self.status = BufferStatus.CLEARED
+        self.frame = SimpleNamespace(width=16, height=16, code=PIXEL_FORMATS["Mono8"].code, id=7, time_ns=1_000)
+
+    @classmethod
+    def new(cls, size: int, address: int) -> StandInBuffer:
+        return cls(size, address)
+
+    def get_status(self) -> BufferStatus:
+        return self.status
+
+    def get_image_width(self) -> int:
+        return int(self.frame.width)
+
+    def get_image_height(self) -> int:
+        return int(self.frame.height)
+
+    def get_image_pixel_format(self) -> int:
+        return int(self.frame.code)
+
+    def get_frame_id(self) -> int:
+        return int(self.frame.id)
+
+    def get_timestamp(self) -> int:
+        return int(self.frame.time_ns)
+
+
+class StandInDevice:
+    """The feature level of a camera."""
+
+    def __init__(self, features: dict[str, Any]) -> None:
+        self.features = features
+        self.ignored: set[str] = set()
+        """Features that keep their value whatever is written."""
+        self.refused: set[str] = set()
+        """Features whose access fails."""
+        self.written: list[tuple[str, Any]] = []
+        self.commands: list[str] = []
+        self.controlled = True
+        self.tick_hz = 1_000_000_000
+        self.entries: dict[str, tuple[str, ...]] = {}
+
+    def is_feature_available(self, feature: str) -> bool:
+        return feature in self.features
+
+    def is_enumeration_entry_available(self, feature: str, entry: str) -> bool:
+        return entry in self.entries.get(feature, (entry,))
+
+    def get_feature(self, feature: str) -> object:
+        return GcFloat() if isinstance(self.features.get(feature), float) else object()
+
+    def is_controller(self) -> bool:
+        return self.controlled
+
+    def get_timestamp_tick_frequency(self) -> int:
+        return self.tick_hz
+
+    def execute_command(self, command: str) -> None:
+        self._check(command)
+        self.commands.append(command)
+
+    def read(self, feature: str) -> Any:
+        self._check(feature)
+        return self.features[feature]
+
+    def write(self, feature: str, value: Any) -> None:
+        self._check(feature)
+        if feature not in self.features:
+            raise StandInError(f"node {feature} is not found")
+        self.written.append((feature, value))
+        if feature not in self.ignored:
+            self.features[feature] = value
+
+    get_boolean_feature_value = get_integer_feature_value = read
+    get_float_feature_value = get_string_feature_value = read
+    set_boolean_feature_value = set_integer_feature_value = write
+    set_float_feature_value = set_string_feature_value = write
+
+    def _check(self, feature: str) -> None:
+        if feature in self.refused:
+            raise StandInError(f"{feature} is locked.")
+
+
+class GcFloat:
+    """Type of float features in Aravis."""
+
+
+class StandInStream:
+    """A stream that fills no buffer by itself."""
+
+    def __init__(self) -> None:
+        self.pushed: list[StandInBuffer] = []
+        self.filled: list[StandInBuffer] = []
+        self.running = True
+        self.counters = {"n_completed_buffers": 0, "n_underruns": 0, "port": 4711}
+        self.properties: dict[str, object] = {}
+        self.fill_when_popped: Callable[[], None] = lambda: None
+        """Called by the pulling thread before each pop."""
+
+    def push_buffer(self, buffer: StandInBuffer) -> None:
+        self.pushed.append(buffer)
+
+    def timeout_pop_buffer(self, _timeout_us: int) -> StandInBuffer | None:
+        self.fill_when_popped()
+        return self.filled.pop(0) if self.filled else None
+
+    def stop_thread(self, _delete_buffers: bool) -> None:
+        self.running = False
+
+    def start_thread(self) -> None:
+        self.running = True
+
+    def set_property(self, name: str, value: object) -> None:
+        self.properties[name] = value
+
+    def get_port(self) -> int:
+        return self.counters["port"]
+
+    def get_n_infos(self) -> int:
+        return len(self.counters)
+
+    def get_info_name(self, k: int) -> str:
+        return list(self.counters)[k]
+
+    def get_info_uint64_by_name(self, name: str) -> int:
+        return self.counters[name]
+
+
+class StandInCamera:
+    """The camera level: a small GigE camera of 16 × 16 px that obeys every setting."""
+
+    def __init__(self, vendor: str = "Acme", *, is_gige: bool = False) -> None:
+        self.vendor, self.is_gige = vendor, is_gige
+        self.triggers = ["FrameStart", "AcquisitionStart"]
+        self.device = StandInDevice(
+            {
+                "PixelFormat": "Mono16",
+                "Region": (0, 0, 64, 64),
+                "ExposureTime": 10_000.0,
+                "Gain": 5.0,
+                "BinningHorizontal": 2,
+                "ExposureAuto": "Continuous",
+                "GammaEnable": True,
+                "AcquisitionMode": "SingleFrame",
+                "TriggerSelector": "AcquisitionStart",
+                "TriggerMode": "Off",
+                "TriggerSource": "Software",
+                "TriggerActivation": "FallingEdge",
+                "GevSCPSPacketSize": 1400,
+                "GevSCPD": 0,
+                "TimestampLatchValue": 5_000_000_000,
+                "TimestampLatch": 0,
+            }
+        )
+        self.stream = StandInStream()
+        self.payload = 256
+        self.running = True
+
+    def is_gv_device(self) -> bool:
+        return self.is_gige
+
+    def get_device(self) -> StandInDevice:
+        return self.device
+
+    def get_vendor_name(self) -> str:
+        return self.vendor
+
+    def get_model_name(self) -> str:
+        return "Model 1"
+
+    def get_device_serial_number(self) -> str:
+        return "S1"
+
+    def get_payload(self) -> int:
+        return self.payload
+
+    def dup_available_triggers(self) -> list[str]:
+        return self.triggers
+
+    def is_gain_available(self) -> bool:
+        return "Gain" in self.device.features
+
+    def is_feature_available(self, feature: str) -> bool:
+        return self.device.is_feature_available(feature)
+
+    def get_region(self) -> SimpleNamespace:
+        x, y, width, height = self.device.read("Region")
+        return SimpleNamespace(x=x, y=y, width=width, height=height)
+
+    def set_region(self, *region: int) -> None:
+        self.device.write("Region", region)
+
+    def set_pixel_format_from_string(self, name: str) -> None:
+        self.device.write("PixelFormat", name)
+
+    def get_pixel_format_as_string(self) -> str:
+        return str(self.device.read("PixelFormat"))
+
+    def set_exposure_time(self, exposure_us: float) -> None:
+        self.device.write("ExposureTime", exposure_us)
+
+    def get_exposure_time(self) -> float:
+        return float(self.device.read("ExposureTime"))
+
+    def set_gain(self, gain_db: float) -> None:
+        self.device.write("Gain", gain_db)
+
+    def get_gain(self) -> float:
+        return float(self.device.read("Gain"))
+
+    def gv_set_stream_options(self, _options: object) -> None:
+        pass
+
+    def get_integer_bounds(self, _feature: str) -> tuple[int, int]:
+        return 220, 9000
+
+    def get_integer_increment(self, _feature: str) -> int:
+        return 4
+
+    def gv_set_packet_size(self, size: int) -> None:
+        self.device.write("GevSCPSPacketSize", size)
+
+    def gv_get_packet_size(self) -> int:
+        return int(self.device.read("GevSCPSPacketSize"))
+
+    def gv_set_packet_delay(self, delay: int) -> None:
+        self.device.write("GevSCPD", delay)
+
+    def gv_get_packet_delay(self) -> int:
+        return int(self.device.read("GevSCPD"))
+
+    def create_stream(self, _callback: object, _data: object) -> StandInStream:
+        return self.stream
+
+    def start_acquisition(self) -> None:
+        self.running = True
+
+    def stop_acquisition(self) -> None:
+        self.running = False
+
+
+LIBRARY = SimpleNamespace(
+    Buffer=StandInBuffer,
+    BufferStatus=BufferStatus,
+    GcFloat=GcFloat,
+    GvStreamOption=SimpleNamespace(PACKET_SOCKET_DISABLED=1),
+)
+"""Takes the place of the module `gi.repository.Aravis`."""
+
+
+def camera_config(**changes: object) -> CameraConfig:
+    """The configuration of a camera of 16 × 16 px."""
+    content = {
+        "name": "c0",
+        "backend": "aravis",
+        "address": "127.0.0.1",
+        "width": 16,
+        "height": 16,
+        "exposure_us": 250.0,
+    }
+    return CameraConfig.model_validate(content | changes)

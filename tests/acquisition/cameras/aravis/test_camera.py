@@ -1,0 +1,243 @@
+"""A camera survives the loss of its connection: slots wait, the loss is reported, and a new connection gets them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from queue import SimpleQueue
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from tests.acquisition.cameras.aravis.stand_in import camera_config
+from vaoi_station.acquisition.cameras.aravis import camera as camera_module
+from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
+from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
+from vaoi_station.acquisition.cameras.aravis.discovery import FoundDevice
+from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraEvent, CameraLost, Slot
+from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.backoff import BackoffPolicy
+from vaoi_station.config import CameraConfig
+from vaoi_station.errors import DeviceError
+
+SLOTS = [Slot(number, np.zeros(32, np.uint8)) for number in range(4)]
+EPOCH_S = 5.0
+E = TypeVar("E")
+
+
+class StandInStream:
+    """The slots that were queued, in their order."""
+
+    def __init__(self) -> None:
+        self.queued: list[Slot] = []
+
+    def queue(self, slot: Slot) -> None:
+        self.queued.append(slot)
+
+    def take_back(self) -> list[Slot]:
+        unused, self.queued = self.queued, []
+        return unused
+
+    close = take_back
+
+
+class StandInConnection:
+    """A USB camera; `error` is raised by each access to it."""
+
+    made: list[StandInConnection]
+    serial = "S1"
+    refusal: DeviceError | None = None
+    """Raised by `configure`."""
+
+    def __init__(self, config: CameraConfig, where: str) -> None:
+        self.config, self.where = config, where
+        self.identity = Identity("Acme", "Model 1", self.serial, where, "")
+        self.is_gige = False
+        self.stream = StandInStream()
+        self.error: DeviceError | None = None
+        self.controlled = True
+        self.closed: list[bool] = []
+        self.on_slot: Callable[[SlotResult], None] = lambda _result: None
+        self.made.append(self)
+
+    def configure(self, _share: PortShare) -> None:
+        if self.refusal is not None:
+            raise self.refusal
+
+    def start(self, on_slot: Callable[[SlotResult], None], _share: PortShare) -> None:
+        self.on_slot = on_slot
+
+    def read_clock(self, epoch_ns: int) -> ClockReading:
+        if self.error is not None:
+            raise self.error
+        return ClockReading(EPOCH_S - epoch_ns * 1e-9, time.monotonic(), 0.0)
+
+    def temperature_c(self) -> float:
+        return 41.5
+
+    def is_controller(self) -> bool:
+        return self.controlled
+
+    def counters(self) -> dict[str, int]:
+        return {"n_underruns": 3}
+
+    def warning(self, _share: PortShare) -> str:
+        return "small buffer"
+
+    def close(self, *, gone: bool = False) -> None:
+        self.closed.append(gone)
+
+
+class Bench:
+    """A camera, its present connection and what it reported."""
+
+    def __init__(self) -> None:
+        self.events: SimpleQueue[CameraEvent] = SimpleQueue()
+        config = camera_config(address=None, serial="S1")
+        connection = StandInConnection(config, "USB-1")
+        self.camera = AravisCamera(0, connection, PortShare())  # type: ignore[arg-type]
+
+    @property
+    def connection(self) -> StandInConnection:
+        return StandInConnection.made[-1]
+
+    def next(self, kind: type[E]) -> E:
+        while not isinstance(event := self.events.get(timeout=10), kind):
+            pass
+        return event
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        deadline_s = time.monotonic() + 10
+        while not condition():
+            assert time.monotonic() < deadline_s
+
+    def lose(self) -> CameraLost:
+        """Fail a clock reading, from which the supervisor concludes that the camera is lost."""
+        self.connection.error = DeviceError("camera c0: does not report its time.", code="camera-lost")
+        with pytest.raises(DeviceError):
+            self.camera.read_clock()
+        return self.next(CameraLost)
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    StandInConnection.made = []
+    monkeypatch.setattr(StandInConnection, "serial", "S1")
+    monkeypatch.setattr(StandInConnection, "refusal", None)
+    monkeypatch.setattr(camera_module, "Connection", StandInConnection)
+    monkeypatch.setattr(camera_module, "search", lambda: (FoundDevice("S1", "USB-2"),))
+    monkeypatch.setattr(camera_module, "CHECK_S", 0.01)
+    monkeypatch.setattr(camera_module, "ABSENT_S", 0.02)
+    monkeypatch.setattr(camera_module, "PACE", BackoffPolicy(first_s=0.01, longest_s=30.0, proven_s=10.0))
+    bench = Bench()
+    yield bench
+    bench.camera.close()
+
+
+def test_frames_are_reported_by_the_camera_s_clock_and_counted(bench: Bench) -> None:
+    bench.camera.start(bench.events)
+    bench.connection.on_slot(SlotResult(SLOTS[1], True, 65400, 7_500_000_000, 12.0))
+    assert bench.next(Arrival) == Arrival(0, 1, True, 65400, 2.5, 12.0, "")
+    bench.connection.on_slot(SlotResult(SLOTS[2], False, None, None, 13.0, "packets were lost"))
+    assert bench.next(Arrival) == Arrival(0, 2, False, None, None, 13.0, "packets were lost")
+    health = bench.camera.health()
+    assert (health.delivered, health.incomplete, health.last_frame_s) == (1, 1, 12.0)
+    assert health.counters == (("n_losses", 0), ("n_underruns", 3))
+
+
+def test_the_clock_counts_from_the_opening(bench: Bench) -> None:
+    assert bench.camera.read_clock().device_s == 0.0
+
+
+def test_health_has_temperature_and_warning(bench: Bench) -> None:
+    bench.camera.start(bench.events)
+    bench.wait(lambda: bench.camera.health().temperature_c == 41.5)
+    health = bench.camera.health()
+    assert (health.connected, health.message, health.action, health.next_try_s) == (True, "small buffer", "", None)
+
+
+def test_slots_go_to_the_stream_and_come_back(bench: Bench) -> None:
+    for slot in SLOTS:
+        bench.camera.queue(slot)
+    assert bench.connection.stream.queued == SLOTS
+    assert bench.camera.take_back() == [0, 1, 2, 3]
+    assert bench.camera.take_back() == []
+
+
+def test_a_lost_camera_is_reported_with_its_reason_and_opened_again(bench: Bench) -> None:
+    bench.camera.start(bench.events)
+    first = bench.connection
+    lost = bench.lose()
+    assert (lost.camera, lost.why) == (0, "does not report its time")
+    assert lost.since_s <= time.monotonic()
+    back = bench.next(CameraBack)
+    assert back.reading.device_s == 0.0
+    bench.wait(lambda: bench.camera.health().connected)
+    assert first.closed == [True], "without access to the absent camera"
+    assert bench.connection.where == "USB-2", "found by its serial number"
+    assert ("n_losses", 1) in bench.camera.health().counters
+
+
+def test_slots_wait_for_the_camera_in_their_order(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StandInConnection, "refusal", DeviceError("is absent", code="camera-absent"))
+    bench.camera.start(bench.events)
+    for slot in SLOTS[:2]:
+        bench.camera.queue(slot)
+    bench.lose()
+    for slot in SLOTS[2:]:
+        bench.camera.queue(slot)
+    monkeypatch.setattr(StandInConnection, "refusal", None)
+    bench.next(CameraBack)
+    bench.wait(lambda: bench.camera.health().connected)
+    assert bench.connection.stream.queued == SLOTS
+
+
+def test_slots_of_a_lost_camera_can_be_taken_back(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StandInConnection, "refusal", DeviceError("is absent", code="camera-absent"))
+    bench.camera.start(bench.events)
+    bench.camera.queue(SLOTS[3])
+    bench.lose()
+    assert bench.camera.take_back() == [3]
+
+
+def test_a_lost_camera_has_a_reason_an_action_and_no_clock(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    refusal = DeviceError("camera c0: refuses its settings.", action="Update its firmware.", code="setting-refused")
+    monkeypatch.setattr(StandInConnection, "refusal", refusal)
+    bench.camera.start(bench.events)
+    bench.lose()
+    bench.wait(lambda: bench.camera.health().message == refusal.message)
+    health = bench.camera.health()
+    assert (health.connected, health.action, health.temperature_c) == (False, "Update its firmware.", None)
+    with pytest.raises(DeviceError, match="refuses its settings"):
+        bench.camera.read_clock()
+    bench.wait(lambda: len(StandInConnection.made) > 2)
+    assert all(connection.closed for connection in StandInConnection.made[:-1]), "refused connections are closed"
+
+
+def test_another_camera_in_its_place_is_not_taken(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StandInConnection, "serial", "S9")
+    bench.camera.start(bench.events)
+    bench.lose()
+    bench.wait(lambda: "'S9'" in bench.camera.health().message)
+    assert not bench.camera.health().connected
+
+
+def test_a_camera_that_another_program_has_taken_is_lost(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Aravis reports it up to a heartbeat later, so the loss is dated back by that."""
+    bench.camera.start(bench.events)
+    taken_s = time.monotonic()
+    bench.connection.controlled = False
+    lost = bench.next(CameraLost)
+    assert lost.error.code == "camera-lost"
+    assert "no longer controlled by this station" in lost.why
+    assert lost.since_s <= taken_s
+    bench.next(CameraBack)
+
+
+def test_closing_releases_the_connection(bench: Bench) -> None:
+    bench.camera.start(bench.events)
+    bench.camera.close()
+    assert bench.connection.closed == [False]
+    assert not bench.camera.health().connected

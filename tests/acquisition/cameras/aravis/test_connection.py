@@ -1,0 +1,154 @@
+"""One connection: its settings, its stream, its warnings, and how failures of the camera are reported."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from queue import SimpleQueue
+
+import pytest
+
+from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
+from vaoi_station.acquisition.cameras.aravis import connection as connection_module
+from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.cameras.aravis.connection import Connection, PortShare, check_silence
+from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
+from vaoi_station.errors import DeviceError
+
+pytestmark = pytest.mark.usefixtures("_stand_in")
+
+RESULTS: SimpleQueue[SlotResult] = SimpleQueue()
+
+
+@pytest.fixture
+def camera(monkeypatch: pytest.MonkeyPatch) -> StandInCamera:
+    """The camera that the next connection opens."""
+    camera = StandInCamera()
+    monkeypatch.setattr(connection_module, "open_device", lambda _config, _where: camera)
+    return camera
+
+
+@pytest.fixture
+def connection(camera: StandInCamera) -> Iterator[Connection]:
+    connection = Connection(camera_config(), "USB-1")
+    yield connection
+    connection.close()
+
+
+def test_the_identity_is_that_of_the_camera(connection: Connection) -> None:
+    identity = connection.identity
+    assert (identity.vendor, identity.model, identity.serial) == ("Acme", "Model 1", "S1")
+    assert (identity.address, identity.interface) == ("USB-1", "")
+
+
+def test_a_configured_and_started_camera_runs_until_it_is_closed(camera: StandInCamera, connection: Connection) -> None:
+    connection.configure(PortShare())
+    running = [camera.running]
+    connection.start(RESULTS.put, PortShare())
+    running.append(camera.running)
+    connection.close()
+    assert [*running, camera.running] == [False, True, False], "settings are locked while it runs"
+    assert connection.counters() == {}
+
+
+def test_a_camera_that_is_gone_is_released_without_access_to_it(camera: StandInCamera, connection: Connection) -> None:
+    connection.start(RESULTS.put, PortShare())
+    connection.close(gone=True)
+    for thread in threading.enumerate():
+        if thread.name == "camera-c0-remains":
+            thread.join(10)
+    assert camera.running, "nothing was sent to it"
+    with pytest.raises(DeviceError, match="camera c0: is closed"):
+        connection.read_clock(0)
+
+
+def test_a_camera_that_refuses_to_stop_is_configured_nevertheless(camera: StandInCamera) -> None:
+    def refuse() -> None:
+        raise StandInError("not running")
+
+    camera.stop_acquisition = refuse  # type: ignore[method-assign]
+    connection = Connection(camera_config(), "USB-1")
+    connection.configure(PortShare())
+    connection.close()
+    assert camera.device.features["ExposureTime"] == 250.0
+
+
+def test_frames_of_another_size_than_the_slots_are_refused(camera: StandInCamera, connection: Connection) -> None:
+    camera.payload = 48
+    with pytest.raises(DeviceError, match=r"sends frames of 48 bytes, but 16×16 px Mono8 are 256") as refused:
+        connection.configure(PortShare())
+    assert refused.value.code == "frame-size"
+
+
+def test_a_clock_that_fails_names_the_camera(camera: StandInCamera, connection: Connection) -> None:
+    assert connection.read_clock(1_000_000_000).device_s == 4.0
+    camera.device.refused.add("TimestampLatch")
+    with pytest.raises(DeviceError, match=r"camera c0: does not report its time \(TimestampLatch is locked\)") as lost:
+        connection.read_clock(0)
+    assert lost.value.code == "camera-lost"
+
+
+def test_a_temperature_is_read_where_there_is_a_thermometer(camera: StandInCamera, connection: Connection) -> None:
+    assert connection.temperature_c() is None
+    camera.device.features["DeviceTemperature"] = 41.5
+    second = Connection(camera_config(), "USB-1")
+    assert second.temperature_c() == 41.5
+    second.close()
+
+
+def test_an_old_aravis_is_warned_of_with_usb(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_module, "version", lambda: (0, 8, 26))
+    assert connection.warning(PortShare()) == "Aravis 0.8.26 is unreliable with USB3."
+    monkeypatch.setattr(connection_module, "version", lambda: (0, 8, 30))
+    assert connection.warning(PortShare()) == ""
+
+
+@pytest.fixture
+def gige(camera: StandInCamera, monkeypatch: pytest.MonkeyPatch) -> Iterator[Connection]:
+    """A GigE camera on a port with an MTU of 1500; its address is not looked up on this computer."""
+    connection = Connection(camera_config(), "10.0.0.1")
+    connection.is_gige = True
+    monkeypatch.setattr(network, "mtu_to", lambda _address: 1500)
+    monkeypatch.setattr(network, "widen_receive_buffer", lambda _port, wanted: min(wanted, 1_000_000))
+    yield connection
+    connection.close()
+
+
+def test_packets_fit_the_port_and_leave_room_for_other_cameras(camera: StandInCamera, gige: Connection) -> None:
+    gige.configure(PortShare(cameras=3, link_mbit_s=1000.0))
+    assert gige.packet_bytes == camera.device.features["GevSCPSPacketSize"] == 1500
+    assert camera.device.features["GevSCPD"] == network.packet_delay_ns(1500, 3, 1000.0)
+
+
+def test_a_camera_that_ignores_the_packet_size_is_refused(camera: StandInCamera, gige: Connection) -> None:
+    camera.device.ignored.add("GevSCPSPacketSize")
+    with pytest.raises(DeviceError, match="GevSCPSPacketSize was set to 1500, but reads 1400"):
+        gige.configure(PortShare())
+
+
+def test_a_receive_buffer_that_is_too_small_is_warned_of(camera: StandInCamera, gige: Connection) -> None:
+    gige.start(RESULTS.put, PortShare(socket_bytes=4_000_000))
+    assert gige.granted_bytes == 1_000_000
+    assert camera.stream.properties["frame-retention"] == connection_module.RETENTION_US
+    warning = gige.warning(PortShare(socket_bytes=4_000_000))
+    assert warning.startswith("The kernel holds 1.0 MB of its packets, 4.0 MB are wanted")
+    assert gige.warning(PortShare(socket_bytes=500_000)) == ""
+
+
+def test_control_is_asked_of_gige_cameras_only(camera: StandInCamera, gige: Connection) -> None:
+    camera.device.controlled = False
+    assert not gige.is_controller()
+    gige.is_gige = False
+    assert gige.is_controller()
+
+
+def test_a_camera_that_sends_without_a_trigger_is_found(
+    camera: StandInCamera, connection: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connection.start(RESULTS.put, PortShare())
+    check_silence([connection], settle_s=0.0, watch_s=0.0)
+    traffic = iter(range(10))
+    monkeypatch.setattr(connection, "traffic", lambda: next(traffic))
+    with pytest.raises(DeviceError, match="camera c0: sends frames although no trigger was fired") as refused:
+        check_silence([connection], settle_s=0.0, watch_s=0.0)
+    assert refused.value.code == "camera-free-running"

@@ -1,0 +1,161 @@
+"""Settings are written, read back and compared, in the order that cameras need."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
+from vaoi_station.acquisition.cameras.aravis import settings
+from vaoi_station.acquisition.cameras.aravis.settings import Setting, Value
+from vaoi_station.errors import DeviceError
+
+pytestmark = pytest.mark.usefixtures("_stand_in")
+
+
+def setting(wanted: Value | tuple[int, ...], tolerance: float = 0.0) -> Setting:
+    return Setting("Feature", wanted, lambda: None, lambda: None, tolerance)
+
+
+@given(st.floats(1.0, 1e6), st.floats(0.0, 100.0), st.floats(0.0, 0.99))
+def test_numbers_match_within_their_tolerance(wanted: float, tolerance: float, share: float) -> None:
+    assert setting(wanted, tolerance).matches(wanted + share * tolerance)
+    assert not setting(wanted, tolerance).matches(wanted + 1.01 * tolerance + 1e-5 * wanted)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "got", "matching"),
+    [
+        ("On", "On", True),
+        ("On", "Off", False),
+        ((0, 0, 8, 4), (0, 0, 8, 4), True),
+        ((0, 0, 8, 4), (0, 0, 8, 8), False),
+        (True, False, False),
+        (3, "3", False),
+        (3.0, 3, True),
+    ],
+)
+def test_other_values_match_exactly(wanted: Value | tuple[int, ...], got: object, matching: bool) -> None:
+    assert setting(wanted).matches(got) is matching
+
+
+def test_everything_is_on_the_camera_afterwards() -> None:
+    camera = StandInCamera()
+    settings.apply(camera, camera_config(offset_px=(2, 6), gain_db=3.0))
+    assert (
+        camera.device.features
+        | {
+            "PixelFormat": "Mono8",
+            "Region": (2, 6, 16, 16),
+            "ExposureTime": 250.0,
+            "Gain": 3.0,
+            "BinningHorizontal": 1,
+            "ExposureAuto": "Off",
+            "GammaEnable": False,
+            "AcquisitionMode": "Continuous",
+            "TriggerSelector": "FrameStart",
+            "TriggerMode": "On",
+            "TriggerSource": "Line0",
+            "TriggerActivation": "RisingEdge",
+        }
+        == camera.device.features
+    )
+
+
+def test_automatic_functions_are_off_before_the_value_is_set() -> None:
+    camera = StandInCamera()
+    settings.apply(camera, camera_config())
+    names = [feature for feature, _ in camera.device.written]
+    assert names.index("ExposureAuto") < names.index("ExposureTime")
+    assert names.index("ExposureTime") < names.index("TriggerSelector")
+
+
+@pytest.mark.parametrize(("vendor", "while_changing"), [("Basler", "On"), ("FLIR", "Off"), ("Acme", "Off")])
+def test_the_mode_while_the_source_changes_is_that_of_the_recipe(vendor: str, while_changing: str) -> None:
+    camera = StandInCamera(vendor)
+    settings.apply(camera, camera_config())
+    written = camera.device.written
+    source = [feature for feature, _ in written].index("TriggerSource")
+    assert written[source - 1] == ("TriggerMode", while_changing)
+    assert written[-1] == ("TriggerMode", "On")
+    assert ("TriggerSelector", "AcquisitionStart") in written[:source], "the other trigger is switched off"
+
+
+def test_the_configured_line_goes_before_that_of_the_make() -> None:
+    camera = StandInCamera("Basler")
+    settings.apply(camera, camera_config(trigger_line="Line3"))
+    assert camera.device.features["TriggerSource"] == "Line3"
+
+
+def test_an_extra_of_the_recipe_is_written_only_where_the_camera_has_it() -> None:
+    camera = StandInCamera("Lucid")
+    camera.device.features["TriggerOverlap"] = "Off"
+    settings.apply(camera, camera_config())
+    assert camera.device.features["TriggerOverlap"] == "PreviousFrame"
+    camera.device.features["TriggerOverlap"] = "Off"
+    camera.device.entries["TriggerOverlap"] = ("Off", "ReadOut")
+    settings.apply(camera, camera_config())
+    assert camera.device.features["TriggerOverlap"] == "Off"
+
+
+def test_named_features_are_written_in_their_order_and_by_their_type() -> None:
+    camera = StandInCamera()
+    camera.device.features |= {"LineDebouncer": 1.0, "Counter": 0, "Inverter": False}
+    settings.apply(camera, camera_config(features={"Inverter": True, "LineDebouncer": 5, "Counter": 2}))
+    written = [(f, v) for f, v in camera.device.written if f in ("Inverter", "LineDebouncer", "Counter")]
+    assert written == [("Inverter", True), ("LineDebouncer", 5.0), ("Counter", 2)]
+    assert isinstance(camera.device.features["LineDebouncer"], float)
+
+
+def test_a_camera_without_a_usable_trigger_is_refused() -> None:
+    camera = StandInCamera()
+    camera.triggers = ["LineStart"]
+    with pytest.raises(DeviceError, match="camera c0: can be triggered by LineStart only"):
+        settings.apply(camera, camera_config())
+
+
+def test_an_ignored_setting_is_named_with_both_values() -> None:
+    camera = StandInCamera()
+    camera.device.ignored.add("ExposureTime")
+    with pytest.raises(DeviceError, match=r"camera c0: .*ExposureTime was set to 250\.0, but reads 10000") as refused:
+        settings.apply(camera, camera_config())
+    assert refused.value.code == "setting-ignored"
+
+
+def test_a_refused_setting_is_named() -> None:
+    camera = StandInCamera()
+    with pytest.raises(
+        DeviceError, match=r"camera c0: refuses Sharpness = 3 \(node Sharpness is not found\)"
+    ) as refused:
+        settings.apply(camera, camera_config(features={"Sharpness": 3}))
+    assert refused.value.code == "setting-refused"
+
+
+def test_a_setting_that_a_later_one_changes_is_found() -> None:
+    """The trigger is written last; this camera then falls back to single frames (Aravis #1045)."""
+    camera = StandInCamera()
+    original = camera.device.set_string_feature_value
+
+    def write(feature: str, value: str) -> None:
+        original(feature, value)
+        if feature == "TriggerActivation":
+            camera.device.features["AcquisitionMode"] = "SingleFrame"
+
+    camera.device.set_string_feature_value = write  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="AcquisitionMode was set to 'Continuous', but reads 'SingleFrame'"):
+        settings.apply(camera, camera_config())
+
+
+def test_a_setting_that_cannot_be_read_back() -> None:
+    def fail() -> None:
+        raise StandInError("timed out.")
+
+    with pytest.raises(DeviceError, match=r"c0: Gain cannot be read \(timed out\)") as refused:
+        settings.compare("c0", Setting("Gain", 1.0, lambda: None, fail))
+    assert refused.value.code == "setting-unread"
+
+
+def test_the_domain_of_an_error_is_left_out() -> None:
+    assert settings.error_text(StandInError("no reply.")) == "no reply"
+    assert settings.error_text(OSError("unreachable")) == "unreachable"

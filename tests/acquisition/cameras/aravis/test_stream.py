@@ -1,0 +1,149 @@
+"""The stream of slots: every slot that is queued comes back exactly once, filled, failed or unused."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+
+from tests.acquisition.cameras.aravis.stand_in import BufferStatus, StandInBuffer, StandInStream
+from vaoi_station.acquisition.cameras.aravis import stream as stream_module
+from vaoi_station.acquisition.cameras.aravis.stream import FrameFormat, SlotResult, SlotStream
+from vaoi_station.acquisition.cameras.interface import Slot
+from vaoi_station.pixel_formats import PIXEL_FORMATS
+
+MEMORY = np.zeros((4, 256), np.uint8)
+SLOTS = [Slot(number, MEMORY[number]) for number in range(4)]
+
+
+class Bench:
+    """A stream of slots over a stand-in, and the slots that were reported."""
+
+    def __init__(self) -> None:
+        self.aravis_stream = StandInStream()
+        self.results: SimpleQueue[SlotResult] = SimpleQueue()
+        kind = FrameFormat(16, 16, PIXEL_FORMATS["Mono8"].code)
+        self.slots = SlotStream(self.aravis_stream, kind, self.results.put, "test")
+
+    def fill(self, status: BufferStatus = BufferStatus.SUCCESS, k: int = 0, **frame: int) -> SlotResult:
+        """End a frame in the k-th buffer that was pushed, and return what is reported."""
+        buffer = self.aravis_stream.pushed[k]
+        buffer.status = status
+        vars(buffer.frame).update(frame)
+        self.aravis_stream.filled.append(buffer)
+        return self.results.get(timeout=10)
+
+
+@pytest.fixture
+def bench(_stand_in: None) -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.slots.close()
+
+
+def test_a_buffer_is_the_memory_of_its_slot(bench: Bench) -> None:
+    for slot in SLOTS:
+        bench.slots.queue(slot)
+    pushed = [(buffer.size, buffer.address) for buffer in bench.aravis_stream.pushed]
+    assert pushed == [(256, slot.memory.ctypes.data) for slot in SLOTS]
+
+
+def test_a_whole_frame_has_its_id_and_time(bench: Bench) -> None:
+    bench.slots.queue(SLOTS[0])
+    result = bench.fill(id=65400, time_ns=123_456)
+    assert (result.slot, result.whole, result.frame_id, result.time_ns) == (SLOTS[0], True, 65400, 123_456)
+    assert result.fault == ""
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        (BufferStatus.MISSING_PACKETS, "packets of the frame were lost"),
+        (BufferStatus.NEW_ONE, "calls the frame 'new-one'"),
+    ],
+)
+def test_a_failed_frame_has_neither(bench: Bench, status: BufferStatus, words: str) -> None:
+    """Aravis writes them with the leader, so they may be those of an older frame."""
+    bench.slots.queue(SLOTS[0])
+    result = bench.fill(status)
+    assert (result.whole, result.frame_id, result.time_ns) == (False, None, None)
+    assert words in result.fault
+
+
+@pytest.mark.parametrize("change", [{"width": 32}, {"height": 8}, {"code": PIXEL_FORMATS["Mono16"].code}])
+def test_a_frame_of_another_format_is_not_whole(bench: Bench, change: dict[str, int]) -> None:
+    bench.slots.queue(SLOTS[0])
+    result = bench.fill(BufferStatus.SUCCESS, 0, **change)
+    assert not result.whole
+    assert "not 16×16 px in format 0x01080001" in result.fault
+
+
+def test_unused_slots_are_taken_back_once(bench: Bench) -> None:
+    for slot in SLOTS:
+        bench.slots.queue(slot)
+    bench.fill(k=0)
+    assert bench.slots.take_back() == SLOTS[1:]
+    assert bench.slots.take_back() == []
+    assert bench.aravis_stream.running, "it can receive again"
+    assert bench.results.empty()
+
+
+def test_a_frame_under_way_gets_time_to_end(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_module, "FILLING_S", 10.0)
+    bench.slots.queue(SLOTS[0])
+    buffer = bench.aravis_stream.pushed[0]
+    buffer.status = BufferStatus.FILLING
+    waiting = threading.Event()
+    real_status = buffer.get_status
+
+    def get_status() -> BufferStatus:
+        waiting.set()
+        return real_status()
+
+    buffer.get_status = get_status  # type: ignore[method-assign]
+
+    def end_the_frame() -> None:
+        waiting.wait(10)
+        buffer.status = BufferStatus.SUCCESS
+        bench.aravis_stream.filled.append(buffer)
+
+    ending = threading.Thread(target=end_the_frame)
+    ending.start()
+    assert bench.slots.take_back() == []
+    ending.join()
+    assert bench.results.get(timeout=10).whole
+
+
+def test_a_frame_that_does_not_end_is_broken_off(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_module, "FILLING_S", 0.0)
+    for slot in SLOTS[:2]:
+        bench.slots.queue(slot)
+    bench.aravis_stream.pushed[0].status = BufferStatus.FILLING
+    assert bench.slots.take_back() == [SLOTS[1]]
+    result = bench.results.get(timeout=10)
+    assert (result.slot, result.whole) == (SLOTS[0], False)
+    assert "broken off" in result.fault
+
+
+def test_a_buffer_that_was_taken_back_is_not_reported_again(bench: Bench) -> None:
+    bench.slots.queue(SLOTS[0])
+    old: StandInBuffer = bench.aravis_stream.pushed[0]
+    assert bench.slots.take_back() == [SLOTS[0]]
+    bench.slots.queue(SLOTS[1])
+    bench.aravis_stream.filled.append(old)
+    assert bench.fill(k=1).slot == SLOTS[1]
+    assert bench.results.empty()
+
+
+def test_closing_ends_the_thread_and_returns_the_unused_slots(bench: Bench) -> None:
+    bench.slots.queue(SLOTS[2])
+    assert bench.slots.close() == [SLOTS[2]]
+    assert bench.slots.close() == []
+    assert "test-frames" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_only_counts_are_counters(bench: Bench) -> None:
+    assert bench.slots.counters() == {"n_completed_buffers": 0, "n_underruns": 0}
