@@ -221,6 +221,14 @@ def test_every_path_in_the_code_blocks_of_contributing_exists() -> None:
     assert sorted(p for p in paths if not PLACEHOLDER.search(p) and not exists(p, name)) == []
 
 
+def test_every_name_of_code_in_contributing_exists() -> None:
+    sources = (ROOT / name for name in FILES if name.endswith((".py", ".c", ".h", ".toml", ".xml")))
+    written = "\n".join(source.read_text(encoding="utf-8") for source in sources)
+    plain = {s for s in spans("docs/CONTRIBUTING.md") if re.fullmatch(r"[A-Za-z_]+(?:\.[A-Za-z_]+)*", s)}
+    parts = {part for span in plain for part in span.split(".")}
+    assert sorted(part for part in parts if not re.search(rf"\b{part}\b", written)) == []
+
+
 def test_every_recipe_of_contributing_is_short_and_ends_in_a_test() -> None:
     text = (ROOT / "docs" / "CONTRIBUTING.md").read_text(encoding="utf-8")
     recipes = re.findall(r"^### (.+?)\n(.*?)(?=^##|\Z)", text.split("## Recipes", 1)[1], re.MULTILINE | re.DOTALL)
