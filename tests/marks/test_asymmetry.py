@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.marks.asymmetry import asymmetry_sigma_px, measure_asymmetry
 from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
 
 PLACE, SIZE = np.array([60.3, 59.6]), 26.0
@@ -65,3 +66,28 @@ def test_the_sigma_of_a_mark_in_glare_covers_its_error(paint: Paint, levels: flo
     if isinstance(mark, Mark):
         assert np.hypot(*(mark.px - PLACE)) < (3 if levels < 180 else 5) * mark.sigma_px
         assert levels < 180 or mark.sigma_px > 0.5, "half of it is saturated: its weight must vanish"
+
+
+@pytest.mark.parametrize("shift", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize("angle", [0.0, 0.8, 1.6])
+def test_a_wrong_centre_is_measured_as_its_shift(paint: Paint, shift: float, angle: float) -> None:
+    x, y = PLACE + shift * np.array([np.cos(angle), np.sin(angle)])
+    off, light = measure_asymmetry(marked(paint), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
+    assert off == pytest.approx(shift, rel=0.3)
+    assert light < 0.02
+
+
+def test_an_undisturbed_mark_adds_no_uncertainty(paint: Paint) -> None:
+    x, y = (float(v) for v in PLACE)
+    assert asymmetry_sigma_px(marked(paint), (x, y), SIZE, 150.0, 0.01) == 0
+    covered = marked(paint)
+    covered[:, round(x + 0.3 * SIZE) :] = 60
+    assert asymmetry_sigma_px(covered, (x, y), SIZE, 150.0, 0.01) > 0.1
+
+
+def test_a_mark_at_the_border_uses_the_pixels_that_exist(paint: Paint) -> None:
+    x, y = (float(v) for v in PLACE)
+    cut = marked(paint)[:, : round(x) + 5]
+    off, light = measure_asymmetry(np.ascontiguousarray(cut), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
+    assert np.isfinite(off)
+    assert np.isfinite(light)

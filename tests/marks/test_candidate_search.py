@@ -57,3 +57,21 @@ def test_frames_are_reduced_as_long_as_marks_keep_five_pixels(size: float) -> No
     assert factor == 1 or size / factor >= 5
     assert size / factor < 10 or factor == 1
     assert size < 10 or factor > 1
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_mark_without_a_bare_rim_is_no_candidate(paint: Paint, shape: Shape) -> None:
+    image = paint([(shape, 45.0, 40.0, 9.0)], size=(96, 80))
+    image[:, 51:] = 210
+    image[:, :40] = 210
+    places, _ = find_candidates(image, shape, 9.0)
+    assert not len(places) or np.hypot(*(places - (45.0, 40.0)).T).min() > 2
+
+
+def test_read_only_and_writeable_frames_give_equal_candidates(paint: Paint) -> None:
+    image = paint([("circle", x, y, 6.0) for x, y in PLACES], size=(128, 88), noise=1.0)
+    frozen = image.copy()
+    frozen.flags.writeable = False
+    for mine, theirs in zip(find_candidates(image, "circle", 6.0), find_candidates(frozen, "circle", 6.0), strict=True):
+        assert np.array_equal(mine, theirs)
+    assert image.flags.writeable, "the caller's array is not changed"

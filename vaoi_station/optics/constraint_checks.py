@@ -27,6 +27,7 @@ def check_constraints(
 
 
 def _cameras(q: Requirements, array: ArrayPlan) -> Constraint:
+    # In pixels across the board, so that the margin reads as missing or spare sensor width.
     asked = q.width_mm * q.resolution_px_per_mm * q.multiplicity_h
     n = array.cameras
     reached = f"{n} camera{'s' if n > 1 else ''} reach{'es' if n == 1 else ''} m_h = {array.multiplicity_h:.3f}"
@@ -66,6 +67,7 @@ def _diffraction(q: Requirements, lens: LensPlan) -> Constraint:
         return not_checked(
             name, equation, "≤", unit="px", note=f"no {missing} to compare with", value=lens.airy_disc_px
         )
+    # The circle of confusion is a length on the sensor; pixels make it comparable with the Airy disc.
     acceptable_px = q.circle_of_confusion_mm * q.sensor_px_h / q.sensor_width_mm
     note = f"at f/{lens.f_number:.1f}; not in the paper"
     return at_most(name, equation, lens.airy_disc_px, acceptable_px, unit="px", note=note)
@@ -86,6 +88,7 @@ def _frame_rate(motion: MotionPlan) -> Constraint:
 
 
 def _period(q: Requirements, motion: MotionPlan) -> Constraint:
+    # The paper omits the readout; sensors that cannot expose during it need both within one period.
     busy = motion.exposure_us + q.readout_us
     note = f"exposure {motion.exposure_us:.0f} µs, readout {q.readout_us:.0f} µs"
     return at_most("pulse period", "s + readout ≤ 1/t", busy, motion.trigger_period_us, unit="µs", note=note)

@@ -12,6 +12,7 @@ def frame_bytes(sensor_px_h: int, sensor_px_v: int, bits_per_pixel: int) -> int:
         InputError: if a quantity is not above 0.
     """
     require_positive(sensor_px_h=sensor_px_h, sensor_px_v=sensor_px_v, bits_per_pixel=bits_per_pixel)
+    # 12-bit packed formats store two pixels in three bytes, so an odd pixel count ends within a byte.
     return ceil_to_whole(sensor_px_h * sensor_px_v * bits_per_pixel / 8)
 
 

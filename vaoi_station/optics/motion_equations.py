@@ -71,6 +71,7 @@ def parallax_px(height_mm: float, shift_mm: float, distance_mm: float, resolutio
     require_positive(distance_mm=distance_mm, resolution_px_per_mm=resolution_px_per_mm)
     require_non_negative(height_mm=height_mm, shift_mm=shift_mm)
     require(height_mm < distance_mm, "height_mm", height_mm, f"below the distance, {distance_mm} mm")
+    # Similar triangles: a ray through a point at height h meets the board h / (d − h) times further from the foot.
     return resolution_px_per_mm * shift_mm * height_mm / (distance_mm - height_mm)
 
 

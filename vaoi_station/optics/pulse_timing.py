@@ -57,6 +57,7 @@ def capture_duration_s(board_mm: float, field_mm: float, speed_mm_s: float) -> f
         InputError: if a quantity is not above 0.
     """
     require_positive(board_mm=board_mm, field_mm=field_mm, speed_mm_s=speed_mm_s)
+    # The board is in view from the entry of its leading edge until its trailing edge has crossed the view too.
     return (board_mm + field_mm) / speed_mm_s
 
 
@@ -67,4 +68,5 @@ def rows_per_board(duration_s: float, frame_rate_hz: float) -> int:
         InputError: if a quantity is not above 0.
     """
     require_positive(duration_s=duration_s, frame_rate_hz=frame_rate_hz)
+    # A partial period at the end still needs its pulse: without it the trailing edge has one frame less.
     return ceil_to_whole(duration_s * frame_rate_hz)

@@ -89,6 +89,7 @@ class Requirements:
             require(value >= 1, name, value, "1 or above: with less, parts of the board are not filmed", _WHERE)
 
     def _check_together(self) -> None:
+        # Limits that depend on a second quantity come after both are known to be numbers.
         low, high = self.distance_min_mm, self.distance_max_mm
         if low is not None:
             require(low <= high, "distance_min_mm", low, f"at most distance_max_mm, {high} mm", _WHERE)
