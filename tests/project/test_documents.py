@@ -209,6 +209,21 @@ def test_the_tables_follow_the_order_of_imports() -> None:
         assert levels == sorted(levels), container
 
 
+# ── decisions ──
+
+
+def test_every_decision_has_a_status_and_is_listed_with_it() -> None:
+    folder = ROOT / "docs" / "decisions"
+    index = (folder / "README.md").read_text(encoding="utf-8")
+    records = sorted(folder.glob("0*.md"))
+    assert [record.name[:4] for record in records] == [f"{k:04d}" for k in range(1, len(records) + 1)]
+    for record in records:
+        found = re.search(r"^Status: (accepted|amended|superseded)", record.read_text(encoding="utf-8"), re.MULTILINE)
+        assert found is not None, record.name
+        row = next(line for line in index.splitlines() if f"({record.name})" in line)
+        assert row.split("|")[3].strip().startswith(found[1]), record.name
+
+
 # ── CONTRIBUTING ──
 
 
