@@ -1,4 +1,4 @@
-"""Compiled functions compute what their source states, in all processes alike."""
+"""Compiled functions compute what their source states; processes share the compiled code."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_function_without_a_file_is_compiled_without_a_cache() -> None:
     assert twice(21) == 42
 
 
-_HALVES = """
+_SHARED = """
 import sys
 from vaoi_station.compiled import compiled
 
@@ -57,21 +57,21 @@ print(sum(quarter.stats.cache_misses.values()), flush=True)
 
 
 def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None:
-    source = tmp_path / "halves.py"
-    source.write_text(_HALVES)
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
-    twins = [
+    source = tmp_path / "shared.py"
+    source.write_text(_SHARED)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    processes = [
         subprocess.Popen(
             [sys.executable, source], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         for _ in range(2)
     ]
-    for twin in twins:
-        assert twin.stdin is not None
-        twin.stdin.write("now\n")
-        twin.stdin.flush()
-    misses = [int(twin.communicate()[0]) for twin in twins]
-    assert [twin.returncode for twin in twins] == [0, 0]
+    for process in processes:
+        assert process.stdin is not None
+        process.stdin.write("now\n")
+        process.stdin.flush()
+    misses = [int(process.communicate()[0]) for process in processes]
+    assert [process.returncode for process in processes] == [0, 0]
     assert sorted(misses) == [0, 1], "one compiles, the other finds the code"
 
 
@@ -114,7 +114,7 @@ def test_named_tuples_are_passed_without_a_copy_and_their_code_is_cached(tmp_pat
     """The class lies in a module that is imported, as in the package: one of `__main__` differs in every process."""
     (tmp_path / "named.py").write_text(_NAMED)
     paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": paths}
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": paths}
     runs = [
         subprocess.run([sys.executable, "-c", _USE_NAMED], env=environment, capture_output=True, text=True, check=True)
         for _ in range(2)

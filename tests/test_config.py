@@ -61,10 +61,10 @@ port = 8350
 """
 
 
-def written(directory: Path, *changes: tuple[str, str]) -> Path:
+def config_file(directory: Path, *changes: tuple[str, str]) -> Path:
     text = VALID
     for old, new in changes:
-        assert old in text, f"the sound file has no {old!r}"
+        assert old in text, f"the valid file has no {old!r}"
         text = text.replace(old, new)
     path = directory / "station.toml"
     path.write_text(text)
@@ -72,7 +72,7 @@ def written(directory: Path, *changes: tuple[str, str]) -> Path:
 
 
 def test_valid_file_is_read_completely(tmp_path: Path) -> None:
-    station = read_config(written(tmp_path))
+    station = read_config(config_file(tmp_path))
     assert station.name == "line 3"
     assert station.line.speed_mm_s == 100
     assert station.line.expected_board.rotation_deg == 90
@@ -84,7 +84,7 @@ def test_valid_file_is_read_completely(tmp_path: Path) -> None:
 def test_relative_paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "etc").mkdir()
     (tmp_path / "elsewhere").mkdir()
-    path = written(tmp_path / "etc")
+    path = config_file(tmp_path / "etc")
     monkeypatch.chdir(tmp_path / "elsewhere")
     station = read_config(Path("../etc") / path.name)
     assert station.calibration == tmp_path / "etc" / "calibration.json"
@@ -95,7 +95,7 @@ def test_relative_paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: py
 
 
 def test_replay_paths_are_relative_to_the_file_too(tmp_path: Path) -> None:
-    path = written(
+    path = config_file(
         tmp_path,
         ('backend = "simulated"', 'backend = "replay"'),
         ('exposure_us = 250.0\n', 'exposure_us = 250.0\nbackend = "replay"\n'),
@@ -116,24 +116,24 @@ def test_real_cameras_need_the_real_controller(tmp_path: Path) -> None:
         ('[controller]\nbackend = "simulated"', '[controller]\nbackend = "serial"\nport = "/dev/ttyUSB3"\n'
          'lights.top = {channels = [0, 1], on_us = 300.0}\nlights.low = {channels = [2], on_us = 200.0}'),
     )  # fmt: skip
-    station = read_config(written(tmp_path, *real))
+    station = read_config(config_file(tmp_path, *real))
     assert station.controller.port == "/dev/ttyUSB3"
     assert station.controller.lights["top"].channels == (0, 1)
     assert station.controller.light_sequence == ("top", "low")
     assert station.cameras[1].readout_us == 8000.0
     ordered = (("lights.top =", 'order = ["low", "top", "low"]\nlights.top ='),)
-    assert read_config(written(tmp_path, *real, *ordered)).controller.light_sequence == ("low", "top", "low")
+    assert read_config(config_file(tmp_path, *real, *ordered)).controller.light_sequence == ("low", "top", "low")
 
 
 def test_configuration_is_frozen(tmp_path: Path) -> None:
-    station = read_config(written(tmp_path))
+    station = read_config(config_file(tmp_path))
     with pytest.raises(ValidationError, match="frozen"):
         station.line.tail_s = 1.0  # type: ignore[misc]
 
 
 def test_rows_of_the_longest_board(tmp_path: Path) -> None:
     """474 mm at 100 mm/s and 0.6 s of tail end 5.34 s after the barrier; pulses begin at 0.3 s."""
-    station = read_config(written(tmp_path))
+    station = read_config(config_file(tmp_path))
     assert station.line.passing_s == pytest.approx(5.34)
     assert station.line.rows_of_longest_board == 1 + 41
     assert station.rows_per_run == 44
@@ -196,7 +196,7 @@ def test_every_pulse_of_the_longest_board_has_a_slot(delay: float, rows: int) ->
 def test_impossible_values_are_refused_with_file_key_value_and_limit(
     tmp_path: Path, old: str, new: str, complaint: str
 ) -> None:
-    path = written(tmp_path, (old, new))
+    path = config_file(tmp_path, (old, new))
     with pytest.raises(InputError) as refused:
         read_config(path)
     assert str(refused.value).startswith(str(path))

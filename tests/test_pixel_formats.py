@@ -14,7 +14,7 @@ SIZES = st.tuples(st.integers(1, 9), st.integers(1, 7))
 
 
 def packed(values: list[int], pixel_format: PixelFormat) -> bytes:
-    """The bytes a camera sends, built as one long number, independent of the tested code."""
+    """Return the bytes that a camera sends, built as one long number, independent of the tested code."""
     bits = pixel_format.bits
     if pixel_format.packing == "packed":  # two samples in three bytes: high A, low B | low A, high B
         text = bytearray()

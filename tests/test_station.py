@@ -1,4 +1,4 @@
-"""What can be wrong before a station stands, and that it then leaves nothing behind."""
+"""The start of a station: refusals, each without remaining files, and the warm-up of its workers."""
 
 from __future__ import annotations
 
@@ -48,49 +48,49 @@ def config(tmp_path: Path) -> StationConfig:
     )  # fmt: skip
 
 
-def left_behind(config: StationConfig) -> list[Path]:
+def remaining_files(config: StationConfig) -> list[Path]:
     return list(config.ring.directory.iterdir())
 
 
-def test_a_calibration_of_another_array(config: StationConfig) -> None:
+def test_calibration_of_another_array_is_refused(config: StationConfig) -> None:
     write_calibration(config.calibration, calibration(3))
     with pytest.raises(InputError, match="camera_matrices has 3 entries, but 2 cameras were filming") as refusal:
         Station(config).start()
     assert "calibration of this array" in refusal.value.action
-    assert left_behind(config) == []
+    assert remaining_files(config) == []
     assert not config.data.exists()
 
 
-def test_a_damaged_database(config: StationConfig) -> None:
+def test_damaged_database_is_refused(config: StationConfig) -> None:
     config.data.mkdir()
     (config.data / DATABASE).write_bytes(b"not a database " * 1000)
     with pytest.raises(DeviceError, match="not a sound database"):
         Station(config).start()
-    assert left_behind(config) == []
+    assert remaining_files(config) == []
 
 
-def test_a_ring_that_another_station_owns(config: StationConfig) -> None:
+def test_ring_of_another_station_is_not_taken(config: StationConfig) -> None:
     with Ring.create(ring_path(config), RingLayout.of(config)):
         station = Station(config)
         with pytest.raises(StateError, match="exists already"):
             station.start()
         station.stop()
-    assert left_behind(config) == []
+    assert remaining_files(config) == []
 
 
-def test_a_port_that_is_taken(config: StationConfig) -> None:
+def test_port_in_use_is_refused(config: StationConfig) -> None:
     refused = pytest.raises(DeviceError, match=r"cannot listen on 127\.0\.0\.1 port")
     with socket.create_server(("127.0.0.1", 0)) as other, refused:
         serve(config, other.getsockname()[1])
-    assert left_behind(config) == []
+    assert remaining_files(config) == []
 
 
-def test_a_stopped_station_refuses_requests(config: StationConfig) -> None:
+def test_stopped_station_refuses_requests(config: StationConfig) -> None:
     with pytest.raises(StateError, match="not running"):
         _ = Station(config).coordinator
 
 
-def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason(config: StationConfig) -> None:
+def test_missing_recordings_leave_the_station_faulted_with_the_reason(config: StationConfig) -> None:
     with Station(config) as station:
         seen, troubles = 0, list[str]()
         while not troubles or station.coordinator.snapshot().state != "faulted":
@@ -100,17 +100,17 @@ def test_recordings_that_are_not_there_leave_the_station_faulted_with_the_reason
             seen = records[-1].number
             troubles += [r.message for r in records if r.kind == "trouble" and "recording.json" in r.message]
         assert "there is no such file" in troubles[0]
-    assert left_behind(config) == []
+    assert remaining_files(config) == []
 
 
 COMPILED_S = 600.0
-"""Longest time for the workers to compile, on a machine that is shared."""
+"""Time limit for the workers to compile on a busy machine."""
 
 
-def until(started: Station, said: Callable[[StationSnapshot], bool]) -> StationSnapshot:
-    """Wait for something the station says of itself; its events wake us."""
+def until(started: Station, holds: Callable[[StationSnapshot], bool]) -> StationSnapshot:
+    """Wait until a condition holds for the station's snapshot; its events wake the caller."""
     deadline_s, seen = time.monotonic() + COMPILED_S, 0
-    while not said(snapshot := started.coordinator.snapshot()):
+    while not holds(snapshot := started.coordinator.snapshot()):
         assert time.monotonic() < deadline_s, snapshot
         records = started.coordinator.events(seen, 1.0)
         seen = records[-1].number if records else seen
@@ -118,10 +118,10 @@ def until(started: Station, said: Callable[[StationSnapshot], bool]) -> StationS
 
 
 @pytest.mark.timeout(2 * COMPILED_S)
-def test_boards_are_taken_when_the_workers_are_ready_and_callers_are_answered_before(
+def test_cameras_are_opened_when_the_workers_are_ready_and_requests_are_answered_before(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After an installation they compile first."""
+    """After an installation the workers compile first; the service replies meanwhile."""
     monkeypatch.setattr(acquisition_link, "WARM_S", COMPILED_S)
     with Station(config) as started:
         first = started.coordinator.snapshot()
@@ -136,7 +136,7 @@ def test_boards_are_taken_when_the_workers_are_ready_and_callers_are_answered_be
 
 
 @pytest.mark.timeout(2 * COMPILED_S)
-def test_slow_workers_are_a_warning_and_boards_are_filmed_anyway(
+def test_slow_workers_are_a_warning_and_cameras_are_opened_nevertheless(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(acquisition_link, "WARM_S", 0.0)

@@ -1,4 +1,4 @@
-"""Figures of the recorded cases: measured once, kept in docs/measured/figures.json, shown in every document from there.
+"""Figures of the recorded cases: measured once, stored in docs/measured/figures.json, shown in documents from there.
 
     python -m tests.cases.figures CASES     measures all cases in a folder made by shared/cases/make.py
     python -m tests.cases.figures           renders the documents from the file

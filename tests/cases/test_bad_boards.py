@@ -1,4 +1,4 @@
-"""Boards that lie wrongly or are of another type: never a wrong position in a result that is ok."""
+"""Turned boards, other board types, missing boards: a result with verdict ok never has wrong positions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from vaoi_station.model import BoardType, Status
 pytestmark = pytest.mark.cases
 
 
-def turned(board_type: BoardType) -> BoardType:
-    """Describe the same board from its other end: point symmetry about the middle of its outline.
+def rotated_cad(board_type: BoardType) -> BoardType:
+    """Return the board type rotated by 180° about the middle of its outline.
 
-    A recording of the board is then one of a board that lies turned by 180°.
+    A recording of the board then shows a board that lies turned by 180°.
     """
     low, high = board_type.extent()
     x, y = (low + high).tolist()
@@ -33,8 +33,8 @@ def turned(board_type: BoardType) -> BoardType:
 
 
 @pytest.mark.parametrize("name", ["paper-1", "ulx3s-top", "sparse", "dark", "repetitive", "fixture"])
-def test_a_board_turned_by_half_a_turn_is_refused(cases: Any, name: str) -> None:
-    board_type = turned(read_board_type(cases(name) / "board.json"))
+def test_board_turned_by_180_degrees_is_refused(cases: Any, name: str) -> None:
+    board_type = rotated_cad(read_board_type(cases(name) / "board.json"))
     result = cases.stitch(cases(name), board_type=board_type)
     assert result.status is Status.FAILED
     assert "turned" in result.reasons[0]
@@ -56,12 +56,12 @@ def test_a_board_of_another_type_is_refused(cases: Any, filmed: str, claimed: st
 
 def test_a_bent_board_without_working_distance_is_degraded_by_its_seam(cases: Any) -> None:
     calibration = read_calibration(cases("warped") / "calibration.json")
-    blind = calibration.model_copy(update={"working_distance_mm": None})
-    result = cases.stitch(cases("warped"), calibration=blind)
+    without_distance = calibration.model_copy(update={"working_distance_mm": None})
+    result = cases.stitch(cases("warped"), calibration=without_distance)
     assert result.status is Status.DEGRADED
     assert result.surface is None
     assert any("cameras 0 and 1 disagree by" in r for r in result.reasons)
-    assert cases.score("warped", result)["cad_px"]["max"] > 0.3, "the error is worth the reason"
+    assert cases.score("warped", result)["cad_px"]["max"] > 0.3, "the error is large enough for a reason"
 
 
 def test_a_run_without_a_board_fails_with_a_reason(cases: Any, tmp_path: Path) -> None:
@@ -78,8 +78,8 @@ def test_a_run_without_a_board_fails_with_a_reason(cases: Any, tmp_path: Path) -
     assert result.quality["belt"]["measured_mm_s"] is None
 
 
-def test_a_lost_camera_costs_only_what_it_alone_saw(cases: Any, tmp_path: Path) -> None:
-    case = cases.copied("ulx3s-top", tmp_path / "blind")
+def test_black_frames_of_one_camera_leave_the_other_views_correct(cases: Any, tmp_path: Path) -> None:
+    case = cases.copied("ulx3s-top", tmp_path / "black")
     rows = open_recording(case).head.rows
     for row in range(rows):
         path = case / "frames" / f"c01_r{row:03d}.png"

@@ -1,4 +1,4 @@
-"""Figures in the documents are those of docs/measured/figures.json, and those are what is measured now."""
+"""Figures in the documents equal those of docs/measured/figures.json, and these equal the measured ones."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from tests.cases.figures import CASES, DOCUMENTS, FIGURES, figures_of, rendered
 
 KNOWN = json.loads(FIGURES.read_text(encoding="utf-8"))
 NOISE_PX = 0.003
-"""Difference between two machines: sums are reordered by the compiler."""
+"""Largest difference between two machines, as compilers reorder sums."""
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.name)
-def test_a_document_shows_the_figures_of_the_file(path: Path) -> None:
+def test_documents_show_the_figures_of_the_file(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert "<!-- figures: " in text
     assert rendered(text, KNOWN) == text, "run: python -m tests.cases.figures"
@@ -28,7 +28,7 @@ def test_every_case_is_in_the_file() -> None:
 
 @pytest.mark.cases
 @pytest.mark.parametrize("name", CASES)
-def test_the_figures_are_what_is_measured(cases: Any, name: str) -> None:
+def test_figures_of_the_file_equal_the_measured_ones(cases: Any, name: str) -> None:
     result = cases.stitched(name)
     now = figures_of(result.status, cases.score(name, result), result.quality["cad_sigma_px"])
     assert now["status"] == KNOWN[name]["status"]

@@ -1,4 +1,4 @@
-"""The paper's methods on recorded boards, each by its own evidence alone."""
+"""The paper's methods on recorded boards, each with one kind of evidence."""
 
 from __future__ import annotations
 
@@ -35,9 +35,7 @@ def used(result: Stitch) -> dict[str, int]:
 
 
 @pytest.mark.parametrize(("name", "limit_px"), [("fixture", 0.15), ("paper-reference", 0.15)])
-def test_marks_of_a_fixture_place_a_board_without_any_texture(
-    cases: Any, tmp_path: Path, name: str, limit_px: float
-) -> None:
+def test_fixture_marks_place_a_board_without_texture(cases: Any, tmp_path: Path, name: str, limit_px: float) -> None:
     result = stitched(cases(name), tmp_path / "result.json", "--method", "fiducials")
     assert (result.status, result.method) == (Status.OK, "fiducials")
     assert set(used(result)) == {"fiducials", "fixture"}
@@ -68,13 +66,13 @@ def test_a_reference_places_a_later_board(cases: Any, taught: Path, tmp_path: Pa
     np.testing.assert_allclose(result.row_motion[0], np.eye(3), atol=1e-12, err_msg="the gauge holds for every method")
 
 
-def test_auto_uses_a_reference_beside_everything_else(cases: Any, taught: Path, tmp_path: Path) -> None:
+def test_auto_uses_a_reference_and_all_other_evidence(cases: Any, taught: Path, tmp_path: Path) -> None:
     result = stitched(cases("ulx3s-top-again"), tmp_path / "result.json", "--reference", taught)
     assert set(used(result)) == {"rows", "neighbours", "fiducials", "reference"}
     assert cases.score("ulx3s-top-again", result)["cad_px"]["rms"] <= 0.08
 
 
-def test_a_reference_filmed_with_another_calibration_is_refused(cases: Any, taught: Path, tmp_path: Path) -> None:
+def test_reference_with_another_calibration_is_refused(cases: Any, taught: Path, tmp_path: Path) -> None:
     case = cases("ulx3s-top-again")
     calibration = read_calibration(case / "calibration.json")
     moved = [m.copy() for m in calibration.camera_matrices]
@@ -94,7 +92,7 @@ def test_a_reference_of_another_board_type_is_refused(cases: Any, taught: Path, 
     assert "whose components are not those of" in done.stderr
 
 
-def test_a_reference_is_named_where_it_is_needed(cases: Any, tmp_path: Path) -> None:
+def test_method_reference_without_a_reference_is_refused(cases: Any, tmp_path: Path) -> None:
     done = vaoi("stitch", cases("sparse"), "--method", "reference", "--out", tmp_path / "r.json")
     assert done.returncode == 2
     assert "--method reference needs --reference DIR" in done.stderr
@@ -112,7 +110,7 @@ def test_a_run_that_is_not_ok_is_not_taught(cases: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["paper-1", "ulx3s-top"])
-def test_the_papers_method_is_a_baseline(cases: Any, tmp_path: Path, name: str) -> None:
+def test_method_of_the_paper_is_a_baseline(cases: Any, tmp_path: Path, name: str) -> None:
     theirs = stitched(cases(name), tmp_path / "result.json", "--method", "paper")
     assert (theirs.status, theirs.method) == (Status.DEGRADED, "paper")
     assert theirs.reasons == ("the paper's method has no measure of its own error",)

@@ -1,4 +1,4 @@
-"""Recorded boards, stitched without their truth and scored against it by another program."""
+"""Recorded boards, stitched without their truth and scored against it by an independent program."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_sound_recordings_are_ok_and_placed_to_a_tenth_of_a_pixel(cases: Any, na
 
 
 @pytest.mark.parametrize("name", ["paper-1", "paper-2", "paper-3"])
-def test_the_papers_experiment(cases: Any, name: str) -> None:
+def test_experiment_of_the_paper(cases: Any, name: str) -> None:
     mean_mm = cases.score(name, cases.stitched(name))["cad_mm"]["mean"]
     assert mean_mm <= 0.02
     assert mean_mm <= 0.005, "worse than before"
@@ -64,7 +64,7 @@ def test_missing_rows_are_bridged(cases: Any) -> None:
     assert abs(result.quality["belt"]["speed_error"]) < 0.05
 
 
-def test_the_bent_board_is_measured(cases: Any) -> None:
+def test_surface_of_a_bent_board_is_measured(cases: Any) -> None:
     surface = cases.stitched("warped").surface
     middle = surface.height_mm(surface.about)
     corner = surface.height_mm([a + h for a, h in zip(surface.about, surface.half_span, strict=True)])

@@ -35,7 +35,7 @@ def test_position_errors_match_their_covariances(cases: Any) -> None:
 
 
 def test_matrix_errors_match_their_sigmas(cases: Any) -> None:
-    """Row 0 is exact by definition; of the others the middle of every frame is compared."""
+    """Compare the middle of each frame; row 0 is left out, because it is exact by definition."""
     squares = []
     for name in ("ulx3s-top", "hdr", "repetitive", "fixture"):
         result, truth = cases.stitched(name), cases.truth(name)
@@ -49,4 +49,4 @@ def test_matrix_errors_match_their_sigmas(cases: Any) -> None:
                 squares.append((np.hypot(*(ours[:2] / ours[2] - middle[:2])) / sigma[0]) ** 2)
                 assert sigma[1] >= sigma[0] * 0.99, "the sigma at a corner is not smaller"
     print(np.mean(squares))
-    assert 0.2 < np.mean(squares) < 4.0, "a sigma is that in the worst direction"
+    assert 0.2 < np.mean(squares) < 4.0, "a sigma is that of the worst direction"

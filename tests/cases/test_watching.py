@@ -1,4 +1,4 @@
-"""Recorded boards under a calibration from before a knock: the camera is named, and its N_i found again."""
+"""Recorded boards with the calibration from before a displacement: the camera is identified, its N_i estimated."""
 
 from __future__ import annotations
 
@@ -16,45 +16,47 @@ from vaoi_station.geometry import Camera
 from vaoi_station.stitching.recordings.opening import open_run
 
 pytestmark = pytest.mark.cases
-KNOCKED = 1
+MOVED = 1
 FOCAL_PX, CORNER_PX = 483 * 40.0, 868.8
 TENTH_DEG = np.radians(0.1)
 
 
 def under_old_calibration(case: Path, moved_px: Any) -> tuple[RunCheck, Camera, Camera]:
-    """Return the check of a run, the middle camera as it is, and as it was calibrated before it moved."""
+    """Return the check of a run, the middle camera at its actual pose, and at its calibrated pose."""
     opened = open_run(case)
     cameras = list(opened.setup.cameras)
-    hangs = cameras[KNOCKED]
-    cameras[KNOCKED] = displace_camera(hangs, -np.array(moved_px))
+    actual = cameras[MOVED]
+    cameras[MOVED] = displace_camera(actual, -np.array(moved_px))
     setup = replace(opened.setup, cameras=tuple(cameras))
-    return check_recording(replace(opened, setup=setup)), hangs, cameras[KNOCKED]
+    return check_recording(replace(opened, setup=setup)), actual, cameras[MOVED]
 
 
 @pytest.mark.parametrize(
     "moved_px", [(0.0, FOCAL_PX * TENTH_DEG, 0.0), (0.0, -FOCAL_PX * TENTH_DEG, 0.0), (0.0, 0.0, CORNER_PX * TENTH_DEG)]
 )
-def test_a_knock_along_the_belt_or_about_the_axis_is_undone(cases: Any, moved_px: tuple[float, float, float]) -> None:
+def test_displacement_along_the_belt_or_about_the_axis_is_corrected(
+    cases: Any, moved_px: tuple[float, float, float]
+) -> None:
     checks = [under_old_calibration(cases(name), moved_px) for name in ("ulx3s-top", "ulx3s-top-again")]
     found = combine_runs([check for check, _, _ in checks])
-    assert (found.moved, found.rivals) == ((KNOCKED,), ())
-    _, hangs, calibrated = checks[0]
-    corrected = displace_camera(calibrated, found.displacement_px[KNOCKED])
+    assert (found.moved, found.rivals) == ((MOVED,), ())
+    _, actual, calibrated = checks[0]
+    corrected = displace_camera(calibrated, found.displacement_px[MOVED])
     grid = np.stack(np.meshgrid(np.linspace(0, 1391, 9), np.linspace(0, 1039, 7)), -1).reshape(-1, 2)
-    off = np.hypot(*(corrected.project(hangs.ground(grid)) - grid).T)
+    off = np.hypot(*(corrected.project(actual.ground(grid)) - grid).T)
     assert np.sqrt((off**2).mean()) < 0.03
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_knock_that_leaves_one_neighbour_stays_within_its_sigma(cases: Any, way: int) -> None:
-    """The other overlap is too narrow then, and one alone does not separate a moved camera from a higher board."""
-    moved_px = (way * FOCAL_PX * TENTH_DEG, 0.0, 0.0)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_displacement_with_one_remaining_seam_is_within_its_sigma(cases: Any, direction: int) -> None:
+    """The other overlap is too narrow; a single seam hardly separates a moved camera from a higher board."""
+    moved_px = (direction * FOCAL_PX * TENTH_DEG, 0.0, 0.0)
     check, _, _ = under_old_calibration(cases("ulx3s-top"), moved_px)
     found = combine_runs([check])
-    assert found.moved == (KNOCKED,)
-    off = found.displacement_px[KNOCKED] - moved_px
-    assert found.sigma_px[KNOCKED, 0] > 0.25
-    assert (np.abs(off) < 3 * found.sigma_px[KNOCKED] + 0.02).all()
+    assert found.moved == (MOVED,)
+    off = found.displacement_px[MOVED] - moved_px
+    assert found.sigma_px[MOVED, 0] > 0.25
+    assert (np.abs(off) < 3 * found.sigma_px[MOVED] + 0.02).all()
 
 
 @pytest.mark.parametrize("name", ["ulx3s-top", "sparse", "hdr", "repetitive", "warped", "rough"])

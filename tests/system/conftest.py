@@ -1,4 +1,4 @@
-"""Whole stations: on the digital twin, and on recordings of it."""
+"""Whole stations, on the digital twin and on recordings of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.station import Station
 
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +26,7 @@ def twin() -> Twin:
 
 @pytest.fixture(scope="session")
 def recordings(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Two boards of the small scenario."""
+    """Return recordings of two boards of the small scenario."""
     folder = tmp_path_factory.mktemp("recordings")
     for number in (0, 1):
         write_passage(twin.passage(number), folder / f"board{number}")
@@ -34,6 +34,7 @@ def recordings(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 
 def config_of(twin: Twin, directory: Path, backend: str, **more: Any) -> StationConfig:
+    """Return the configuration of a station with the twin's array and line; its files are in `directory`."""
     array = twin.scenario.array
     write_calibration(directory / "calibration.json", twin.calibration)
     write_board_type(directory / "board-types" / f"{twin.board_type.name}.json", twin.board_type)
@@ -77,7 +78,7 @@ def twin_config(twin: Twin, tmp_path: Path) -> StationConfig:
 
 @pytest.fixture
 def run_station() -> Iterator[Callable[[StationConfig], StationCoordinator]]:
-    """Start stations and waits until they are idle; they are stopped after the test."""
+    """Return a function that starts a station and waits until it is idle; stations are stopped after the test."""
     stations: list[Station] = []
 
     def run(config: StationConfig) -> StationCoordinator:
@@ -94,7 +95,7 @@ def run_station() -> Iterator[Callable[[StationConfig], StationCoordinator]]:
 
 def until_state(coordinator: StationCoordinator, state: str) -> None:
     """Wait for a state, woken by the event log."""
-    deadline, seen = time.monotonic() + PATIENCE_S, 0
+    deadline, seen = time.monotonic() + TIMEOUT_S, 0
     while coordinator.snapshot().state != state:
         assert time.monotonic() < deadline, coordinator.snapshot()
         records = coordinator.events(seen, 1.0)

@@ -1,4 +1,4 @@
-"""A station that could have filmed a recorded case, and films it again from the recording."""
+"""A station with the array and the line of a recorded case, which replays the recording."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from vaoi_station.files import open_recording, read_board_type, write_board_type
 
 
 def station_of(case: Path, directory: Path, **replay: Any) -> StationConfig:
-    """Its files lie in `directory`; where the board lies is not known beforehand.
+    """Return the configuration of the station; the position of the board on the belt is not known beforehand.
 
     Args:
         case: the recording.
-        directory: exists.
-        replay: how the recording passes, by the keys of [replay].
+        directory: an existing directory for the station's files.
+        replay: keys of the table [replay].
     """
     head, board_type = open_recording(case).head, read_board_type(case / "board.json")
     write_board_type(directory / "board-types" / f"{board_type.name}.json", board_type)

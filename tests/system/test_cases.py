@@ -1,4 +1,4 @@
-"""The service on recordings of real boards, back to back."""
+"""A station that replays the recording of a real board without pauses."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from vaoi_station.geometry import apply
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.stitching.recordings.offline import stitch_frames
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 RUNS = 20
 
 
 @pytest.mark.cases
-def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong_row(
+def test_results_equal_the_offline_result_and_no_frame_is_in_a_wrong_row(
     cases: Callable[[str], Path],
     tmp_path: Path,
     run_station: Callable[[StationConfig], StationCoordinator],
@@ -30,7 +30,7 @@ def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong
     recording, board_type = open_recording(directory), coordinator.board_types()[0].name
     setup = coordinator._make_order(coordinator.board_type(board_type), None, None).setup
     expected = stitch_frames(setup, recording.head, recording.frame)
-    filmed = {
+    recorded = {
         (camera, row): recording.frame(camera, row)
         for camera in range(len(recording.head.cameras))
         for row in range(recording.head.rows)
@@ -39,7 +39,7 @@ def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong
     coordinator.arm(board_type, runs=RUNS)
     seen: list[str] = []
     while len(seen) < RUNS:
-        records = coordinator.events(before, PATIENCE_S)
+        records = coordinator.events(before, TIMEOUT_S)
         assert records, coordinator.snapshot()
         before = records[-1].number
         for run in [r.run for r in records if r.kind == "run" and r.state in ("ready", "degraded", "failed") and r.run]:
@@ -54,15 +54,15 @@ def test_boards_back_to_back_equal_the_offline_result_and_no_frame_is_in_a_wrong
                     assert matrix is not None
                     assert ours is not None
                     assert np.abs(apply(ours @ np.linalg.inv(matrix), corners) - corners).max() <= 1e-6
-            check_frames(coordinator, run, filmed)
+            check_frames(coordinator, run, recorded)
     assert coordinator.snapshot().boards_missed == 0
 
 
-def check_frames(coordinator: StationCoordinator, run: str, filmed: dict[tuple[int, int], np.ndarray | None]) -> None:
-    """Every frame that is still in memory is the one that was filmed there."""
+def check_frames(coordinator: StationCoordinator, run: str, recorded: dict[tuple[int, int], np.ndarray | None]) -> None:
+    """Check that each frame still in memory is that of the recording."""
     from vaoi_station.errors import GoneError
 
-    for (camera, row), pixels in filmed.items():
+    for (camera, row), pixels in recorded.items():
         try:
             ours, record = coordinator.frame(run, camera, row)
         except GoneError:

@@ -1,4 +1,4 @@
-"""`vaoi demo`, as a program of its own: the whole service on the twin, and nothing left of it afterwards."""
+"""`vaoi demo` as a separate program: the whole service on the twin; nothing remains afterwards."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from vaoi_station.demo.demo_report import DemoReport
 from vaoi_station.simulation import scenario_path
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 Start = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Start `vaoi demo …` with a temporary directory of its own, which must be empty in the end."""
+    """Return a function that starts `vaoi demo …` with a separate temporary directory."""
     temporary = tmp_path / "tmp"
     temporary.mkdir()
     started: list[subprocess.Popen[str]] = []
@@ -56,10 +56,10 @@ def start(tmp_path: Path) -> Iterator[Start]:
 def test_one_board_from_the_barrier_to_the_contact_sheet(start: Start, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = start("--scenario", "small", "--once", "--json", "--out", str(out))
-    said, complaints = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, complaints
-    assert complaints == ""
-    report = DemoReport.model_validate_json(said)
+    output, errors = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 0, errors
+    assert errors == ""
+    report = DemoReport.model_validate_json(output)
     assert report.ok
     assert (report.status, report.reasons) == ("ok", ())
     assert (report.frames.ok, report.frames.missing) == (report.cameras * report.rows, 0)
@@ -67,14 +67,14 @@ def test_one_board_from_the_barrier_to_the_contact_sheet(start: Start, tmp_path:
     assert report.deviation.max_px < 0.6
     assert report.belt.measured_mm_s == pytest.approx(report.belt.true_mm_s, abs=0.3)
     assert report.timings.links_while_filming > 0
-    assert json.loads((out / "report.json").read_text()) == json.loads(said)
+    assert json.loads((out / "report.json").read_text()) == json.loads(output)
     assert json.loads((out / "matrices.json").read_text())["format"] == "vaoi-stitch"
     check_pictures(report, out)
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
 def check_pictures(report: DemoReport, out: Path) -> None:
-    """Every component has its pictures, and they are what their list says."""
+    """Check that each component has pictures, and that the list gives their size."""
     folders = sorted((out / "components").iterdir())
     assert len(folders) == report.components
     files = list((out / "components").glob("*/*.png"))
@@ -90,14 +90,14 @@ def check_pictures(report: DemoReport, out: Path) -> None:
     assert sheet.shape[1] > 1000
 
 
-def test_a_board_that_lies_turned_round_fails_with_the_reason(start: Start, tmp_path: Path) -> None:
+def test_board_turned_by_180_degrees_fails_with_the_reason(start: Start, tmp_path: Path) -> None:
     scenario = tmp_path / "turned.toml"
     scenario.write_text(scenario_path("small").read_text() + "\n[[faults.turned]]\nturned_deg = 180\n")
     process = start("--scenario", str(scenario), "--once", "--out", str(tmp_path / "out"))
-    said, complaints = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 1, complaints
-    assert "FAILED" in said
-    assert re.search(r"^  - .*180", said, re.MULTILINE), said
+    output, errors = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 1, errors
+    assert "FAILED" in output
+    assert re.search(r"^  - .*180", output, re.MULTILINE), output
     assert (tmp_path / "out" / "contact-sheet.png").is_file()
 
 
@@ -108,13 +108,13 @@ def test_boards_keep_coming_until_the_demo_is_interrupted(start: Start, tmp_path
     with urllib.request.urlopen(address + "/") as page:
         assert b"<html" in page.read()
     process.send_signal(number)
-    said, complaints = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, complaints) == (0, ""), said
+    output, errors = process.communicate(timeout=TIMEOUT_S)
+    assert (process.returncode, errors) == (0, ""), output
     assert not [pid for pid in processes if Path(f"/proc/{pid}").exists()]
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_a_demo_that_is_killed_takes_its_service_with_it(start: Start) -> None:
+def test_service_ends_when_its_demo_is_killed(start: Start) -> None:
     process = start("--scenario", "small", "--port", "0")
     _, processes = until_board(process, 1)
     process.kill()
@@ -124,7 +124,7 @@ def test_a_demo_that_is_killed_takes_its_service_with_it(start: Start) -> None:
 
 
 def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[int]]:
-    """Its address and the numbers of its service's processes, once `count` boards have been reported."""
+    """Wait until `count` boards are reported; return the service's address and the ids of its processes."""
     assert process.stdout is not None
     address = ""
     for line in process.stdout:
@@ -139,7 +139,7 @@ def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[i
 
 
 def parent_of(pid: int) -> int:
-    """Return the station's own process."""
+    """Return the id of the parent process."""
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
@@ -150,7 +150,7 @@ def until_ended(pid: int) -> None:
     except ProcessLookupError:
         return
     try:
-        assert select.select([handle], [], [], PATIENCE_S)[0], f"process {pid} outlived its demo"
+        assert select.select([handle], [], [], TIMEOUT_S)[0], f"process {pid} outlived its demo"
     finally:
         os.close(handle)
 
@@ -163,9 +163,9 @@ def until_ended(pid: int) -> None:
         (["--once", "--out", "README.md"], "is a file"),
     ],
 )
-def test_what_makes_no_sense_is_refused_at_once(start: Start, arguments: list[str], sentence: str) -> None:
+def test_invalid_arguments_are_refused_at_once(start: Start, arguments: list[str], sentence: str) -> None:
     process = start(*arguments)
-    said, complaints = process.communicate(timeout=PATIENCE_S)
+    output, errors = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 2
-    assert said == ""
-    assert sentence in complaints
+    assert output == ""
+    assert sentence in errors

@@ -1,4 +1,4 @@
-"""The service on recordings of a real board at their own pace, over HTTP: right, in time, and without growing."""
+"""The service replays a real board at its recorded pace, over HTTP: results, delays and use of resources."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from vaoi_station.stitching.work import StitchSetup
 
 RUNS = 20
 WARM = 7
-"""Runs after which nothing may grow any more."""
+"""Number of runs after which memory and open files may no longer grow."""
 SANE_MS = 5000.0
-"""A bound for machines that do other things besides; the figure is printed."""
+"""Limit for the delay on a machine with other load; the measured figure is printed."""
 EVERY = 4
 """Period, in runs, of comparing all frames: fetching them takes time from the next run."""
 
@@ -40,7 +40,7 @@ def station_toml(case: Path, directory: Path) -> Path:
 
 
 def offline(config: StationConfig, case: Path) -> Stitch:
-    """Return what the same frames give at once, with all that the station knows beforehand."""
+    """Return the offline result of the same frames with the same prior knowledge."""
     recording, board_type = open_recording(case), read_board_type(case / "board.json")
     setup = StitchSetup(
         cameras=read_calibration(config.calibration, len(config.cameras)).cameras(recording.head.cameras),
@@ -53,7 +53,7 @@ def offline(config: StationConfig, case: Path) -> Stitch:
 
 
 @pytest.mark.cases
-def test_boards_back_to_back_at_their_own_pace(
+def test_boards_at_the_recorded_pace_give_the_offline_result_in_time(
     cases: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     case = cases("ulx3s-top")
@@ -88,7 +88,7 @@ def test_boards_back_to_back_at_their_own_pace(
 
 
 def apart_px(document: dict[str, Any], expected: Stitch, recording: Recording) -> float:
-    """How far result and offline result disagree about where the frames' corners lie, in px of the frame."""
+    """Return the largest difference between two results at the corners of the frames, px."""
     worst = 0.0
     for camera, (ours, theirs) in enumerate(zip(document["image_matrices"], expected.image_matrices, strict=True)):
         head = recording.head.cameras[camera]
@@ -101,7 +101,7 @@ def apart_px(document: dict[str, Any], expected: Stitch, recording: Recording) -
 
 
 def check_frames(client: Client, run: str, recording: Recording) -> None:
-    """Every frame of the run is the one that was filmed by that camera in that row."""
+    """Check that each frame of the run is that of the recording."""
     client.put(f"/runs/{run}/hold", holder="test")
     for camera, head in enumerate(recording.head.cameras):
         for row in range(recording.head.rows):
@@ -113,7 +113,7 @@ def check_frames(client: Client, run: str, recording: Recording) -> None:
 
 
 def resources(client: Client, pid: int, shared: Path) -> dict[str, int]:
-    """Return what the service holds of the machine: shared memory, open files, resident memory of all its processes."""
+    """Return the shared memory, open files and resident memory of all processes of the service."""
     pids = [pid, *(p["pid"] for p in client.get("/station")["processes"])]
     sizes = [[int(v) for v in Path(f"/proc/{p}/statm").read_text().split()] for p in pids]
     return {

@@ -1,4 +1,4 @@
-"""The service as a process of its own, over HTTP: what it refuses, and what it survives."""
+"""The service as a separate process, over HTTP: refusals and recovery from faults."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from vaoi_station.demo.station_files import to_toml
 from vaoi_station.demo.waiting import wait_for_run, wait_until_idle
 from vaoi_station.errors import BusyError, NotFoundError
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 Serve = Callable[[StationConfig], Client]
 
 
@@ -41,12 +41,12 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
 @pytest.fixture
 def client(serve: Serve, replay_config: Callable[..., StationConfig]) -> Client:
-    """Return a station to which boards of the small scenario come again and again."""
+    """Return a client of a station that replays boards of the small scenario without end."""
     return serve(replay_config(pace="original", pause_s=0.4))
 
 
 def until(client: Client, kind: str, state: str, after: int = 0, run: str | None = None) -> int:
-    """Wait on the event stream; the number of the event."""
+    """Wait for an event on the stream; return its number."""
     for message in client.messages(after):
         if (message.get("kind"), message.get("state")) == (kind, state) and run in (None, message.get("run")):
             return int(message["number"])
@@ -54,8 +54,8 @@ def until(client: Client, kind: str, state: str, after: int = 0, run: str | None
 
 
 def problem(client: Client, method: str, path: str, **query: Any) -> dict[str, Any]:
-    """Return a refusal, checked for what every problem has; sentences name what is wrong and what to do."""
-    answer = httpx2.request(method, f"{client.address}/api/v1{path}", params=query, timeout=PATIENCE_S)
+    """Send a request that is refused; return the problem document after a check of its general form."""
+    answer = httpx2.request(method, f"{client.address}/api/v1{path}", params=query, timeout=TIMEOUT_S)
     assert answer.headers["content-type"] == "application/problem+json"
     content: dict[str, Any] = answer.json()
     assert content["status"] == answer.status_code
@@ -74,30 +74,30 @@ def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(cl
     assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", "first", 0)
 
 
-def test_an_unknown_board_type(client: Client) -> None:
-    refusal = problem(client, "POST", "/station/arm", board_type="unheard-of")
+def test_unknown_board_type_is_refused(client: Client) -> None:
+    refusal = problem(client, "POST", "/station/arm", board_type="absent")
     assert (refusal["status"], refusal["code"]) == (404, "unknown-board-type")
-    assert "'unheard-of'" in refusal["detail"]
+    assert "'absent'" in refusal["detail"]
     assert client.get("/station")["state"] == "idle"
-    with pytest.raises(NotFoundError, match="unheard-of"):
-        client.post("/station/arm", board_type="unheard-of")
+    with pytest.raises(NotFoundError, match="absent"):
+        client.post("/station/arm", board_type="absent")
 
 
-def test_a_worker_killed_while_a_board_passes_costs_nothing(client: Client) -> None:
+def test_killed_worker_is_restarted_and_the_run_is_complete(client: Client) -> None:
     client.post("/station/arm", board_type="small")
     until(client, "run", "filming")
-    [victim] = [p["pid"] for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
-    os.kill(victim, signal.SIGKILL)
+    [killed] = [p["pid"] for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
+    os.kill(killed, signal.SIGKILL)
     run = wait_for_run(client, None)
     assert (run["verdict"], run["counts"]) == ("ok", {"ok": 12, "incomplete": 0, "missing": 0}), run["reasons"]
     matrices = client.get(f"/runs/{run['id']}/matrices")
     assert matrices["status"] == "ok"
     [after] = [p for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
     assert after["restarts"] == 1
-    assert after["pid"] != victim
+    assert after["pid"] != killed
 
 
-def test_when_all_memory_is_held_arming_is_refused_with_the_holders_names(client: Client) -> None:
+def test_arming_is_refused_with_the_holders_names_if_all_bays_are_held(client: Client) -> None:
     client.post("/station/arm", board_type="small")
     seen, held = 0, []
     for holder in ("tester", "review", "archive"):

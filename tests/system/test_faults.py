@@ -1,4 +1,4 @@
-"""Real processes that die while a board passes: nothing that was filmed is lost."""
+"""Processes that are killed while a board passes: no frame that was taken is lost."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from vaoi_station.config import StationConfig
 from vaoi_station.model import Status
 from vaoi_station.runs.control.coordinator import StationCoordinator
 
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 RunStation = Callable[[StationConfig], StationCoordinator]
 
 
 def wait_for_event(coordinator: StationCoordinator, kind: str, state: str, after: int = 0) -> int:
-    """Return the number of the next event of a kind."""
+    """Wait for the next event of a kind; return its number."""
     while True:
-        records = coordinator.events(after, PATIENCE_S)
+        records = coordinator.events(after, TIMEOUT_S)
         assert records, coordinator.snapshot()
         for record in records:
             if (record.kind, record.state) == (kind, state):
@@ -39,7 +39,7 @@ def test_a_worker_killed_while_a_board_passes(
     coordinator.arm("small")
     wait_for_event(coordinator, "run", "filming")
     os.kill(pid_of(coordinator, "worker 0"), signal.SIGKILL)
-    run = coordinator.next_run(None, PATIENCE_S)
+    run = coordinator.next_run(None, TIMEOUT_S)
     assert run is not None
     assert (run.state, run.verdict, run.counts.missing) == ("ready", Status.OK, 0), run.reasons
     [restarts] = [p.restarts for p in coordinator.snapshot().processes if p.name == "worker 0"]
@@ -61,7 +61,7 @@ def test_the_acquisition_process_killed_while_a_board_passes(
         coordinator.events(coordinator.snapshot().last_event, 0.02)
     os.kill(pid_of(coordinator, "acquisition"), signal.SIGKILL)
     wait_for_event(coordinator, "station", "faulted", began)
-    first = coordinator.next_run(None, 0.0) or coordinator.latest() or coordinator.next_run(None, PATIENCE_S)
+    first = coordinator.next_run(None, 0.0) or coordinator.latest() or coordinator.next_run(None, TIMEOUT_S)
     assert first is not None
     run = coordinator.run(victim)
     assert run.state in ("degraded", "failed")
@@ -69,12 +69,12 @@ def test_the_acquisition_process_killed_while_a_board_passes(
     assert any(reason.code == "acquisition-lost" for reason in run.reasons)
     assert coordinator.frame(victim, 0, 0)[0].any()
     wait_state(coordinator, "armed")
-    again = coordinator.next_run(victim, PATIENCE_S)
+    again = coordinator.next_run(victim, TIMEOUT_S)
     assert again is not None
     assert (again.board_id, again.verdict) == ("b 1", Status.OK)
 
 
-def test_a_full_ring_loses_nothing_that_was_filmed(
+def test_full_ring_loses_no_frame_that_was_taken(
     replay_config: Callable[..., StationConfig],
     run_station: RunStation,
     wait_state: Callable[[StationCoordinator, str], None],
@@ -91,16 +91,16 @@ def test_a_full_ring_loses_nothing_that_was_filmed(
     missed = coordinator.snapshot().boards_missed
     after = coordinator.snapshot().last_event
     while coordinator.snapshot().boards_missed <= missed:
-        records = coordinator.events(after, PATIENCE_S)
+        records = coordinator.events(after, TIMEOUT_S)
         assert records
         after = records[-1].number
     assert all(coordinator.frame(run, 0, 0)[0].any() for run in runs)
     coordinator.end_hold(runs[0], "tester")
     wait_state(coordinator, "armed")
-    assert coordinator.next_run(runs[-1], PATIENCE_S) is not None
+    assert coordinator.next_run(runs[-1], TIMEOUT_S) is not None
 
 
-def test_nothing_is_left_behind(replay_config: Callable[..., StationConfig]) -> None:
+def test_no_process_or_ring_remains_after_the_stop(replay_config: Callable[..., StationConfig]) -> None:
     from vaoi_station.station import Station
 
     config = replay_config(pace="original", pause_s=0.1)

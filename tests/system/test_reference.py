@@ -1,4 +1,4 @@
-"""Teaching over the whole station: a run is kept, later boards are placed against it, as `vaoi stitch` would."""
+"""A whole station with a reference: a run is taught, and later boards are placed against it as by `vaoi stitch`."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from vaoi_station.station import Station
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 RunStation = Callable[[StationConfig], StationCoordinator]
 
 
 def filmed(coordinator: StationCoordinator) -> RunDetail:
-    """Return the next board."""
-    seen, deadline = coordinator.snapshot().last_event, time.monotonic() + PATIENCE_S
+    """Return the next run."""
+    seen, deadline = coordinator.snapshot().last_event, time.monotonic() + TIMEOUT_S
     coordinator.arm("small", runs=1)
     while True:
         assert time.monotonic() < deadline, coordinator.snapshot()
@@ -42,7 +42,7 @@ def used(stitch: Stitch) -> dict[str, int]:
 
 
 def apart_px(a: Stitch, b: Stitch, twin: Twin) -> float:
-    """How far two results disagree about where the frames' corners lie in CAD, px."""
+    """Return the largest difference between two results at the corners of the frames in CAD, px."""
     w, h = twin.scenario.array.width_px - 1.0, twin.scenario.array.height_px - 1.0
     corners = np.array([[0, 0], [w, 0], [w, h], [0, h]])
     assert a.cad_matrix is not None
@@ -58,26 +58,26 @@ def apart_px(a: Stitch, b: Stitch, twin: Twin) -> float:
 
 
 def offline(reference: Path, recording: Path, method: MethodName) -> Stitch:
-    """Return what `vaoi stitch RECORDING --reference DIR --method METHOD` makes of it."""
+    """Return the result of `vaoi stitch RECORDING --reference DIR --method METHOD`."""
     opened = open_run(recording, reference=reference, method=method)
     assert opened.reference is not None
     return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, opened.reference.recording.frame)
 
 
 def shows(path: Path, station: StationCoordinator, run: RunDetail) -> bool:
-    """Whether a run is this recording: boards pass unseen while a station is not armed."""
+    """Return whether a run shows this recording: boards that pass before the station is armed are skipped."""
     frame = open_recording(path).frame(0, run.rows // 2)
     return frame is not None and np.array_equal(frame, station.frame(run.id, 0, run.rows // 2)[0])
 
 
 @pytest.fixture
 def config(replay_config: Callable[..., StationConfig]) -> StationConfig:
-    """Return a station that replays two boards in turn."""
+    """Return the configuration of a station that replays two boards in turn."""
     return replay_config(pace="fast", pause_s=0.01)
 
 
 @pytest.mark.parametrize("method", ["auto", "reference"])
-def test_later_boards_are_placed_against_a_taught_run_as_offline(
+def test_later_boards_are_placed_against_a_reference_as_offline(
     config: StationConfig, run_station: RunStation, recordings: tuple[Path, Path], twin: Twin, method: MethodName
 ) -> None:
     station = run_station(config)

@@ -1,4 +1,4 @@
-"""A station that plays recordings: every run equals the offline stitch, none costs memory."""
+"""A station that replays recordings: each run equals the offline result, and memory does not grow."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from vaoi_station.simulation import Twin
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import StitchSetup
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 RunStation = Callable[[StationConfig], StationCoordinator]
 
 
 def offline(coordinator: StationCoordinator, recording: Recording) -> Stitch:
-    """Return what `vaoi stitch` makes of the recording, knowing what the station knew."""
+    """Return the offline result of the recording with the prior knowledge of the station."""
     order = coordinator._make_order(coordinator.board_type("small"), None, None)
     setup: StitchSetup = order.setup
     return stitch_frames(setup, recording.head, recording.frame)
@@ -38,7 +38,7 @@ def follow(coordinator: StationCoordinator, count: int) -> list[RunDetail]:
     runs: list[RunDetail] = []
     after = None
     while len(runs) < count:
-        run = coordinator.next_run(after, PATIENCE_S)
+        run = coordinator.next_run(after, TIMEOUT_S)
         assert run is not None, coordinator.snapshot()
         runs.append(run)
         after = run.id
@@ -46,7 +46,7 @@ def follow(coordinator: StationCoordinator, count: int) -> list[RunDetail]:
 
 
 def corners_apart_px(a: Stitch, b: Stitch, width: int, height: int) -> float:
-    """How far the two disagree about where the frames' corners lie on the board, in px of the frame."""
+    """Return the largest difference between two results at the corners of the frames, px."""
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=float)
     worst = 0.0
     for row_a, row_b in zip(a.image_matrices, b.image_matrices, strict=True):
@@ -71,7 +71,7 @@ def test_every_run_equals_the_offline_result_and_memory_does_not_grow(
     runs: list[RunDetail] = []
     after: str | None = None
     while len(runs) < 20:
-        run = coordinator.next_run(after, PATIENCE_S) if after else first_run(coordinator)
+        run = coordinator.next_run(after, TIMEOUT_S) if after else first_run(coordinator)
         assert run is not None, coordinator.snapshot()
         truth = expected[len(runs) % 2]
         stitch = coordinator.stitch(run.id)
@@ -96,10 +96,10 @@ def test_every_run_equals_the_offline_result_and_memory_does_not_grow(
 
 
 def first_run(coordinator: StationCoordinator) -> RunDetail | None:
-    """Return the first run of all: after nothing there is nothing to come after."""
+    """Wait for the first run; `next_run` needs the id of an earlier one."""
     seen = 0
     while coordinator.latest() is None:
-        records = coordinator.events(seen, PATIENCE_S)
+        records = coordinator.events(seen, TIMEOUT_S)
         assert records
         seen = records[-1].number
     ids = [run.id for run in coordinator.runs(1000)]
@@ -107,7 +107,7 @@ def first_run(coordinator: StationCoordinator) -> RunDetail | None:
 
 
 def held(coordinator: StationCoordinator) -> dict[str, int]:
-    """Return what the station holds of the machine: shared memory, open files, resident memory of all its processes."""
+    """Return the shared memory, open files and resident memory of all processes of the station."""
     snapshot = coordinator.snapshot()
     pids = [os.getpid(), *(p.pid for p in snapshot.processes if p.pid)]
     pages = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids)
@@ -119,7 +119,7 @@ def held(coordinator: StationCoordinator) -> dict[str, int]:
     }
 
 
-def test_when_the_last_row_arrives_the_links_of_all_earlier_rows_exist(
+def test_links_of_all_earlier_rows_exist_when_the_last_row_arrives(
     replay_config: Callable[..., StationConfig], run_station: RunStation
 ) -> None:
     coordinator = run_station(replay_config(pace="original", pause_s=0.2))

@@ -1,6 +1,6 @@
-"""The station's real backends on the virtual rig: firmware on an emulated chip, GigE Vision on loopback, REST.
+"""The real backends on the virtual rig: firmware on an emulated chip, GigE Vision on loopback, REST.
 
-`vaoi rig run` is a program here: it begins itself anew in a network of its own, and starts `vaoi serve` there.
+`vaoi rig run` runs as a program: it restarts itself in a new network namespace and starts `vaoi serve` there.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ def need_all() -> None:
 
 
 def rig_run(folder: Path, films: Path, *options: str) -> tuple[int, dict[str, Any], str]:
-    """Exit code, report, and what was printed."""
+    """Run `vaoi rig run`; return its exit code, its report and its output."""
     need_all()
     report = folder / "report.json"
     command = [sys.executable, "-m", "vaoi_station", "rig", "run", "--films", str(films)]
     done = subprocess.run(
         [*command, "--json", str(report), *options], cwd=ROOT, capture_output=True, text=True, check=False, timeout=280
     )
-    said = done.stdout + done.stderr
-    assert report.is_file(), said
-    return done.returncode, json.loads(report.read_text()), said
+    output = done.stdout + done.stderr
+    assert report.is_file(), output
+    return done.returncode, json.loads(report.read_text()), output
 
 
 def ended(pid: int) -> bool:
-    """Within a moment: multiprocessing's tracker goes when it notices that its parent has gone."""
+    """Return whether a process ends within 10 s: the tracker of multiprocessing ends a little after its parent."""
     try:
         handle = os.pidfd_open(pid)
     except ProcessLookupError:
@@ -64,9 +64,9 @@ def affected(board: dict[str, Any]) -> set[tuple[int, int]]:
 
 
 def test_every_frame_of_three_cameras_is_in_its_proven_row(tmp_path: Path, films: Path) -> None:
-    """Two of them share 32 px, which is room for no patch: that is no sign of a camera that has moved."""
-    code, report, said = rig_run(tmp_path, films, "--scenario", "small", "--cameras", "3", "--boards", "2")
-    assert (code, report["ok"], report["failings"]) == (0, True, []), said
+    """An overlap of 32 px has no room for a patch; it must not be reported as the drift of a camera."""
+    code, report, output = rig_run(tmp_path, films, "--scenario", "small", "--cameras", "3", "--boards", "2")
+    assert (code, report["ok"], report["failings"]) == (0, True, []), output
     assert report["cameras"] == 3
     assert [board["status"] for board in report["boards"]] == ["ok", "ok"]
     for board in report["boards"]:
@@ -75,20 +75,20 @@ def test_every_frame_of_three_cameras_is_in_its_proven_row(tmp_path: Path, films
         assert board["deviation"]["unplaced"] == 0
     assert report["rms_px"] <= 0.10
     assert (report["boards_missed"], report["stray_pulses"]) == (0, 0)
-    assert "all checks passed" in said
+    assert "all checks passed" in output
 
 
-def test_what_goes_wrong_is_named_and_hurts_nobody_else(tmp_path: Path, films: Path) -> None:
-    """A camera that dies and comes back, a pulse it ignores, a station that stops, a controller that is reset; all of
-    it on a noisy line, with a barrier that bounces."""
-    code, report, said = rig_run(
+def test_faults_are_reported_with_their_cause_and_affect_no_other_frame(tmp_path: Path, films: Path) -> None:
+    """A camera outage, an ignored pulse, a stalled station and a reset controller, on a noisy serial line with a
+    bouncing barrier."""
+    code, report, output = rig_run(
         tmp_path,
         films,
         *("--scenario", "small", "--boards", "5", "--fault", "noise:share=0.001", "--fault", "bounce:board=0"),
         *("--fault", "kill:camera=1,board=1,row=3,for_s=1", "--fault", "ignored:camera=0,board=2,row=3"),
         *("--fault", "stall:who=station,board=3,row=1", "--fault", "reset:board=4,row=4"),
     )
-    assert (code, report["ok"], report["failings"]) == (0, True, []), said
+    assert (code, report["ok"], report["failings"]) == (0, True, []), output
     boards = report["boards"]
     assert [affected(boards[k]) for k in (0, 2, 3)] == [set(), {(0, 3)}, set()]
     assert {(1, 3), (1, 4), (1, 5)} <= affected(boards[1]) <= {(1, 2), (1, 3), (1, 4), (1, 5)}
@@ -100,7 +100,7 @@ def test_what_goes_wrong_is_named_and_hurts_nobody_else(tmp_path: Path, films: P
     assert all(r["ready_after_s"] <= 12.0 for r in report["recoveries"])
 
 
-def test_a_rig_that_is_up_gives_a_station_nothing_but_addresses(tmp_path: Path, films: Path) -> None:
+def test_configuration_of_a_rig_has_addresses_of_devices_only(tmp_path: Path, films: Path) -> None:
     need_all()
     out = tmp_path / "rig"
     command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--scenario", "small", "--own-network"]
@@ -110,29 +110,31 @@ def test_a_rig_that_is_up_gives_a_station_nothing_but_addresses(tmp_path: Path, 
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     ) as process:  # fmt: skip
         assert process.stdout is not None
-        said: list[str] = []
+        output: list[str] = []
         for line in process.stdout:
-            said.append(line)
+            output.append(line)
             if "Press Ctrl-C to stop" in line:
                 break
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        enter = next(line for line in said if "vaoi serve" in line).partition(":")[2].partition("vaoi serve")[0].split()
+        enter = (
+            next(line for line in output if "vaoi serve" in line).partition(":")[2].partition("vaoi serve")[0].split()
+        )
         assert b"127.0.0.3/8" in subprocess.check_output([*enter, "ip", "address", "show", "lo"])
         process.send_signal(signal.SIGINT)
-        said.append(process.stdout.read())
-        assert process.wait(30) == 0, "".join(said)
-    assert len(children) >= 3, "".join(said)
+        output.append(process.stdout.read())
+        assert process.wait(30) == 0, "".join(output)
+    assert len(children) >= 3, "".join(output)
     assert all(ended(int(pid)) for pid in children)
     config = read_config(out / "station.toml")
     assert [camera.address for camera in config.cameras] == ["127.0.0.2", "127.0.0.3"]
     assert all(camera.nominal_center_mm and camera.nominal_px_per_mm for camera in config.cameras)
     assert (config.controller.backend, config.controller.port) == ("serial", str(out / "trigger"))
     assert (config.simulation, config.replay) == (None, None)
-    assert f"vaoi serve --config {out / 'station.toml'}" in "".join(said)
+    assert f"vaoi serve --config {out / 'station.toml'}" in "".join(output)
 
 
-def test_the_first_picture_of_the_calibration_board_comes_in_time(tmp_path: Path) -> None:
-    """By the command line that the rig prints, in the network it has made."""
+def test_first_picture_of_the_calibration_board_is_complete(tmp_path: Path) -> None:
+    """Record with the command line that the rig prints, in its network namespace."""
     need_all()
     command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--out", str(tmp_path / "rig"), "--own-network"]
     command += ["--scenario", "small", "--different", "1", "--still"]

@@ -1,4 +1,4 @@
-"""`vaoi serve`, as a program of its own: everything over HTTP, and an orderly end."""
+"""`vaoi serve` as a separate program, over HTTP, with an orderly end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import pytest
 
 from vaoi_station.config import StationConfig
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 def as_toml(config: StationConfig) -> str:
@@ -52,7 +52,7 @@ class Service:
         for line in self.process.stdout:
             self.log.append(line)
             if found := re.search(r"listening on (http://\S+)", line):
-                self.client = httpx2.Client(base_url=found[1] + "/api/v1", timeout=PATIENCE_S)
+                self.client = httpx2.Client(base_url=found[1] + "/api/v1", timeout=TIMEOUT_S)
                 return
         raise AssertionError("".join(self.log))
 
@@ -62,14 +62,14 @@ class Service:
         return answer.json()
 
     def until_idle(self) -> None:
-        """Its workers are warm, its cameras open; the stream of events says its state every two seconds."""
+        """Wait until workers and cameras are ready; the event stream reports the state every two seconds."""
         with self.client.stream("GET", "/events") as stream:
             assert any('"state":"idle"' in line for line in stream.iter_lines())
 
     def stop(self, number: int) -> int:
         self.client.close()
         self.process.send_signal(number)
-        out, _ = self.process.communicate(timeout=PATIENCE_S)
+        out, _ = self.process.communicate(timeout=TIMEOUT_S)
         self.log.append(out)
         return self.process.returncode
 
@@ -109,7 +109,7 @@ def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path
     assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
 
 
-def test_a_station_that_is_killed_leaves_no_process_and_its_ring_is_swept(
+def test_killed_station_leaves_no_process_and_the_next_one_removes_its_ring(
     service: Service, replay_config: Callable[..., StationConfig], tmp_path: Path
 ) -> None:
     service.until_idle()
@@ -123,7 +123,7 @@ def test_a_station_that_is_killed_leaves_no_process_and_its_ring_is_swept(
     assert list((tmp_path / "shm").iterdir()) == []
 
 
-FORGETFUL = """
+WITHOUT_STOP = """
 import sys
 from pathlib import Path
 from vaoi_station.config import read_config
@@ -138,18 +138,18 @@ if __name__ == "__main__":
 """
 
 
-def test_a_program_that_forgets_to_stop_its_station_ends_all_the_same(
+def test_station_that_is_not_stopped_ends_with_its_program(
     replay_config: Callable[..., StationConfig], tmp_path: Path
 ) -> None:
     (tmp_path / "station.toml").write_text(as_toml(replay_config()))
-    (tmp_path / "forgetful.py").write_text(FORGETFUL)
+    (tmp_path / "without_stop.py").write_text(WITHOUT_STOP)
     root = Path(__file__).parents[2]
     done = subprocess.run(
-        [sys.executable, str(tmp_path / "forgetful.py"), str(tmp_path / "station.toml")],
+        [sys.executable, str(tmp_path / "without_stop.py"), str(tmp_path / "station.toml")],
         env={**os.environ, "PYTHONPATH": str(root)},
         stdout=subprocess.PIPE,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
         check=True,
     )
     for pid in done.stdout.split():
@@ -163,6 +163,6 @@ def ended(pid: int) -> None:
     except ProcessLookupError:
         return
     try:
-        assert select.select([handle], [], [], PATIENCE_S)[0], f"process {pid} outlived its station"
+        assert select.select([handle], [], [], TIMEOUT_S)[0], f"process {pid} outlived its station"
     finally:
         os.close(handle)

@@ -1,4 +1,4 @@
-"""A station on the digital twin: what it measures is what the twin put on the belt."""
+"""A station on the digital twin: results agree with the truth."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from vaoi_station.model import Status
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import Twin
 
-PATIENCE_S = 90.0
+TIMEOUT_S = 90.0
 
 
-def test_boards_of_the_twin_are_where_the_twin_had_them(
+def test_component_positions_agree_with_the_truth_of_the_twin(
     twin_config: StationConfig, run_station: Callable[[StationConfig], StationCoordinator], twin: Twin
 ) -> None:
     coordinator = run_station(twin_config)
     coordinator.arm("small", runs=2)
-    first = coordinator.next_run(None, PATIENCE_S)
+    first = coordinator.next_run(None, TIMEOUT_S)
     assert first is not None, coordinator.snapshot()
-    second = coordinator.next_run(first.id, PATIENCE_S)
+    second = coordinator.next_run(first.id, TIMEOUT_S)
     assert second is not None
     for number, run in enumerate((first, second)):
         assert run.verdict is Status.OK, run.reasons

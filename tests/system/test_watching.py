@@ -1,4 +1,4 @@
-"""A whole station on the twin, whose camera is knocked between two boards: it goes on filming, and says so."""
+"""A station on the twin with a camera that is displaced between two boards: it continues and warns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import scenario_path
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 KNOCK = """
 [[faults.knocked]]
 camera = 1
@@ -23,10 +23,10 @@ angle_deg = 0.1
 
 
 def event(coordinator: StationCoordinator, code: str) -> Any:
-    """Return the first event of a code."""
+    """Wait for the first event with a code."""
     after = 0
     while True:
-        records = coordinator.events(after, PATIENCE_S)
+        records = coordinator.events(after, TIMEOUT_S)
         assert records, coordinator.snapshot()
         for record in records:
             if record.code == code:
@@ -34,7 +34,7 @@ def event(coordinator: StationCoordinator, code: str) -> Any:
         after = records[-1].number
 
 
-def test_a_knock_becomes_a_warning_by_its_second_board(
+def test_displaced_camera_is_a_warning_after_two_boards(
     twin_config: StationConfig, run_station: Callable[[StationConfig], StationCoordinator], tmp_path: Path
 ) -> None:
     knocked = tmp_path / "knocked.toml"
