@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
+
 import vaoi_station as vaoi
+from vaoi_station.library.component_images import ComponentImage, ComponentImages
+from vaoi_station.model import Status
 
 
 def test_a_figure_has_a_tile_for_every_image(stitched: vaoi.StitchedRun) -> None:
@@ -18,3 +23,49 @@ def test_images_come_best_first(stitched: vaoi.StitchedRun) -> None:
     for ref in stitched.refs:
         coverage = [round(image.coverage, 3) for image in stitched.component(ref)]
         assert coverage == sorted(coverage, reverse=True)
+
+
+def made_image(loads: list[int], shape: tuple[int, ...] = (30, 40)) -> ComponentImage:
+    """Return an image that counts how often its pixels are loaded."""
+
+    def load() -> np.ndarray:
+        loads.append(len(loads))
+        return np.full(shape, 90, np.uint8)
+
+    crop_from_cad = np.array([[0.0, 20, 5], [-20, 0, 7], [0, 0, 1]])
+    return ComponentImage(
+        camera=1,
+        row=4,
+        coverage=0.75,
+        px_per_mm=20.0,
+        crop_from_cad=crop_from_cad,
+        image_from_crop=np.eye(3),
+        distorted=False,
+        covariance_px2=None,
+        _load=load,
+    )
+
+
+def test_pixels_are_loaded_at_each_access_and_not_before() -> None:
+    loads: list[int] = []
+    image = made_image(loads)
+    assert loads == []
+    assert image.pixels.shape == image.pixels.shape == (30, 40)
+    assert len(loads) == 2
+
+
+def test_matrix_back_to_cad_is_the_inverse() -> None:
+    image = made_image([])
+    np.testing.assert_allclose(image.cad_from_crop @ image.crop_from_cad, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(30, 40), (30, 40, 3)])
+@pytest.mark.parametrize(("height_mm", "sigma_mm"), [(None, None), (1.2, None), (1.2, 0.05)])
+def test_figure_is_drawn_with_and_without_a_height(
+    shape: tuple[int, ...], height_mm: float | None, sigma_mm: float | None
+) -> None:
+    images = ComponentImages("U1", (made_image([], shape),) * 3, height_mm, sigma_mm, Status.OK)
+    figure = images.figure()
+    assert figure.shape[2] == 3
+    assert images[2] is images.images[2]
+    assert ComponentImages("U1", (), height_mm, sigma_mm, Status.FAILED).figure().ndim == 3

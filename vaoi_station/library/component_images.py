@@ -41,6 +41,7 @@ class ComponentImage:
     @property
     def pixels(self) -> NDArray[Any]:
         """The image, (height, width) or (height, width, 3) blue-green-red; made or fetched at each access."""
+        # Not cached: a caller that visits all components of a board would otherwise hold all their images.
         return self._load()
 
 
@@ -68,6 +69,7 @@ class ComponentImages:
     def figure(self) -> NDArray[np.uint8]:
         """Draw all images side by side under the verdict, (height, width, 3) blue-green-red."""
         tiles = [Tile(image.pixels, f"c{image.camera} r{image.row}", f"{image.coverage:.0%}") for image in self]
+        # A height is estimated from parallax between views, so a component may have images and no height.
         facts = [f"{len(self)} images"]
         if self.height_mm is not None:
             sigma = f" ± {self.height_sigma_mm:.2f}" if self.height_sigma_mm is not None else ""

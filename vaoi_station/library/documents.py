@@ -45,4 +45,5 @@ def read_image(path: str | Path) -> NDArray[Any]:
 
 def write_image(path: str | Path, pixels: NDArray[Any]) -> None:
     """Write a PNG, or an uncompressed TIFF if the path ends so, whole or not at all; missing folders are made."""
+    # Callers pass slices of frames, whose rows are not adjacent in memory.
     images.write_image(Path(path), np.ascontiguousarray(pixels))

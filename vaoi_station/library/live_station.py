@@ -56,6 +56,7 @@ class StationRun:
             NotFoundError: the board type has no such component.
             GoneError: at access to pixels, if the station no longer keeps the frames of the run.
         """
+        # On a panel, `ref` is `panel/ref`; `quote` keeps the slash, which the path of the component contains as well.
         path = f"/runs/{quote(self.id)}/components/{quote(ref)}"
         views = self._client.get(path, px_per_mm=px_per_mm, min_coverage=min_coverage)["views"]
         height, sigma = component_height(self.result, ref)
@@ -123,5 +124,6 @@ def connect(address: str = "http://127.0.0.1:8350") -> Station:
         DeviceError: nothing answers at the address.
     """
     station = Station(address)
+    # One request now, so that a wrong address is an error here and not at the first use.
     station.snapshot()
     return station

@@ -77,7 +77,9 @@ class RecordedRun:
         """
         if method not in METHODS:
             raise InputError(f"method is {method!r}, but must be one of {', '.join(METHODS)}.")
+        # The paper's method is not a choice of evidence for our stitching; it stitches by itself below.
         evidence: MethodName = "auto" if method == "paper" else method
+        # Opened again, because the evidence is part of the setup that the opened run holds.
         opened = open_run(
             self.directory,
             calibration=self.calibration_path,

@@ -27,6 +27,7 @@ def simulate(scenario: str | Path, directory: str | Path, *, board: int = 0) -> 
     if board < 0:
         raise InputError.field("simulate", "board", board, "0 or more")
     path = Path(scenario)
+    # A file in the working directory takes precedence over a shipped scenario of the same name.
     named = path.suffix == "" and not path.exists()
     twin = Twin(read_scenario(scenario_path(str(scenario)) if named else path))
     write_passage(twin.passage(board), out)

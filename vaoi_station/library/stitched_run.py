@@ -79,6 +79,7 @@ class StitchedRun:
         views = self._views.compute(self._part(ref), px_per_mm=px_per_mm, min_coverage=min_coverage)
         covariances = component_covariances(self.result, ref)
         height, sigma = component_height(self.result, ref)
+        # Views are matched by frame; a centre outside its frame has a view but no covariance.
         images = tuple(self._image(view, covariances.get((view.camera, view.row))) for view in views)
         return ComponentImages(ref, images, height, sigma, self.status)
 
@@ -99,6 +100,7 @@ class StitchedRun:
     def _part(self, ref: str) -> Component:
         part = self._board_type.component(ref)
         if part is None:
+            # A board type may have thousands of components; a few are enough to show the form of an address.
             known = ", ".join(self.refs[:8])
             raise NotFoundError(
                 f"board type {self._board_type.name!r} has no component {ref!r}.", action=f"It has {known} …"
