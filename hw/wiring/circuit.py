@@ -59,7 +59,7 @@ class Sheet(_Strict):
         return max(1, len(self.copies))
 
     def net(self, name: str, copy: int) -> str:
-        """What a net of the drawing is called in the whole circuit."""
+        """Return the name of a drawing's net in the whole circuit."""
         if not self.copies or name in SUPPLIES | GROUNDS:
             return name
         return self.copies[copy] if name == self.port else f"{name} ({self.name} {copy})"
@@ -103,7 +103,7 @@ class Circuit(_Strict):
         return nets
 
     def part(self, ref: str) -> Part:
-        """A part by its reference; a box of several by the reference of any it names first."""
+        """Return a part by its reference, or a box of several parts by the first reference it names."""
         for sheet in self.sheets:
             for part in sheet.parts:
                 if part.ref == ref or part.ref.startswith((f"{ref}…", f"{ref},")):

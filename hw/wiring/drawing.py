@@ -39,11 +39,11 @@ class Gap:
     tracks_at: float = 0.0
 
     def flags(self, from_left: bool) -> list[End]:
-        """Ends on one side that get a flag."""
+        """Return the ends on one side that get a flag."""
         return [e for e in self.ends if e.from_left == from_left and e.net not in self.wires]
 
     def of(self, net: str) -> list[End]:
-        """Ends of one net."""
+        """Return the ends of one net."""
         return [e for e in self.ends if e.net == net]
 
     def width(self) -> float:
@@ -65,7 +65,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Layout:
-    """Everything with its place; what `svg` draws and what the tests look at."""
+    """Everything with its place; `svg` draws it, and the tests check it."""
 
     sheet: Sheet
     boxes: tuple[Box, ...]
@@ -103,7 +103,7 @@ def segments(layout: Layout) -> dict[str, list[tuple[float, float, float, float]
 
 
 def svg(circuit: Circuit, sheet: Sheet) -> str:
-    """The drawing of a sheet."""
+    """Draw a sheet."""
     layout = lay_out(circuit, sheet)
     copies = f" — {sheet.built} ×" if sheet.copies else ""
     parts = [

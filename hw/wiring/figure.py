@@ -40,7 +40,7 @@ class Firmware:
 
     @classmethod
     def read(cls, path: Path = LIMITS) -> Firmware:
-        """The limits as they are compiled."""
+        """Read the limits as they are compiled."""
         text = path.read_text(encoding="utf-8")
         longest = re.search(r"#define LED_LONGEST \{([^}]*)\}", text)
         shift = re.search(r"#define LED_DUTY_SHIFT (\d+)", text)
@@ -50,7 +50,7 @@ class Firmware:
 
 
 def shown(value: float, unit: str) -> str:
-    """A value with three digits and a prefix: 0.00183 A → 1.83 mA."""
+    """Format a value with three digits and a prefix: 0.00183 A → 1.83 mA."""
     if unit == "" and abs(value) < 1:
         return f"{100 * value:.3g} %"
     if unit in {"", "°C", "Hz", "K"} or value == 0:

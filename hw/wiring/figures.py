@@ -28,7 +28,7 @@ def all_figures(circuit: Circuit, firmware: Firmware) -> dict[str, list[Figure]]
 
 
 def power_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """What the 24 V supply and the 5 V converter have to give."""
+    """Compute the load of the 24 V supply and the 5 V converter."""
     d, usual = circuit.design, circuit.design["operating"]
     strings = d["led"]["channels"] * d["led"]["strings_per_channel"]
     most = max(currents(circuit))

@@ -50,7 +50,7 @@ def currents(circuit: Circuit) -> list[float]:
 
 
 def current_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """The current through a string: while lit, on average, and while dark."""
+    """Compute the current through a string: while lit, on average, and while dark."""
     d, led = circuit.design, circuit.design["led"]
     corners = currents(circuit)
     most, supply = max(corners), d["logic_supply_v"]
@@ -84,7 +84,7 @@ def fault_current(circuit: Circuit) -> float:
 
 
 def bank_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """The capacitor of a string and what charges it; voltages add up from supply to string."""
+    """Compute the capacitor of a string and its charging; voltages add up from supply to string."""
     d, led, bank = circuit.design, circuit.design["led"], circuit.design["bank"]
     most, longest = max(currents(circuit)), max(firmware.longest_s)
     capacity = circuit.value("C32") * (1 - bank["capacitor_tolerance"])
@@ -127,7 +127,7 @@ def bank_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
 
 
 def heat_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """The transistor as a linear regulator; a pulse heats it less than the same power for ever, which is counted."""
+    """Compute the transistor as a linear regulator, as if a pulse lasted for ever, which heats it more."""
     d, led, q = circuit.design, circuit.design["led"], circuit.design["transistor"]
     most, high = max(currents(circuit)), d["light_supply_v"][1]
     usual = (high - led["in_series"] * led["forward_v"][0] - most * circuit.value("R37")) * most

@@ -31,7 +31,7 @@ def made(circuit: Circuit) -> dict[Path, str]:
 
 
 def redrawn(text: str, circuit: Circuit) -> str:
-    """A page with its drawn blocks made anew; KeyError for a block that nothing draws."""
+    """Return a page with its drawn blocks made anew; KeyError for a block that nothing draws."""
     blocks = {
         "pins": _table(("Nano", "ATmega328P", "net", "goes to"), controller_pins(circuit)),
         "materials": _table(("reference", "pieces", "part"), materials(circuit)),
@@ -42,7 +42,7 @@ def redrawn(text: str, circuit: Circuit) -> str:
 
 
 def controller_pins(circuit: Circuit) -> list[tuple[str, str, str, str]]:
-    """What is connected with which pin of the controller: its name, the chip's, the net, the other ends."""
+    """List the connections of the controller's pins: its name, the chip's, the net, the other ends."""
     rows = []
     for pin, net in circuit.part(CONTROLLER).pins:
         others = [f"{p.ref} {p.name}" for p in circuit.nets[net] if p.ref != CONTROLLER]
@@ -51,7 +51,7 @@ def controller_pins(circuit: Circuit) -> list[tuple[str, str, str, str]]:
 
 
 def materials(circuit: Circuit) -> list[tuple[str, int, str]]:
-    """The bill of materials: references, pieces over all copies, what it is."""
+    """List the materials: reference, number of pieces over all copies, description."""
     rows = []
     for sheet in circuit.sheets:
         rows += [(_reference(sheet, part), part.count * sheet.built, part.what) for part in sheet.parts]
@@ -59,7 +59,7 @@ def materials(circuit: Circuit) -> list[tuple[str, int, str]]:
 
 
 def ends(circuit: Circuit) -> list[tuple[str, str]]:
-    """Every net with all its pins, for beeping through."""
+    """List every net with all its pins, for a continuity test."""
     return [(net, "; ".join(f"{p.ref} {p.name}" for p in pins)) for net, pins in circuit.nets.items() if net != OPEN]
 
 

@@ -1,7 +1,7 @@
 """How the current sink starts and stops: its loop as four equations, stepped through one edge.
 
 The amplifier is an integrator with a limited slope, rails and an output resistance; the transistor a square law with
-two capacitances; the LED string a voltage and a resistance. Typical figures of data sheets, at their corners. It tells
+two capacitances; the LED string a voltage and a resistance. Typical figures of data sheets, at their corners. It shows
 whether the loop overshoots or rings, which no table of resistors does. It is a calculation, not a measurement.
 """
 
@@ -18,7 +18,7 @@ from hw.wiring.light import currents
 STEP_S = 2e-9
 """A fifth of the quickest time constant (amplifier 11 ns at 14 MHz; gate and feedback are slower)."""
 EDGE_S = 12e-6
-"""Time that is looked at after an edge."""
+"""Time that is simulated after an edge."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def corners(circuit: Circuit) -> list[Corner]:
 
 
 def edges(circuit: Circuit, corner: Corner) -> Edges:
-    """A pulse that is long enough to settle, and its end."""
+    """Simulate a pulse that is long enough to settle, and its end."""
     sink, steps = _Sink(circuit, corner), round(EDGE_S / STEP_S)
     rising: list[float] = []
     falling: list[float] = []
@@ -122,7 +122,7 @@ def edges(circuit: Circuit, corner: Corner) -> Edges:
 
 
 def transient_figures(circuit: Circuit) -> list[Figure]:
-    """The worst of all corners."""
+    """Return the worst values of all corners."""
     led = circuit.design["led"]
     all_edges = [edges(circuit, corner) for corner in corners(circuit)]
     over = max(e.peak_a / e.settled_a for e in all_edges) - 1

@@ -31,7 +31,7 @@ from vaoi_station.doctor.machine import Machine
 RING = {"ring": {"channels": [0, 1], "on_us": 250.0}}
 
 
-def patient_of(port: Path, **settings: Any) -> CheckContext:
+def context_of(port: Path, **settings: Any) -> CheckContext:
     document = {
         "calibration": "c.json",
         "board_types": "types",
@@ -63,7 +63,7 @@ def asked(port: Path, request: Type) -> Status:
 
 def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:
     before = asked(paced.link, Type.STATUS)
-    found = by_subject(controller(patient_of(paced.link, lights=RING)))
+    found = by_subject(controller(context_of(paced.link, lights=RING)))
     after = asked(paced.link, Type.STATUS)
     assert list(found) == ["port", "firmware", "limits", "state", "clock"]
     assert {finding.level for finding in found.values()} == {Level.OK}, found
@@ -77,28 +77,28 @@ def test_the_barrier_is_told_as_it_is(paced: PacedChip) -> None:
     assert asked(paced.link, Type.STATUS).blocked == 0
     paced.do("pin PB0 1")
     paced.rest(20)
-    assert by_subject(controller(patient_of(paced.link)))["state"].figures["barrier"] == "interrupted"
+    assert by_subject(controller(context_of(paced.link)))["state"].figures["barrier"] == "interrupted"
 
 
 def test_a_light_beyond_the_firmwares_limits(paced: PacedChip) -> None:
     lights = {"flash": {"channels": [2], "on_us": 800.0}}
-    limits = by_subject(controller(patient_of(paced.link, lights=lights)))["limits"]
+    limits = by_subject(controller(context_of(paced.link, lights=lights)))["limits"]
     assert_problem(limits, Level.FAULT, "controller.lights.flash.on_us is 800", "500")
 
 
 def test_a_controller_that_made_itself_safe(paced: PacedChip) -> None:
     asked(paced.link, Type.SAFE)
-    assert_problem(by_subject(controller(patient_of(paced.link)))["state"], Level.WARNING, "safe state (commanded)")
+    assert_problem(by_subject(controller(context_of(paced.link)))["state"], Level.WARNING, "safe state (commanded)")
 
 
 def test_no_port(tmp_path: Path) -> None:
-    assert_problem(only(controller(patient_of(tmp_path / "gone"))), Level.FAULT, "there is no", "gone")
+    assert_problem(only(controller(context_of(tmp_path / "gone"))), Level.FAULT, "there is no", "gone")
 
 
 def test_a_port_that_is_no_device(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    assert_problem(only(controller(patient_of(tmp_path / "file"))), Level.FAULT, "is no serial port")
-    assert_problem(only(controller(patient_of(Path("/dev/null")))), Level.FAULT, "/dev/null is no serial port")
+    assert_problem(only(controller(context_of(tmp_path / "file"))), Level.FAULT, "is no serial port")
+    assert_problem(only(controller(context_of(Path("/dev/null")))), Level.FAULT, "/dev/null is no serial port")
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def terminal() -> Iterator[tuple[int, Path]]:
 def test_a_port_of_somebody_else(terminal: tuple[int, Path]) -> None:
     terminal[1].chmod(0)
     with without_privileges():
-        finding = only(controller(patient_of(terminal[1])))
+        finding = only(controller(context_of(terminal[1])))
     assert_problem(finding, Level.FAULT, "may not be read and written by this user")
     assert finding.action.startswith("usermod -aG")
 
@@ -126,12 +126,12 @@ def test_a_port_that_another_program_uses(terminal: tuple[int, Path]) -> None:
     ) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
-        finding = only(controller(patient_of(terminal[1])))
+        finding = only(controller(context_of(terminal[1])))
         holder.communicate("")
     assert_problem(finding, Level.FAULT, "is in use by", f"process {holder.pid}")
 
 
-class Stranger:
+class ForeignDevice:
     """Whatever is at the other end of a terminal: answers every message by a payload of its own."""
 
     def __init__(self, terminal: int, payload: bytes | None) -> None:
@@ -161,8 +161,8 @@ class Stranger:
     ],
 )
 def test_a_device_that_is_not_ours(terminal: tuple[int, Path], payload: bytes | None, said: str) -> None:
-    Stranger(terminal[0], payload)
-    found = by_subject(controller(patient_of(terminal[1])))
+    ForeignDevice(terminal[0], payload)
+    found = by_subject(controller(context_of(terminal[1])))
     assert found["port"].level is Level.OK
     assert_problem(found["firmware"], Level.FAULT, said)
     assert set(found) == {"port", "firmware"}

@@ -37,7 +37,7 @@ DARK = Step(0, 0)
 
 
 class Wire:
-    """5 ms per turn; each frame of either direction has its own luck."""
+    """5 ms per turn; each frame of either direction is lost or damaged independently."""
 
     def __init__(self, logic: ctypes.CDLL, seed: int, loss: float) -> None:
         self.logic, self.dice, self.loss = logic, random.Random(seed), loss
@@ -60,11 +60,11 @@ class Wire:
     def turn(self) -> None:
         self.turns += 1
         self.logic.bridge_poll(self.tick)
-        to_chip = b"".join(self._suffer(self.link.outgoing(self.now_s)))
+        to_chip = b"".join(self._damage(self.link.outgoing(self.now_s)))
         size = self.logic.bridge_talk(to_chip, len(to_chip), self._replies, self.tick)
         self.logic.bridge_poll(self.tick)
         frames = [self._replies.raw[:size], *self._events()]
-        self.news += self.link.receive(b"".join(f for frame in frames for f in self._suffer(frame)), self.now_s)
+        self.news += self.link.receive(b"".join(f for frame in frames for f in self._damage(frame)), self.now_s)
 
     def run(self, turns: int) -> None:
         for _ in range(turns):
@@ -78,7 +78,7 @@ class Wire:
         while self.logic.bridge_event(self._event) & 0xFF:
             yield encode(Message(Type.EVENT, self.boots % 256, self._event.raw))
 
-    def _suffer(self, frame: bytes) -> Iterator[bytes]:
+    def _damage(self, frame: bytes) -> Iterator[bytes]:
         if not frame or self.dice.random() < self.loss:
             return
         if self.dice.random() < self.loss:
@@ -118,12 +118,12 @@ def test_every_request_is_carried_out_once_and_every_event_arrives_once_in_order
     assert wire.link.status.events_next == 13
 
 
-def test_what_a_long_silence_overwrote_is_counted(logic: ctypes.CDLL) -> None:
+def test_events_overwritten_during_a_long_silence_are_counted(logic: ctypes.CDLL) -> None:
     wire = Wire(logic, 1, 0.0)
     wire.link.request(Request(Type.IDENT))
     wire.run(5)
     wire.loss = 1.0
-    for nonce in range(50):  # the host was heard once more each time, and heard nothing
+    for nonce in range(50):  # requests of the host arrive, but no reply does
         frame = encode(Message(Type.FIRE_ONE, nonce, fire_one(nonce, DARK, us(100)).payload))
         logic.bridge_talk(frame, len(frame), ctypes.create_string_buffer(100), wire.tick)
         wire.run(3)
@@ -161,7 +161,7 @@ def test_a_reset_is_noticed_and_no_event_is_taken_for_one_of_another_boot(
     assert old == list(range(len(old)))
 
 
-def test_a_controller_that_is_not_there(logic: ctypes.CDLL) -> None:
+def test_an_absent_controller(logic: ctypes.CDLL) -> None:
     wire = Wire(logic, 1, 1.0)
     wire.link.request(Request(Type.IDENT))
     wire.link.request(number_request(Type.CLOCK, 5))
@@ -170,22 +170,22 @@ def test_a_controller_that_is_not_there(logic: ctypes.CDLL) -> None:
     assert wire.link.retries == 18
 
 
-def test_answers_to_nobody_are_counted_and_the_clock_is_bounded_by_its_first_question(logic: ctypes.CDLL) -> None:
+def test_unexpected_replies_are_counted_and_a_reply_is_dated_from_its_first_transmission(logic: ctypes.CDLL) -> None:
     wire = Wire(logic, 1, 0.0)
     wire.link.receive(encode(Message(Type.CLOCK | 0x80, 3, bytes(8))) + encode(Message(Type.NAK, 9, bytes(8))), 0.0)
     assert wire.link.unmatched == 2
-    question = number_request(Type.CLOCK, 0x1234)
-    wire.link.request(question)
+    request = number_request(Type.CLOCK, 0x1234)
+    wire.link.request(request)
     wire.loss = 1.0
     wire.turn()
-    asked_s = wire.now_s
+    sent_s_first = wire.now_s
     wire.run(10)
     wire.loss = 0.0
     wire.run(30)
     (reply,) = [item for item in wire.news if isinstance(item, Replied)]
     assert reply.payload[:4] == (0x1234).to_bytes(4, "little")
-    assert reply.sent_s == asked_s
-    assert reply.received_s - asked_s >= 0.1
+    assert reply.sent_s == sent_s_first
+    assert reply.received_s - sent_s_first >= 0.1
 
 
 def test_beats_keep_coming_and_show_the_state(logic: ctypes.CDLL) -> None:

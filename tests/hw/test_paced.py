@@ -1,4 +1,4 @@
-"""The emulated chip behind a terminal: what a station sees of it, and what the side channel tells."""
+"""The emulated chip behind a terminal: what a station receives, and the output of the side channel."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vaoi_station.acquisition.controller.protocol.messages import Ident, Request
 
 
 def identify(port: serial.Serial) -> Ident:
-    """Ask until it answers, as a station does."""
+    """Repeat IDENT until it is answered, as a station does."""
     link, give_up_s = Link(), time.monotonic() + PATIENCE_S
     while time.monotonic() < give_up_s:
         link.request(Request(Type.IDENT))
@@ -25,7 +25,7 @@ def identify(port: serial.Serial) -> Ident:
                     return Ident.unpack(item.payload)
             if news:
                 break
-    raise AssertionError("it did not say who it is")
+    raise AssertionError("it did not identify itself")
 
 
 def test_it_answers_at_the_terminal_and_keeps_the_pace(paced: PacedChip) -> None:
@@ -44,10 +44,10 @@ def test_a_reset_with_a_bootloader_swallows_what_comes(paced: PacedChip) -> None
     with serial.Serial(str(paced.link), 250_000, timeout=0.005) as port:
         identify(port)
         cycle = paced.do("reset external 700")
-        told_s = time.monotonic()
+        reset_s = time.monotonic()
         assert paced.resets == [cycle]
         assert identify(port).boots == 2
-        assert paced.host_s(cycle) > told_s
+        assert paced.host_s(cycle) > reset_s
         assert time.monotonic() >= paced.host_s(cycle)
 
 
@@ -63,7 +63,7 @@ def test_noise_damages_and_a_plug_that_was_pulled_comes_back(paced: PacedChip) -
         assert identify(port).boots == 1
 
 
-def test_a_watchdog_reset_is_told(paced: PacedChip) -> None:
+def test_a_watchdog_reset_is_reported(paced: PacedChip) -> None:
     with serial.Serial(str(paced.link), 250_000, timeout=0.005) as port:
         assert identify(port).reset_cause == 1
         paced.do("hang")

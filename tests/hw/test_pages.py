@@ -1,4 +1,4 @@
-"""The pages of hw/ tell the truth: what they link is there, what they show is what the commands print."""
+"""The pages of hw/ are correct: their links exist, and the output they show is that of the commands."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ COMMANDS = [
 
 
 def of(program: str) -> list[list[str]]:
-    """The commands of the guide that call a program, by its arguments."""
+    """Return the arguments of the guide's calls of a program."""
     plain = [words[3:] if words[:2] == ["sudo", "-u"] else words for words in COMMANDS]
     return [words[1:] for words in plain if Path(words[0]).name == program]
 

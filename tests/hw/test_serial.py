@@ -27,9 +27,11 @@ from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.config import ControllerConfig, Line, StationConfig
 from vaoi_station.errors import DeviceError, StateError
 
+ROOT = Path(__file__).resolve().parents[2]
+
 
 def test_a_board_passes(host: Host) -> None:
-    """Rows, lights and numbers; and times that the side channel bears out within the clock's own bound."""
+    """Rows, lights and numbers; the times agree with the side channel within the clock's own bound."""
     host.controller.arm(PLAN)
     for _ in range(4):
         host.chip.do("pin PD2 0")
@@ -131,7 +133,7 @@ def test_a_hung_controller_is_reset_by_its_watchdog(host: Host) -> None:
 
 @pytest.mark.parametrize("while_away_ms", [300, 4000])
 def test_a_port_that_goes_and_comes_back(host: Host, while_away_ms: int) -> None:
-    """For less than the heartbeat's patience the controller simply goes on; for longer it puts everything out."""
+    """Up to the heartbeat's limit the controller goes on; after it, it switches all outputs off."""
     host.controller.arm(PLAN)
     host.run()
     host.chip.do("unplug")
@@ -148,7 +150,7 @@ def test_a_port_that_goes_and_comes_back(host: Host, while_away_ms: int) -> None
     assert host.next(RunEnded).reason == "clear"  # of the board that passed meanwhile: its events were read again
     assert [p.index for p in host.pulses()] == list(range(6))
     assert len(host.run()) == 6
-    assert ("controller-safe" in host.trouble()) == (while_away_ms > 3000)
+    assert ("controller-safe" in host.fault_codes()) == (while_away_ms > 3000)
     assert host.clock.restarts == 0
 
 
@@ -177,14 +179,13 @@ def test_noise_costs_time_and_nothing_else(host: Host) -> None:
 
 
 def test_a_host_that_was_stopped(paced: PacedChip) -> None:
-    """SIGSTOP for longer than the heartbeat's patience: outputs off, told, and armed again."""
-    root = Path(__file__).resolve().parents[2]
+    """SIGSTOP for longer than the heartbeat's limit: outputs off, a report, and armed again."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.hw.emulated.serial_host", str(paced.link)],
         stdout=subprocess.PIPE,
         text=True,
-        cwd=root,
-        env=os.environ | {"PYTHONPATH": str(root)},
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     assert process.stdout is not None
     try:
@@ -199,13 +200,13 @@ def test_a_host_that_was_stopped(paced: PacedChip) -> None:
         assert max(paced.rises("PB1")) < stopped + 3.5 * HZ
         paced.do("pin PB0 0")
         process.send_signal(signal.SIGCONT)
-        told = ""
-        while "DeviceFault" not in told:
-            told = next(lines)
-        assert "received no heartbeat from this computer" in told
-        while "PulseFired" not in told:
-            told = next(lines)
-            if told == "nothing new\n":
+        line = ""
+        while "DeviceFault" not in line:
+            line = next(lines)
+        assert "received no heartbeat from this computer" in line
+        while "PulseFired" not in line:
+            line = next(lines)
+            if line == "nothing new\n":
                 paced.board(100)
     finally:
         process.kill()
@@ -213,7 +214,7 @@ def test_a_host_that_was_stopped(paced: PacedChip) -> None:
         process.stdout.close()
 
 
-def test_another_process_with_the_same_port_is_told_so(host: Host) -> None:
+def test_another_process_with_the_same_port_is_refused(host: Host) -> None:
     with pytest.raises(DeviceError, match="is in use by another program") as refused:
         SerialController(ControllerConfig(backend="serial", port=str(host.chip.link)))
     assert refused.value.code == "port-in-use"
@@ -247,24 +248,33 @@ def test_cameras_that_are_absent_leave_the_port_free(paced: PacedChip) -> None:
     SerialController(ControllerConfig(backend="serial", port=str(paced.link))).close()
 
 
-def test_what_a_process_before_left_is_history(paced: PacedChip) -> None:
-    """It died armed: its events are not told again, and no board is filmed for it."""
-    first = Host(paced)
-    first.controller.arm(PLAN)
-    first.run()
-    paced.do("pin PB0 1")
-    first.next(PulseFired)
-    first.controller._closing.set()  # it is gone without a word to the controller
-    assert first.controller._thread is not None
-    first.controller._thread.join()
-    first.controller._release()
+def test_events_of_an_earlier_process_are_not_reported(paced: PacedChip) -> None:
+    """It was killed while armed: its events are not reported again, and no board is filmed for it."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.hw.emulated.serial_host", str(paced.link)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert process.stdout is not None
+    try:
+        lines = iter(process.stdout)
+        assert next(lines) == "armed\n"
+        paced.do("pin PB0 1")
+        while "PulseFired" not in next(lines):
+            pass
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
     second = Host(paced)
     try:
         paced.do("pin PB0 0")
         paced.rest(20)
         second.controller.arm(PLAN)
         assert len(second.run()) == 6
-        assert not second.trouble()
+        assert not second.fault_codes()
     finally:
         second.controller.close()
 
@@ -275,4 +285,4 @@ def test_a_thousand_times(host: Host) -> None:
         host.controller.disarm()
     host.controller.arm(PLAN)
     assert len(host.run()) == 6
-    assert not host.trouble()
+    assert not host.fault_codes()

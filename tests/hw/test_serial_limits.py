@@ -1,4 +1,4 @@
-"""What the firmware does not do is refused by the station's end, which names the setting, its value and the limit."""
+"""The station refuses what the firmware cannot do, and names the setting, its value and the limit."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ def test_leds_that_are_hot_are_no_fault_of_the_device(paced: PacedChip) -> None:
         backend="serial", port=str(paced.link), lights={"top": LightConfig(channels=(0,), on_us=1000.0)}
     )
     controller = SerialController(config)
-    said = set()
+    messages = set()
     try:
         for _ in range(100):
             try:
                 controller.fire_one()
             except StateError as refusal:
-                said.add(refusal.message)
+                messages.add(refusal.message)
         controller.read_clock()
     finally:
         controller.close()
-    assert "the LEDs have not cooled down." in said
-    assert said <= {"the LEDs have not cooled down.", "the pulse before is still under way."}
+    assert "the LEDs have not cooled down." in messages
+    assert messages <= {"the LEDs have not cooled down.", "the pulse before is still under way."}

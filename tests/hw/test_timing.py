@@ -90,7 +90,7 @@ def test_every_row_has_the_channels_of_its_step(chip: Chip) -> None:
     assert not high
 
 
-def test_events_tell_what_the_pins_did(chip: Chip) -> None:
+def test_events_agree_with_the_pins(chip: Chip) -> None:
     line = Line(chip)
     line.arm()
     edge, clear = line.passage(150)
@@ -132,9 +132,9 @@ def test_a_bounce_is_no_board_and_two_boards_need_a_gap(chip: Chip) -> None:
     line.passage(60)
     line.run(100)
     assert len(chip.rises("PB1")) == 2 * first
-    said = [(e.detail, e.value) for e in line.events(Kind.SUPPRESSED)]
-    assert [detail for detail, _ in said] == [Suppressed.BOUNCE, Suppressed.GAP]
-    assert abs(said[0][1] - ms(1)) <= us(1)
+    suppressed = [(e.detail, e.value) for e in line.events(Kind.SUPPRESSED)]
+    assert [detail for detail, _ in suppressed] == [Suppressed.BOUNCE, Suppressed.GAP]
+    assert abs(suppressed[0][1] - ms(1)) <= us(1)
 
 
 def test_an_encoder_paces_rows_by_distance(chip: Chip) -> None:
@@ -160,7 +160,7 @@ def test_an_encoder_paces_rows_by_distance(chip: Chip) -> None:
     assert all(abs(cycle - at - latency) <= 20 * CYCLES_PER_US for cycle, at in zip(triggers, due, strict=True))
 
 
-def test_an_encoder_that_is_too_fast_is_told(chip: Chip) -> None:
+def test_an_encoder_that_is_too_fast_is_reported(chip: Chip) -> None:
     line = Line(chip)
     line.arm(
         replace(TIMING, pacing=Pacing.DISTANCE, steps=1, start_delay=100, period=50, tail=0, min_period=ms(15)),

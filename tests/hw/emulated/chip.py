@@ -33,13 +33,13 @@ class Chip:
         self.edges: list[tuple[int, str, int]] = []
         """(cycle, pin, level) of all outputs."""
         self.inputs: list[tuple[int, str, int]] = []
-        """(cycle, pin, level) of what was set from outside by `pin`."""
+        """(cycle, pin, level) of all inputs set by `pin`."""
         self.sent: list[tuple[int, bytes]] = []
         """What the firmware sent, with the cycle of the first byte; to be taken by the reader."""
         self.resets: list[int] = []
 
     def do(self, command: str) -> None:
-        """One command, and what comes of it."""
+        """Execute one command and record its output."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         word, *rest = command.split()
@@ -59,7 +59,7 @@ class Chip:
                 self.cycle = int(rest[0])
                 return
             else:
-                assert word == "Loaded", line  # simavr tells of the sections
+                assert word == "Loaded", line  # simavr lists the sections
         pytest.fail(f"the emulator ended with {self.process.wait()} at {command!r}")
 
     def run_ms(self, ms: float) -> None:

@@ -1,4 +1,4 @@
-"""The station's end of the line: a controller on the emulated chip, and what it tells."""
+"""The station's end of the line: a controller on the emulated chip, and its events."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ E = TypeVar("E")
 
 
 class Host:
-    """A controller and what it tells, in order; its clock is modelled as the acquisition process does."""
+    """A controller and its events, in order; its clock is modelled as the acquisition process does."""
 
     def __init__(self, chip: PacedChip) -> None:
         self.chip = chip
@@ -35,7 +35,7 @@ class Host:
             self.clock.add(self.controller.read_clock())
 
     def next(self, kind: type[E]) -> E:
-        """The next of this kind; all others before it are kept in `seen`."""
+        """Return the next item of this kind; all others before it are kept in `seen`."""
         while True:
             item = self._events.get(timeout=PATIENCE_S)
             self.seen.append(item)
@@ -45,7 +45,7 @@ class Host:
                 return item
 
     def run(self, ms: float = 100) -> list[PulseFired]:
-        """A board that passes; its pulses, when its run has ended."""
+        """Let a board pass and return its pulses when its run has ended."""
         self.seen.clear()
         self.chip.board(ms)
         assert self.next(RunEnded).reason == "clear"
@@ -54,12 +54,12 @@ class Host:
     def pulses(self) -> list[PulseFired]:
         return [item for item in self.seen if isinstance(item, PulseFired)]
 
-    def trouble(self) -> set[str]:
-        """Codes of the faults that were told."""
+    def fault_codes(self) -> set[str]:
+        """Return the codes of the reported faults."""
         return {item.error.code for item in self.seen if isinstance(item, DeviceFault)}
 
     def wait_ready(self) -> None:
-        """Until something can be asked of the controller again."""
+        """Wait until the controller accepts requests again."""
         begun = self.chip.do("pin PD2 0")
         while True:
             try:

@@ -57,7 +57,7 @@ STEPS = (Step(0b0001, us(250)), Step(0b0110, us(61.5)), Step(0b1000, us(500)))
 
 
 class Line:
-    """Turns of 1 ms: what the link wants to say is sent, the chip runs, what it says is heard."""
+    """Turns of 1 ms: the link's bytes are sent, the chip runs, and its replies go to the link."""
 
     def __init__(self, chip: Chip, *, beating: bool = True) -> None:
         self.chip = chip
@@ -82,7 +82,7 @@ class Line:
             self.turn(extra)
 
     def request(self, request: Request) -> bytes | Nak:
-        """The payload of the reply, or the refusal."""
+        """Send a request; return the payload of the reply, or the refusal."""
         self.link.request(request)
         for _ in range(2000):
             for item in self.turn():
@@ -96,12 +96,12 @@ class Line:
             assert isinstance(answer, bytes), answer
 
     def barrier(self, blocked: bool) -> int:
-        """Now; returns the cycle of the edge."""
+        """Change the barrier now; return the cycle of the edge."""
         self.chip.do(f"pin PB0 {int(blocked)}")
         return self.chip.cycle
 
     def passage(self, ms: int, extra: bytes = b"") -> tuple[int, int]:
-        """A board; returns the cycles of its edges."""
+        """Let a board pass; return the cycles of its edges."""
         edge = self.barrier(True)
         self.run(ms, extra)
         return edge, self.barrier(False)
@@ -114,7 +114,7 @@ class Line:
         return [item.boots for item in self.news if isinstance(item, Restarted)]
 
     def status(self) -> Status:
-        """As it is now."""
+        """Read the present status."""
         self.request(Request(Type.STATUS))
         assert self.link.status is not None
         return self.link.status

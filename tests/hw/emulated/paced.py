@@ -16,7 +16,7 @@ PATIENCE_S = 30.0
 
 
 class PacedChip:
-    """`emulator --pty`; see hw/virtual_rig/README.md. A thread reads what it tells."""
+    """`emulator --pty`; see hw/virtual_rig/README.md. A thread reads its output."""
 
     def __init__(self, build: Path, link: Path, firmware: str = "firmware.elf") -> None:
         self.link = link
@@ -39,7 +39,7 @@ class PacedChip:
         self.wait(lambda: self._clock)
 
     def do(self, command: str) -> int:
-        """One command; returns the cycle at which it was carried out."""
+        """Execute one command; return the cycle at which it was carried out."""
         assert self.process.stdin is not None
         self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
@@ -48,11 +48,11 @@ class PacedChip:
         return self._done[self._asked - 1]
 
     def board(self, ms: float) -> int:
-        """Something blocks the barrier for so long; returns the cycle at which it begins."""
+        """Block the barrier for a time; return the cycle at which it begins."""
         return self.do(f"board {round(ms * HZ / 1000)}")
 
     def rest(self, ms: float) -> None:
-        """Until the chip's time has gone on by so much."""
+        """Wait until this time has passed on the chip."""
         until = self.do("pin PD2 0") + ms * HZ / 1000
         while self.do("pin PD2 0") < until:
             pass
@@ -69,9 +69,9 @@ class PacedChip:
             return [cycle for cycle, name, level in self.edges if name == pin and level]
 
     def wait(self, condition: Callable[[], T]) -> T:
-        """Until something it told makes this true."""
+        """Wait until the output makes this condition true."""
         with self._change:
-            assert self._change.wait_for(condition, PATIENCE_S), "the emulator did not tell what was waited for"
+            assert self._change.wait_for(condition, PATIENCE_S), "the emulator did not print the expected line"
             return condition()
 
     def close(self) -> None:

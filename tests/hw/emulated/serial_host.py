@@ -1,4 +1,4 @@
-"""A computer with a serial controller, to be stopped from outside: arms, and prints what it is told, a line each.
+"""A computer with a serial controller, to be stopped from outside: arms, and prints each event on a line.
 
 A moment without news is a line as well.
 """

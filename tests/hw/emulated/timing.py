@@ -49,7 +49,7 @@ class Deviations:
 
 
 def film(chip: Chip, boards: int, *, loaded: bool, seed: int = 1) -> tuple[Deviations, Trace]:
-    """So many boards; the trace is that of the last one."""
+    """Let a number of boards pass; return the trace of the last one."""
     line, dice, found = Line(chip), random.Random(seed), Deviations()
     line.arm()
     edge = 0

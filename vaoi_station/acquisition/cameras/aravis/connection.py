@@ -1,7 +1,7 @@
 """One connection to one camera, from opening to loss; none of its objects is used again afterwards.
 
 In Aravis only pushing and popping of buffers is thread-safe. So all access to the camera goes through one lock; the
-stream has its own thread and needs none.
+stream uses one thread only and needs none.
 """
 
 from __future__ import annotations

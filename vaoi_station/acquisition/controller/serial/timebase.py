@@ -1,6 +1,6 @@
 """Seconds of the controller's clock across all its resets.
 
-A reset sets the tick counter to 0. Each boot has its own interval on one time axis, far enough from the one before that
+A reset sets the tick counter to 0. Each boot gets a separate interval on one time axis, far enough from the one before that
 a clock fit recognises the jump (`acquisition.clocks`).
 """
 
