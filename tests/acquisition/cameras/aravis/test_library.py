@@ -1,4 +1,4 @@
-"""PyGObject comes from the distribution, alone, and where there is none the rest of the station does without."""
+"""Only PyGObject is taken from the distribution; without it, the rest of the station works."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ assert aravis().Camera and aravis().GvFakeCamera
 assert version() >= (0, 8, 26)
 assert sys.path == before
 system = str(library.SYSTEM_PACKAGES)
-strangers = [name for name, module in sys.modules.items() if system in str(getattr(module, "__file__", ""))]
-assert strangers and all(name.split(".")[0] == "gi" for name in strangers), strangers
+loaded = [name for name, module in sys.modules.items() if system in str(getattr(module, "__file__", ""))]
+assert loaded and all(name.split(".")[0] == "gi" for name in loaded), loaded
 """
 
 
@@ -39,7 +39,7 @@ def test_only_gi_is_taken_from_the_distribution() -> None:
         (("__init__.py", "_gi.cpython-399-x86_64-linux-gnu.so"), "is for cpython-399-x86_64-linux-gnu"),
     ],
 )
-def test_what_is_absent_is_said_with_what_to_install(
+def test_an_absent_library_is_reported_with_the_packages_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: tuple[str, ...], sentence: str
 ) -> None:
     (tmp_path / "gi").mkdir()

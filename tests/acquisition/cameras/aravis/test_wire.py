@@ -1,7 +1,7 @@
-"""What needs a network of its own: the files in `wire/`, each in a process with a network namespace.
+"""Tests that need a separate network: the files in `wire/`, each in a process with a network namespace.
 
-Real GVCP and GVSP between Aravis' fake cameras and our backend; GigE Vision has one fixed port, so nobody else's
-cameras may be there.
+Real GVCP and GVSP between Aravis' fake cameras and our backend; GigE Vision has one fixed port, so no other
+cameras may be on that network.
 """
 
 from __future__ import annotations

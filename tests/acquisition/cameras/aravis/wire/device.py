@@ -1,9 +1,10 @@
-"""The virtual rig's camera, with what a test may want to be wrong with it.
+"""The virtual rig's camera, with faults that a test chooses.
 
     python device.py ADDRESS SERIAL [CHANGE …]
 
-Changes are made to the description that the camera serves, before it is served. Beside the rig's orders there is
-`width N`, by which the camera changes its region behind its client's back, and `tick` (see `latch`).
+Changes are made to the description that the camera serves, before it is served. Two commands are added to those of the
+rig: `width N`, by which the camera changes its region without a request, and `release`, after which it reports no
+controlling application, as after missed heartbeats.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.rig.devices import virtual_camera as camera
 from vaoi_station.rig.devices.camera_description import with_line0_trigger
 
+PRIVILEGE_REGISTER = 0x0A00
 CLOCK_ADDRESS = 0x8000
 CLOCK_AHEAD_NS = 4_000_000_000_000
 """Of a latched clock before the host's monotonic one."""
 
 
 def formats(text: str) -> str:
-    """All pixel formats, where the fake offers seven."""
+    """Offer all pixel formats; the fake has seven."""
     entries = "".join(
         f'<EnumEntry Name="{name}"><Value>{known.code}</Value></EnumEntry>'
         for name, known in PIXEL_FORMATS.items()
@@ -36,7 +38,7 @@ def formats(text: str) -> str:
 
 
 def stubborn(text: str) -> str:
-    """Whatever exposure it is told, it exposes 5 ms."""
+    """Expose for 5 ms whatever exposure is set."""
     return re.sub(
         r"<FormulaTo>FROM</FormulaTo>(?=\s*<FormulaFrom>TO</FormulaFrom>\s*<pValue>ExposureTimeAbsRegister)",
         "<FormulaTo>FROM * 0 + 5000</FormulaTo>",
@@ -45,7 +47,7 @@ def stubborn(text: str) -> str:
 
 
 def free_running(text: str) -> str:
-    """It says that its trigger is on, and is off."""
+    """Report that the trigger is on while it is off."""
     head, mode, rest = re.split(
         r'(<Enumeration Name="TriggerMode".*?</Enumeration>)', text, maxsplit=1, flags=re.DOTALL
     )
@@ -54,7 +56,7 @@ def free_running(text: str) -> str:
 
 
 def latch(text: str) -> str:
-    """A clock that can be latched: the value runs on its own, a millisecond at most behind."""
+    """Add a clock that can be latched; its value is at most a millisecond old."""
     return text.replace(
         "</RegisterDescription>",
         '<Command Name="TimestampLatch"><pValue>LatchRegister</pValue><CommandValue>1</CommandValue></Command>'
@@ -70,17 +72,20 @@ CHANGES = {change.__name__: change for change in (formats, stubborn, free_runnin
 
 
 class Device(camera.VirtualCamera):
-    """One camera with orders of its own."""
+    """A camera with further commands."""
 
     def execute(self, line: str) -> None:
         if line.startswith("width "):
             self._write("WIDTH", int(line.split()[1]))
             self.report("done")
+        elif line == "release":
+            self._fake.write_register(PRIVILEGE_REGISTER, 0)
+            self.report("done")
         else:
             super().execute(line)
 
     def tick(self, over: threading.Event) -> None:
-        """Let the clock run until it is over."""
+        """Let the clock run until the end of the program."""
         library = shared_library()
         library.arv_fake_camera_write_memory.argtypes = [
             ctypes.c_void_p,

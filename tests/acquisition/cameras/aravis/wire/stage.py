@@ -1,4 +1,4 @@
-"""What the tests on the wire play with: a camera in a process of its own, and a station's cameras over a real ring."""
+"""A camera in a process of its own, and a station's cameras over a real ring, for the tests in this folder."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
+from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, Slot
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
@@ -44,7 +45,7 @@ class Device:
             stdout=subprocess.PIPE,
             text=True,
         )
-        assert self.heard() == f"ready {self.address}"
+        assert self.read_line() == f"ready {self.address}"
         if self._film.exists():
             self.order(f"film {self._film}")
 
@@ -53,24 +54,33 @@ class Device:
         self.process.stdin.write(line + "\n")
         self.process.stdin.flush()
 
-    def heard(self) -> str:
+    def read_line(self) -> str:
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
     def show(self, *pictures: NDArray[np.uint8]) -> None:
-        """A film of these frames' bytes."""
+        """Load a film of these frames' bytes."""
         self._film.write_bytes(b"".join(p.tobytes() for p in pictures))
         self.order(f"film {self._film}")
 
     def fire(self, picture: int = -1, lost: float = 0.0) -> int:
-        """One trigger; the id of the frame that was sent."""
+        """Fire one trigger; return the id of the frame that was sent."""
         self.order(f"fire {picture} 0 1 {lost}")
-        sent, number, frame_id = self.heard().split()
+        sent, number, frame_id = self.read_line().split()
         assert (sent, int(number)) == ("sent", picture)
         return int(frame_id)
 
+    def release(self) -> None:
+        """Take control from the application that has it."""
+        self.order("release")
+        assert self.read_line() == "done"
+
+    def second_client(self) -> Any:
+        """Open the camera without control of it, to read its settings."""
+        return aravis().Camera.new(self.address)
+
     def unplug(self) -> None:
-        """From one moment to the next."""
+        """Kill the process, as when the cable is pulled."""
         self.process.kill()
         self.process.communicate()
 
@@ -87,7 +97,7 @@ class Stage:
             camera.start(self.news)
 
     def load(self, bay: int = 0) -> None:
-        """All slots of a bay, as before a run."""
+        """Queue all slots of a bay, as before a run."""
         for number, camera in enumerate(self.cameras):
             for k in range(self.ring.layout.slots_per_camera):
                 camera.queue(self.slot(self.ring.slot(bay, number, k)))
@@ -96,14 +106,14 @@ class Stage:
         return Slot(number, self.ring.memory(number))
 
     def counted(self, counter: str, number: int = 0) -> int:
-        """What a camera's driver has counted."""
+        """Return a counter of a camera's driver."""
         return dict(self.cameras[number].health().counters)[counter]
 
     def wait(self, condition: Callable[[], bool]) -> None:
-        """Until it holds. News are dropped meanwhile; it is looked at between them too, as counters tell nobody."""
+        """Wait until it holds, and drop events meanwhile; counters cause no event, so it is polled too."""
         deadline_s = time.monotonic() + PATIENCE_S
         while not condition():
-            assert time.monotonic() < deadline_s, "what was waited for did not happen"
+            assert time.monotonic() < deadline_s, "the condition was not met in time"
             with contextlib.suppress(Empty):
                 self.news.get(timeout=0.005)
 
@@ -111,7 +121,7 @@ class Stage:
         return self.until(Arrival)
 
     def until(self, kind: type[News]) -> News:
-        """The next news of a kind; others are dropped."""
+        """Return the next event of a kind; others are dropped."""
         deadline_s = time.monotonic() + PATIENCE_S
         while (left_s := deadline_s - time.monotonic()) > 0:
             try:
@@ -123,24 +133,24 @@ class Stage:
         raise AssertionError(f"no {kind.__name__} came")
 
     def close(self) -> None:
-        """Harmless when closed."""
+        """Close all cameras and the ring; may be called twice."""
         for camera in self.cameras:
             camera.close()
         self.ring.close()
 
 
 def thread_names() -> list[str]:
-    """All threads of this process, those of Aravis included."""
+    """Return the names of all threads of this process, with those of Aravis."""
     return [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
 
 
 def wait_for_remains() -> None:
-    """Until what is left of dead cameras has been let go of; Aravis takes some seconds for each."""
+    """Wait until lost cameras have been released; Aravis takes some seconds for each."""
     for thread in threading.enumerate():
         if thread.name.endswith("-remains"):
             thread.join(30)
 
 
 def noise(seed: int, nbytes: int = WIDTH * HEIGHT) -> NDArray[np.uint8]:
-    """The bytes of a frame like no other."""
+    """Return the bytes of a frame that differs from all others."""
     return np.random.default_rng(seed).integers(0, 256, nbytes, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""`vaoi doctor` looks at cameras: what it finds, and that nothing of them is other than before."""
+"""`vaoi doctor` checks cameras: its findings, and that it changes nothing on them."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ Make = Callable[..., StationConfig]
 MEMORY_BYTES, BLOCK_BYTES, CONTROL_PORT = 0x10000, 512, 3956
 
 
-def patient(config: StationConfig) -> CheckContext:
+def context(config: StationConfig) -> CheckContext:
     return CheckContext(config, Machine(), None)
 
 
 def memory_of(device: Device) -> bytes:
-    """All registers of a camera, read by GVCP without being its master."""
+    """All registers of a camera, read by GVCP without control of it."""
     content = bytearray()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
-        asker.settimeout(5)
-        asker.connect((device.address, CONTROL_PORT))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(5)
+        client.connect((device.address, CONTROL_PORT))
         for place in range(0, MEMORY_BYTES, BLOCK_BYTES):
             number = place // BLOCK_BYTES + 1
-            asker.send(struct.pack(">BBHHHIHH", 0x42, 0x01, 0x0084, 8, number, place, 0, BLOCK_BYTES))
-            answer = asker.recv(1024)
-            assert struct.unpack(">HHHH", answer[:8])[1::2] == (0x0085, number)
-            content += answer[12:]
+            client.send(struct.pack(">BBHHHIHH", 0x42, 0x01, 0x0084, 8, number, place, 0, BLOCK_BYTES))
+            reply = client.recv(1024)
+            assert struct.unpack(">HHHH", reply[:8])[1::2] == (0x0085, number)
+            content += reply[12:]
     return bytes(content)
 
 
@@ -56,7 +56,7 @@ def small_packets() -> Iterator[None]:
 def test_cameras_that_are_fit_stay_as_they_are(device: Plug, station: Make) -> None:
     plugged = [device(0), device(1)]
     before = [memory_of(camera) for camera in plugged]
-    left, right, port = cameras(patient(station(*plugged)))
+    left, right, port = cameras(context(station(*plugged)))
     assert [memory_of(camera) for camera in plugged] == before
     assert {finding.level for finding in (left, right, port)} == {Level.OK}
     assert (left.subject, left.figures["serial"], left.figures["trigger_mode"]) == ("c0", "WIRE0", "Off")
@@ -65,7 +65,7 @@ def test_cameras_that_are_fit_stay_as_they_are(device: Plug, station: Make) -> N
 
 def test_the_station_opens_them_afterwards(device: Plug, station: Make, opened: Callable[..., Stage]) -> None:
     config = station(device(0))
-    assert {finding.level for finding in cameras(patient(config))} == {Level.OK}
+    assert {finding.level for finding in cameras(context(config))} == {Level.OK}
     opened(config)
 
 
@@ -73,36 +73,36 @@ def test_a_camera_that_is_not_there_hides_no_other(device: Plug, station: Make) 
     here, gone = device(0), device(1)
     config = station(gone, here)
     gone.unplug()
-    absent, there, _ = cameras(patient(config))
+    absent, there, _ = cameras(context(config))
     assert_problem(absent, Level.FAULT, f"there is no camera at {gone.address}")
     assert absent.action.endswith(f"Try: ping -c 1 {gone.address}")
     assert there.level is Level.OK
 
 
-def test_a_camera_that_somebody_uses(device: Plug, station: Make, tmp_path: Path) -> None:
+def test_a_camera_that_another_program_uses(device: Plug, station: Make, tmp_path: Path) -> None:
     camera = device(0)
     use = "import sys; from vaoi_station.acquisition.cameras.aravis.library import aravis; "
     use += "held = aravis().Camera.new(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", use, camera.address], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as somebody:
-        assert somebody.stdout is not None
-        assert somebody.stdout.readline() == "held\n"
-        finding = only(cameras(patient(station(camera))))
-        somebody.communicate("")
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "held\n"
+        finding = only(cameras(context(station(camera))))
+        program.communicate("")
     assert_problem(finding, Level.FAULT, "another program controls the camera")
 
 
-def test_a_serial_number_that_nobody_has(device: Plug, station: Make) -> None:
+def test_an_absent_serial_number(device: Plug, station: Make) -> None:
     config = station(device(0))
     camera = config.cameras[0].model_copy(update={"address": None, "serial": "NONE"})
-    finding = only(cameras(patient(config.model_copy(update={"cameras": (camera,)}))))
+    finding = only(cameras(context(config.model_copy(update={"cameras": (camera,)}))))
     assert_problem(finding, Level.FAULT, "no camera with serial number 'NONE'", "WIRE0")
     assert finding.action.endswith("Try: arv-tool-0.8")
 
 
 def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
-    found = list(cameras(patient(station(device(0, serial="TWIN"), device(1, serial="TWIN")))))
+    found = list(cameras(context(station(device(0, serial="TWIN"), device(1, serial="TWIN")))))
     assert_problem(found[2], Level.FAULT, "c0, c1 have the same serial number 'TWIN'")
 
 
@@ -118,26 +118,26 @@ def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
 def test_what_a_camera_cannot_do(device: Plug, station: Make, changes: dict[str, object], said: str) -> None:
     config = station(device(0))
     camera = config.cameras[0].model_copy(update=changes)
-    findings = list(cameras(patient(config.model_copy(update={"cameras": (camera,)}))))
+    findings = list(cameras(context(config.model_copy(update={"cameras": (camera,)}))))
     assert_problem(findings[0], Level.FAULT, said)
 
 
 @pytest.mark.usefixtures("small_packets")
-def test_small_packets_are_told(device: Plug, station: Make) -> None:
-    *_, port = cameras(patient(station(device(0))))
+def test_small_packets_are_reported(device: Plug, station: Make) -> None:
+    *_, port = cameras(context(station(device(0))))
     assert_problem(port, Level.WARNING, "MTU 1500", "packets of 1500 bytes")
-    *_, port = cameras(patient(station(device(0), packet_bytes=8000)))
+    *_, port = cameras(context(station(device(0), packet_bytes=8000)))
     assert_problem(port, Level.WARNING, "c0 is configured for 8000")
     assert port.action == "ip link set dev lo mtu 8000"
 
 
 def test_a_port_that_cannot_carry_a_row(device: Plug, station: Make) -> None:
     config = station(device(0), device(1), link_mbit_s=1.0)
-    *_, port = cameras(patient(config))
+    *_, port = cameras(context(config))
     assert_problem(port, Level.FAULT, "2 cameras on port lo need")
 
 
-def test_the_library_tells_its_version(station: Make, device: Plug) -> None:
-    finding = only(aravis(patient(station(device(0)))))
+def test_the_version_of_the_library_is_reported(station: Make, device: Plug) -> None:
+    finding = only(aravis(context(station(device(0)))))
     assert finding.level is Level.OK
     assert str(finding.figures["aravis"]).startswith("0.8.")

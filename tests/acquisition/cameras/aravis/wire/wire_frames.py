@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, noise, thread_names
-from vaoi_station.acquisition.cameras.aravis.library import shared_library
+from vaoi_station.acquisition.cameras.aravis import stream
+from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
@@ -20,20 +22,24 @@ Make = Callable[..., StationConfig]
 Open = Callable[[StationConfig], Stage]
 
 
-def test_aravis_writes_where_the_stitcher_reads(device: Plug, station: Make, opened: Open) -> None:
-    """The address of a queued buffer, by Aravis' own word, is the slot's; a reader's mapping then shows the frame."""
+def test_aravis_writes_where_the_stitcher_reads(
+    device: Plug, station: Make, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The address of each buffer is that of its slot; a reader's mapping then shows the frame."""
     camera = device(0)
     camera.show(noise(1), noise(2))
     stage = opened(station(camera))
+    library, addresses = aravis(), []
+
+    def new_buffer(size: int, address: int) -> object:
+        addresses.append(address)
+        return library.Buffer.new(size, address)
+
+    recording = SimpleNamespace(Buffer=SimpleNamespace(new=new_buffer), BufferStatus=library.BufferStatus)
+    monkeypatch.setattr(stream, "aravis", lambda: recording)
     stage.load()
-    connection = stage.cameras[0]._connection
-    assert connection is not None
-    where = shared_library().arv_buffer_get_data
-    where.argtypes, where.restype = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)], ctypes.c_void_p
-    queued = connection.stream._queued
-    assert len(queued) == stage.ring.layout.slots_per_camera
-    for pointer, (_, slot) in queued.items():
-        assert where(pointer, ctypes.byref(ctypes.c_size_t())) == stage.ring.memory(slot.number).ctypes.data
+    slots = range(stage.ring.layout.slots_per_camera)
+    assert addresses == [stage.ring.memory(number).ctypes.data for number in slots]
     with Ring.attach(stage.ring.path) as reader:
         for number in (1, 0):
             camera.fire(number)
@@ -67,7 +73,7 @@ def test_every_frame_has_its_own_number_and_pixels_over_the_wrap(device: Plug, s
     assert stage.cameras[0].health().delivered == 150
 
 
-def test_a_frame_that_lost_packets_is_incomplete_and_says_so(device: Plug, station: Make, opened: Open) -> None:
+def test_a_frame_that_lost_packets_is_incomplete_and_has_a_reason(device: Plug, station: Make, opened: Open) -> None:
     camera = device(0)
     camera.show(noise(1), noise(2))
     stage = opened(station(camera, packet_bytes=600))
@@ -104,12 +110,12 @@ def test_formats_cross_the_wire_as_they_are(device: Plug, station: Make, opened:
 
 
 def test_a_frame_of_another_size_than_configured_is_no_frame(device: Plug, station: Make, opened: Open) -> None:
-    """The camera changes its region behind our back."""
+    """The camera changes its region without a request."""
     camera = device(0)
     stage = opened(station(camera))
     stage.load()
     camera.order("width 64")
-    assert camera.heard() == "done"
+    assert camera.read_line() == "done"
     camera.fire()
     arrival = stage.arrival()
     assert not arrival.complete
@@ -140,7 +146,7 @@ def test_slots_that_were_taken_back_are_never_written_again(device: Plug, statio
         assert (stage.ring.memory(slot) == 170).all()
 
 
-def test_no_slot_is_in_two_hands_while_frames_pour_in(device: Plug, station: Make, opened: Open) -> None:
+def test_no_slot_is_given_twice_while_frames_arrive(device: Plug, station: Make, opened: Open) -> None:
     """Slots are queued and taken back in the middle of frames; each comes back once, and is then left alone."""
     camera = device(0)
     camera.show(noise(1, 640 * 480))
@@ -159,18 +165,18 @@ def test_no_slot_is_in_two_hands_while_frames_pour_in(device: Plug, station: Mak
     try:
         for _ in range(100):
             stage.load()
-            told = [stage.arrival()]
+            arrivals = [stage.arrival()]
             back = stage.cameras[0].take_back()
             while not stage.news.empty():
-                told.append(stage.arrival())
-            assert sorted([*back, *(arrival.slot for arrival in told)]) == list(slots)
+                arrivals.append(stage.arrival())
+            assert sorted([*back, *(arrival.slot for arrival in arrivals)]) == list(slots)
             at_rest = [stage.ring.memory(k).copy() for k in slots]
             while sent.acquire(blocking=False):
                 pass
             sent.acquire(timeout=20)
             sent.acquire(timeout=20)
             assert all((stage.ring.memory(k) == at_rest[k]).all() for k in slots), "written after it came back"
-            whole += sum(arrival.complete for arrival in told)
+            whole += sum(arrival.complete for arrival in arrivals)
     finally:
         ending.set()
         pouring.join()
@@ -208,7 +214,7 @@ def resident_kib() -> int:
     return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1])
 
 
-def test_a_camera_tells_its_time_and_temperature(device: Plug, station: Make, opened: Open) -> None:
+def test_a_camera_reports_its_time_and_temperature(device: Plug, station: Make, opened: Open) -> None:
     camera = device(0)
     stage = opened(station(camera))
     stage.load()

@@ -1,4 +1,4 @@
-"""A camera dies and comes back: it is opened again from scratch, and nobody else notices."""
+"""A camera dies and comes back: it is opened again from scratch, and no other camera is affected."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: 
     assert stage.arrival().complete
 
 
-def test_a_camera_that_refuses_its_settings_is_left_in_peace_until_it_is_unplugged(
+def test_a_camera_that_refuses_its_settings_is_not_tried_again_until_it_is_unplugged(
     device: Plug, station: Make, opened: Open
 ) -> None:
     mortal = device(0)
@@ -139,7 +139,7 @@ def test_a_camera_that_refuses_its_settings_is_left_in_peace_until_it_is_unplugg
     stubborn = device(0, "stubborn", serial=mortal.serial)
     stage.wait(lambda: "ExposureTime" in camera.health().message and next_try_in_s(camera) > 5)
     assert not camera.health().connected
-    assert "cable" not in camera.health().action, "what is to be done is not what one does about a lost camera"
+    assert "cable" not in camera.health().action, "the action is not the one for a lost camera"
     due_s = camera.health().next_try_s
     stubborn.unplug()
     stage.wait(lambda: "there is no camera" in camera.health().message)
@@ -152,7 +152,7 @@ def next_try_in_s(camera: AravisCamera) -> float:
     return (camera.health().next_try_s or 0.0) - time.monotonic()
 
 
-def test_lost_control_is_told_before_aravis_knows_and_dated_from_before(
+def test_lost_control_is_reported_before_aravis_notices_it(
     device: Plug, station: Make, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that was stopped for longer than the heartbeat runs on: Aravis' word is of before it was stopped."""
