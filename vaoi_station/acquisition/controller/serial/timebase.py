@@ -1,7 +1,7 @@
 """Seconds of the controller's clock across all its resets.
 
-A reset sets the tick counter to 0. Each boot gets a separate interval on one time axis, far enough from the one before that
-a clock fit recognises the jump (`acquisition.clocks`).
+A reset sets the tick counter to 0. Each boot gets a separate interval on one time axis, far enough from the one
+before that a clock fit recognises the jump (`acquisition.clocks`).
 """
 
 from __future__ import annotations

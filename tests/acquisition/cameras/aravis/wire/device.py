@@ -78,7 +78,7 @@ class Device(camera.VirtualCamera):
         if line.startswith("width "):
             self._write("WIDTH", int(line.split()[1]))
             self.report("done")
-        elif line == "release":
+        elif line.strip() == "release":
             self._fake.write_register(PRIVILEGE_REGISTER, 0)
             self.report("done")
         else:
