@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,9 +10,11 @@ from pathlib import Path
 import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage, noise, thread_names, wait_for_remains
+from vaoi_station.acquisition.cameras.aravis import camera as camera_module
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
+from vaoi_station.acquisition.cameras.aravis.connection import Connection
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
-from vaoi_station.backoff import Backoff, BackoffPolicy
+from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 
@@ -77,9 +80,7 @@ def test_a_camera_that_is_killed_comes_back_and_the_others_lose_nothing(
     arrival = stage.arrival()
     assert (arrival.camera, arrival.complete) == (1, True), "it got its slots again"
     assert (stage.ring.memory(arrival.slot) == noise(2)).all()
-    connection = stage.cameras[1]._connection
-    assert connection is not None
-    assert connection._camera.get_exposure_time() == 777.0
+    assert mortal.second_client().get_exposure_time() == 777.0
     assert dict(stage.cameras[1].health().counters)["n_losses"] == 1
 
 
@@ -117,10 +118,7 @@ def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: 
     camera = device(0)
     stage = opened(station(camera))
     stage.load()
-    connection = stage.cameras[0]._connection
-    assert connection is not None
-    connection._camera.get_device().leave_control()
-    del connection
+    camera.release()
     assert "no longer controlled by this station" in stage.until(CameraLost).error.message
     stage.until(CameraBack)
     camera.fire()
@@ -128,12 +126,12 @@ def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: 
 
 
 def test_a_camera_that_refuses_its_settings_is_not_tried_again_until_it_is_unplugged(
-    device: Plug, station: Make, opened: Open
+    device: Plug, station: Make, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(camera_module, "PACE", BackoffPolicy(first_s=5.0, longest_s=60.0, proven_s=10.0))
     mortal = device(0)
     stage = opened(station(mortal))
     camera = stage.cameras[0]
-    camera._backoff = Backoff(BackoffPolicy(first_s=5.0, longest_s=60.0, proven_s=10.0))
     mortal.unplug()
     stage.until(CameraLost)
     stubborn = device(0, "stubborn", serial=mortal.serial)
@@ -158,12 +156,9 @@ def test_lost_control_is_reported_before_aravis_notices_it(
     """A process that was stopped for longer than the heartbeat runs on: Aravis' word is of before it was stopped."""
     camera = device(0)
     stage = opened(station(camera))
-    connection = stage.cameras[0]._connection
-    assert connection is not None
-    monkeypatch.setattr(connection, "is_controller", lambda: True)
+    monkeypatch.setattr(Connection, "is_controller", lambda _connection: True)
     left_s = time.monotonic()
-    connection._camera.get_device().leave_control()
-    del connection
+    camera.release()
     lost = stage.until(CameraLost)
     assert "no longer controlled by this station: this computer sent no heartbeat for too long" in lost.why
     assert lost.since_s <= left_s, "what was missed until it was noticed has this cause"
@@ -176,13 +171,18 @@ def test_a_camera_that_another_has_taken_was_lost_before_aravis_asked_again(
 ) -> None:
     camera = device(0)
     stage = opened(station(camera))
-    connection = stage.cameras[0]._connection
-    assert connection is not None
-    opened_s = stage.cameras[0]._last_controlled_s
-    stage.wait(lambda: stage.cameras[0]._last_controlled_s > opened_s)
-    taken_s = time.monotonic()
-    monkeypatch.setattr(connection, "is_controller", lambda: False)
-    assert stage.until(CameraLost).since_s <= taken_s
+    checks = itertools.count(1)
+    taken_s: list[float] = []
+
+    def is_controller(_connection: Connection) -> bool:
+        """Lose the control after three checks, once."""
+        if next(checks) == 4:
+            taken_s.append(time.monotonic())
+            return False
+        return True
+
+    monkeypatch.setattr(Connection, "is_controller", is_controller)
+    assert stage.until(CameraLost).since_s <= taken_s[0]
     stage.until(CameraBack)
 
 
