@@ -13,8 +13,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 SLOW = ("acquisition", "benchmarks", "cases", "demo", "drift", "hw", "rig", "system")
 """Folders of tests that wait for real time, start whole stations or film boards; chosen only for their own subject."""
-ALWAYS = "tests/project/test_deploy.py"
-DOCUMENTS = ("tests/project/test_documents.py", "tests/cases/test_figures.py")
+ALWAYS = ("tests/project/test_documents.py", "tests/project/test_structure.py")
+FIGURES = "tests/cases/test_figures.py"
 
 
 def changed_files() -> list[str]:
@@ -28,7 +28,7 @@ def changed_files() -> list[str]:
 def select_tests(changed: Iterable[str], root: Path = ROOT) -> list[str]:
     """Return the test files and folders that belong to changed files, without duplicates."""
     chosen = {test for path in changed for test in _tests_of_one(Path(path), root) if (root / test).exists()}
-    return sorted(chosen | {ALWAYS}) if chosen else [*quick_tests(root)]
+    return sorted(chosen | set(ALWAYS)) if chosen else [*quick_tests(root)]
 
 
 def quick_tests(root: Path = ROOT) -> list[str]:
@@ -50,7 +50,7 @@ def _tests_of_one(path: Path, root: Path) -> list[str]:
         quick = [str(p.relative_to(root)) for p in siblings] if path.parts[1] not in SLOW else []
         return [str(own), *quick]
     if path.suffix == ".md":
-        return list(DOCUMENTS)
+        return [FIGURES]
     if path.parts[0] == "hw":
         return ["tests/hw/test_logic.py", "tests/hw/test_vectors.py", "tests/hw/test_pages.py"]
     return []
