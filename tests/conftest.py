@@ -16,7 +16,7 @@ from typing import Any
 import hypothesis
 import pytest
 
-from tests.needs import FILMS, VERDICT, need_films
+from tests.needs import FILMS, LONG, VERDICT, need_films
 from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
 from vaoi_station.model import BoardType, Calibration, Stitch
 from vaoi_station.stitching.recordings.offline import stitch_frames
@@ -24,8 +24,9 @@ from vaoi_station.stitching.work import StitchSetup
 
 # The result of a commit must not depend on the day, so its examples are fixed; during development they are new.
 # No example has a deadline: the first call of a compiled function waits for the compiler.
-hypothesis.settings.register_profile("desk", deadline=None)
-hypothesis.settings.register_profile("verdict", deadline=None, derandomize=True)
+EXAMPLES = 300 if LONG else 50
+hypothesis.settings.register_profile("desk", deadline=None, max_examples=EXAMPLES)
+hypothesis.settings.register_profile("verdict", deadline=None, max_examples=EXAMPLES, derandomize=True)
 hypothesis.settings.load_profile("verdict" if VERDICT else "desk")
 
 
@@ -125,6 +126,21 @@ def _film(name: str, case: Path) -> None:
             raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+
+
+SLOW_FIRST = ("system", "hw", "acquisition", "benchmarks", "cases", "rig", "runs", "demo", "doctor", "drift")
+"""Folders whose tests wait for devices and processes, the slowest first."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Start the slow folders first, so that no process is left alone with them at the end."""
+
+    def rank(item: pytest.Item) -> int:
+        folder = item.path.relative_to(Path(__file__).parent).parts[0]
+        return SLOW_FIRST.index(folder) if folder in SLOW_FIRST else len(SLOW_FIRST)
+
+    items.sort(key=rank)  # stable: within a folder the order stays
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

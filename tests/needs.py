@@ -23,6 +23,8 @@ def is_yes(setting: str) -> bool:
 
 VERDICT = is_yes(os.environ.get("CI", ""))
 """True in CI, where a test must not be skipped for a missing requirement."""
+LONG = is_yes(os.environ.get("VAOI_LONG", ""))
+"""Whether fuzzers, repetitions and property tests run at full length; the suite has a short form of each."""
 FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
 """Directory beside the checkout: `make.py` renders a recorded case, `score.py` compares a result with its truth."""
 _PACKAGES = {

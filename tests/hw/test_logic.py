@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.hw.emulated.chip import make
 from tests.hw.emulated.line import TIMING, ms, us
-from tests.needs import need
+from tests.needs import LONG, need
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
@@ -199,10 +199,12 @@ def test_the_boot_counter_survives_a_write_that_failed(logic: ctypes.CDLL) -> No
         slots[2 * which], slots[2 * which + 1] = following
 
 
-def test_300_000_fuzzed_frames_and_100_000_coverage_guided_inputs_under_the_sanitizers(build: Path) -> None:
+def test_fuzzed_frames_and_coverage_guided_inputs_under_the_sanitizers(build: Path) -> None:
+    """The long form is that of `make -C hw/firmware test`: 300 000 frames and 100 000 inputs."""
     need("make", "gcc")
     make("fuzz", build)
-    for program, amount, said in (("fuzz", "300000", "frames"), ("coverage_fuzz", "100000", "inputs")):
+    amounts = ("300000", "100000") if LONG else ("50000", "15000")
+    for program, amount, said in zip(("fuzz", "coverage_fuzz"), amounts, ("frames", "inputs"), strict=True):
         done = subprocess.run([str(build / program), amount], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         assert re.search(rf"{amount} {said}, .*\b\d{{4,}} pulses", done.stdout), done.stdout
