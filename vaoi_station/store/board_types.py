@@ -36,7 +36,7 @@ class BoardTypeDirectory:
             known = ", ".join(repr(f.board_type.name) for f in self.list() if f.board_type) or "none yet"
             raise NotFoundError(
                 f"There is no board type {name!r}; known board types: {known}.",
-                action="Teach it (PUT its placement data under board-types), or arm with one of these.",
+                action="Store it (PUT its placement data under board-types), or arm with one of these.",
                 code="unknown-board-type",
             )
         return self._read(path)

@@ -36,11 +36,3 @@ class TickClock:
             return tick * TICK_S
         expected = self.model.device_s(near_host_s) / TICK_S
         return (tick + _WRAP * round((expected - tick) / _WRAP)) * TICK_S
-
-    def host_s(self, tick: int, near_host_s: float) -> float:
-        """Return the host time of a tick near another host time; DeviceError before the first reading."""
-        return self.model.host_s(self.device_s(tick, near_host_s))
-
-    def bound_s(self, tick: int, near_host_s: float) -> float:
-        """Return the largest error of `host_s` for this tick."""
-        return self.model.bound_s(self.device_s(tick, near_host_s))
