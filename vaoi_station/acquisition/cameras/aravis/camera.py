@@ -1,7 +1,8 @@
 """A camera of the array that survives the loss of its connection: a supervisor thread opens it again from scratch.
 
-The supervisor checks a GigE camera four times a second. While the camera is lost, its slots wait here. When it is back,
-it is opened anew, configured, and gets the slots again. Cameras are opened one at a time.
+The supervisor thread checks a GigE camera four times a second. While the camera is lost, the `AravisCamera` object
+keeps its slots. When the camera replies again, the supervisor opens and configures it anew and gives it the slots
+again. Only one camera of the process is opened at a time.
 """
 
 from __future__ import annotations
@@ -28,22 +29,25 @@ from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 
 CHECK_S = 0.25
-"""Interval of the checks whether the camera is present."""
+"""Interval at which the supervisor checks that the camera is present."""
 HEARTBEAT_S = 1.0
-"""Interval at which Aravis checks that it still controls a camera; what it reports may be as old."""
+"""Interval at which Aravis checks that it still controls a camera. The state that Aravis reports may be this old."""
 TEMPERATURE_S = 5.0
 """Interval of temperature readings: every feature read costs a round trip (Aravis #253: reading all took 11.8 s)."""
 PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=10.0)
-"""Pauses between attempts to open a lost camera. A camera that refuses its settings will probably do so again …"""
+"""Pauses between attempts to open a lost camera. They grow to 30 s, because a camera that refuses its settings will
+probably refuse them again. `ABSENT_S` is the limit for absent cameras.
+"""
 ABSENT_S = 2.0
-"""… but one that is absent or used by another program may be back at any time. The longest pause for these, and the
-interval of checks whether a camera that refused its settings has been unplugged."""
+"""Longest pause between attempts to open a camera that is absent or used by another program: it may be back at any
+time. Also the interval at which the supervisor checks whether a camera that refused its settings has been unplugged.
+"""
 _ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
 
 
 @dataclass
 class _Counts:
-    """What the camera has delivered."""
+    """Counts of the camera's frames and losses, the time of the last complete frame, and the last temperature."""
 
     delivered: int = 0
     incomplete: int = 0
@@ -53,22 +57,25 @@ class _Counts:
 
 
 class AravisCamera:
-    """A `CameraDevice` whose `Connection` may be lost and replaced."""
+    """A `CameraDevice` that keeps its number and its slots while its `Connection` is lost and replaced by a new one."""
 
     def __init__(self, number: int, connection: Connection, share: PortShare) -> None:
         """Take over an open, configured connection and start the acquisition.
 
         Raises:
-            DeviceError: its clock cannot be read, or its stream cannot be made; the caller must close the connection.
+            DeviceError: the camera's clock cannot be read, or the stream cannot be created. The caller must then close
+                the connection.
         """
         self.number, self.config = number, connection.config
         self._share = share
         self._identity = connection.identity
         self._is_gige = connection.is_gige
         self._epoch_ns = round(connection.read_clock(0).device_s * 1e9)
-        """Origin of the seconds of the camera's clock. Small numbers of seconds are exact to the ns in a float."""
+        """Value of the camera's clock, ns, from which its seconds count. Small numbers of seconds are exact to the ns
+        in a float.
+        """
         self._lock = threading.Lock()
-        """Guards the connection and the waiting slots."""
+        """Guards `_connection` and `_waiting`."""
         self._connection: Connection | None = connection
         self._waiting: list[Slot] = []
         self._arrivals: SimpleQueue[CameraEvent] = SimpleQueue()
@@ -78,20 +85,20 @@ class AravisCamera:
         self._clock_error: DeviceError | None = None
         self._backoff = Backoff(PACE)
         self._last_reply_s = time.monotonic()
-        """When the camera last replied."""
+        """Monotonic time, s, at which the camera last replied."""
         self._last_controlled_s = self._last_reply_s
-        """Last moment at which this process certainly controlled the camera."""
+        """Last monotonic time, s, at which this process certainly controlled the camera."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
         connection.start(self._on_slot, share)
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
-        """Report slots, and losses of the camera, in `arrivals`."""
+        """Start the supervisor. Filled slots, losses and returns of the camera are put into the queue `arrivals`."""
         self._arrivals = arrivals
         self._thread.start()
 
     def queue(self, slot: Slot) -> None:
-        """Give a slot to the stream, or keep it until the camera is back."""
+        """Give a slot to the stream, or keep it until the camera is back if the camera is lost."""
         with self._lock:
             if self._connection is None:
                 self._waiting.append(slot)
@@ -99,7 +106,7 @@ class AravisCamera:
                 self._connection.stream.queue(slot)
 
     def take_back(self) -> list[int]:
-        """Withdraw the unused slots and return their numbers; none of them is written afterwards."""
+        """Withdraw the unused slots and return their numbers. After the call no frame is written into any of them."""
         with self._lock:
             unused, self._waiting = self._waiting, []
             if self._connection is not None:
@@ -107,7 +114,7 @@ class AravisCamera:
             return [slot.number for slot in unused]
 
     def read_clock(self) -> ClockReading:
-        """Compare the camera's clock with the host's; raise DeviceError at once while the camera is lost."""
+        """Compare the camera's clock with the host's. Raise DeviceError without waiting while the camera is lost."""
         connection = self._connection
         if connection is None:
             raise self._fault or absence_error(self.config, self._identity.address, "it was lost")
@@ -119,7 +126,7 @@ class AravisCamera:
             raise
 
     def health(self) -> CameraHealth:
-        """Return state, counts and temperature; never block."""
+        """Return the state, counts and temperature of the camera. Never block."""
         # Read once: the supervisor may drop the connection between two uses.
         connection, counts = self._connection, self._counts
         lost = self._fault if connection is None else None
@@ -148,7 +155,7 @@ class AravisCamera:
             connection.close(gone=self._is_gige and not gvcp.is_reachable(self._identity.address, tries=1))
 
     def _on_slot(self, result: SlotResult) -> None:
-        """Count and report a slot that was used."""
+        """Count a slot in which a frame has ended, complete or not, and report it as an arrival."""
         # Called by the pulling thread and by any thread that takes slots back.
         with self._counting:
             if result.whole:
@@ -179,7 +186,7 @@ class AravisCamera:
                 self._on_loss(error)
 
     def _reopen_when_due(self) -> None:
-        """Open the camera if the back-off allows; retry at once a camera that was unplugged after a refusal."""
+        """Try to open the camera if the back-off allows it. End the back-off if the camera has been unplugged."""
         if self._backoff.remaining_s() > 0:
             if self._is_gige and not gvcp.is_reachable(self._identity.address):
                 self._backoff.reset()
@@ -217,12 +224,12 @@ class AravisCamera:
         self._last_controlled_s = max(self._last_controlled_s, asked_s - HEARTBEAT_S)
 
     def _on_loss(self, error: DeviceError) -> None:
-        """Keep the slots, report the loss, and clean up the connection."""
+        """Take the slots back from the lost connection, report the loss, and close the connection in the background."""
         self._fault = error
         with self._lock:
             connection, self._connection = self._connection, None
             assert connection is not None
-            # Slots of the stream come first: they were queued before those that waited, and are filled in this order.
+            # The stream's slots come first: they were queued before the waiting slots, and this order is kept.
             self._waiting = connection.stream.close() + self._waiting
         self._counts.losses += 1
         self._backoff.record_failure(self._longest_pause_s())
@@ -231,7 +238,7 @@ class AravisCamera:
         connection.close(gone=True)
 
     def _reopen(self) -> bool:
-        """Try once to open the camera; return whether it is back."""
+        """Try once to open the camera and to start it; return whether this succeeded."""
         try:
             with OPENING_LOCK:
                 connection, reading = self._connect()
@@ -239,7 +246,7 @@ class AravisCamera:
             self._fault = error
             return False
         with self._lock:
-            # The reading must be in the queue before the first frame, whose time stamp is of the new clock.
+            # The clock reading must be in the queue before the first frame: it begins an epoch with a new clock model.
             self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))
             waiting, self._waiting = self._waiting, []
             for slot in waiting:
@@ -271,7 +278,7 @@ class AravisCamera:
         return connection, reading
 
     def _locate(self) -> str:
-        """Return the address it had, or the one at which its serial number replies now."""
+        """Return the camera's last address if a camera replies there, else the address found by its serial number."""
         if self._is_gige and gvcp.is_reachable(self._identity.address, tries=1):
             return self._identity.address
         if self.config.serial is None:

@@ -1,8 +1,8 @@
-"""Readings of the camera's own clock, which dates its frames, against the host's.
+"""Compare the camera's clock, which gives frames their time stamps, with the host's monotonic clock.
 
-The camera latches its time on command and returns the value afterwards. The moment of the latch is known to half the
-round trip. Aravis' fake camera has no latch and dates its frames by this computer's wall clock; both clocks are then
-read here, one after the other.
+The camera latches its time on command and returns the latched value afterwards. The host time of the latch is the
+middle of the round trip, known to half of its duration. Aravis' fake camera has no latch and uses this computer's wall
+clock for time stamps; for the fake, the wall clock and the monotonic clock are read one after the other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LATCHES = (
     ("TimestampLatch", "TimestampLatchValue"),
     ("GevTimestampControlLatch", "GevTimestampValue"),
 )
-"""Latch command and value of SFNC 2 (in ns), and of GigE Vision 1 (in ticks)."""
+"""GenICam names of the latch command and of the latched value: SFNC 2 (value in ns), GigE Vision 1 (in ticks)."""
 FAKE_VENDOR = "Aravis"
 """Vendor name of Aravis' fake camera."""
 
@@ -30,10 +30,17 @@ class CameraClock:
 
     read_ns: Callable[[], int]
     remote: bool = True
-    """Whether a reading needs access to the camera, and so has a round trip."""
+    """Whether a reading needs access to the camera over its network or USB port."""
 
     def read(self, epoch_ns: int) -> ClockReading:
-        """Compare the clocks once; `device_s` counts from `epoch_ns`. Raise GLib.Error if the camera does not reply."""
+        """Compare the camera's clock with the host's once.
+
+        Args:
+            epoch_ns: value of the camera's clock from which the `device_s` of the reading counts.
+
+        Raises:
+            GLib.Error: the camera does not reply.
+        """
         asked_s = time.monotonic()
         device_ns = self.read_ns()
         answered_s = time.monotonic()
@@ -41,10 +48,10 @@ class CameraClock:
 
 
 def find_clock(camera: Any, name: str) -> CameraClock:
-    """Find out how this camera's clock is read.
+    """Return a `CameraClock` that reads the clock of this camera.
 
     Raises:
-        DeviceError: it has no readable clock, so no frame could be assigned to its pulse with proof.
+        DeviceError: the camera has no readable clock, so no frame could be assigned to its pulse with proof.
     """
     device = camera.get_device()
     for command, value in LATCHES:
@@ -69,7 +76,7 @@ def _latch(device: Any, command: str, value: str, ns_per_tick: float) -> Callabl
 
 
 def _ns_per_tick(camera: Any, command: str) -> float:
-    """Return the length of a tick: Aravis converts time stamps of frames to ns, so readings must be in ns too."""
+    """Return the length of a clock tick in ns. Aravis gives time stamps of frames in ns, so readings need ns too."""
     if command != "GevTimestampControlLatch":
         return 1.0
     hertz = camera.get_device().get_timestamp_tick_frequency()

@@ -1,7 +1,7 @@
-"""One connection to one camera, from opening to loss; none of its objects is used again afterwards.
+"""One connection to one camera, from its opening to its loss. After a loss a new `Connection` replaces it.
 
-In Aravis only pushing and popping of buffers is thread-safe. So all access to the camera goes through one lock; the
-stream uses one thread only and needs none.
+In Aravis only pushing and popping of buffers is thread-safe. So all access to the camera is guarded by one lock. The
+stream's buffers are popped by one thread only, without this lock.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 USB3_MIN_VERSION = (0, 8, 30)
 """The first version of Aravis that is reliable with USB3."""
-# Before 0.8.28 it waits in a busy loop (Aravis #652); 0.8.29 corrected underruns (#568), and 0.8.30 sets a buffer's
-# status before it is passed on.
+# Versions before 0.8.28 wait for USB3 data in a busy loop (Aravis #652). Version 0.8.29 corrected underruns (#568), and
+# 0.8.30 sets the status of a buffer before the buffer is passed on.
 RETENTION_US = 200_000
-"""How long Aravis waits for the rest of a frame."""
-# Its default of 100 ms lost the first frames after a pause (Aravis #818, #746).
+"""Time, µs, for which Aravis waits for the missing packets of a frame."""
+# Aravis' default of 100 ms lost the first frames after a pause (Aravis #818, #746).
 
 
 @dataclass(frozen=True)
 class Identity:
-    """The identity of a camera and of the port it replied on."""
+    """Vendor, model, serial number and address of a camera, and the port of this computer on which it replied."""
 
     vendor: str
     model: str
@@ -49,23 +49,23 @@ class Identity:
 
 @dataclass(frozen=True)
 class PortShare:
-    """A camera's share of a network port."""
+    """How a camera shares a network port: cameras on the port, speed of the port, receive buffer."""
 
     cameras: int = 1
     """Number of cameras on the port, including this one."""
     link_mbit_s: float | None = None
     socket_bytes: int = 0
-    """Wanted size of the kernel's buffer for its packets."""
+    """Wanted size of the kernel's receive buffer for the camera's packets."""
 
 
 class Connection:
-    """An open camera; call `configure`, then `start`, then `close`."""
+    """An open camera with its stream. Call `configure`, then `start`, and `close` at the end."""
 
     def __init__(self, config: CameraConfig, where: str) -> None:
         """Open the camera at an address.
 
         Raises:
-            DeviceError: it is absent, or another program controls it.
+            DeviceError: the camera is absent, or another program controls it.
         """
         self.config = config
         self._camera: Any = open_device(config, where)
@@ -74,21 +74,21 @@ class Connection:
         self.is_gige = bool(self._camera.is_gv_device())
         self.packet_bytes = 0
         self.granted_bytes = 0
-        """Size of the kernel's buffer for its packets, as granted."""
+        """Size of the receive buffer that the kernel granted for the camera's packets."""
         with self._device_access("does not report its identity"):
             self.identity = self._identity(where)
             self._clock = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
     def configure(self, share: PortShare) -> None:
-        """Write all settings and read them back; for GigE also those of the packets.
+        """Write all settings and read them back. A GigE camera also gets packet size and packet delay.
 
         Raises:
-            DeviceError: a setting is refused or ignored, or the frame size is not that of the slots.
+            DeviceError: the camera refuses or ignores a setting, or its frames have another size than the slots.
         """
         with self._device_access("does not take its settings"):
-            # An earlier program may have left the acquisition running, and settings are locked meanwhile. A camera that
-            # is not running may refuse the command.
+            # An earlier program may have left the acquisition running, and a running camera locks its settings. The
+            # error is ignored, because a camera that is not running may refuse the command.
             with contextlib.suppress(glib_error()):
                 self._camera.stop_acquisition()
             settings.apply(self._camera, self.config)
@@ -104,19 +104,20 @@ class Connection:
             )
 
     def start(self, on_slot: Callable[[SlotResult], None], share: PortShare) -> None:
-        """Create the stream and start the acquisition; `on_slot` is called with every used slot.
+        """Create the stream and start the acquisition. `on_slot` is called when a frame has ended in a slot.
 
         Raises:
             DeviceError: the stream cannot be created.
         """
         with self._device_access("cannot be started"):
-            # No callback: it would run Python in Aravis' threads, which crashed (Aravis #453, #714, #941), and stall
-            # reception while the GIL is busy.
+            # No callback is given: it would run Python in Aravis' threads, which crashed (Aravis #453, #714, #941), and
+            # it would stall reception while another thread holds the GIL.
             stream = self._camera.create_stream(None, None)
             if self.is_gige:
                 stream.set_property("frame-retention", RETENTION_US)
-                # Set here and checked, not by Aravis' property `socket-buffer`: the kernel may grant less without an
-                # error (Aravis #894, #898), and the automatic mode with a small limit logs every frame (#994).
+                # The size is set and checked here, not by Aravis' property `socket-buffer`: the kernel may grant less
+                # without an error (Aravis #894, #898), and the automatic mode with a small limit logs every frame
+                # (#994).
                 self.granted_bytes = network.widen_receive_buffer(stream.get_port(), share.socket_bytes)
             kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
             self._stream = SlotStream(stream, kind, on_slot, f"camera-{self.config.name}")
@@ -124,39 +125,39 @@ class Connection:
 
     @property
     def stream(self) -> SlotStream:
-        """The stream to which slots are queued, once started."""
+        """The stream to which slots are queued. It exists after `start`."""
         assert self._stream is not None
         return self._stream
 
     def counters(self) -> dict[str, int]:
-        """Return the stream's counters by name; none once closed."""
+        """Return the stream's counters by name; an empty dict before `start` and after `close`."""
         stream = self._stream
         return {} if stream is None else stream.counters()
 
     def traffic(self) -> int:
-        """Return a number that grows with anything the camera sends."""
+        """Return the sum of the stream's counters. It grows with everything that the camera sends."""
         return sum(self.counters().values())
 
     def read_clock(self, epoch_ns: int) -> ClockReading:
-        """Compare the camera's clock with the host's; DeviceError if the camera does not reply."""
+        """Compare the camera's clock with the host's. Raise DeviceError if the camera does not reply."""
         if not self._clock.remote:
             return self._clock.read(epoch_ns)
         with self._device_access("does not report its time"):
             return self._clock.read(epoch_ns)
 
     def temperature_c(self) -> float | None:
-        """Read the temperature; None if the camera has no thermometer."""
+        """Return the camera's temperature; None if the camera has no thermometer."""
         if not self._thermometer:
             return None
         with self._device_access("does not report its temperature"):
             return float(self._camera.get_device().get_float_feature_value("DeviceTemperature"))
 
     def is_controller(self) -> bool:
-        """Return whether this process still controls the camera, by Aravis' latest knowledge."""
+        """Return whether this process still controls the camera, according to Aravis' last heartbeat."""
         return not self.is_gige or bool(self._camera.get_device().is_controller())
 
     def warning(self, share: PortShare) -> str:
-        """Return a warning of a condition that may lose frames under load; empty if there is none."""
+        """Return a text that warns of a cause of lost frames under load; an empty text if there is no such cause."""
         if not self.is_gige:
             found = version()
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
@@ -168,11 +169,15 @@ class Connection:
         )
 
     def close(self, *, gone: bool = False) -> None:
-        """Stop writing to slots, then stop and release the camera; `gone` releases it in the background."""
+        """Stop writing to slots, then stop the camera and release it.
+
+        Args:
+            gone: whether the camera is absent. It is then released in the background, without being stopped first.
+        """
         if self._stream is not None:
             self._stream.close()
-        # Aravis tries each access to an absent camera five times for 0.5 s (measured: 2.6 s), and closing makes
-        # several.
+        # Aravis tries each access to an absent camera five times for 0.5 s (measured: 2.6 s), and closing needs several
+        # accesses. A caller must not wait for these.
         if gone:
             name = f"camera-{self.config.name}-remains"
             threading.Thread(target=self._release, args=(False,), name=name, daemon=True).start()
@@ -185,7 +190,8 @@ class Connection:
                 with contextlib.suppress(glib_error()):  # a camera that has just gone cannot be stopped
                     self._camera.stop_acquisition()
             self._stream = self._camera = None
-        # Aravis ends its threads and sockets with the last reference; PyGObject's wrappers may be in cycles.
+        # Aravis ends its threads and sockets when the last reference to the camera is gone. PyGObject's wrappers may be
+        # in reference cycles, which only the garbage collector removes.
         gc.collect()
 
     def _configure_packets(self, share: PortShare) -> None:
@@ -195,8 +201,8 @@ class Connection:
         low, high = camera.get_integer_bounds("GevSCPSPacketSize")
         step = max(1, camera.get_integer_increment("GevSCPSPacketSize"))
         limits = network.PacketLimits(low, high, step)
-        # Not Aravis' automatic size: it chose 12316 bytes at an MTU of 9000, which was 3 to 7 times slower (Aravis
-        # #1065).
+        # Aravis' automatic packet size is not used: it chose 12316 bytes at an MTU of 9000, which was 3 to 7 times
+        # slower (Aravis #1065).
         size = network.packet_bytes(self.config.packet_bytes, network.mtu_to(self.identity.address), limits)
         settings.write_and_compare(
             name,
@@ -235,7 +241,7 @@ class Connection:
 
     @contextlib.contextmanager
     def _device_access(self, trouble: str) -> Iterator[None]:
-        """Hold the lock of the camera; turn GLib errors into DeviceErrors that name it."""
+        """Hold the camera's lock inside a `with` block, and turn GLib errors into DeviceErrors that name the camera."""
         with self._lock:
             if self._camera is None:
                 raise DeviceError(f"{self.config.label}: is closed.", code="camera-lost")
@@ -250,10 +256,19 @@ class Connection:
 
 
 def check_silence(connections: list[Connection], settle_s: float = 0.15, watch_s: float = 0.4) -> None:
-    """Check that no camera sends before the first pulse; DeviceError names the one that does."""
-    # A trigger that was latched before the start of the acquisition yields one frame at once, which is no fault.
+    """Check that no camera sends frames before the first pulse.
+
+    Args:
+        connections: the started cameras.
+        settle_s: time to wait before the check, for a frame that was triggered before.
+        watch_s: duration of the check.
+
+    Raises:
+        DeviceError: a camera sends although no trigger was fired; the message names the camera.
+    """
+    # A trigger that a camera latched before the start of its acquisition yields one frame at once. That is no fault.
     time.sleep(settle_s)
-    # No slot is queued yet, so the streams only count what arrives.
+    # No slot is queued yet, so the streams count arriving packets without storing them.
     before = [connection.traffic() for connection in connections]
     time.sleep(watch_s)
     for connection, count in zip(connections, before, strict=True):

@@ -1,4 +1,4 @@
-"""Finds and opens devices by address or serial number, never simply the first one found."""
+"""Find and open cameras by address or serial number; the first camera found is never taken without this check."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError, InputError
 
 OPENING_LOCK = threading.Lock()
-"""Held while devices are searched or opened: Aravis has one list of devices per process."""
+"""Lock to hold while devices are searched or opened, because Aravis has one list of devices per process."""
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,16 @@ class FoundDevice:
 
     serial: str
     address: str
-    """What opens it: the IP address of a GigE camera, or Aravis' device id of a USB camera."""
+    """IP address of a GigE camera, or Aravis' device id of a USB camera; `open_device` takes either."""
 
 
 def search() -> tuple[FoundDevice, ...]:
-    """Search all devices that reply now; takes about two seconds."""
+    """Return all cameras that reply now. The search takes about two seconds."""
     library = aravis()
     library.update_device_list()
     listed = range(library.get_n_devices())
     usb = [k for k in listed if library.get_device_protocol(k) == "USB3Vision"]
-    # GigE cameras are searched by our own datagrams: of two with the same name Aravis lists only one.
+    # GigE cameras are searched by our own datagrams, because Aravis lists only one of two cameras with the same name.
     return (
         *(FoundDevice(present.serial, present.address) for present in gvcp.discover()),
         *(FoundDevice(library.get_device_serial_nbr(k) or "", library.get_device_id(k)) for k in usb),
@@ -40,11 +40,15 @@ def search() -> tuple[FoundDevice, ...]:
 
 
 def find_by_serial(config: CameraConfig, found: Sequence[FoundDevice]) -> FoundDevice:
-    """Return the device with the camera's serial number.
+    """Return the one device that has the serial number of a configured camera.
+
+    Args:
+        config: the camera's entry in station.toml.
+        found: the devices that replied to the search.
 
     Raises:
-        DeviceError: no device has it; the message lists those that replied.
-        InputError: several devices have it.
+        DeviceError: no device has this serial number; the message lists the devices that replied.
+        InputError: several devices have this serial number.
     """
     matching = [device for device in found if device.serial == config.serial]
     if not matching:
@@ -54,7 +58,7 @@ def find_by_serial(config: CameraConfig, found: Sequence[FoundDevice]) -> FoundD
             action="Check its cable, its power and its serial number in station.toml.",
             code="camera-absent",
         )
-    # Taking either would mix up the calibrations of two cameras.
+    # A choice between them could give a camera the calibration of the other one.
     if len(matching) > 1:
         places = ", ".join(d.address for d in matching)
         raise InputError(
@@ -69,7 +73,7 @@ def open_device(config: CameraConfig, address: str) -> Any:
     """Open the `Aravis.Camera` at an address (USB: a device id) and take control of it.
 
     Raises:
-        DeviceError: it is absent, or another program controls it.
+        DeviceError: the camera is absent, or another program controls it.
     """
     try:
         camera = aravis().Camera.new(address)
@@ -93,7 +97,7 @@ def require_reply(config: CameraConfig, address: str) -> None:
 
 
 def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
-    """Make the error of a camera that is not there."""
+    """Return the error for a camera that does not reply at its address; `why` gives the cause in brackets."""
     return DeviceError(
         f"{config.label}: there is no camera at {address} ({why}).",
         action="Check its cable, its power and its address in station.toml.",

@@ -1,8 +1,8 @@
-"""Requests of the GigE Vision control protocol (GVCP) that need no control of the camera, by our own datagrams.
+"""Send requests of the GigE Vision control protocol (GVCP) directly, those that need no control of the camera.
 
-Aravis tries an absent camera five times for 0.5 s and holds its lock meanwhile, and of two cameras with the same name
-it lists one. So three requests are sent here directly: READREG of the protocol version (bootstrap register 0), READREG
-of the control channel privilege, and the broadcast DISCOVERY.
+Aravis tries an absent camera five times for 0.5 s and holds its lock during this time, and it lists only one of two
+cameras with the same name. So this module sends three requests without Aravis: READREG of the protocol version
+(bootstrap register 0), READREG of the control channel privilege, and the broadcast DISCOVERY.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ _DISCOVERY, _READ_REGISTER = 0x0002, 0x0080
 """Command numbers; the number of an acknowledgement is one higher."""
 _VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
 _CONTROL_BITS = 0b11
-"""Bits of the privilege: exclusive access, control."""
+"""Bits of the privilege register that are set while an application has exclusive access or control."""
 _HEADER = struct.Struct(">BBHHH")
 _SUCCESS = b"\0\0"
-"""Status in the first two bytes of a reply; a refusal has another status and may have content too."""
+"""Status of success in the first two bytes of a reply. A refusal has another status and may have content as well."""
 _ADDRESS_OFFSET, _SERIAL_OFFSET = 8 + 0x24, 8 + 0xD8
-"""Offsets in a reply to DISCOVERY: the header, then the bootstrap registers from 0 on."""
+"""Offsets in a reply to DISCOVERY, which has a header of 8 bytes and then the bootstrap registers from 0 on."""
 _DISCOVERY_REPLY_BYTES = 8 + 0xF8
 _ids = count(1)
 
 
 class Control(Enum):
-    """Whether a camera has a controlling application, by its own report."""
+    """State of a camera's control channel, as the camera reports it: whether an application controls the camera."""
 
     ABSENT = "absent"
-    """It does not reply."""
+    """The camera does not reply."""
     FREE = "free"
-    """It has none; without a heartbeat it releases its client."""
+    """No application controls the camera. A camera releases an application that sends no heartbeat."""
     CONTROLLED = "controlled"
-    """It has one; it does not report which."""
+    """An application controls the camera; the camera does not report which one."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,15 @@ def command(number: int, request_id: int, content: bytes = b"") -> bytes:
 
 
 def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
-    """Return whether a datagram acknowledges this command; a refusal counts, because it proves presence."""
+    """Return whether a datagram acknowledges a command.
+
+    A refusal counts as an acknowledgement, because it proves that the camera is present.
+
+    Args:
+        datagram: the received bytes.
+        number: number of the command.
+        request_id: request id of the command.
+    """
     if len(datagram) < _HEADER.size:
         return False
     _, _, acknowledged, _, acknowledged_id = _HEADER.unpack_from(datagram)
@@ -69,23 +77,23 @@ def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
 
 
 def is_reachable(address: str, timeout_s: float = 0.2, tries: int = 3) -> bool:
-    """Return whether a camera replies at an address; at most `tries` requests of `timeout_s` each."""
+    """Return whether a camera replies at an IP address. At most `tries` requests are sent, `timeout_s` apart."""
     return _read_register(address, _VERSION_REGISTER, timeout_s, tries) is not None
 
 
 def read_control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Control:
-    """Read whether an application controls the camera at an address."""
+    """Read whether an application controls the camera at an IP address."""
     reply = _read_register(address, _PRIVILEGE_REGISTER, timeout_s, tries)
     if reply is None:
         return Control.ABSENT
-    # A camera may refuse this register to other applications. It is then taken as controlled, so that no loss is
-    # reported that did not occur.
+    # A camera may refuse to let other applications read this register. The refusal counts as CONTROLLED, so that no
+    # loss is reported that did not occur.
     free = len(reply) >= 4 and not int.from_bytes(reply[:4], "big") & _CONTROL_BITS
     return Control.FREE if free else Control.CONTROLLED
 
 
 def discover(wait_s: float = DISCOVERY_S) -> tuple[DiscoveredCamera, ...]:
-    """Find all GigE cameras on the networks of this computer, sorted by address."""
+    """Return all GigE cameras that reply to a broadcast on the networks of this computer, sorted by address."""
     request_id = _next_id()
     with contextlib.ExitStack() as stack:
         selector = stack.enter_context(selectors.DefaultSelector())
@@ -123,7 +131,7 @@ def _received(client: socket.socket, request_id: int) -> list[DiscoveredCamera]:
 
 
 def _read_register(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:
-    """Read a register; empty if the camera refuses, None if no camera replies."""
+    """Return the content of a register; empty bytes if the camera refuses to read it, None if no camera replies."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(timeout_s)
         try:
@@ -134,7 +142,7 @@ def _read_register(address: str, register: int, timeout_s: float, tries: int) ->
 
 
 def _request_register(client: socket.socket, register: int) -> bytes | None:
-    """Send one READREG and wait for its reply."""
+    """Send one READREG and return its content; empty bytes after a refusal, None without a reply in time."""
     request_id = _next_id()
     try:
         client.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))

@@ -1,8 +1,8 @@
-"""Access to the Aravis library through PyGObject, which the distribution installs outside virtual environments.
+"""Load the Aravis library through PyGObject, which the distribution installs outside virtual environments.
 
-Only the package `gi` is imported from there. Other packages in the same directory (another numpy, another pydantic)
-stay invisible. PyGObject is compiled for one minor version of Python; with any other, everything except this backend
-works.
+Only the package `gi` is imported from the distribution's directory. Other packages in that directory (another numpy,
+another pydantic) stay invisible. PyGObject is compiled for one minor version of Python. With any other version the
+station works, except for the backend "aravis".
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from typing import Any
 from vaoi_station.errors import DeviceError
 
 SYSTEM_PACKAGES = Path("/usr/lib/python3/dist-packages")
-"""Where Debian and Ubuntu put python3-gi."""
+"""Directory in which Debian and Ubuntu install python3-gi."""
 SHARED_OBJECT = "libaravis-0.8.so.0"
 PACKAGES = "python3-gi gir1.2-aravis-0.8"
 
 
 @functools.cache
 def aravis() -> Any:
-    """Import the module `gi.repository.Aravis`.
+    """Import and return the module `gi.repository.Aravis`.
 
     Raises:
-        DeviceError: it is not installed, or not for this Python; the action names the packages to install.
+        DeviceError: Aravis is not installed, or not for this version of Python. The action names the packages to
+            install.
     """
     try:
         gi = _gi()
@@ -52,7 +53,7 @@ def glib_error() -> type[Exception]:
 
 @functools.cache
 def shared_library() -> ctypes.CDLL:
-    """Load the shared library, for functions that the introspection lacks."""
+    """Load Aravis' C library, for functions that PyGObject does not offer."""
     try:
         return ctypes.CDLL(SHARED_OBJECT)
     except OSError as error:
@@ -60,14 +61,14 @@ def shared_library() -> ctypes.CDLL:
 
 
 def version() -> tuple[int, int, int]:
-    """Return the version of the library in use, which the introspection lacks."""
+    """Return the version (major, minor, micro) of the loaded Aravis library."""
     library = shared_library()
     major, minor, micro = (getattr(library, f"arv_get_{part}_version")() for part in ("major", "minor", "micro"))
     return int(major), int(minor), int(micro)
 
 
 def _gi() -> Any:
-    """Import the package `gi` of this environment, or else the distribution's."""
+    """Import the package `gi` from this environment; if it has none, from the distribution's directory."""
     if "gi" in sys.modules or importlib.util.find_spec("gi") is not None:
         import gi
 

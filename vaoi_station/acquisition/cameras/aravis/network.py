@@ -1,8 +1,8 @@
-"""Packets of cameras: their size, the delay between them, and the kernel's receive buffer.
+"""Compute packet size and packet delay of GigE cameras, and set the kernel's receive buffer.
 
 All cameras of an array expose and send at the same time. Cameras on one port of this computer share its bandwidth:
-after every packet, each leaves room for one packet of every other camera, so that no switch must buffer or drop any.
-The arithmetic is pure; the queries of this machine are at the end of the module.
+after every packet, each camera pauses for the time of one packet of every other camera, so that no switch must buffer
+or drop packets. The first functions of the module only compute; those from `mtu_to` on query this computer.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from pathlib import Path
 from vaoi_station.errors import DeviceError, InputError
 
 LARGEST_PACKET = 9000
-"""Bytes of a jumbo frame; loopback takes more, Ethernet does not."""
+"""Largest packet size in bytes: that of an Ethernet jumbo frame. Only loopback would take larger packets."""
 GVSP_OVERHEAD = 36
-"""Bytes of IP (20), UDP (8) and GVSP (8) headers, which the packet size of a camera includes."""
+"""Bytes of the IP (20), UDP (8) and GVSP (8) headers of a packet. The packet size of a camera includes them."""
 ETHERNET_OVERHEAD = 38
-"""Further bytes of a packet on the wire: preamble 8, header 14, checksum 4, gap 12."""
+"""Bytes that Ethernet adds to each packet on the wire: preamble 8, header 14, checksum 4, gap 12."""
 CONTROL_PORT = 3956
 """UDP port of GVCP, the same for every camera."""
 _IP_MTU = 14
@@ -41,7 +41,16 @@ class PacketLimits:
 
 
 def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
-    """Return the largest packet size that camera and interface accept, including headers; at most `wanted`."""
+    """Return the largest packet size, in bytes with headers, that both the camera and the interface accept.
+
+    Args:
+        wanted: upper limit from station.toml; None: `LARGEST_PACKET`.
+        mtu: largest packet that the interface accepts.
+        limits: packet sizes that the camera accepts.
+
+    Raises:
+        InputError: `wanted` or `mtu` is below the camera's smallest packet.
+    """
     most = min(wanted or LARGEST_PACKET, mtu, limits.largest)
     # A size between two steps would be rounded by the camera, and the comparison after the write would fail.
     fitting = limits.smallest + (most - limits.smallest) // limits.step * limits.step
@@ -53,26 +62,47 @@ def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
 
 
 def packets_per_frame(payload_bytes: int, packet: int) -> int:
-    """Return the number of packets with pixels; leader and trailer are negligible."""
+    """Return the number of packets with pixels in one frame. Leader and trailer packets are small and not counted."""
     return math.ceil(payload_bytes / (packet - GVSP_OVERHEAD))
 
 
 def packet_delay_ns(packet: int, cameras: int, link_mbit_s: float | None) -> int:
-    """Return the delay after each packet for one packet of every other camera; 0 if the link has no speed."""
+    """Return the pause, ns, that a camera makes after each packet: time for one packet of every other camera.
+
+    Args:
+        packet: packet size in bytes.
+        cameras: number of cameras on the port.
+        link_mbit_s: speed of the port; None if it has none, like loopback: then the delay is 0.
+    """
     if link_mbit_s is None:
         return 0
     return math.ceil((cameras - 1) * (packet + ETHERNET_OVERHEAD) * 8000 / link_mbit_s)
 
 
 def transfer_s(payload_bytes: int, packet: int, cameras: int, link_mbit_s: float | None) -> float:
-    """Return the time of a frame when all cameras of a port send at once; 0 if the link has no speed."""
+    """Return the time in which all cameras of a port, sending at once, transfer one frame each.
+
+    Args:
+        payload_bytes: size of a frame.
+        packet: packet size in bytes.
+        cameras: number of cameras on the port.
+        link_mbit_s: speed of the port; None if it has none, like loopback: then the time is 0.
+    """
     if link_mbit_s is None:
         return 0.0
     return packets_per_frame(payload_bytes, packet) * cameras * (packet + ETHERNET_OVERHEAD) * 8e-6 / link_mbit_s
 
 
 def check_budget(port: str, payloads: list[int], packet: int, link_mbit_s: float | None, period_s: float) -> None:
-    """Raise DeviceError if the cameras of a port cannot send a row before the next one is due."""
+    """Raise DeviceError if the cameras of a port cannot send the frames of one row within a trigger period.
+
+    Args:
+        port: name of the network interface.
+        payloads: frame size of each camera on the port, bytes.
+        packet: packet size in bytes.
+        link_mbit_s: speed of the port; None if it has none.
+        period_s: trigger period.
+    """
     needed_s = transfer_s(max(payloads), packet, len(payloads), link_mbit_s)
     if needed_s > period_s:
         raise DeviceError(
@@ -84,14 +114,14 @@ def check_budget(port: str, payloads: list[int], packet: int, link_mbit_s: float
 
 
 def mtu_to(address: str) -> int:
-    """Return the MTU of the route to an address, as this computer knows it."""
+    """Return the MTU (largest packet, bytes) that this computer uses on its route to an address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect((address, CONTROL_PORT))
         return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)
 
 
 def local_addresses() -> tuple[str, ...]:
-    """Return the IPv4 addresses of this computer's interfaces, one each."""
+    """Return one IPv4 address of each network interface of this computer that has an address."""
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
@@ -101,7 +131,7 @@ def local_addresses() -> tuple[str, ...]:
 
 
 def interface_of(local_address: str) -> str:
-    """Return the name of the interface whose network contains an address; the address itself if there is none."""
+    """Return the name of the interface whose network contains an address; if there is none, return the address."""
     wanted = _as_int(socket.inet_aton(local_address))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
@@ -114,7 +144,7 @@ def interface_of(local_address: str) -> str:
 
 
 def link_mbit_s(interface: str) -> float | None:
-    """Return the speed of an interface; None if it reports none, like loopback."""
+    """Return the speed of a network interface in Mbit/s; None if it reports no speed, like loopback."""
     try:
         speed = int(Path(f"/sys/class/net/{interface}/speed").read_text())
     except (OSError, ValueError):
@@ -123,13 +153,13 @@ def link_mbit_s(interface: str) -> float | None:
 
 
 def widen_receive_buffer(port: int, wanted_bytes: int) -> int:
-    """Set the receive buffer of this process' UDP socket at a port; return the size granted, in bytes.
+    """Set the receive buffer of the UDP socket that this process has at a port; return the granted size, in bytes.
 
-    The kernel grants at most net.core.rmem_max. Returns 0 if this process has no such socket.
+    The kernel grants at most net.core.rmem_max. The result is 0 if this process has no UDP socket at the port.
     """
-    # Aravis sets the size when the first packet has arrived, which loses the rest of the first frame (decisions/0009),
-    # and does not report what was granted. It gives no access to its socket either, so the socket is searched by its
-    # port.
+    # Aravis itself sets the size when the first packet has arrived, which loses the rest of the first frame
+    # (decisions/0009), and does not report the granted size. Aravis gives no access to its socket, so the socket is
+    # searched by its port among the open files of this process.
     for handle in map(int, os.listdir("/proc/self/fd")):  # noqa: PTH208  (numbers, not paths)
         with contextlib.suppress(OSError):  # another thread closed it meanwhile
             if not stat.S_ISSOCK(os.fstat(handle).st_mode):

@@ -1,4 +1,4 @@
-"""Opens all cameras of a station: search, configure for the ports they share, check that they wait for the trigger."""
+"""Open all cameras of a station, configure them for the ports they share, and check that they wait for the trigger."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
 
 STALL_S = 1.0
-"""The kernel's buffer holds what a camera sends while this process does not run for this long."""
+"""Longest pause of this process during which the kernel's receive buffer can hold all frames of a camera."""
 
 
 def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
     """Open every camera of a station.
 
     Raises:
-        DeviceError: Aravis or a camera is absent, in use, ignores a setting, or sends without a trigger.
-        InputError: a serial number is not unique.
+        DeviceError: Aravis is not installed, or a camera is absent, in use, ignores a setting, or sends without a
+            trigger.
+        InputError: two cameras have the same serial number.
     """
     connections: list[Connection] = []
     cameras: list[AravisCamera] = []
@@ -37,10 +38,10 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
             _check_budgets(config, connections, shares)
             for number, (connection, share) in enumerate(zip(connections, shares, strict=True)):
                 cameras.append(AravisCamera(number, connection, share))
-            # Last, with all cameras started: one that sends now would shift its frames against all others.
+            # Checked last, with all cameras started: a camera that sends now would have its frames in wrong rows.
             check_silence(connections)
         except BaseException:  # also KeyboardInterrupt: release all cameras; it is raised on
-            # A camera object owns its connection; connections without one are closed by themselves.
+            # An AravisCamera closes its connection; connections without an AravisCamera are closed one by one.
             for opened in cameras:
                 opened.close()
             for unused in connections[len(cameras) :]:
@@ -50,12 +51,12 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
 
 
 def socket_bytes(camera: CameraConfig, period_s: float) -> int:
-    """Return the wanted size of the kernel's buffer: the frames of `STALL_S`, at least two."""
+    """Return the wanted size, bytes, of the kernel's receive buffer: room for all frames of `STALL_S`, at least two."""
     return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
 
 
 def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
-    """Return addresses or device ids in the order of the cameras, with one search for all serial numbers."""
+    """Return the IP address or USB device id of each camera. One search covers all cameras given by serial number."""
     found = search() if any(camera.serial for camera in cameras) else ()
     addresses = []
     for camera in cameras:
@@ -68,7 +69,7 @@ def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
 
 
 def _check_distinct(connections: Sequence[Connection]) -> None:
-    """Raise InputError if two entries are the same camera: a calibration belongs to one camera."""
+    """Raise InputError if two `[[cameras]]` entries of station.toml open the same device (same serial number)."""
     counts = Counter(connection.identity.serial for connection in connections)
     for serial, count in counts.items():
         if count > 1:
@@ -81,7 +82,7 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
 
 
 def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> list[PortShare]:
-    """Return each camera's share of its port."""
+    """Return, for each camera, how it shares its network port: other cameras, speed of the port, receive buffer."""
     on_port = Counter(connection.identity.interface for connection in connections)
     shares = []
     for connection in connections:
@@ -92,7 +93,7 @@ def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> li
 
 
 def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[PortShare]) -> None:
-    """Raise DeviceError if a port cannot carry a row within a period."""
+    """Raise DeviceError if a network port is too slow to carry the frames of one row within a trigger period."""
     ports: defaultdict[str, list[int]] = defaultdict(list)
     for k, connection in enumerate(connections):
         if connection.is_gige:

@@ -1,7 +1,7 @@
-"""Writes, reads back and compares every setting of a camera before it is used.
+"""Write every setting of a camera, read it back and compare it before the camera is used.
 
-A camera that ignores a setting is an error that names camera, feature, wanted and actual value: rows with another
-exposure or region would be worse than none. Numbers may be rounded to the steps of the sensor.
+If a camera ignores a setting, an error names the camera, the feature, the wanted and the actual value: frames with
+another exposure or region would be worse than no frames. A camera may round numbers to the steps of its sensor.
 """
 
 from __future__ import annotations
@@ -17,20 +17,22 @@ from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 
 EXPOSURE_TOLERANCE, EXPOSURE_TOLERANCE_US = 0.01, 20.0
-"""Accepted difference of the exposure, relative and in µs: some sensors expose whole lines."""
+"""Accepted difference of the exposure, relative and in µs; the larger limit counts. Some sensors round the exposure to
+the time of a line of pixels.
+"""
 GAIN_TOLERANCE_DB = 0.3
-"""Accepted difference of the gain, which has coarse steps."""
+"""Accepted difference of the gain. Cameras have coarse steps of gain."""
 FEATURE_TOLERANCE = 0.01
 """Accepted relative difference of a feature that station.toml sets by name."""
 
 Value = bool | int | float | str
 _KINDS = {bool: "boolean", int: "integer", float: "float", str: "string"}
-"""The words for types in the names of Aravis' functions."""
+"""Python type → its word in the names of Aravis' functions, as in `set_integer_feature_value`."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A feature, its wanted value, and functions to write and read it."""
+    """A feature of a camera, its wanted value, and the functions that write and read it."""
 
     feature: str
     wanted: Value | tuple[int, ...]
@@ -38,7 +40,7 @@ class Setting:
     read: Callable[[], Any]
     tolerance: float = 0.0
     transient: bool = False
-    """Whether a later setting of the same feature replaces this one."""
+    """Whether a later setting of the same feature replaces this one, so that it cannot be compared at the end."""
 
     def matches(self, got: object) -> bool:
         """Return whether a value that was read back is the wanted one, within the tolerance."""
@@ -48,7 +50,9 @@ class Setting:
 
 
 def apply(camera: Any, config: CameraConfig) -> None:
-    """Write, read back and compare the settings of picture and trigger; those of the packets follow later.
+    """Write, read back and compare the settings of the picture, of named features and of the trigger.
+
+    The settings of the packets are written by `Connection.configure`.
 
     Raises:
         DeviceError: the camera refuses or ignores a setting.
@@ -57,14 +61,14 @@ def apply(camera: Any, config: CameraConfig) -> None:
         settings = list(_with_device_errors(config.label, part(camera, config)))
         for setting in settings:
             write_and_compare(config.label, setting)
-        # Read once more at the end: setting one feature may change another (Aravis #1045).
+        # All are compared once more at the end: writing one feature may change another (Aravis #1045).
         for setting in settings:
             if not setting.transient:
                 compare(config.label, setting)
 
 
 def write_and_compare(name: str, setting: Setting) -> None:
-    """Write a setting and compare it at once."""
+    """Write a setting, read it back at once, and raise DeviceError if the camera refuses or ignores it."""
     try:
         setting.write()
     except glib_error() as error:
@@ -77,7 +81,7 @@ def write_and_compare(name: str, setting: Setting) -> None:
 
 
 def compare(name: str, setting: Setting) -> None:
-    """Raise DeviceError if the camera's value is not the wanted one."""
+    """Read a setting from the camera and raise DeviceError if its value is not the wanted one."""
     try:
         got = setting.read()
     except glib_error() as error:
@@ -98,7 +102,7 @@ def error_text(error: Exception) -> str:
 
 
 def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Setting]:
-    """Turn GLib errors while settings are generated into DeviceErrors."""
+    """Pass on settings from a generator, and turn GLib errors inside the generator into DeviceErrors."""
     try:
         yield from settings
     except glib_error() as error:
@@ -106,7 +110,7 @@ def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Sett
 
 
 def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield binning, format, region, exposure and gain; everything that changes them automatically is off."""
+    """Yield the settings of binning, pixel format, region, exposure and gain, with automatic controls turned off."""
     x, y = config.offset_px
     region = (x, y, config.width, config.height)
     device = camera.get_device()
@@ -120,7 +124,7 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
         camera.get_pixel_format_as_string,
     )
     yield Setting("Region", region, lambda: camera.set_region(*region), lambda: _region(camera))
-    # Before exposure and gain: while the automatic is on, cameras refuse or overwrite the values.
+    # Turned off before exposure and gain are set: while an automatic control is on, cameras refuse or overwrite values.
     for feature in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable"):
         if device.is_feature_available(feature):
             yield feature_setting(device, feature, False if feature == "GammaEnable" else "Off")
@@ -142,14 +146,14 @@ def _region(camera: Any) -> tuple[int, int, int, int]:
 
 
 def _named_features(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the features that station.toml sets by name, in its order."""
+    """Yield the features that station.toml sets by name, in the order of the file."""
     device = camera.get_device()
     for feature, value in config.features.items():
         yield feature_setting(device, feature, value)
 
 
 def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the settings for one frame per trigger pulse, by the recipe of the make."""
+    """Yield the settings that give one frame per trigger pulse, following the recipe of the camera's make."""
     device = camera.get_device()
     recipe = recipe_for(camera.get_vendor_name() or "")
     line = config.trigger_line or recipe.line
@@ -164,8 +168,8 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
             f"{config.label}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
             action="Use a camera with a trigger input.",
         )
-    # Any other active trigger would delay or multiply frames. These settings are transient, because one selector serves
-    # all triggers: read back later, they would show the value of the last one.
+    # Any other active trigger would delay or multiply frames. These settings are transient, because all triggers share
+    # one selector: read back later, every setting would show the value of the trigger selected last.
     for other in triggers:
         if other != ours:
             yield replace(feature_setting(device, "TriggerSelector", other), transient=True)
@@ -181,7 +185,7 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
 
 
 def feature_setting(device: Any, feature: str, value: Value) -> Setting:
-    """Make a setting by its GenICam name; a whole number is accepted for a float feature."""
+    """Return a setting for a feature given by its GenICam name. A float feature also accepts a whole number."""
     if type(value) is int and isinstance(device.get_feature(feature), aravis().GcFloat):
         value = float(value)
     kind = _KINDS[type(value)]

@@ -1,7 +1,7 @@
-"""Streams whose buffers are slots of the ring: Aravis' receive thread writes packets where the stitcher reads pixels.
+"""Receive frames directly into slots of the ring: Aravis' receive thread writes packets into the memory of the slots.
 
-A slot belongs either to the stream or to the caller. `queue` gives its address to the stream. It comes back through
-`on_slot` when a frame has ended in it, complete or not, or unused from `take_back`.
+A slot belongs either to the stream or to the caller. `queue` gives the slot's address to the stream. The caller gets
+the slot back through `on_slot` when a frame has ended in it, complete or not, or from `take_back` if it is unused.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.acquisition.cameras.interface import Slot
 
 POP_US = 50_000
-"""Longest wait of the pulling thread before it checks whether to end, in µs."""
+"""Longest wait of the pulling thread for a buffer, in µs; after it the thread checks whether the stream is closed."""
 FILLING_S = 0.25
-"""Time that a frame under way has to end before buffers are taken back; longer than Aravis' frame retention."""
+"""Time to wait for the end of frames that are being received before buffers are taken back. It is longer than Aravis'
+frame retention.
+"""
 
 FAULTS = {
     "timeout": "parts of the frame did not arrive in time",
@@ -28,7 +30,7 @@ FAULTS = {
     "aborted": "receiving the frame was broken off",
     "filling": "receiving the frame was broken off",
 }
-"""Texts by the nickname of Aravis' status; newer versions may have more."""
+"""Nickname of a buffer's status in Aravis → text for users. Newer versions of Aravis may have more nicknames."""
 
 
 @dataclass(frozen=True)
@@ -43,36 +45,44 @@ class FrameFormat:
 
 @dataclass(frozen=True)
 class SlotResult:
-    """The outcome of one slot; frame id and time stamp are None unless `whole`."""
+    """The outcome of receiving a frame into one slot. Frame id and time stamp are None unless the frame is complete."""
 
     slot: Slot
     whole: bool
     frame_id: int | None
     time_ns: int | None
-    """Time stamp by the camera's clock."""
+    """Time stamp of the frame in the camera's clock."""
     host_time_s: float
     fault: str = ""
 
 
 class SlotStream:
-    """The buffers of one stream, and the thread that pulls filled ones."""
+    """A stream of frames into slots: its buffers, and the thread that pulls the filled buffers."""
 
     def __init__(self, stream: Any, kind: FrameFormat, on_slot: Callable[[SlotResult], None], name: str) -> None:
-        """Start pulling; `on_slot` runs in the pulling thread and in callers of `take_back`, and must not block."""
+        """Start the pulling thread.
+
+        Args:
+            stream: the `Aravis.Stream`.
+            kind: size and pixel format that complete frames must have.
+            on_slot: called with the outcome of each slot, in the pulling thread or in a thread that calls `take_back`.
+                It must not block.
+            name: beginning of the thread's name.
+        """
         self._stream = stream
         self._format, self._on_slot = kind, on_slot
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
         self._buffer_pulled = threading.Condition(self._lock)
-        """Notified of every buffer that was pulled."""
+        """Condition that is notified after every pulled buffer."""
         self._queued: dict[int, tuple[Any, Slot]] = {}
-        """C pointer of a buffer → the buffer and its slot, for all buffers of the stream."""
+        """C pointer of a buffer → the buffer and its slot, for all buffers that the stream has."""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._pull, name=f"{name}-frames")
         self._thread.start()
 
     def queue(self, slot: Slot) -> None:
-        """Give a slot's memory to the stream; frames fill slots in the order they were queued."""
+        """Give a slot's memory to the stream. Frames fill slots in the order in which the slots were queued."""
         buffer = aravis().Buffer.new(slot.memory.nbytes, slot.memory.ctypes.data)
         with self._lock:
             # The hash of a PyGObject is its C pointer, and a popped buffer may have a new Python wrapper.
@@ -80,15 +90,15 @@ class SlotStream:
             self._stream.push_buffer(buffer)
 
     def take_back(self) -> list[Slot]:
-        """Withdraw and return the unused slots; all others have been passed to `on_slot` when this returns.
+        """Withdraw and return the unused slots. All other slots have been passed to `on_slot` when this method returns.
 
-        A frame under way gets `FILLING_S` to end; then its reception is aborted.
+        A frame that is being received gets `FILLING_S` to end; after this time its reception is aborted.
         """
         self._wait_for_filling_frames()
         with self._lock:
-            # Aravis cannot remove a queued buffer. Stopping its receive thread and releasing all buffers can: when the
-            # call returns, the thread has ended, so no returned slot is written again. The socket stays open and
-            # packets wait in the kernel; both calls together take 40 µs (measured, decisions/0009).
+            # Aravis cannot remove a single queued buffer, but it can stop its receive thread and release all buffers.
+            # When `stop_thread` returns, the thread has ended, so no returned slot is written again. The socket stays
+            # open, and packets wait in the kernel; stop and start together take 40 µs (measured, decisions/0009).
             self._stream.stop_thread(True)
             out, self._queued = self._queued, {}
             self._stream.start_thread()
@@ -101,11 +111,12 @@ class SlotStream:
         return unused
 
     def close(self) -> list[Slot]:
-        """End the pulling thread and return the unused slots; no slot is written afterwards."""
-        # The stream itself ends with its last reference, which the connection drops: that may access the camera.
+        """End the pulling thread and return the unused slots. After the call no frame is written into any slot."""
+        # The `Aravis.Stream` ends when the connection drops the last reference to it, because its end may access the
+        # camera.
         if self._ending.is_set():
             return []
-        # Before the thread ends, because it pulls the frames under way meanwhile.
+        # Taken back before the thread ends, because the thread pulls the frames that are still being received.
         unused = self.take_back()
         self._ending.set()
         self._thread.join()
@@ -120,14 +131,14 @@ class SlotStream:
 
     def _pull(self) -> None:
         while not self._ending.is_set():
-            # Releases the GIL. A signal callback instead would run Python in the receive thread (Aravis #453, #714,
-            # #941).
+            # The call releases the GIL while it waits. A signal callback instead would run Python in Aravis' receive
+            # thread, which crashed (Aravis #453, #714, #941).
             buffer = self._stream.timeout_pop_buffer(POP_US)
             if buffer is None:
                 continue
             with self._buffer_pulled:
                 _, slot = self._queued.pop(hash(buffer), (None, None))
-                # Without a slot: `take_back` has just handled the buffer.
+                # There is no slot if `take_back` has just handled the buffer.
                 if slot is not None:
                     self._on_slot(self._result(buffer, slot))
                 self._buffer_pulled.notify_all()
@@ -135,8 +146,8 @@ class SlotStream:
     def _result(self, buffer: Any, slot: Slot) -> SlotResult:
         host_time_s = time.monotonic()
         status = buffer.get_status()
-        # Without SUCCESS id, time stamp and geometry may be those of an older frame: Aravis writes them with the leader
-        # (measured: id 65401 again where 65406 was due).
+        # Without SUCCESS, frame id, time stamp and size may be those of an older frame, because Aravis writes them when
+        # the leader packet arrives (measured: id 65401 again instead of 65406).
         if status != aravis().BufferStatus.SUCCESS:
             fault = FAULTS.get(status.value_nick, f"Aravis calls the frame {status.value_nick!r}")
             return SlotResult(slot, False, None, None, host_time_s, fault)

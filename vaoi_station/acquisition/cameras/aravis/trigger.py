@@ -1,7 +1,8 @@
-"""Recipes for the hardware trigger, one per make: names of inputs differ, and the order of settings matters.
+"""Recipes for the hardware trigger, one per make of camera: names of inputs differ, and the order of settings matters.
 
-The steps are the same for all: the trigger sets the frame rate, every other trigger is off, then mode, source, edge.
-Some makes need the mode off while the source changes, or overlap exposure and read-out only on request.
+The steps are the same for all makes: turn the free frame rate off, turn every other trigger off, then set the mode, the
+source and the edge of the frame trigger. Some makes need the mode off while the source changes, and some overlap
+exposure and read-out only if a feature asks for it.
 """
 
 from __future__ import annotations
@@ -9,19 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 FRAME_TRIGGERS = ("FrameStart", "FrameBurstStart", "AcquisitionStart")
-"""Triggers that give one frame per pulse, in order of preference."""
+"""GenICam names of the triggers that give one frame per pulse, in order of preference."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """The particulars of a make."""
+    """How the hardware trigger of one make of camera is set."""
 
     line: str
     """GenICam name of the opto-isolated input."""
     off_while_changing: bool = False
-    """Whether TriggerSource is refused while TriggerMode is On."""
+    """Whether the camera refuses to change TriggerSource while TriggerMode is On."""
     extra: tuple[tuple[str, str], ...] = ()
-    """Further features and values, written where the camera has them."""
+    """(feature, value) of further settings, which are written if the camera has the feature."""
 
 
 # Input names: Line0 at FLIR, Line1 at Basler, Line2 at Lucid; the order of settings has side effects (Aravis #1045).
@@ -33,12 +34,12 @@ RECIPES = {
     "lucid": Recipe("Line2", extra=(("TriggerOverlap", "PreviousFrame"),)),
     "aravis": Recipe("Line0"),
 }
-"""Recipes by the beginning of the vendor's name."""
+"""Beginning of the vendor's name in lower case → its recipe."""
 GENERIC = Recipe("Line0", off_while_changing=True)
-"""The recipe of unknown makes: switching the mode off first is accepted by all."""
+"""The recipe of unknown makes. It turns the mode off before the source changes, which cameras of all makes accept."""
 
 
 def recipe_for(vendor: str) -> Recipe:
-    """Return the recipe of a make; the generic one if it is unknown."""
+    """Return the recipe for a vendor's name; the generic recipe if the vendor is unknown."""
     name = vendor.casefold()
     return next((recipe for start, recipe in RECIPES.items() if name.startswith(start)), GENERIC)
