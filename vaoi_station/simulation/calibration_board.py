@@ -1,7 +1,7 @@
-"""Record the calibration board: one row of crosses at rest, with its layout and the truth.
+"""Simulate a recording of the calibration board: one frame per camera of the board at rest, with layout and truth.
 
-The board's coordinates are the tester's. The cameras hang a little off their nominal places, which is what a
-calibration has to determine.
+The coordinates of the calibration board are the tester coordinates. The cameras are mounted slightly off their nominal
+positions. A calibration has to determine these deviations.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from vaoi_station.simulation.world import TEXTURE_PER_PIXEL
 
 _BORDER_MM = 5.0
 _ARM = 0.25
-"""Width of an arm divided by the size of a cross."""
+"""Width of a cross' arm divided by the size of the cross."""
 
 
 def mark_places_mm(twin: Twin) -> Floats:
-    """Return tester places (k, 2) of the crosses: a grid under every camera's nominal view."""
+    """Return the tester coordinates (k, 2) of the crosses, mm: a grid inside the nominal view of each camera."""
     array, n = twin.scenario.array, twin.scenario.calibration_board.marks_per_axis
     w, h = array.view_mm
     x, y = (np.linspace(0.2, 0.8, n) - 0.5) * w, (np.linspace(0.18, 0.82, n) - 0.5) * h
@@ -37,7 +37,7 @@ def mark_places_mm(twin: Twin) -> Floats:
 
 
 def layout(twin: Twin) -> dict[str, Any]:
-    """Return layout.json: the marks of the board."""
+    """Return the content of layout.json: shape and positions of the marks on the board."""
     size = twin.scenario.calibration_board.mark_mm
     return {
         "unit": "mm",
@@ -47,7 +47,10 @@ def layout(twin: Twin) -> dict[str, Any]:
 
 
 def truth(twin: Twin) -> dict[str, Any]:
-    """Return truth.json of a calibration recording: N_i, and every lens (an ideal one with coefficient 0)."""
+    """Return the content of truth.json of a calibration recording: N_i and the lens of each camera.
+
+    An ideal lens is written with one coefficient of 0.
+    """
     lenses = [p.lens for p in twin.pinholes]
     return {
         "camera_matrices": [p.plane().tolist() for p in twin.pinholes],
@@ -58,7 +61,7 @@ def truth(twin: Twin) -> dict[str, Any]:
 
 
 def frames(twin: Twin) -> list[tuple[int, int, Any]]:
-    """Return (camera, 0, pixels) of every camera."""
+    """Return one frame per camera of the calibration board, as (camera, row 0, pixels)."""
     scene, light, array = _scene(twin), LightSection(), twin.scenario.array
     paint, result = LitTextures(scene.artwork, light), []
     for i, pinhole in enumerate(twin.pinholes):
@@ -76,7 +79,7 @@ def frames(twin: Twin) -> list[tuple[int, int, Any]]:
 
 
 def write_calibration_recording(twin: Twin, directory: Path, *, with_truth: bool = True) -> Recording:
-    """Write the recording with `layout.json`, and the truth if wanted."""
+    """Write a recording of the calibration board with `layout.json` and, if `with_truth`, `truth.json`."""
     head = RecordingHead(
         format="vaoi-recording",
         version=1,
@@ -97,7 +100,7 @@ def _polarity(twin: Twin) -> str:
 
 
 def _scene(twin: Twin) -> Scene:
-    """Return the calibration board as a scene; the texture's origin is its corner in tester coordinates."""
+    """Return the calibration board as a scene. Its board coordinates are the tester coordinates."""
     array, board = twin.scenario.array, twin.scenario.calibration_board
     w, h = array.view_mm
     corner = (-w / 2 - _BORDER_MM, -h / 2 - _BORDER_MM)
@@ -107,5 +110,5 @@ def _scene(twin: Twin) -> Scene:
         canvas.cross((x, y), board.mark_mm, board.mark_mm * _ARM, board.mark_grey)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal)
     artwork = Artwork((), (), surface, metal, canvas.px_per_mm, canvas.origin_mm)
-    # The pose is the identity, so board coordinates are tester coordinates here.
+    # `frames` renders this scene with the identity as its pose, so board coordinates are tester coordinates here.
     return Scene(BoardSection(fiducials=()), artwork, twin.scenario.belt.grey)

@@ -1,6 +1,6 @@
-"""One board's passage: its frames, its times, its faults, and the truth about it.
+"""The passage of one board: its frames, its times, its faults, and its truth.
 
-A frame is a pure function of scenario, board number, camera and row: earlier requests do not change its pixels.
+A frame is a pure function of scenario, board number, camera and row. Frames that were rendered before do not change it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SLOPE_S = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """Board `board_number` under the cameras; times are seconds since the start of the passage."""
+    """The passage of one board through the line. Times are in seconds since the start of the passage."""
 
     twin: World
     board_number: int
@@ -40,7 +40,7 @@ class Passage:
 
     @property
     def start_s(self) -> float:
-        """Start of the passage since the start of the scenario."""
+        """Start of the passage, in seconds since the start of the scenario."""
         return self._times.motion.start_s
 
     @property
@@ -50,22 +50,26 @@ class Passage:
 
     @property
     def clear_s(self) -> float:
-        """Time at which the board leaves the barrier; infinite if it sticks there."""
+        """Time at which the board clears the barrier; infinite if it sticks there."""
         return self._times.clear_s
 
     @property
     def pulse_times_s(self) -> tuple[float, ...]:
-        """The pulses of a controller: a delay after the interruption, then every period, until the tail ends."""
+        """Times of the pulses that a controller sends.
+
+        The first follows the interruption of the barrier after the start delay. The others follow at the trigger
+        period, until the tail time after the board has cleared the barrier.
+        """
         return self._times.pulse_times_s
 
     @property
     def rows(self) -> int:
-        """Number of pulses, the paper's m."""
+        """Number of pulses and so of rows, the paper's m."""
         return len(self.pulse_times_s)
 
     @property
     def turned_deg(self) -> int:
-        """Quarter turns by which the board lies turned on the belt, in degrees."""
+        """Rotation of the board on the belt: 0, 90, 180 or 270 degrees, counter-clockwise as the camera sees it."""
         return self._times.turned_deg
 
     @property
@@ -81,34 +85,44 @@ class Passage:
 
     @cached_property
     def pinholes(self) -> tuple[Pinhole, ...]:
-        """The cameras during this passage; a camera may have been knocked after its calibration."""
+        """The cameras as they are during this passage. A camera may have been knocked since its calibration."""
         return knocked_pinholes(self.twin.scenario.faults, self.twin.pinholes, self.board_number)
 
     @cached_property
     def placements(self) -> dict[str, Placement | None]:
-        """How every part of this board was placed; None for one that is absent."""
+        """Placement error of each part of this board by its name; None for an absent part."""
         self._check_absent()
         sigma = self.twin.scenario.board.placement_sigma_mm
         g = np.random.default_rng([self.twin.scenario.board.seed, 7040, self.board_number])
         result: dict[str, Placement | None] = {}
         for part in self.twin.parts:
-            # Drawn for an absent part too, so that a missing part does not move the others.
+            # Random numbers are drawn for absent parts too, so that the placement of other parts does not change.
             x, y, turn = g.normal(0, 1, 3) * (sigma, sigma, sigma / 3)
             placed = Placement((float(x), float(y)), float(turn))
             result[part.ref] = None if self.faults.absent(part.ref) else placed
         return result
 
     def pose(self, t_s: float) -> Floats:
-        """Return tester_from_board at a time, (3, 3): board mm (origin top left as seen, y down) to tester mm."""
+        """Return tester_from_board at a time: a rigid transform (3, 3) from board mm to tester mm.
+
+        Board coordinates have their origin in the top left corner as the camera sees the board, with y down.
+        """
         board = self.twin.scenario.board
         return self._times.motion.pose(t_s, (board.width_mm / 2, board.length_mm / 2))
 
     def frame(self, camera: int, row: int) -> NDArray[Any]:
-        """Return the whole frame (h, w) of a camera at a pulse, even if a fault keeps it from arriving."""
+        """Render the complete frame (h, w) of a camera and row, even if a fault prevents its arrival."""
         return self.frame_at(camera, self.pulse_times_s[row], self.lights[row], row)
 
     def frame_at(self, camera: int, t_s: float, light_name: str, noise_key: int) -> NDArray[Any]:
-        """Return the frame of a camera exposed about a time under a light; `noise_key` selects the noise."""
+        """Render the frame (h, w) of a camera at any time.
+
+        Args:
+            camera: index of the camera.
+            t_s: middle of the exposure.
+            light_name: name of the light pattern.
+            noise_key: selects the random numbers for noise and flicker; the row for a frame of a pulse.
+        """
         twin, array = self.twin, self.twin.scenario.array
         light = twin.scenario.lights[light_name]
         samples = twin.scene.view(
@@ -131,18 +145,18 @@ class Passage:
         )
 
     def frames(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
-        """Yield every frame that arrives whole: camera, row, pixels; row by row."""
+        """Yield the camera, row and pixels of each frame that arrives completely, row by row."""
         for row in range(self.rows):
             for camera in range(len(self.twin.pinholes)):
                 if self.faults.received_share(camera, row) == 1:
                     yield camera, row, self.frame(camera, row)
 
     def render_all(self) -> dict[tuple[int, int], NDArray[Any]]:
-        """Return every frame by (camera, row), also those that faults hold back."""
+        """Render all frames, including those whose arrival a fault prevents. The keys are (camera, row)."""
         return {(c, r): self.frame(c, r) for r in range(self.rows) for c in range(len(self.twin.pinholes))}
 
     def head(self) -> RecordingHead:
-        """Return recording.json of this passage; frames that do not arrive whole are missing."""
+        """Return the content of recording.json. Frames that do not arrive completely are listed as missing."""
         cells = [(c, r) for c in range(len(self.twin.pinholes)) for r in range(self.rows)]
         line = self.twin.line
         return RecordingHead(
@@ -158,28 +172,28 @@ class Passage:
         )
 
     def truth(self) -> dict[str, Any]:
-        """Return the truth in the format of truth.json."""
+        """Return the truth of this passage in the format of truth.json."""
         return passage_truth(self.twin, self.pinholes, [self.pose(t) for t in self.pulse_times_s])
 
     def _check_absent(self) -> None:
-        """Refuse absent parts that the board does not have."""
+        """Raise InputError if the scenario declares a part absent that the board does not have."""
         known = {p.ref for p in self.twin.parts}
         for n, fault in enumerate(self.twin.scenario.faults.absent_parts):
             if fault.ref not in known:
                 raise InputError.field("scenario", f"faults.absent_parts.{n}.ref", fault.ref, "a part of this board")
 
     def _flicker(self, row: int) -> float:
-        """Return the brightness of a row relative to the mean, the same for all cameras."""
+        """Return the brightness of a row relative to the mean brightness. It is equal for all cameras."""
         array = self.twin.scenario.array
         return 1 + array.flicker * float(generator(array.seed, 7006, self.board_number, row).standard_normal())
 
     def _motion_px(self, camera: int, t_s: float) -> Floats:
-        """Return the motion of the board's image in the centre of a frame during the exposure, (2,) px."""
+        """Return the motion (2,), px, of the board's image at the centre of a frame during one exposure."""
         if t_s >= self._times.motion.stop_s:
             return np.zeros(2)
         pinhole, seconds = self.pinholes[camera], self.twin.scenario.array.exposure_us(camera) * 1e-6
         middle = np.array([[(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2]])
         place = apply(np.linalg.inv(self.pose(t_s)), pinhole.ground(middle, 0.0))
-        # A central difference over 0.2 ms: short against any variation of the speed, long against rounding.
+        # The speed is a central difference over 0.2 ms: it hardly varies in this time, and rounding is negligible.
         before, after = (pinhole.project(apply(self.pose(t_s + d), place), 0.0)[0] for d in (-_SLOPE_S, _SLOPE_S))
         return np.asarray((after - before) / (2 * _SLOPE_S) * seconds)

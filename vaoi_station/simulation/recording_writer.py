@@ -10,7 +10,7 @@ from vaoi_station.simulation.passage import Passage
 
 
 def write_passage(passage: Passage, directory: Path, *, with_truth: bool = True) -> Recording:
-    """Write a passage into a directory; frames that faults keep from arriving whole are listed as missing."""
+    """Write a passage as a recording into a directory. Frames that do not arrive completely are listed as missing."""
     twin = passage.twin
     write_calibration(directory / "calibration.json", twin.calibration)
     write_board_type(directory / "board.json", twin.board_type)

@@ -1,7 +1,7 @@
-"""Read a scenario file (TOML) into one frozen `Scenario`: what the twin simulates, and what goes wrong.
+"""Read a scenario file (TOML) into a frozen `Scenario`, which defines what the twin simulates, including faults.
 
-Unknown keys and impossible values are refused with file, key, value and limit. `docs/engineering/twin.md` describes
-every key. All keys have defaults, so an empty file is a scenario. Random numbers are pure functions of the seeds.
+Unknown keys and invalid values raise an error with file, key, value and limit. `docs/engineering/twin.md` describes
+every key. All keys have defaults, so an empty file is a valid scenario. All random numbers depend only on the seeds.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ PerCamera = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
 
 class Section(Strict):
-    """A table of the file; its numbers are finite."""
+    """Base class of all tables of a scenario file."""
 
 
 class ArraySection(Section):
-    """The camera array: its design, its imperfect mounting, its lenses and sensors."""
+    """The camera array: its design, its mounting errors, and the properties of its lenses and sensors."""
 
     cameras: Annotated[int, Field(ge=1, le=64)] = 3
     width_px: Annotated[int, Field(ge=32, le=16384)] = 1392
@@ -57,21 +57,21 @@ class ArraySection(Section):
 
     @property
     def pitch_mm(self) -> float:
-        """Distance of neighbouring cameras: field of view / m_h."""
+        """Distance of neighbouring cameras: the width of a field of view divided by the overlap m_h."""
         return self.width_px / self.px_per_mm / self.overlap
 
     @property
     def view_mm(self) -> tuple[float, float]:
-        """Nominal field of view of one camera, across and along the motion."""
+        """Nominal field of view of one camera, mm: its extent across and along the motion."""
         return self.width_px / self.px_per_mm, self.height_px / self.px_per_mm
 
     def exposure_us(self, camera: int) -> float:
-        """Return the exposure of one camera; a short list is used in turn."""
+        """Return the exposure time of one camera. A list with fewer entries than cameras is repeated."""
         return self.exposures_us[camera % len(self.exposures_us)]
 
 
 class BeltSection(Section):
-    """The conveyor, and how boards lie on it."""
+    """The motion of the conveyor, and the position of boards on it."""
 
     speed_mm_s: Positive = 100.0
     speed_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
@@ -91,7 +91,7 @@ class BeltSection(Section):
 
 
 class FiducialMark(Section):
-    """A bare-copper mark, in mm from the top left corner of the board as the camera sees it."""
+    """A fiducial of bare copper. Its position is in mm from the top left corner of the board as the camera sees it."""
 
     x_mm: Finite
     y_mm: Finite
@@ -100,7 +100,7 @@ class FiducialMark(Section):
 
 
 class BoardSection(Section):
-    """The board type, generated from a seed, and how its CAD system describes it."""
+    """The board type, which is generated from a seed, and the unit, axes and side of its CAD data."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)] = "demo"
     width_mm: Annotated[float, Field(ge=8, le=4000)] = 96.0
@@ -131,19 +131,19 @@ class BoardSection(Section):
 
     @property
     def marks(self) -> tuple[FiducialMark, ...]:
-        """The given fiducials, or three in an arrangement that no rotation maps onto itself."""
+        """The fiducials of the scenario or, without any, three marks that no rotation maps onto themselves."""
         if self.fiducials is not None:
             return self.fiducials
         w, h = self.width_mm, self.length_mm
         d = 1.0 if min(w, h) >= 30 else 0.8
         inset = min(4.0, min(w, h) / 8)
-        # The third mark is off the corner: three corners of a square would allow a quarter turn.
+        # The third mark is displaced: of three corners of a square, two would coincide again after a quarter turn.
         places = [(inset, inset), (w - inset, h - 1.4 * inset), (w - 1.6 * inset, 1.1 * inset)]
         return tuple(FiducialMark(x_mm=round(x, 3), y_mm=round(y, 3), diameter_mm=d) for x, y in places)
 
 
 class LineSection(Section):
-    """Light barrier and trigger plan."""
+    """The light barrier and the timing of the trigger pulses."""
 
     barrier_mm: Finite = -40.0
     approach_s: Positive = 0.1
@@ -157,7 +157,7 @@ class LineSection(Section):
 
 
 class CalibrationBoardSection(Section):
-    """The board of crosses that calibrates the array; its coordinates are the tester's."""
+    """The calibration board: a grid of crosses. Its coordinates are the tester coordinates."""
 
     marks_per_axis: Annotated[int, Field(ge=2, le=40)] = 2
     mark_mm: Positive = 2.0
@@ -166,7 +166,7 @@ class CalibrationBoardSection(Section):
 
 
 class LightSection(Section):
-    """One LED pattern."""
+    """One light pattern of the LEDs: its brightness, direction, shading and shadow."""
 
     gain: PerCamera = (1.0,)
     metal: NotNegative = 1.0
@@ -176,23 +176,23 @@ class LightSection(Section):
     elevation_deg: Annotated[float, Field(gt=5, lt=90)] = 45.0
 
     def camera_gain(self, camera: int) -> float:
-        """Return the brightness for one camera; a short list is used in turn."""
+        """Return the brightness factor for one camera. A list with fewer entries than cameras is repeated."""
         return self.gain[camera % len(self.gain)]
 
     @property
     def direction(self) -> tuple[float, float]:
-        """Unit vector in tester coordinates from the board towards the lamp."""
+        """Unit vector (x, y) from the board towards the lamp, in tester coordinates."""
         a = math.radians(self.azimuth_deg)
         return math.cos(a), math.sin(a)
 
 
 class OnBoard(Section):
-    """A fault of one board; without a board number it applies to every board."""
+    """Base class of faults of one board. A fault without a board number applies to every board."""
 
     board: Index | None = None
 
     def applies_to(self, board_number: int) -> bool:
-        """Whether this board has the fault."""
+        """Return whether the board with this number has the fault."""
         return self.board is None or self.board == board_number
 
 
@@ -204,35 +204,35 @@ class LostFrame(OnBoard):
 
 
 class LostRow(OnBoard):
-    """A row none of whose frames arrives."""
+    """A row of which no frame arrives."""
 
     row: Index
 
 
 class LateFrame(LostFrame):
-    """A frame that arrives late."""
+    """A frame that arrives `delay_s` seconds late."""
 
     delay_s: Positive
 
 
 class IncompleteFrame(LostFrame):
-    """A frame of which only the first part arrives."""
+    """A frame of which only the first bytes arrive. `share` is the share of the bytes that arrive."""
 
     share: Annotated[float, Field(ge=0, lt=1)]
 
 
 class IgnoredTrigger(LostFrame):
-    """A pulse that a camera ignores; the camera does not count it either."""
+    """A pulse that a camera ignores. The frame counter of the camera does not count the pulse either."""
 
 
 class ExtraFrame(LostFrame):
-    """A camera exposes once more after the pulse of a row."""
+    """An additional exposure of a camera, `after_s` seconds after the pulse of a row."""
 
     after_s: Positive
 
 
 class ExchangedFrames(LostFrame):
-    """The frames of a row and the next have each other's id and time stamp."""
+    """A camera exchanges the frame ids and time stamps of the frames of `row` and `row` + 1."""
 
 
 class FreeRunning(OnBoard):
@@ -243,32 +243,32 @@ class FreeRunning(OnBoard):
 
 
 class Bounce(OnBoard):
-    """The barrier shows the opposite of the truth for `duration_s`, starting `at_s` after the board interrupts it."""
+    """The signal of the barrier is inverted for `duration_s`, starting `at_s` after the board interrupts it."""
 
     at_s: Finite
     duration_s: Positive
 
 
 class StuckBoard(OnBoard):
-    """The board stops with the pulse of a row, until the pulses end."""
+    """The board stops at the pulse of a row and does not move again."""
 
     row: Index
 
 
 class TurnedBoard(OnBoard):
-    """The board was laid on the belt with further quarter turns."""
+    """The board was laid on the belt with an additional rotation of 90, 180 or 270 degrees."""
 
     turned_deg: Literal[90, 180, 270]
 
 
 class AbsentPart(OnBoard):
-    """A part that was not placed."""
+    """A part that is absent, because it was not placed on the board."""
 
     ref: str
 
 
 class KnockedCamera(Section):
-    """A camera that was knocked: from one board on it looks in another direction than when it was calibrated."""
+    """A camera that was knocked. From board `from_board` on, it is rotated against its calibrated direction."""
 
     camera: Index
     from_board: Index = 0
@@ -277,7 +277,7 @@ class KnockedCamera(Section):
 
 
 class FaultSection(Section):
-    """The faults."""
+    """All faults of a scenario, listed by kind."""
 
     lost_frames: tuple[LostFrame, ...] = ()
     lost_rows: tuple[LostRow, ...] = ()
@@ -295,7 +295,7 @@ class FaultSection(Section):
 
 
 class Scenario(Section):
-    """All inputs of the twin."""
+    """A scenario: all inputs of the twin."""
 
     array: ArraySection = ArraySection()
     belt: BeltSection = BeltSection()
@@ -310,7 +310,7 @@ class Scenario(Section):
         unknown = [name for name in self.line.lights if name not in self.lights]
         if unknown:
             raise ValueError(f"line.lights names {unknown}, but [lights] has only {sorted(self.lights)}")
-        # An exposure that outlasts the period would overlap the next pulse.
+        # An exposure longer than the trigger period would overlap the next pulse.
         longest_us = max(self.array.exposures_us)
         if longest_us * 1e-6 >= self.line.period_s:
             raise ValueError(f"array.exposures_us has {longest_us} us, but pulses follow every {self.line.period_s} s")
@@ -325,7 +325,7 @@ class Scenario(Section):
             *faults.exchanged_frames,
             *faults.free_running,
         )
-        # A fault of a camera that does not exist would silently have no effect.
+        # Without this check, a fault of a camera that does not exist would have no effect and no message.
         named = [f.camera for f in of_one_row] + [f.camera for f in of_trigger] + [f.camera for f in faults.knocked]
         for camera in named:
             if camera >= self.array.cameras:
@@ -333,7 +333,7 @@ class Scenario(Section):
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Read a scenario; a relative path of a photograph is relative to the file."""
+    """Read a scenario file. A relative path of a photograph is resolved against the folder of this file."""
     scenario = parse(Scenario, read_toml(path), path)
     photograph = scenario.board.photograph
     if photograph is None:
@@ -343,7 +343,7 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def scenario_path(name: str) -> Path:
-    """Return the file of a scenario that comes with the software: "demo", "paper" or "small"."""
+    """Return the path of a scenario file that comes with the software: "demo", "paper" or "small"."""
     folder = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
     path = folder / f"{name}.toml"
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""The truth about a passage in the format of truth.json; it only scores results and is never an input."""
+"""The truth of a passage in the format of truth.json. It serves to evaluate results and is never an input of them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from vaoi_station.simulation.world import World
 
 
 def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, Any]:
-    """Return M_ij = N_i·D_j, C = E_0·(board from CAD), D_j = E_j·E_0⁻¹, heights, and where every footprint is seen.
+    """Compute the truth of a passage: matrices, component heights, and the pixels of all footprints.
+
+    With E_j = tester_from_board in row j, D_j = E_j·E_0⁻¹, M_ij = N_i·D_j and C = E_0·board_from_cad.
 
     Args:
-        twin: the board.
-        pinholes: the cameras as they really hang.
-        poses: E_j, tester from board, one per row.
+        twin: the world of the scenario.
+        pinholes: the cameras as they are during the passage.
+        poses: E_j (3, 3), one per row.
     """
     planes = [p.plane() for p in pinholes]
     first = np.linalg.inv(poses[0])
@@ -34,7 +36,11 @@ def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats
 
 
 def views(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, list[list[float]]]:
-    """Return the raw pixels of every footprint's centre, on the board's surface, in every frame that shows it."""
+    """Return where the centre of each footprint appears in each frame that shows it.
+
+    The keys are the names of parts. Each entry is [camera, row, x, y] in raw pixels of the centre, which
+    lies on the board's surface.
+    """
     if not twin.parts:
         return {}
     places = np.array([p.place for p in twin.parts])
@@ -43,7 +49,7 @@ def views(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> di
         limit = (pinhole.width_px - 1, pinhole.height_px - 1)
         for j, pose in enumerate(poses):
             pixels = pinhole.project(apply(pose, places), twin.scene.surface_z(places))
-            # Bodies may hide a footprint; the truth is about geometry and ignores that.
+            # A body may hide the centre of a footprint. The truth describes the geometry only and ignores this.
             inside = ((pixels > 0) & (pixels < limit)).all(1)
             for k in np.flatnonzero(inside):
                 u, v = pixels[k]

@@ -1,4 +1,4 @@
-"""The digital twin: the world of a scenario, and the boards that pass."""
+"""The digital twin: the world of a scenario and the passages of its boards."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from vaoi_station.simulation.world import World
 
 
 class Twin(World):
-    """What camera k sees at time t, for every board of a scenario."""
+    """The digital twin of one scenario: its world, and the passage of every board, which gives frames and truth."""
 
     def passage(self, board_number: int) -> Passage:
         """Return the passage of board `board_number`, counted from 0."""

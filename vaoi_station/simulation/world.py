@@ -1,4 +1,4 @@
-"""The world of a scenario: cameras, calibration, board type, artwork and light."""
+"""The world of a scenario: all that is equal for every board, such as cameras, board type, artwork and light."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from vaoi_station.simulation.motion.timetable import line_of
 from vaoi_station.simulation.scenario import BoardSection, Scenario
 
 TEXTURE_PER_PIXEL = 1.1
-"""Texture resolution divided by image resolution: less would blur, much more would alias."""
+"""Texture resolution divided by image resolution. A lower value would blur frames, a much higher one would alias."""
 
 
 class World:
-    """Everything that a station could see; a pure function of its scenario.
+    """The parts of a scenario that are equal for every board: cameras, calibration, line, board type, artwork, light.
 
     Attributes:
-        scenario: the scenario.
-        pinholes: the cameras as they really are.
+        scenario: the scenario, which determines everything else.
+        pinholes: the cameras with their real mounting errors, before any fault.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -38,7 +38,7 @@ class World:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The perfect calibration of the array; with distortion only if the lenses distort."""
+        """The exact calibration of the array. It contains distortion only if the scenario has distortion."""
         array = self.scenario.array
         lenses = tuple(
             Distortion(center=p.lens.center_px, radius=p.lens.radius_px, radial=p.lens.radial) for p in self.pinholes
@@ -54,12 +54,12 @@ class World:
 
     @cached_property
     def cameras(self) -> tuple[Camera, ...]:
-        """The calibrated cameras."""
+        """The cameras as the exact calibration describes them."""
         return self.calibration.cameras(self.heads)
 
     @cached_property
     def heads(self) -> tuple[CameraHead, ...]:
-        """The cameras in a recording's head: size, exposure, nominal view."""
+        """The cameras as the head of a recording lists them: frame size, exposure time and nominal view."""
         array = self.scenario.array
         return tuple(
             CameraHead(
@@ -74,12 +74,12 @@ class World:
 
     @cached_property
     def line(self) -> Line:
-        """The mechanics of the line, as `station.toml` states them."""
+        """The mechanics of the line, in the form of the `[line]` section of `station.toml`."""
         return line_of(self.scenario)
 
     @cached_property
     def artwork(self) -> Artwork:
-        """The artwork of the boards; twins with equal board and resolution share it."""
+        """The artwork of the boards. Twins with equal board section, resolution and belt share one artwork."""
         s = self.scenario
         return _artwork(s.board, TEXTURE_PER_PIXEL * s.array.px_per_mm, s.belt.grey)
 
@@ -95,21 +95,24 @@ class World:
 
     @cached_property
     def scene(self) -> Scene:
-        """The board under the cameras."""
+        """The scene that the cameras render: surface and artwork of the board, and the belt."""
         return Scene(self.scenario.board, self.artwork, self.scenario.belt.grey)
 
     def paint(self, light_name: str) -> LitTextures:
-        """Return the board's textures under a light."""
+        """Return the board's textures as they appear under a light pattern."""
         if light_name not in self._paints:
             self._paints[light_name] = LitTextures(self.artwork, self.scenario.lights[light_name])
         return self._paints[light_name]
 
     def vignetting(self, camera: int) -> Plane:
-        """Return the brightness of a camera's frame under even light, (h, w)."""
+        """Return the relative brightness (h, w) of a camera's frame under even light."""
         return vignette(self.scenario.array, camera)
 
     def shade(self, camera: int, light_name: str) -> Plane:
-        """Return vignetting of a camera and slope of a light over its frame, (h, w)."""
+        """Return the relative brightness (h, w) of a camera's frame under a light pattern.
+
+        It is the product of the vignetting and of the light's slope over the frame.
+        """
         key = (camera, light_name)
         if key not in self._shades:
             array, light = self.scenario.array, self.scenario.lights[light_name]
@@ -119,7 +122,7 @@ class World:
         return self._shades[key]
 
 
-# Drawing a large board takes a minute and gigabytes; tests and benchmarks share the few boards they use.
+# Drawing a large board takes a minute and gigabytes, so tests and benchmarks share the few boards they use.
 @lru_cache(maxsize=4)
 def _artwork(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
     return draw(section, px_per_mm, belt_grey)

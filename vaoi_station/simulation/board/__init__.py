@@ -1,1 +1,1 @@
-"""Generate a board: its parts, its copper and its artwork."""
+"""Generate a simulated board: place its parts, route its copper, and paint both as textures."""

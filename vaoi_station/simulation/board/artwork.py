@@ -1,7 +1,7 @@
-"""Paint a generated board: its surface as one texture, and one small texture for each body.
+"""Paint a generated board: one texture for its surface, and one small texture for the top of each body.
 
-Grey values are those of a red solder mask under red light, at gain 1. The surface texture has a margin of belt around
-the board, so that the board's edge lies at its exact place.
+Grey values are those of a red solder mask under red light, at gain 1. The surface texture also contains a
+narrow margin of belt around the board, so that the board's edge lies at its exact sub-pixel position.
 """
 
 from __future__ import annotations
@@ -22,43 +22,49 @@ from vaoi_station.simulation.board.routing import Copper, route
 from vaoi_station.simulation.scenario import BoardSection, FiducialMark
 
 RIM_PX = 2
-"""Width of the margin of belt."""
+"""Width of the belt margin around the board, in texture pixels."""
 MASK, MASK_ON_COPPER, GAP = 62.0, 70.0, 50.0
 TRACE, SILK, GOLD, TIN, COPPER, LAMINATE, HOLE = 88.0, 205.0, 172.0, 186.0, 222.0, 46.0, 12.0
 
 
 @dataclass(frozen=True, eq=False)
 class Artwork:
-    """The textures of a board type; all boards of the type share them."""
+    """The parts, bodies and textures of a board type. All boards of the type share them."""
 
     parts: tuple[Part, ...]
     bodies: tuple[Body, ...]
     surface: Bytes
-    """(h, w) grey values at gain 1."""
+    """Grey values of the surface texture at gain 1, (h, w)."""
     metal: Bytes
-    """(h, w) share of metal, 0 to 255."""
+    """Share of metal in each pixel of the surface texture, (h, w), 0 to 255."""
     px_per_mm: float
     origin_mm: tuple[float, float]
 
     def to_px(self, places_mm: Floats) -> Floats:
-        """Convert board places (..., 2) mm to texture pixels (..., 2)."""
+        """Convert board coordinates (..., 2) in mm to pixels (..., 2) of the surface texture."""
         return np.asarray((places_mm - self.origin_mm) * self.px_per_mm - 0.5)
 
 
 def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
-    """Generate the board and paint it."""
+    """Generate the parts of a board and paint its textures.
+
+    Args:
+        section: the board section of the scenario.
+        px_per_mm: resolution of the textures.
+        belt_grey: grey value of the belt around the board.
+    """
     parts = place_parts(section)
     rim = RIM_PX / px_per_mm
     size = (section.width_mm + 2 * rim, section.length_mm + 2 * rim)
     canvas = Canvas.blank((-rim, -rim), size, px_per_mm, MASK)
-    # Fiducials are painted on a photograph too: their places must be known exactly.
+    # Fiducials are also painted on a photograph, because their positions must be known exactly.
     if section.photograph is None:
         _paint_surface(canvas, section, parts)
     else:
         _paint_photograph(canvas, section)
     for mark in section.marks:
         _paint_fiducial(canvas, mark)
-    # The belt comes last: it cuts off what reaches over the board's edge.
+    # The belt is painted last, so that it covers everything that extends beyond the board's edge.
     _paint_belt(canvas, section, belt_grey)
     bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal, 255)
@@ -66,7 +72,7 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
 
 
 def _paint_surface(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
-    """Paint copper, solder mask, silkscreen, vias, holes and pads, in the order in which they are made."""
+    """Paint copper, solder mask, silkscreen, vias, holes and pads, in the order of their manufacture."""
     copper = route(section, parts)
     _paint_copper(canvas, section, parts, copper)
     _paint_mask_texture(canvas, section.seed)
@@ -82,10 +88,10 @@ def _paint_surface(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...
 
 
 def _paint_copper(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...], copper: Copper) -> None:
-    """Paint copper areas, the clearance around traces and pads, and the traces."""
+    """Paint the copper area, the clearance around traces, pads and vias, and the traces."""
     w, h = section.width_mm, section.length_mm
     canvas.box((w / 2, h / 2), (w - 1.0, h - 1.0), MASK_ON_COPPER)
-    # Clearance is painted for all traces before any trace: it must not cut a trace that runs nearby.
+    # The clearance of all traces is painted before the first trace. Otherwise it would cut neighbouring traces.
     canvas.strokes(list(copper.traces), 0.6, GAP)
     for part in parts:
         for u, v, pw, ph in part.package.pads:
@@ -96,18 +102,18 @@ def _paint_copper(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]
 
 
 def _paint_mask_texture(canvas: Canvas, seed: int) -> None:
-    """Add the unevenness of solder mask: blotches of a millimetre and a fine grain."""
+    """Add the uneven brightness of solder mask: blotches of about 1 mm, and fine grain."""
     g, (h, w), k = np.random.default_rng([seed, 7030]), canvas.grey.shape, canvas.px_per_mm
     coarse = g.standard_normal((int(h / k) + 3, int(w / k) + 3), dtype=np.float32)
     fine = cv2.GaussianBlur(g.standard_normal((h, w), dtype=np.float32), (0, 0), max(0.035 * k, 0.6))
     blotches, scatter = cv2.resize(coarse, (w, h), interpolation=cv2.INTER_LINEAR), fine.std()
-    # In bands: on a large board each temporary array of the whole size would take a gigabyte.
+    # The image is processed in bands. A temporary array of its whole size would take a gigabyte on a large board.
     for band in bands(h):
         canvas.grey[band] += 1.6 * blotches[band] + 1.3 * fine[band] / scatter
 
 
 def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
-    """Paint outlines, names and marks of pin 1."""
+    """Paint the silkscreen: outlines and names of the parts, dots at pin 1, and the lettering of the board."""
     outlines = []
     for part in parts:
         w, h = part.package.body
@@ -126,12 +132,12 @@ def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) 
     w, h = section.width_mm, section.length_mm
     if w >= 30:
         canvas.text(section.name.upper(), (w * 0.5, h - 2.2), min(1.6, h / 25), SILK)
-        # This lettering is artwork, not language: another letter would change every simulated frame.
+        # This lettering must not change, because a different letter would change every simulated frame.
         canvas.text("REV B  MADE BY NOBODY", (w * 0.5 + 0.25 * w, h - 2.0), min(0.9, h / 40), SILK)
 
 
 def _paint_ref(canvas: Canvas, part: Part) -> None:
-    """Paint the name beside the part; for chips, which stand side by side in groups, on the free side."""
+    """Paint the name of a part beside it. Chips stand side by side in groups, so their names go on a free side."""
     half_w, half_h = part.half_extent
     x, y = part.place
     tall = 1.0 if min(part.package.size) > 1.5 else 0.65
@@ -150,8 +156,8 @@ def _paint_ref(canvas: Canvas, part: Part) -> None:
 
 
 def _paint_pads(canvas: Canvas, part: Part) -> None:
-    # The seed is the name: another part more or less does not change the others' pads.
-    """Paint pads and leads, each pad with its own brightness."""
+    """Paint the pads and leads of a part. The brightness of each pad is random."""
+    # The seed is the part's name, so that adding or removing a part does not change the pads of other parts.
     g = np.random.default_rng([len(part.ref), *part.ref.encode()])
     for u, v, w, h in part.package.pads:
         x, y = part.to_board(np.array([u, v]))
@@ -166,7 +172,7 @@ def _paint_pads(canvas: Canvas, part: Part) -> None:
 
 
 def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
-    """Paint bare copper inside a ring without mask, at its exact place and on an even ground."""
+    """Paint a fiducial at its exact position: bare copper on a disc of bare laminate, which is free of solder mask."""
     place, d = (mark.x_mm, mark.y_mm), mark.diameter_mm
     canvas.disc(place, 2.2 * d, LAMINATE)
     if mark.shape == "circle":
@@ -179,7 +185,7 @@ def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
 
 
 def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
-    """Paint everything off the board in the belt's grey, with the edge at its exact place."""
+    """Paint all pixels outside the board in the belt's grey. The edge of the board keeps its exact position."""
     mask = Canvas(np.zeros_like(canvas.grey), np.zeros_like(canvas.metal), canvas.origin_mm, canvas.px_per_mm)
     w, h = section.width_mm, section.length_mm
     mask.box((w / 2, h / 2), (w, h), 1.0)
@@ -190,7 +196,7 @@ def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
 
 
 def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:
-    """Stretch a photograph of a board over the board's outline."""
+    """Scale the photograph that the scenario names to the outline of the board, and paint it on the canvas."""
     assert section.photograph is not None
     image = read_image(section.photograph)
     if min(image.shape[:2]) < 16:
@@ -204,7 +210,7 @@ def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:
     )
     h, w = canvas.grey.shape
     shrink = min(k / to_photo[0, 0], 1.0)
-    # A photograph with more pixels than the texture is blurred first, or it would alias.
+    # A photograph with more pixels per mm than the texture would alias, so it is blurred first.
     soft = cv2.GaussianBlur(grey, (0, 0), 0.4 / shrink) if shrink < 1 else grey
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     canvas.grey[:] = cv2.warpAffine(soft, to_photo @ from_px, (w, h), flags=flags, borderMode=cv2.BORDER_REPLICATE)

@@ -1,4 +1,4 @@
-"""Bodies of parts: prisms and cylinders above the board, each with a texture of its top."""
+"""Bodies of parts: prisms and cylinders that stand above the board. Each has a texture for its top."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _METALLIC = {Finish.CAN: 0.8, Finish.CRYSTAL: 1.0, Finish.SOCKET: 0.8}
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One body; its outline (k, 2) and its texture's origin are in board mm at the part's CAD position."""
+    """One body. Its outline (k, 2), centre and texture origin are in board coordinates (mm), at the CAD position."""
 
     ref: str
     outline_mm: Floats
@@ -37,24 +37,27 @@ class Body:
     top: Bytes
     metal: Bytes
     cover: Bytes
-    """Share of each texture pixel that the top covers, 0 to 255."""
+    """Share of each texture pixel that lies on the top of the body, 0 to 255."""
     origin_mm: tuple[float, float]
     px_per_mm: float
 
     def to_px(self, places_mm: Floats) -> Floats:
-        """Convert board places (..., 2) to texture pixels (..., 2)."""
+        """Convert board coordinates (..., 2) in mm to pixels (..., 2) of this body's texture."""
         return np.asarray((places_mm - self.origin_mm) * self.px_per_mm - 0.5)
 
 
 def build_bodies(parts: tuple[Part, ...], px_per_mm: float, photograph: Canvas | None) -> tuple[Body, ...]:
-    """Build all bodies that stand above the board; with a photograph, their tops show its pixels."""
+    """Build the bodies of all parts with a body height above 0.
+
+    If `photograph` is a canvas, the textures of the tops are copied from it. If it is None, they are painted.
+    """
     return tuple(_build(part, px_per_mm, photograph) for part in parts if part.body_height_mm > 0)
 
 
 def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
     outline = part.to_board(_outline(part))
     margin = _MARGIN_PX / px_per_mm
-    # The origin lies on the grid of whole texture pixels, so that all bodies are sampled alike.
+    # The origin is rounded to whole texture pixels, so that all bodies have the same sub-pixel sampling.
     low = np.floor((outline.min(0) - margin) * px_per_mm) / px_per_mm
     size = outline.max(0) + margin - low
     origin = (float(low[0]), float(low[1]))
@@ -85,7 +88,7 @@ def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
 
 
 def _outline(part: Part) -> Floats:
-    """Return the outline of a body in local coordinates, (k, 2) mm."""
+    """Return the outline of a part's body, (k, 2) mm, in the local coordinates of the part."""
     w, h = part.package.body
     if part.package.round:
         a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
@@ -98,7 +101,10 @@ def _paint_top(canvas: Canvas, part: Part) -> None:
 
 
 def _copy(canvas: Canvas, photograph: Canvas) -> None:
-    """Copy the photograph's pixels at this place; both canvases have the same scale but another sub-pixel origin."""
+    """Copy the pixels of the photograph that lie under a canvas.
+
+    Both have the same resolution. Their origins differ by a fraction of a pixel, which is rounded.
+    """
     x, y = np.rint(photograph.to_px(np.array(canvas.origin_mm) + 0.5 / canvas.px_per_mm)).astype(int)
     h, w = canvas.grey.shape
     rows = np.clip(np.arange(y, y + h), 0, photograph.grey.shape[0] - 1)
@@ -108,7 +114,7 @@ def _copy(canvas: Canvas, photograph: Canvas) -> None:
 
 def _epoxy(canvas: Canvas, part: Part) -> None:
     w, h = part.package.body
-    # A body this small has room for two letters only.
+    # Such a small body has room for two letters only.
     if min(w, h) < 2:
         canvas.text(_code(part, 2), part.place, 0.7, 120.0, part.turned_deg)
         return
@@ -133,7 +139,7 @@ def _ceramic(canvas: Canvas, part: Part) -> None:
 
 
 def _caps(canvas: Canvas, part: Part, share: float) -> None:
-    """Paint the two metal end caps of a chip."""
+    """Paint the two metal end caps of a chip, each `share` of its length."""
     w, h = part.package.body
     for side in (-1, 1):
         canvas.box(
@@ -181,7 +187,7 @@ def _header(canvas: Canvas, part: Part) -> None:
 
 
 GOLD_PIN = 182.0
-# A table in place of branches: every finish must have its painter, or the lookup fails at once.
+# A table instead of branches, so that a finish without a painter raises KeyError at once.
 _PAINTERS = {
     Finish.EPOXY: _epoxy,
     Finish.RESISTOR: _resistor,
@@ -195,12 +201,12 @@ _PAINTERS = {
 
 
 def _code(part: Part, length: int, line: int = 0) -> str:
-    """Return random lettering for a part; it depends on the part's name and the line only."""
+    """Return random lettering of a given length for a part. It depends only on the part's name and on `line`."""
     g = np.random.default_rng([line, *part.ref.encode()])
     return "".join(g.choice(list("ABCDEFGHKLMNPRSTUVXZ0123456789"), length))
 
 
 def _digits(part: Part) -> str:
-    """Return a random value code for a part."""
+    """Return a random three-digit value code for a part. It depends only on the part's name."""
     g = np.random.default_rng([9, *part.ref.encode()])
     return f"{g.integers(10, 99)}{g.integers(0, 5)}"

@@ -1,11 +1,11 @@
-"""Paint shapes in millimetres without rounding them to pixels; OpenCV's own shapes round to 1/16 px.
+"""Paint shapes given in millimetres with sub-pixel accuracy. OpenCV's own drawing functions round to 1/16 px.
 
-A pixel takes the share of a shape under a hat function two pixels wide, centred on the pixel, instead of the area
-inside the pixel's square. Hats keep the area and the centroid of a shape exact at any sub-pixel place; squares move
-the centroid of a box of 12 px by up to 0.01 px.
+The share of a pixel that a shape covers is weighted with a hat function: a tent two pixels wide, centred on the pixel.
+Hat functions keep the area and the centroid of a shape exact at any sub-pixel position. The plain area inside the
+pixel's square would displace the centroid of a box of 12 px by up to 0.01 px.
 
-A canvas covers a rectangle of the board; the outer corner of pixel (0, 0) is at `origin_mm`. Besides the grey value it
-holds the share of metal of each pixel, because LED patterns light metal differently.
+A canvas covers a rectangle of the board. The outer corner of pixel (0, 0) is at `origin_mm`. For each pixel a canvas
+holds a grey value and the share of metal, because the brightness of metal depends on the LED pattern.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ Plane = NDArray[np.floating[Any]]
 Bytes = NDArray[np.uint8]
 
 _FINE = 4
-"""Subdivisions per pixel and axis where a rotated edge crosses the pixels at an angle."""
+"""Number of samples per pixel and axis for the edges of small rotated boxes."""
 _BAND_PX = 64
 _LARGE_PX = 64
-"""Half diagonal from which a rotated box is painted without subdivision: along long edges the errors average out."""
+"""Half diagonal in px above which a rotated box is sampled once per pixel: errors average out along long edges."""
 
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """Grey values and share of metal, (h, w) float32 each, while they are painted."""
+    """A picture that is being painted: grey values and shares of metal, (h, w) float32 each."""
 
     grey: Plane
     metal: Plane
@@ -45,12 +45,12 @@ class Canvas:
     def blank(
         cls, origin_mm: tuple[float, float], size_mm: tuple[float, float], px_per_mm: float, grey: float
     ) -> Canvas:
-        """Return a canvas of one grey value that covers at least the given rectangle."""
+        """Create a canvas filled with one grey value. It covers at least a rectangle of `size_mm` at `origin_mm`."""
         w, h = (math.ceil(s * px_per_mm) for s in size_mm)
         return cls(np.full((h, w), grey, np.float32), np.zeros((h, w), np.float32), origin_mm, px_per_mm)
 
     def to_px(self, places_mm: Floats) -> Floats:
-        """Convert board places (..., 2) to pixel coordinates (..., 2); pixel centres are integers."""
+        """Convert board coordinates (..., 2) in mm to pixels (..., 2). Pixel centres have integer coordinates."""
         return np.asarray((np.asarray(places_mm) - self.origin_mm) * self.px_per_mm - 0.5)
 
     def box(
@@ -62,23 +62,23 @@ class Canvas:
         metal: float = 0.0,
         turned_deg: float = 0.0,
     ) -> None:
-        """Paint a rectangle of size (w, h) mm about its centre, rotated counter-clockwise as seen."""
+        """Paint a rectangle of size (w, h) mm centred at `place`, rotated counter-clockwise as seen by the camera."""
         window, coverage = self._box_coverage(place, size, turned_deg)
         self._blend(window, coverage, grey, metal)
 
     def disc(self, place: tuple[float, float], diameter: float, grey: float, *, metal: float = 0.0) -> None:
-        """Paint a disc about its centre."""
+        """Paint a disc with its centre at `place`. Place and diameter are in mm."""
         (x, y), r = self.to_px(np.array(place)), diameter / 2 * self.px_per_mm
         window, u, v = self._window(x, y, r, r)
         if u.size and v.size:
             self._blend(window, _step(r - np.hypot(u[None], v[:, None])), grey, metal)
 
     def cross(self, place: tuple[float, float], size: float, width: float, grey: float, *, metal: float = 0.0) -> None:
-        """Paint an upright cross: arms `size` long from tip to tip and `width` wide."""
+        """Paint an upright cross with its centre at `place`: `size` mm from tip to tip, with arms `width` mm wide."""
         window, across = self._box_coverage(place, (size, width), 0.0, reach=size)
         _, along = self._box_coverage(place, (width, size), 0.0, reach=size)
         _, shared = self._box_coverage(place, (width, width), 0.0, reach=size)
-        # The square in the middle belongs to both arms and must be counted once.
+        # The square in the middle belongs to both arms and must be counted only once.
         self._blend(window, across + along - shared, grey, metal)
 
     def strokes(
@@ -86,7 +86,7 @@ class Canvas:
     ) -> None:
         """Paint polylines of one width with round ends.
 
-        Their centre lines are exact to 1/16 px; anti-aliasing makes them 1.7 px wider than `width_mm`.
+        The centre lines are exact to 1/16 px. Anti-aliasing makes the lines 1.7 px wider than `width_mm`.
         """
         if not lines_mm:
             return
@@ -100,9 +100,9 @@ class Canvas:
     def text(
         self, text: str, place: tuple[float, float], height_mm: float, grey: float, turned_deg: float = 0.0
     ) -> None:
-        """Paint text about its centre, rotated counter-clockwise.
+        """Paint text with its centre at `place`, rotated counter-clockwise.
 
-        `height_mm` is the height of OpenCV's text box; capitals are three quarters as tall.
+        `height_mm` is the height of OpenCV's text box. Capital letters are three quarters of that height.
         """
         mask = _text_mask(text, max(round(height_mm * self.px_per_mm), 5))
         x, y = self.to_px(np.array(place))
@@ -121,7 +121,10 @@ class Canvas:
     def _box_coverage(
         self, place: tuple[float, float], size: tuple[float, float], turned_deg: float, reach: float | None = None
     ) -> tuple[tuple[slice, slice], Plane]:
-        """Return the pixels that a box can touch, and the share of each that it covers."""
+        """Return the window of pixels that a box can touch, and the share of each pixel that the box covers.
+
+        If `reach` (mm) is given, the window is a square with this side instead of the bounding box.
+        """
         w, h = size
         quarter = turned_deg % 90 == 0
         if quarter and turned_deg % 180 == 90:
@@ -136,7 +139,7 @@ class Canvas:
         window, u, v = self._window(x, y, radius, radius)
         a = math.radians(turned_deg)
         c, s = math.cos(a), math.sin(a)
-        # Without this branch a large rotated box would need 16 times the memory of its window.
+        # Supersampling a large rotated box would need 16 times the memory of its window.
         if radius > _LARGE_PX:
             along, across = c * u[None] - s * v[:, None], s * u[None] + c * v[:, None]
             return window, np.asarray(_span(along, w) * _span(across, h))
@@ -146,7 +149,7 @@ class Canvas:
         return window, np.asarray(hats_v @ inside @ hats_u.T)
 
     def _window(self, x: float, y: float, half_w: float, half_h: float) -> tuple[tuple[slice, slice], Plane, Plane]:
-        """Return the pixels that a shape can touch, and their offsets from its centre along x and along y."""
+        """Return the window of pixels that a shape can touch, and their x and y offsets from its centre (x, y)."""
         h, w = self.grey.shape
         x0, x1 = max(math.floor(x - half_w - 1), 0), min(math.ceil(x + half_w + 2), w)
         y0, y1 = max(math.floor(y - half_h - 1), 0), min(math.ceil(y + half_h + 2), h)
@@ -154,7 +157,10 @@ class Canvas:
         return np.s_[y0 : max(y1, y0), x0 : max(x1, x0)], u.astype(np.float32), v.astype(np.float32)
 
     def _blend(self, window: tuple[slice, slice], coverage: Plane | Bytes, grey: float, metal: float) -> None:
-        """Blend a value in; the coverage is a share, or bytes with 255 for the whole."""
+        """Blend a grey value and a share of metal into a window.
+
+        The coverage is the weight of the new values for each pixel: 0 to 1, or 0 to 255 if it has 8 bits.
+        """
         for band in bands(len(coverage)):
             share = coverage[band]
             if share.dtype == np.uint8:
@@ -165,7 +171,10 @@ class Canvas:
 
 
 def _supersample(offset: Plane) -> tuple[Plane, Plane]:
-    """Convert offsets (n,) to finer ones (k,), and return the hats (n, k) that sum them up at the given offsets."""
+    """Subdivide pixel offsets (n,) into finer offsets (k,).
+
+    Returns the fine offsets, and a matrix (n, k) of hat functions that sums fine samples to pixels.
+    """
     if not offset.size:
         return offset, np.zeros((0, 0), np.float32)
     fine = np.arange((len(offset) + 1) * _FINE + 1, dtype=np.float32) / _FINE - 1
@@ -174,35 +183,38 @@ def _supersample(offset: Plane) -> tuple[Plane, Plane]:
 
 
 def bands(rows: int) -> Iterator[slice]:
-    """Split an image's rows into bands: temporary arrays then fit into the cache, and large boards into memory."""
+    """Split the pixel rows of an image into bands, so that temporary arrays are small.
+
+    A band fits into the processor's cache, and large boards fit into memory.
+    """
     return (slice(k, k + _BAND_PX) for k in range(0, rows, _BAND_PX))
 
 
 def to_bytes(plane: Plane, gain: float = 1.0) -> Bytes:
-    """Multiply by a gain, round and clip to 8 bit; the result is read-only."""
+    """Multiply an image by a gain, round it and clip it to 8 bits. The result is read-only."""
     result = np.empty(plane.shape, np.uint8)
     for band in bands(len(plane)):
         result[band] = np.clip(np.rint(plane[band] * np.float32(gain)), 0, 255)
-    # Textures are shared by threads that render frames; a write would change other frames.
+    # Threads that render frames share the textures, so a write would change other frames.
     result.setflags(write=False)
     return result
 
 
 def _step(depth: Plane) -> Plane:
-    """Integrate a hat of half width 1 from minus infinity to `depth`."""
+    """Compute the integral of a hat function of half width 1 from minus infinity to `depth`."""
     t = np.clip(depth, -1, 1)
     return np.asarray(np.where(t < 0, (t + 1) ** 2 / 2, 1 - (1 - t) ** 2 / 2), np.float32)
 
 
 def _span(offset: Plane, width: float) -> Plane:
-    """Return the share of an interval of `width` about 0 under the hats at these offsets."""
+    """Compute the share that an interval of `width` about 0 has in a hat function centred at each offset."""
     return np.asarray(_step(offset + width / 2) - _step(offset - width / 2))
 
 
 @lru_cache(maxsize=2048)
 def _text_mask(text: str, height_px: int) -> Bytes:
-    """Return a mask of text whose box, as OpenCV measures it, is `height_px` tall."""
-    # OpenCV scales a font, it does not take a height: measure a capital at a trial scale.
+    """Return a mask of text (255 on the letters) whose text box, as OpenCV measures it, is `height_px` tall."""
+    # OpenCV takes a font scale and no height, so the height of a capital is measured at a trial scale.
     font, trial = cv2.FONT_HERSHEY_SIMPLEX, 2.0
     (_, tall), _ = cv2.getTextSize("H", font, trial, 1)
     scale = trial * height_px / max(tall, 1)

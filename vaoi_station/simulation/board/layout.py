@@ -23,7 +23,7 @@ _TRIES = 60
 
 @dataclass(frozen=True)
 class Part:
-    """One placed part; `turned_deg` is counter-clockwise as the camera sees it."""
+    """One placed part. Its rotation `turned_deg` is counter-clockwise as the camera sees it."""
 
     ref: str
     package: Package
@@ -32,24 +32,27 @@ class Part:
     body_height_mm: float
 
     def to_board(self, local: Floats) -> Floats:
-        """Convert local coordinates (..., 2) to board places (..., 2)."""
+        """Convert local coordinates (..., 2) of the part to board coordinates (..., 2), both in mm."""
         a = math.radians(self.turned_deg)
         c, s = math.cos(a), math.sin(a)
         return np.asarray(local @ np.array([[c, -s], [s, c]]) + self.place)
 
     def to_board_point(self, u: float, v: float) -> tuple[float, float]:
-        """Convert one local point to a board place."""
+        """Convert one point (u, v) in local coordinates to board coordinates (x, y), both in mm."""
         x, y = self.to_board(np.array([u, v]))
         return float(x), float(y)
 
     @property
     def half_extent(self) -> tuple[float, float]:
-        """Half width and height of the footprint's upright bounding box."""
+        """Half the width and half the height of the footprint's bounding box in board coordinates, mm."""
         return _half_extent(self.package, self.turned_deg)
 
 
 def board_from_cad(section: BoardSection) -> Floats:
-    """Return the matrix CAD to board coordinates, (3, 3): unit, y axis and side as the scenario states."""
+    """Return the matrix (3, 3) from CAD coordinates to board coordinates.
+
+    It follows from the unit, the y axis and the side of the board that the scenario states.
+    """
     k = MM_PER_UNIT[section.unit]
     flip_x, flip_y = section.side == "bottom", section.y_axis == "up"
     return np.array(
@@ -62,15 +65,15 @@ def board_from_cad(section: BoardSection) -> Floats:
 
 
 def board_type(section: BoardSection, parts: tuple[Part, ...]) -> BoardType:
-    """Describe the board as CAD data."""
+    """Describe a generated board as CAD data, in the unit and axes that the scenario states."""
     k = MM_PER_UNIT[section.unit]
     back = np.linalg.inv(board_from_cad(section))
-    # CAD data describe a board as seen from its top, so the bottom side turns the other way.
+    # CAD data describe a board as seen from its top side, so rotations on the bottom side have the opposite sign.
     spin = -1.0 if section.side == "bottom" else 1.0
 
     def cad(x: float, y: float) -> tuple[float, float]:
         u, v = apply(back, (x, y))
-        # Rounded to a millionth of a millimetre: the inverse leaves digits like 12.299999999999999.
+        # The inverse matrix gives values like 12.299999999999999, so coordinates are rounded to nine decimals.
         return round(float(u), 9), round(float(v), 9)
 
     fiducials = [
@@ -106,12 +109,12 @@ def board_type(section: BoardSection, parts: tuple[Part, ...]) -> BoardType:
 
 
 def place_parts(section: BoardSection) -> tuple[Part, ...]:
-    """Place parts of decreasing size at random free places, small ones in aligned groups."""
+    """Place parts at random free positions: large parts first, small parts last and in aligned groups."""
     return _PartPlacer(section).fill()
 
 
 class _PartPlacer:
-    """The parts and occupied rectangles of a board while parts are placed."""
+    """Places the parts of one board. It holds the parts and the occupied rectangles so far."""
 
     def __init__(self, section: BoardSection) -> None:
         self.section = section
@@ -131,7 +134,7 @@ class _PartPlacer:
             self._place_group(BIG[n % len(BIG)](), 1)
         for n in range(round(wanted * 0.14)):
             self._place_group(MIDDLE[n % len(MIDDLE)](), 1)
-        # A dense board has room for fewer parts than wanted: give up after 40 misses.
+        # A dense board may not have room for all wanted parts, so the search ends after 40 failures.
         misses = 0
         while len(self.parts) < wanted and misses < 40:
             package = SMALL[int(self.random.integers(len(SMALL)))]()
@@ -139,10 +142,10 @@ class _PartPlacer:
         return tuple(self.parts)
 
     def _place_group(self, package: Package, count: int) -> bool:
-        """Place a group of equal parts side by side; False if no place was found."""
+        """Place a group of equal parts side by side. Return False if no free position was found."""
         for _ in range(_TRIES):
             turned = 90.0 * int(self.random.integers(4))
-            # A QFP that is not the first integrated circuit stands at 45°: its leads run diagonally.
+            # A QFP that is not the first integrated circuit is rotated by 45°, so that boards also have diagonal leads.
             if package.name == "QFP-64" and self.numbers["U"] > 0:
                 turned += 45.0
             half = _half_extent(package, turned)
@@ -156,12 +159,17 @@ class _PartPlacer:
         return False
 
     def _random_coordinate(self, half: float, size: float) -> float:
-        """Draw a coordinate that keeps a part on the board."""
+        """Draw a random coordinate for the centre of a part, such that the part lies on the board.
+
+        Args:
+            half: half the extent of the part along this axis, mm.
+            size: extent of the board along this axis, mm.
+        """
         least = half + _EDGE_MM
         return float(self.random.uniform(least, max(size - least, least)))
 
     def _free(self, place: tuple[float, float], half: tuple[float, float]) -> bool:
-        """Whether a part fits at a place, with clearance to the others and to the board's edge."""
+        """Return whether a part fits at a position, with clearance to other parts and to the edge of the board."""
         x, y = place
         inside = all(h + _EDGE_MM <= p <= s - h - _EDGE_MM for p, h, s in zip(place, half, self.size, strict=True))
         return inside and not any(
@@ -169,7 +177,7 @@ class _PartPlacer:
         )
 
     def _add_part(self, package: Package, place: tuple[float, float], turned: float, half: tuple[float, float]) -> None:
-        """Add a part with the next number of its prefix."""
+        """Add a part. Its name is the prefix of its package with the next free number, such as R12."""
         self.numbers[package.prefix] += 1
         ref = f"{package.prefix}{self.numbers[package.prefix]}"
         height = round(package.body_height * self.section.height_scale, 4)
@@ -178,14 +186,17 @@ class _PartPlacer:
 
 
 def mounting_holes(section: BoardSection) -> tuple[tuple[float, float], ...]:
-    """Return two holes on large boards, in the corners that the default fiducials leave free."""
+    """Return the centres of the mounting holes, mm: two on large boards, none on small ones.
+
+    They lie where the default fiducials leave room.
+    """
     if min(section.width_mm, section.length_mm) < 45:
         return ()
     return (4.5, section.length_mm - 4.5), (section.width_mm / 2, 4.5)
 
 
 def _half_extent(package: Package, turned_deg: float) -> tuple[float, float]:
-    """Return half width and height of the upright bounding box of a rotated footprint."""
+    """Return half the width and half the height of the bounding box of a rotated footprint, mm."""
     a = math.radians(turned_deg)
     c, s = abs(math.cos(a)), abs(math.sin(a))
     w, h = package.size

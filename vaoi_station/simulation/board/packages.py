@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 Box = tuple[float, float, float, float]
-"""Centre u, v and size w, h."""
+"""A rectangle in local coordinates: centre u, v and size w, h, mm."""
 
 
 class Finish(StrEnum):
-    """How the top of a body is painted."""
+    """The style in which the top of a body is painted."""
 
     EPOXY = "epoxy"
     RESISTOR = "resistor"
@@ -28,12 +28,12 @@ class Finish(StrEnum):
 
 @dataclass(frozen=True)
 class Package:
-    """One kind of part."""
+    """A package, that is one kind of part: its footprint, body, pads and leads, in mm."""
 
     name: str
     prefix: str
     size: tuple[float, float]
-    """Footprint with its pads: width and height in the CAD data."""
+    """Width and height of the footprint including the pads, as in the CAD data."""
     body: tuple[float, float]
     body_height: float
     finish: Finish
@@ -42,7 +42,7 @@ class Package:
 
     @property
     def small(self) -> bool:
-        """Whether it is a chip that is placed in groups."""
+        """Whether the package is a chip resistor or capacitor; such parts are placed in groups."""
         return self.finish in (Finish.RESISTOR, Finish.CERAMIC)
 
     @property
@@ -52,11 +52,11 @@ class Package:
 
 
 def chip(name: str, prefix: str, size: tuple[float, float], height: float, finish: Finish) -> Package:
-    """Return a chip with two terminals: resistor or capacitor."""
+    """Return the package of a chip resistor or capacitor, which has two terminals."""
     length, width = size
     pad = max(0.35 * length, 0.35)
     offset, tall = length / 2, width * 1.1
-    # Pads are 10 % wider than the chip, so that solder is visible beside it.
+    # Pads are 10 % wider than the chip, so that solder is visible beside the chip.
     pads = ((-offset, 0.0, pad, tall), (offset, 0.0, pad, tall))
     return Package(name, prefix, (length + pad, tall), size, height, finish, pads)
 
@@ -69,7 +69,7 @@ def small_outline(name: str, *, pins: int, pitch: float, body: tuple[float, floa
 
 
 def quad_flat(name: str, *, pins: int, pitch: float, body: float, height: float) -> Package:
-    """Return a package with leads on all four sides."""
+    """Return a square package with leads on all four sides (QFP)."""
     reach, wide = 1.0, pitch * 0.5
     pads, leads = _row_pair(pins // 4, pitch, body, reach, wide)
     turned = tuple((v, u, h, w) for u, v, w, h in pads)
@@ -79,21 +79,21 @@ def quad_flat(name: str, *, pins: int, pitch: float, body: float, height: float)
 
 
 def sot23() -> Package:
-    """Return a transistor with three leads."""
+    """Return the package of a transistor with three leads (SOT-23)."""
     pads = ((-0.95, 1.1, 0.7, 0.9), (0.95, 1.1, 0.7, 0.9), (0.0, -1.1, 0.7, 0.9))
     leads = ((-0.95, 1.0, 0.4, 0.7), (0.95, 1.0, 0.4, 0.7), (0.0, -1.0, 0.4, 0.7))
     return Package("SOT-23", "Q", (2.9, 3.1), (2.9, 1.3), 1.0, Finish.EPOXY, pads, leads)
 
 
 def can_capacitor(diameter: float, height: float) -> Package:
-    """Return an electrolytic capacitor: a cylinder on two pads."""
+    """Return the package of an electrolytic capacitor: a cylinder on two pads."""
     pad = ((-diameter * 0.45, 0.0, diameter * 0.35, 1.2), (diameter * 0.45, 0.0, diameter * 0.35, 1.2))
     name = f"CAN-{diameter:g}"
     return Package(name, "C", (diameter * 1.25, diameter), (diameter, diameter), height, Finish.CAN, pad)
 
 
 def header(columns: int, rows: int) -> Package:
-    """Return a pin header with a pitch of 2.54 mm."""
+    """Return the package of a pin header with a pitch of 2.54 mm."""
     at = [((i - (columns - 1) / 2) * 2.54, (j - (rows - 1) / 2) * 2.54) for j in range(rows) for i in range(columns)]
     pads = tuple((u, v, 1.6, 1.6) for u, v in at)
     size = (columns * 2.54, rows * 2.54)
@@ -101,7 +101,7 @@ def header(columns: int, rows: int) -> Package:
 
 
 def socket(width: float, depth: float, height: float) -> Package:
-    """Return a shielded connector with one row of pads."""
+    """Return the package of a shielded connector with one row of pads."""
     n = max(int(width / 1.6), 2)
     pads = tuple(((i - (n - 1) / 2) * 1.3, -depth / 2 - 0.3, 0.7, 1.2) for i in range(n))
     return Package(f"SOCKET-{width:g}", "J", (width, depth + 1.8), (width, depth), height, Finish.SOCKET, pads)
@@ -110,7 +110,15 @@ def socket(width: float, depth: float, height: float) -> Package:
 def _row_pair(
     count: int, pitch: float, body_w: float, reach: float, wide: float
 ) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
-    """Return the pads and the leads of two opposite rows."""
+    """Return the pads and the leads of a package with leads on its left and right side.
+
+    Args:
+        count: number of leads per side.
+        pitch: distance of neighbouring leads, mm.
+        body_w: width of the body, mm.
+        reach: length of a lead beyond the body, mm.
+        wide: width of a lead, mm.
+    """
     at = [(i - (count - 1) / 2) * pitch for i in range(count)]
     pad_at, lead_at = body_w / 2 + reach * 0.65, body_w / 2 + reach * 0.45
     pads = tuple((side * pad_at, v, reach * 1.1, wide * 1.3) for side in (-1, 1) for v in at)
@@ -118,7 +126,7 @@ def _row_pair(
     return pads, leads
 
 
-# Functions, not packages: they are built when a board needs them, not on import.
+# The tables hold functions, so that packages are built when a board needs them and not on import.
 BIG: tuple[Callable[[], Package], ...] = (
     lambda: quad_flat("QFP-64", pins=64, pitch=0.65, body=12.0, height=1.4),
     lambda: header(8, 2),
@@ -131,7 +139,7 @@ BIG: tuple[Callable[[], Package], ...] = (
     lambda: small_outline("TSSOP-20", pins=20, pitch=0.65, body=(4.4, 6.5), height=1.1),
     lambda: can_capacitor(8.0, 6.2),
 )
-"""Large packages, placed in turn while there is room."""
+"""Large packages; a board uses them in this order."""
 
 MIDDLE: tuple[Callable[[], Package], ...] = (
     lambda: small_outline("SOIC-8", pins=8, pitch=1.27, body=(3.9, 4.9), height=1.5),

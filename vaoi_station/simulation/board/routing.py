@@ -1,6 +1,7 @@
-"""Route the copper of a generated board: short traces from pads to vias, bundles across free places.
+"""Route the copper of a generated board: short traces from pads to vias, and bundles of parallel traces.
 
-A raster of occupied cells keeps traces from crossing. Its cells are coarse, because no measurement depends on traces.
+A raster of occupied cells prevents crossings of traces. Its cells are coarse, because no measurement depends on the
+exact course of a trace.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ _DIRECTIONS = np.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, 
 
 @dataclass(frozen=True)
 class Copper:
-    """Traces (polylines, mm) and vias (centres, mm)."""
+    """The copper of a board: traces as polylines (k, 2), and centres of vias, in board coordinates (mm)."""
 
     traces: tuple[Floats, ...]
     vias: tuple[tuple[float, float], ...]
 
 
 def route(section: BoardSection, parts: tuple[Part, ...]) -> Copper:
-    """Route copper where there is room."""
+    """Route the copper of a board wherever there is room."""
     router = _Router(section)
     for part in parts:
         router.reserve_pads(part)
@@ -44,7 +45,7 @@ def route(section: BoardSection, parts: tuple[Part, ...]) -> Copper:
 
 
 class _Router:
-    """The occupied cells, traces and vias while copper is routed."""
+    """Routes the copper of one board. It holds the occupied cells, and the traces and vias so far."""
 
     def __init__(self, section: BoardSection) -> None:
         self.random = np.random.default_rng([section.seed, 7020])
@@ -59,19 +60,19 @@ class _Router:
             self._take_disc(hole, 2.6)
 
     def reserve_pads(self, part: Part) -> None:
-        """Mark the cells of a part's pads as occupied."""
+        """Mark the cells under the pads of a part as occupied."""
         for u, v, w, h in part.package.pads:
             corners = np.array([[-w, -h], [w, -h], [w, h], [-w, h]]) / 2 + (u, v)
             cv2.fillConvexPoly(self.taken, self._cells(part.to_board(corners)), 1)
 
     def reserve_body(self, part: Part) -> None:
-        """Keep stitching vias away from a part and its printed name."""
+        """Mark the cells under a part and its printed name as occupied, so that no stitching via lies there."""
         (x, y), (w, h) = part.place, part.half_extent
         box = np.array([[x - w - 1.6, y - h - 1.6], [x + w, y - h - 1.6], [x + w, y + h], [x - w - 1.6, y + h]])
         cv2.fillConvexPoly(self.taken, self._cells(box), 1)
 
     def fan_out(self, part: Part) -> None:
-        """Route a trace with a bend from most pads to a via."""
+        """Route traces with bends from the pads of a part to vias. About 15 % of the pads get no trace."""
         for u, v, w, h in part.package.pads:
             if self.random.random() < 0.15:
                 continue
@@ -85,13 +86,13 @@ class _Router:
             start = part.to_board(np.array([u, v]))
             heading = part.to_board(np.array([u, v]) + outward / np.abs(outward).max()) - start
             k = int(np.argmax(_DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True) @ heading))
-            # A few attempts bound the time; a pad without a trace is normal.
+            # Three attempts limit the computing time. A pad may remain without a trace.
             for _ in range(3):
                 if self._try_trace(start, k, skip_mm=max(w, h) / 2 + 0.3, via=True):
                     break
 
     def route_bundles(self, count: int) -> None:
-        """Route parallel traces across free places."""
+        """Route `count` bundles of parallel traces at random positions. Traces that would cross others are omitted."""
         for _ in range(count):
             start, k = self.random.uniform(2, self.size - 2), int(self.random.integers(8))
             lengths, bends = self.random.uniform([3, 1, 3], [14, 6, 14]), self.random.choice([-1, 1], 2)
@@ -102,7 +103,7 @@ class _Router:
                     self._add_trace(path, via=True)
 
     def place_stitching_vias(self, count: int) -> None:
-        """Scatter the vias that connect copper areas."""
+        """Place `count` vias that connect copper areas at random positions. Vias at occupied positions are omitted."""
         for _ in range(count):
             place = self.random.uniform(1, self.size - 1)
             if self._is_free(np.array([place, place + 0.01]), 0.0):
@@ -110,7 +111,7 @@ class _Router:
                 self._take_disc(self.vias[-1], 0.7)
 
     def _try_trace(self, start: Floats, k: int, skip_mm: float, *, via: bool) -> bool:
-        """Route one random trace from a pad; False if it is not free."""
+        """Route one random trace from a pad in direction k. Return False if its path is not free."""
         lengths = self.random.uniform([0.6, 0.5, 0.5], [3, 4, 9])
         path = _path(start, k, lengths[: int(self.random.integers(1, 4))], self.random.choice([-1, 1], 2))
         if not self._is_free(path, skip_mm):
@@ -119,18 +120,21 @@ class _Router:
         return True
 
     def _is_free(self, path: Floats, skip_mm: float) -> bool:
-        """Whether a path stays on the board and crosses no occupied cell, beyond `skip_mm` from its start."""
+        """Return whether a path stays on the board and crosses no occupied cell.
+
+        Cells closer than `skip_mm` to the start of the path are ignored.
+        """
         steps = [np.linspace(a, b, max(int(np.hypot(*(b - a)) * _CELLS_PER_MM * 1.4), 2)) for a, b in pairwise(path)]
         points = np.vstack(steps)
         if (points < 0.8).any() or (points > self.size - 0.8).any():
             return False
-        # The start lies on the pad itself, whose cells are occupied.
+        # The start of the path lies on the pad itself, whose cells are marked as occupied.
         points = points[np.hypot(*(points - path[0]).T) >= skip_mm]
         x, y = (points * _CELLS_PER_MM).astype(int).T
         return not self.taken[y, x].any()
 
     def _add_trace(self, path: Floats, *, via: bool) -> None:
-        """Add a trace and mark its cells and its clearance as occupied."""
+        """Add a trace, and mark the cells of the trace and of its clearance as occupied."""
         self.traces.append(path)
         width = max(round(2 * _CLEARANCE_MM * _CELLS_PER_MM), 2) + 1
         cv2.polylines(self.taken, [self._cells(path)], False, 1, width)
@@ -147,7 +151,14 @@ class _Router:
 
 
 def _path(start: Floats, k: int, lengths: Floats, bends: NDArray[np.int64]) -> Floats:
-    """Return a polyline that bends by 45° and back."""
+    """Return a polyline (points, 2) of up to three segments, which bends by 45° and back.
+
+    Args:
+        start: first point, mm.
+        k: index of the first direction in `_DIRECTIONS`.
+        lengths: lengths of the segments, mm.
+        bends: +1 or −1, the sense of the first bend. The third segment has the direction of the first one again.
+    """
     turns = [k, k + int(bends[0]), k + int(bends[0]) + (int(bends[1]) if bends[0] != bends[1] else -int(bends[0]))]
     points = [start]
     for length, turn in zip(lengths, turns, strict=False):

@@ -1,1 +1,1 @@
-"""Render what a camera sees: geometry, light, optics, sensor."""
+"""Render the frame of a camera: geometry, light, optics and sensor."""

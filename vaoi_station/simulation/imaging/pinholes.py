@@ -1,7 +1,7 @@
 """The real cameras of the twin: pinholes with small errors of position, rotation and focal length, and with distortion.
 
-They are computed from the projection itself, not with the station's formulas for planes at a height
-(`geometry.Camera`), so that a test can compare the two.
+They use the full 3D projection and not the station's formulas for planes at a height (`geometry.Camera`). So a test can
+compare both.
 """
 
 from __future__ import annotations
@@ -19,31 +19,47 @@ from vaoi_station.simulation.scenario import ArraySection
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """One camera; image x along tester x, image y along tester y, looking down from the working distance."""
+    """One pinhole camera that looks down from the working distance.
+
+    Image x is nearly parallel to tester x, and image y to tester y.
+    """
 
     width_px: int
     height_px: int
     projection: Floats
-    """(3, 4): tester (x, y, z, 1), z up, to undistorted pixels."""
+    """Projection matrix (3, 4) from tester coordinates (x, y, z, 1) in mm, z up, to undistorted pixels."""
     lens: Lens
     foot_mm: tuple[float, float]
-    """Point of the calibrated plane vertically below the camera."""
+    """Foot of the camera: the point of the calibrated plane vertically below it, tester coordinates."""
     inner: Floats
-    """(3, 3): directions in the camera's own axes (x right and y down in the image, z ahead) to undistorted pixels."""
+    """Intrinsic matrix (3, 3) from directions in camera axes to undistorted pixels.
+
+    In the image, camera x points to the right and y down. Camera z points along the viewing direction.
+    """
 
     def plane(self) -> Floats:
-        """Return N_i: the homography of the calibrated plane z = 0, (3, 3), last entry 1."""
+        """Return N_i (3, 3): the homography from the calibrated plane z = 0 to undistorted pixels; N_33 is 1."""
         h = self.projection[:, [0, 1, 3]]
         return np.asarray(h / h[2, 2])
 
     def project(self, place_mm: Floats, z_mm: Floats | float) -> Floats:
-        """Project points at tester places (k, 2) and heights (k,), or one height, to raw pixels (k, 2)."""
+        """Project points to raw pixels (k, 2).
+
+        Args:
+            place_mm: tester coordinates (k, 2), mm.
+            z_mm: heights (k,) above the calibrated plane, or one height for all points.
+        """
         xyz1 = np.column_stack([place_mm, np.broadcast_to(z_mm, len(place_mm)), np.ones(len(place_mm))])
         q = xyz1 @ self.projection.T
         return self.lens.distort(q[:, :2] / q[:, 2:])
 
     def ground(self, raw_px: Floats, z_mm: Floats | float) -> Floats:
-        """Return the tester places (k, 2) seen at raw pixels (k, 2), for given heights."""
+        """Return the tester coordinates (k, 2), mm, of the points seen at raw pixels (k, 2), at given heights.
+
+        Args:
+            raw_px: raw pixels (k, 2).
+            z_mm: heights (k,) above the calibrated plane, or one height for all points.
+        """
         p, m = self.lens.undistort(raw_px), self.projection
         a, b = m[0] - p[:, :1] * m[2], m[1] - p[:, 1:] * m[2]
         ra, rb = -(a[:, 2] * z_mm + a[:, 3]), -(b[:, 2] * z_mm + b[:, 3])
@@ -52,24 +68,24 @@ class Pinhole:
         return np.column_stack([(ra * b[:, 1] - a[:, 1] * rb) / det, (a[:, 0] * rb - ra * b[:, 0]) / det])
 
     def rotated(self, about: Literal["x", "y", "z"], angle_rad: float) -> Pinhole:
-        """Return the camera after a rotation about one of its own axes; its position does not change."""
+        """Return this camera rotated about one of its own axes. Its position does not change."""
         angles = {axis: angle_rad if axis == about else 0.0 for axis in "xyz"}
         turn = _rotation(angles["x"], angles["y"], angles["z"])
         return replace(self, projection=self.inner @ turn @ np.linalg.inv(self.inner) @ self.projection)
 
     def calibrated(self, working_distance_mm: float) -> Camera:
-        """Return this camera as a perfect calibration describes it."""
+        """Return the `geometry.Camera` that a perfect calibration of this camera gives."""
         plane = Projective(self.plane(), System.IMAGE, System.ROW)
         return Camera(self.width_px, self.height_px, plane, self.lens, working_distance_mm)
 
 
 def mount_cameras(array: ArraySection) -> tuple[Pinhole, ...]:
-    """Return the array as mounted; the errors are drawn from the array's seed, camera by camera."""
+    """Return the cameras of the array with their mounting errors, which are drawn from the seed of the array."""
     return tuple(_mounted(array, i) for i in range(array.cameras))
 
 
 def _mounted(array: ArraySection, camera: int) -> Pinhole:
-    # One generator per camera: camera i is the same in an array of any size.
+    # There is one generator per camera, so camera i is the same in an array of any size.
     g = np.random.default_rng([array.seed, 7003, camera])
     shift, focal = g.normal(0, array.position_mm, 2), 1 + g.normal(0, array.focal_length)
     tilt_x, tilt_y = np.radians(g.normal(0, array.tilt_deg, 2))
@@ -88,7 +104,7 @@ def _mounted(array: ArraySection, camera: int) -> Pinhole:
 
 
 def _rotation(about_x: float, about_y: float, about_z: float) -> Floats:
-    """Return the rotation about x, then y, then z."""
+    """Return the matrix (3, 3) of a rotation about x, followed by one about y and one about z."""
     (cx, sx), (cy, sy), (cz, sz) = ((math.cos(a), math.sin(a)) for a in (about_x, about_y, about_z))
     rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

@@ -1,6 +1,6 @@
-"""Compute what one camera sees before any blur: the board's surface, its bodies, light and shadow.
+"""Render what one camera sees, before any blur: the surface of the board, its bodies, light and shadow.
 
-Textures are sampled bilinearly on the supersampled grid: cubic and Lanczos kernels move content, this does not.
+Textures are sampled bilinearly on the supersampled grid. Cubic and Lanczos interpolation would displace the content.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ _SURFACE_STEPS = 4
 _MIN_LEAN_PX = 0.02
 _SUBPIXEL_BITS = 4
 MAX_REMAP_PX = 2**15 - 2
-"""Largest image along an axis that OpenCV's remap samples."""
+"""Largest width or height of an image that OpenCV's `remap` can sample."""
 _PLACEMENT_MARGIN_MM = 10.0
-"""More than the shift of a placement and the parallax of a body at the edge of a view."""
+"""Margin of the search for nearby bodies. It exceeds any placement shift, and the parallax at the edge of a view."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """How one part of one board was placed: a shift and a small rotation from its CAD position."""
+    """Placement error of one part on one board: a shift and a small rotation relative to its CAD position."""
 
     shift_mm: tuple[float, float]
     turn_rad: float
 
     def to_board(self, nominal_mm: Floats, center_mm: tuple[float, float]) -> Floats:
-        """Convert nominal places of a part (..., 2) to real ones."""
+        """Convert points (..., 2) of a part at its CAD position to their real board coordinates, mm."""
         return np.asarray((nominal_mm - center_mm) @ self._turn().T + center_mm + self.shift_mm)
 
     def to_nominal(self, board_mm: Floats, center_mm: tuple[float, float]) -> Floats:
-        """Convert real places of a part (..., 2) to nominal ones."""
+        """Convert real board coordinates (..., 2) of points of a part to those at its CAD position, mm."""
         return np.asarray((board_mm - center_mm - self.shift_mm) @ self._turn() + center_mm)
 
     def _turn(self) -> Floats:
@@ -52,26 +52,26 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class VisibleBody:
-    """One body of one board in one frame."""
+    """A body that one frame may show, with its position in tester coordinates and in the frame."""
 
     body: Body
     placement: Placement
     texture: Bytes
     outline_mm: Floats
-    """In tester coordinates."""
+    """Outline (k, 2) of the body in tester coordinates."""
     z_mm: float
     low_px: Floats
-    """Raw pixels of the outline at the foot of the body; `top_px`: at its top."""
+    """Outline at the foot of the body, raw pixels (k, 2). `top_px` is the outline at its top."""
     top_px: Floats
 
     def reach_mm(self, light: LightSection) -> Floats:
-        """Return the vector from the end of its shadow on the board to the body, (2,)."""
+        """Return the vector (2,) in mm from the end of the body's shadow on the board to the body."""
         length = self.body.height_mm / math.tan(math.radians(light.elevation_deg))
         return length * np.array(light.direction)
 
 
 class LitTextures:
-    """The textures under one light, which scales the brightness of metal."""
+    """The textures of an artwork as they appear under one light. The light changes the brightness of metal."""
 
     def __init__(self, artwork: Artwork, light: LightSection) -> None:
         self.surface = _scale_metal(artwork.surface, artwork.metal, light.metal)
@@ -80,14 +80,14 @@ class LitTextures:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The surface and the artwork of a board type, and the belt around it."""
+    """All that a camera can see of a board: the shape of its surface, its artwork, and the belt around it."""
 
     section: BoardSection
     artwork: Artwork
     belt_grey: float
 
     def surface_z(self, board_mm: Floats) -> Floats:
-        """Return the height (k,) of the board's surface above the calibrated plane at board places (k, 2)."""
+        """Return the height (k,), mm, of the board's surface above the calibrated plane at board coordinates (k, 2)."""
         s = self.section
         u, v = (board_mm / (s.width_mm, s.length_mm) * 2 - 1).T
         bow = s.bow_mm * (1 - (0.4 * u * u + 0.6 * v * v))
@@ -102,9 +102,17 @@ class Scene:
         light: LightSection,
         placements: Mapping[str, Placement | None],
     ) -> Plane:
-        """Return the grey values (2h, 2w) that one camera sees with the board at `pose`.
+        """Render the grey values (2h, 2w) that one camera sees, with two samples per pixel and axis.
 
-        Bodies further from the foot of the camera are drawn first: parallax moves all of them outwards, none inwards.
+        Bodies that are further from the foot of the camera are drawn first, because nearer bodies hide them: parallax
+        displaces every body away from the foot.
+
+        Args:
+            camera: the camera.
+            pose: (3, 3) tester_from_board.
+            paint: the textures under the light.
+            light: the light.
+            placements: placement of each part by its name; None for an absent part.
         """
         image = self._surface(camera, pose, paint.surface)
         visible = self._visible(camera, pose, paint, placements)
@@ -121,7 +129,7 @@ class Scene:
     def _visible(
         self, camera: Pinhole, pose: Floats, paint: LitTextures, placements: Mapping[str, Placement | None]
     ) -> list[VisibleBody]:
-        """Return the bodies that a frame can show, those furthest from the camera's foot first."""
+        """Return the bodies that a frame can show, sorted by their distance from the camera's foot, furthest first."""
         found = []
         size = np.array([camera.width_px, camera.height_px])
         for k in self.nearby_bodies(camera, pose):
@@ -139,14 +147,14 @@ class Scene:
 
     @cached_property
     def _body_extents(self) -> tuple[Floats, Floats]:
-        """Centres (k, 2) of all bodies, and the distance (k,) within which they and their shadows lie, in mm."""
+        """Centres (k, 2) of all bodies, and radii (k,) around them that contain body and shadow, mm."""
         bodies = self.artwork.bodies
         middles = np.array([b.center_mm for b in bodies], dtype=np.float64).reshape(-1, 2)
         reach = [np.abs(b.outline_mm - b.center_mm).max() * math.sqrt(2) + 4 * b.height_mm for b in bodies]
         return middles, np.array(reach) + _PLACEMENT_MARGIN_MM
 
     def nearby_bodies(self, camera: Pinhole, pose: Floats) -> list[int]:
-        """Return the indices of the bodies near enough to the view to be tested one by one."""
+        """Return the indices of the bodies that may be visible. A coarse test that saves projecting all bodies."""
         middles, reach = self._body_extents
         w, h = camera.width_px - 1.0, camera.height_px - 1.0
         corners = camera.ground(np.array([[0, 0], [w, 0], [w, h], [0, h]]), 0.0)
@@ -154,13 +162,13 @@ class Scene:
         return np.flatnonzero((away < reach[:, None]).all(1)).tolist()
 
     def _surface(self, camera: Pinhole, pose: Floats, texture: Bytes) -> Bytes:
-        """Sample the surface texture on the supersampled grid."""
+        """Render the surface of the board and the belt on the supersampled grid, (2h, 2w)."""
         size = np.array([camera.width_px, camera.height_px])
         lattice = Lattice.over(np.zeros(2), size - 1.0, camera.width_px, camera.height_px)
         assert lattice is not None
         back, z = np.linalg.inv(pose), np.full(len(lattice.nodes_px), self.section.lift_mm)
         place = apply(back, camera.ground(lattice.nodes_px, z))
-        # Height depends on the place and the place on the height: a few fixed-point steps converge below 1e-6 mm.
+        # The height depends on the position and the position on the height. Four fixed-point steps reach 1e-6 mm.
         if self.section.bow_mm or any(self.section.tilt_mm):
             for _ in range(_SURFACE_STEPS):
                 place = apply(back, camera.ground(lattice.nodes_px, self.surface_z(place)))
@@ -173,7 +181,10 @@ class Scene:
 
 
 def _crop_texture(texture: Bytes, px: Floats) -> tuple[Bytes, Floats]:
-    """Return the part of a texture about pixels (k, 2), which OpenCV cannot sample as a whole, and the pixels in it."""
+    """Crop a texture that is too large for OpenCV's `remap` to the surroundings of pixels (k, 2).
+
+    Returns the crop, and the pixels in coordinates of the crop.
+    """
     size = np.array(texture.shape[::-1])
     low = np.clip(np.floor(px.min(0)).astype(int) - 2, 0, size - 1)
     high = np.clip(np.ceil(px.max(0)).astype(int) + 3, low + 1, size)
@@ -181,31 +192,31 @@ def _crop_texture(texture: Bytes, px: Floats) -> tuple[Bytes, Floats]:
 
 
 def _scale_metal(grey: Bytes, metal: Bytes, gain: float) -> Bytes:
-    """Scale the brightness of metal."""
+    """Multiply the grey values of a texture by `gain` where it is metal, in proportion to the share of metal."""
     if gain == 1:
         return grey
     return to_bytes(grey * (1 + (gain - 1) * (metal.astype(np.float32) / 255)))
 
 
 def _to_samples(raw_px: Floats) -> Floats:
-    """Convert raw pixels to coordinates of the supersampled image."""
+    """Convert raw pixels (..., 2) to coordinates (..., 2) of the supersampled image."""
     return (raw_px + 0.5) * OVERSAMPLING - 0.5
 
 
 def _fill_polygon(image: Bytes, raw_px: Floats, grey: float) -> None:
-    """Fill a polygon with 1/16 sample accuracy."""
+    """Fill a convex polygon of raw pixels (k, 2), with an accuracy of 1/16 sample."""
     points = np.round(_to_samples(raw_px) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
     cv2.fillConvexPoly(image, points, round(grey), cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _draw_sides(image: Bytes, visible: VisibleBody, light: LightSection) -> None:
-    """Draw the walls of a body, brighter on the side of the lamp."""
+    """Draw the side walls of a body. Walls that face the lamp are brighter."""
     low, top = visible.low_px, visible.top_px
-    # Seen from directly above, the top hides the walls.
+    # Seen from directly above, the top hides all walls.
     if np.abs(top - low).max() < _MIN_LEAN_PX:
         return
     middle = low.mean(0)
-    # Walls on the far side are drawn too: the top is drawn afterwards and hides them.
+    # Walls on the far side are drawn too. The top is drawn afterwards and hides them.
     for k in range(len(low)):
         n = (k + 1) % len(low)
         outward = (low[k] + low[n]) / 2 - middle
@@ -215,7 +226,7 @@ def _draw_sides(image: Bytes, visible: VisibleBody, light: LightSection) -> None
 
 
 def _draw_top(image: Bytes, camera: Pinhole, board_from_tester: Floats, visible: VisibleBody) -> None:
-    """Draw the top at its height, blended by the share of each sample it covers."""
+    """Draw the top of a body at its height. Each sample is blended by the share that the top covers."""
     body, top = visible.body, visible.top_px
     lattice = Lattice.over(top.min(0) - 1, top.max(0) + 1, camera.width_px, camera.height_px)
     if lattice is None:
@@ -230,7 +241,14 @@ def _draw_top(image: Bytes, camera: Pinhole, board_from_tester: Floats, visible:
 
 
 def _cast_shadow(image: Bytes, end: Floats, low: Floats, depth: float) -> None:
-    """Darken the hull between a body's foot and the end of its shadow."""
+    """Darken the shadow of a body: the convex hull of its foot and of the end of its shadow.
+
+    Args:
+        image: supersampled image, which is changed.
+        end: outline (k, 2) at the end of the shadow, raw pixels.
+        low: outline (k, 2) at the foot of the body, raw pixels.
+        depth: share of the light that the shadow removes.
+    """
     hull = cv2.convexHull(np.vstack([low, end]).astype(np.float32))[:, 0]
     points = _to_samples(hull)
     x0, y0 = np.maximum(np.floor(points.min(0)).astype(int) - 1, 0)

@@ -1,4 +1,4 @@
-"""Convert what the camera sees to grey values: pixel area, motion blur, lens blur, brightness, noise, clipping."""
+"""Simulate lens and sensor: motion blur, pixel area, lens blur, brightness, noise and clipping."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ def expose(
     shade: Plane,
     noise: np.random.Generator | None,
 ) -> NDArray[Any]:
-    """Return one frame, (h, w) uint8 or uint16.
+    """Compute the frame (h, w) that the sensor delivers for a rendered scene, as uint8 or uint16.
 
     Args:
-        samples: (2h, 2w) grey values of the scene.
-        array: the sensor's properties.
-        motion_px: (2,) motion of the image on the sensor during the exposure, centred on the pulse.
-        brightness: light × exposure relative to the reference × gain.
-        shade: (h, w) vignetting.
-        noise: source of shot and read noise; None for a noiseless sensor.
+        samples: (2h, 2w) grey values of the scene, two samples per pixel and axis.
+        array: the camera array of the scenario, with the properties of its sensors.
+        motion_px: (2,) motion of the image during the exposure. The exposure is centred on the pulse.
+        brightness: product of light, exposure relative to the reference exposure, and gain.
+        shade: (h, w) relative brightness over the frame (vignetting).
+        noise: random generator for shot noise and read noise, or None for a sensor without noise.
     """
     h, w = samples.shape[0] // OVERSAMPLING, samples.shape[1] // OVERSAMPLING
     kernel = motion_kernel(motion_px * OVERSAMPLING)
-    # Blur before the reduction to pixels: motion acts on the light, not on pixel values.
+    # Motion blur comes before the reduction to pixels, because it acts on the light and not on pixel values.
     moved: Plane = cv2.filter2D(samples, -1, kernel) if kernel.size > 1 else samples
     image: Plane = cv2.resize(moved, (w, h), interpolation=cv2.INTER_AREA)
     if array.psf_px:
         image = cv2.GaussianBlur(image, (0, 0), array.psf_px)
     image = image * shade * np.float32(brightness)
     if noise is not None and (array.shot_noise or array.read_noise):
-        # Shot noise grows with the square root of the light, read noise does not depend on it.
+        # Shot noise grows with the square root of the light. Read noise does not depend on the light.
         sigma = np.sqrt(np.maximum(image, 0) * np.float32(array.shot_noise) + np.float32(array.read_noise**2))
         image = image + noise.standard_normal(image.shape, dtype=np.float32) * sigma
     image = image + np.float32(array.black_level)
@@ -56,13 +56,15 @@ def expose(
 
 
 def motion_kernel(path: Floats) -> Plane:
-    """Return the integral of a bilinearly interpolated image along a straight path, centred; it sums to 1.
+    """Compute the kernel of motion blur along a straight path that is centred on each sample.
+
+    It averages the bilinearly interpolated image along the path. Its entries sum to 1.
 
     Args:
-        path: (2,) x and y, in samples.
+        path: (2,) x and y of the motion during the exposure, in samples.
     """
     length = math.hypot(*path)
-    # A thousandth of a sample is invisible, and the division below would amplify rounding.
+    # A motion of a thousandth of a sample is invisible, so the image is left unchanged.
     if length < _MIN_MOTION:
         return np.ones((1, 1), np.float32)
     steps = max(int(length * _STEPS_PER_SAMPLE), _STEPS_PER_SAMPLE)
@@ -77,7 +79,10 @@ def motion_kernel(path: Floats) -> Plane:
 
 
 def vignette(array: ArraySection, camera: int) -> Plane:
-    """Return the brightness over the frame: it falls with the square of the distance from a point near the centre."""
+    """Compute the relative brightness (h, w) of a camera's frame under even light.
+
+    It decreases with the square of the distance from a point near the centre of the frame.
+    """
     g = np.random.default_rng([array.seed, 7004, camera])
     x0, y0 = g.normal(0, 0.15, 2)
     x, y = np.linspace(-1, 1, array.width_px) - x0, np.linspace(-1, 1, array.height_px) - y0
@@ -85,6 +90,6 @@ def vignette(array: ArraySection, camera: int) -> Plane:
 
 
 def generator(*key: int) -> np.random.Generator:
-    """Return the random numbers of one key, independent of what was drawn before."""
-    # SFC64 is fixed here: another generator would change the noise of every simulated frame.
+    """Return a random generator for a key. Equal keys give equal numbers, regardless of what was drawn before."""
+    # SFC64 must stay: a different generator would change the noise of every simulated frame.
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(key)))

@@ -1,1 +1,1 @@
-"""Move boards: the belt, the times of barrier and pulses, and what goes wrong."""
+"""The motion of boards on the belt, the times of barrier and pulses, and the faults of a passage."""

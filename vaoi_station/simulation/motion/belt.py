@@ -1,7 +1,7 @@
-"""Compute where the board is at a time: a belt whose speed and direction vary smoothly.
+"""Compute the position of a board at any time, on a belt whose speed and direction vary smoothly.
 
-All variations are sums of sinusoids with phases drawn from the seed. So the distance travelled is an exact integral,
-and any time can be requested in any order.
+All variations are sums of sinusoids with random phases, drawn from the seed. So the distance travelled is an exact
+integral, and positions can be computed for any time in any order.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from vaoi_station.simulation.scenario import BeltSection
 
 _WAVES = 5
 _SPREAD = 3.0
-"""Periods range from wander_period / 3 to wander_period · 3."""
+"""The periods of the sinusoids range from wander_period_s / 3 to wander_period_s · 3."""
 
 
 @dataclass(frozen=True)
 class Waves:
-    """Σ a·sin(ω t + φ) with a root mean square of 1 over long times."""
+    """A sum of sinusoids a·sin(ω t + φ) with equal amplitudes a. Its root mean square over long times is 1."""
 
     omega: tuple[float, ...]
     phase: tuple[float, ...]
 
     @property
     def amplitude(self) -> float:
-        """Amplitude of each sinusoid."""
+        """Amplitude a of each sinusoid."""
         return math.sqrt(2 / len(self.omega))
 
     def value(self, t_s: float) -> float:
-        """Return the sum at a time."""
+        """Return the sum of the sinusoids at a time."""
         return self.amplitude * sum(math.sin(w * t_s + p) for w, p in zip(self.omega, self.phase, strict=True))
 
     def integral(self, t_s: float) -> float:
-        """Return its integral from time 0."""
+        """Return the integral of the sum of the sinusoids from time 0 to a time."""
         pairs = zip(self.omega, self.phase, strict=True)
         return self.amplitude * sum((math.cos(p) - math.cos(w * t_s + p)) / w for w, p in pairs)
 
 
 @lru_cache(maxsize=64)
 def waves(seed: int, purpose: int, period_s: float) -> Waves:
-    """Return the waves of one varying quantity; `purpose` keeps quantities independent."""
+    """Return the waves of one varying quantity. A different `purpose` per quantity makes the quantities independent."""
     g = np.random.default_rng([seed, 7001, purpose])
     periods = period_s * _SPREAD ** np.linspace(-1, 1, _WAVES) * g.uniform(0.9, 1.1, _WAVES)
     return Waves(tuple((2 * math.pi / periods).tolist()), tuple(g.uniform(0, 2 * math.pi, _WAVES).tolist()))
@@ -52,61 +52,64 @@ def waves(seed: int, purpose: int, period_s: float) -> Waves:
 
 @dataclass(frozen=True)
 class Belt:
-    """The conveyor of a scenario; times are seconds since the start of the scenario."""
+    """The conveyor of a scenario. All times are in seconds since the start of the scenario."""
 
     section: BeltSection
 
     @property
     def true_speed_mm_s(self) -> float:
-        """Mean speed: the nominal speed with its error."""
+        """Mean speed: the nominal speed, increased by the relative speed error."""
         return self.section.speed_mm_s * (1 + self.section.speed_error)
 
     def travelled_mm(self, t_s: float) -> float:
-        """Return the distance travelled along the motion since time 0."""
+        """Return the distance that the belt has travelled since time 0."""
         s = self.section
         return self.true_speed_mm_s * (t_s + s.speed_wander * waves(s.seed, 0, s.wander_period_s).integral(t_s))
 
     def speed_mm_s(self, t_s: float) -> float:
-        """Return the speed along the motion at a time."""
+        """Return the speed of the belt at a time."""
         s = self.section
         return self.true_speed_mm_s * (1 + s.speed_wander * waves(s.seed, 0, s.wander_period_s).value(t_s))
 
     def sway_mm(self, t_s: float) -> float:
-        """Return the deviation across the motion at a time."""
+        """Return the lateral displacement of a board on the belt at a time."""
         s = self.section
         return s.sway_mm * waves(s.seed, 1, s.wander_period_s).value(t_s)
 
     def yaw_rad(self, t_s: float) -> float:
-        """Return the deviation of the rotation at a time."""
+        """Return the deviation of a board's rotation at a time."""
         s = self.section
         return math.radians(s.yaw_wander_deg) * waves(s.seed, 2, s.wander_period_s).value(t_s)
 
 
 @dataclass(frozen=True)
 class BoardMotion:
-    """The motion of one board: position and rotation of its centre at times since the start of the passage."""
+    """The motion of one board: position of its centre and rotation. Times are in seconds since the passage's start."""
 
     belt: Belt
     start_s: float
-    """Start of the passage since the start of the scenario."""
+    """Start of the passage, in seconds since the start of the scenario."""
     start_along_mm: float
-    """Tester coordinate of the board's centre at the start, times the direction of motion."""
+    """Tester y of the board's centre at the start, times the direction of motion (+1 or −1)."""
     across_mm: float
     yaw_rad: float
     stop_s: float = math.inf
-    """Time at which the board sticks, since the start of the passage."""
+    """Time at which the board stops, in seconds since the start of the passage; infinite if it does not stop."""
 
     def pose(self, t_s: float, center_mm: tuple[float, float]) -> Floats:
-        """Return tester_from_board, (3, 3) Euclidean; `center_mm` is the board's centre in board coordinates."""
+        """Return tester_from_board at a time: a rigid transform (3, 3) from board mm to tester mm.
+
+        `center_mm` is the centre of the board in board coordinates.
+        """
         x, y, angle = self.center(t_s)
         c, s = math.cos(angle), math.sin(angle)
         u, v = center_mm
         return np.array([[c, -s, x - c * u + s * v], [s, c, y - s * u - c * v], [0.0, 0.0, 1.0]])
 
     def center(self, t_s: float) -> tuple[float, float, float]:
-        """Return tester x, y (mm) of the board's centre, and its rotation (rad)."""
+        """Return tester x and y (mm) of the board's centre, and the rotation of the board (rad), at a time."""
         section = self.belt.section
-        # A board that sticks stops at once; the belt below it goes on.
+        # A board that sticks stops at once, while the belt below it moves on.
         t = min(t_s, self.stop_s)
         now = self.start_s + t
         way = self.belt.travelled_mm(now) - self.belt.travelled_mm(self.start_s)
@@ -120,11 +123,17 @@ class BoardMotion:
 def board_motion(
     section: BeltSection, board_number: int, *, start_s: float, start_along_mm: float, across_mm: float, turned_deg: int
 ) -> BoardMotion:
-    """Return the motion of board `board_number`; seed and number give its offset and rotation on the belt.
+    """Return the motion of a board. Its random offset and rotation depend on the seed and the board number only.
 
-    `turned_deg` is counter-clockwise as the camera sees it, from tester y to tester x.
+    Args:
+        section: the conveyor section of the scenario.
+        board_number: number of the board, counted from 0.
+        start_s: start of the passage, in seconds since the start of the scenario.
+        start_along_mm: tester y of the board's centre at the start, times the direction of motion.
+        across_mm: tester x of the board's centre before offsets.
+        turned_deg: rotation of the board, counter-clockwise as the camera sees it (from tester y to tester x).
     """
-    # One generator per board: board k is the same however many boards pass before it.
+    # There is one generator per board, so board k is the same regardless of how many boards pass before it.
     g = np.random.default_rng([section.seed, 7002, board_number])
     offset, yaw = g.normal(0, section.offset_sigma_mm), g.normal(0, section.yaw_sigma_deg)
     return BoardMotion(

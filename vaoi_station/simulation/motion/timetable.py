@@ -1,4 +1,4 @@
-"""Compute when a board interrupts and leaves the barrier, and when a controller would fire the pulses."""
+"""Compute when a board interrupts and clears the barrier, and when a controller sends the pulses."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _FAR_FUTURE_S = 1e4
 
 @dataclass(frozen=True)
 class Timetable:
-    """Times in seconds since the start of the passage."""
+    """The motion of one board and the times of its passage, in seconds since the start of the passage."""
 
     motion: BoardMotion
     turned_deg: int
     blocked_s: float
     clear_s: float
-    """Infinite for a board that sticks in the barrier."""
+    """Time at which the board clears the barrier; infinite for a board that sticks in it."""
     pulse_times_s: tuple[float, ...]
     stuck: int | None
 
 
 def line_of(scenario: Scenario) -> Line:
-    """Return the mechanics of the twin's line as `station.toml` would state them."""
+    """Return the mechanics of the twin's line in the form of the `[line]` section of `station.toml`."""
     belt, line = scenario.belt, scenario.line
     return Line(
         conveyor_mm_s=(0.0, belt.direction * belt.speed_mm_s),
@@ -43,12 +43,12 @@ def line_of(scenario: Scenario) -> Line:
 
 
 def array_center_mm(scenario: Scenario) -> float:
-    """Return tester x of the centre of the array, over which boards pass."""
+    """Return tester x of the centre of the camera array, which is also the centre of the boards' path."""
     return (scenario.array.cameras - 1) * scenario.array.pitch_mm / 2
 
 
 def timetable(scenario: Scenario, board_number: int) -> Timetable:
-    """Return the times of one board."""
+    """Compute the motion and the times of board `board_number`."""
     line, belt, board = scenario.line, scenario.belt, scenario.board
     turned = (board.turned_deg + extra_turn_deg(scenario.faults, board_number)) % 360
     half = (board.length_mm if turned % 180 == 0 else board.width_mm) / 2
@@ -56,7 +56,7 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
     start_s = board_number * line.interval_s
     across = array_center_mm(scenario)
     way = board_motion(belt, board_number, start_s=start_s, start_along_mm=0.0, across_mm=across, turned_deg=turned)
-    # The start is chosen so that the board interrupts the barrier exactly `approach_s` after it.
+    # The start position is chosen so that the board interrupts the barrier exactly `approach_s` after the start.
     lead = belt.direction * way.center(line.approach_s)[1]
     way = replace(way, start_along_mm=barrier - half - lead)
 
@@ -68,7 +68,7 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
     stuck, stop = stuck_row(scenario.faults, board_number), math.inf
     if stuck is not None:
         stop = blocked + line.start_delay_s + stuck * line.period_s
-        # A board that has left the barrier before it stops does not interrupt it again.
+        # A board that stops after it has cleared the barrier does not interrupt the barrier again.
         clear = math.inf if stop < clear else clear
         way = replace(way, stop_s=stop)
     pulses = _pulses(scenario, blocked, clear)
@@ -76,16 +76,16 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
 
 
 def _pulses(scenario: Scenario, blocked_s: float, clear_s: float) -> tuple[float, ...]:
-    """Return the times of the pulses, at most as many as the longest board needs."""
+    """Return the times of the pulses. Their number is limited to what the longest board needs."""
     line, most = scenario.line, line_of(scenario).rows_of_longest_board
     times = (blocked_s + line.start_delay_s + k * line.period_s for k in range(most))
     return tuple(t for t in times if t <= clear_s + line.tail_s)
 
 
 def _crossing(ahead: Callable[[float], float]) -> float:
-    """Return the zero of an increasing function of time, by bisection to a nanosecond."""
+    """Find the time at which an increasing function becomes 0, by bisection to 1 ns."""
     low, high = 0.0, 1.0
-    # Bounded, because a board that never arrives would double the time for ever.
+    # The limit ends the loop for a board that never arrives.
     while ahead(high) < 0 and high < _FAR_FUTURE_S:
         high *= 2
     while high - low > 1e-9:
