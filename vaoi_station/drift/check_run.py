@@ -1,4 +1,4 @@
-"""The check of a run from its evidence; the station and `vaoi recalibrate` share it."""
+"""Computation of a run's drift check from the evidence of the run, for the station and for `vaoi recalibrate`."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ def check_run(
     evidence: Sequence[Evidence],
     stitch: Stitch,
 ) -> RunCheck:
-    """Estimate from a finished run where its cameras are.
+    """Estimate the displacements of all cameras from a finished run.
 
     Args:
         run: id of the run.
-        time: its time, as text.
-        board_type: name or digest.
-        setup: the setup of its stitching.
-        times_s: (m,) time of every row.
-        evidence: of its tasks, in any order.
-        stitch: its result.
+        time: time of the run, as text.
+        board_type: name or digest of the board type.
+        setup: the inputs with which the run was stitched.
+        times_s: (m,) time of each of the m rows.
+        evidence: evidence of the run's tasks, in any order.
+        stitch: result of the run.
     """
-    # Sorted, so that the result does not depend on the order in which workers finished.
+    # The evidence is sorted, so that the result does not depend on the order in which workers finished.
     few = [subsample_links(e) for e in sorted(evidence, key=lambda e: e.task)]
     prepared = prepare_evidence(setup.cameras, setup.board_type, times_s, setup.conveyor_mm_s, few, stitch)
     return make_run_check(run, time, board_type, estimate_displacements(prepared))

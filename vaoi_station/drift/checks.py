@@ -1,4 +1,4 @@
-"""The check of a run as it is stored: small, and enough to detect a drift and to correct N_i later."""
+"""The drift check of a run as it is stored: a small record from which drift is detected and N_i is corrected later."""
 
 from __future__ import annotations
 
@@ -14,55 +14,59 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Strict
 
 _DIGITS = 7
-"""Significant digits of stored matrices: more than the estimate is good for, in half the text."""
+"""Significant digits of stored matrices: more than the accuracy of the estimate, in half the text of full precision."""
 _SEEN = 4
-"""Least number of links to neighbours from which a camera counts as seen."""
+"""Least number of links to neighbouring cameras from which a camera counts as seen."""
 
 
 class CameraCheck(Strict):
-    """One camera in one run; displacements are in px of its frame, against its calibration."""
+    """The displacement of one camera against its calibration, estimated from one run, in px of the camera's frame."""
 
     x_px: float
     y_px: float
     turn_px: float
-    """At the corner of the frame."""
+    """Motion of the frame's corner when the camera turns about the middle of the frame."""
     sigma_px: tuple[float, float, float]
     """Standard deviations of x, y and turn."""
     rms_px: float | None
-    """Residuals of links to its neighbours and of fiducials under the calibration; None without any."""
+    """Rms residual, without displacements, of links to neighbouring cameras and of fiducials; None if none exist."""
     left_px: float | None
-    """The same residuals with the displacements of all cameras taken out."""
+    """Rms of the same residuals after the estimated displacements of all cameras are applied."""
     links: int
-    """Links to neighbouring cameras."""
+    """Number of links to neighbouring cameras."""
     fiducials: int
+    """Number of fiducial detections."""
 
     @property
     def displacement_px(self) -> Floats:
-        """Displacement (3,): x, y, turn."""
+        """The displacement as an array (3,): x, y, turn."""
         return np.array([self.x_px, self.y_px, self.turn_px])
 
     @property
     def seen(self) -> bool:
-        """Whether the run shows where this camera is."""
+        """Whether the run has enough links or fiducials to estimate the displacement of this camera."""
         return self.links >= _SEEN or self.fiducials > 0
 
 
 class RunCheck(Strict):
-    """One run; `information` and `vector` are those of `equations.DisplacementEstimate`."""
+    """The stored drift check of one run: the state of every camera, and the normal equations of the displacements.
+
+    `information` and `vector` are those of `equations.DisplacementEstimate`.
+    """
 
     run: str
     time: str
     board_type: str
-    """Name or digest. Runs of one board type share systematic displacements."""
+    """Name or digest of the board type. Runs of one board type share systematic displacements."""
     cameras: tuple[CameraCheck, ...]
     rivals: tuple[int, ...]
     """Cameras that may have moved instead of those that show a displacement."""
     information: tuple[float, ...]
-    """Lower triangle of the symmetric matrix, row by row, px⁻²."""
+    """Lower triangle of the symmetric information matrix, row by row, px⁻²."""
     vector: tuple[float, ...]
 
     def normal_equations(self) -> tuple[Floats, Floats]:
-        """Return information (3n, 3n) and vector (3n,)."""
+        """Return the information matrix (3n, 3n) and the vector (3n,) of n cameras."""
         n = len(self.vector)
         matrix = np.zeros((n, n))
         matrix[np.tril_indices(n)] = self.information
@@ -70,7 +74,7 @@ class RunCheck(Strict):
 
 
 def make_run_check(run: str, time: str, board_type: str, estimate: DisplacementEstimate) -> RunCheck:
-    """Make the stored check of a run from its estimate."""
+    """Make the stored check of a run from the estimate of its cameras' displacements."""
     found = attribute_motion(estimate.information, estimate.vector)
     return RunCheck(
         run=run,
@@ -107,8 +111,8 @@ def _short(values: Floats) -> tuple[float, ...]:
 
 
 def combine_runs(checks: Sequence[RunCheck]) -> Attribution:
-    """Estimate the displacements from several runs together."""
-    # Information of independent runs adds up; so no evidence has to be kept for a correction.
+    """Estimate the displacements of the cameras from several runs together."""
+    # Normal equations of independent runs add up, so the evidence of old runs need not be kept for a correction.
     size = PARAMETERS * len(checks[0].cameras)
     information, vector = np.zeros((size, size)), np.zeros(size)
     for check in checks:

@@ -1,9 +1,10 @@
-"""The displacement of a camera against its calibration, and the camera matrix that follows.
+"""The displacement of a camera against its calibration, and the camera matrix of the displaced camera.
 
-Three numbers per camera, all in px of its own frame: the motion of the picture of the calibrated plane in the middle of
-the frame (x, y), and the motion of the frame's corner by a turn about the middle (turn). With a working distance they
-are a small rotation of the camera about its own centre, since a knock turns a camera much before it shifts it. Without
-one they are a motion in the plane of the image.
+A displacement has three numbers, all in px of the camera's frame. x and y are the motion of the picture of the
+calibrated plane in the middle of the frame. The third, called turn, is the motion of the frame's corner when the
+picture turns about the middle. If the working distance is known, the three numbers stand for a small rotation of the
+camera about its projection centre, since a knock turns a camera far more than it shifts it. If the working distance is
+unknown, they stand for a motion in the image plane.
 """
 
 from __future__ import annotations
@@ -21,14 +22,15 @@ PARAMETERS = 3
 
 
 def corner_radius_px(camera: Camera) -> float:
-    """Compute the distance from the middle of the frame to its corner, where a turn moves the picture most."""
+    """Compute the distance in px from the middle of the frame to a corner, where a turn moves the picture most."""
     return math.hypot(camera.width_px, camera.height_px) / 2
 
 
 def moved_from_calibrated(camera: Camera, displacement_px: Floats) -> Floats:
-    """Build T (3, 3), from undistorted pixels as calibrated to those of now; N_i becomes T·N_i.
+    """Build the homography T (3, 3) from undistorted pixels of the calibrated camera to those of the displaced one.
 
-    With a working distance T is K·R·K⁻¹, the homography of a camera that turned about its centre.
+    The displaced camera has the matrix T·N_i. If the working distance is known, T is K·R·K⁻¹, the homography of a
+    camera that turned about its projection centre by R; K holds the focal length and the principal point.
     """
     x, y, corner = (float(v) for v in displacement_px)
     cx, cy = camera.principal_point_px or camera.center_px
@@ -36,7 +38,7 @@ def moved_from_calibrated(camera: Camera, displacement_px: Floats) -> Floats:
     if camera.working_distance_mm is None:
         c, s = math.cos(turn), math.sin(turn)
         return np.array([[c, -s, x + cx - c * cx + s * cy], [s, c, y + cy - s * cx - c * cy], [0, 0, 1]])
-    # The focal length in px that belongs to this resolution at this distance; it is never calibrated by itself.
+    # The focal length in px follows from resolution and working distance, since it is not calibrated separately.
     f = camera.px_per_mm * camera.working_distance_mm
     rotation = cv2.Rodrigues(np.array([-y / f, x / f, turn]))[0]
     inner = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]])
@@ -44,8 +46,8 @@ def moved_from_calibrated(camera: Camera, displacement_px: Floats) -> Floats:
 
 
 def displace_camera(camera: Camera, displacement_px: Floats) -> Camera:
-    """Return the camera after a displacement."""
-    # The same object for no displacement: an unmoved camera keeps its N_i to the last digit.
+    """Return the camera with its N_i changed by a displacement (3,) px."""
+    # Without displacement the same object is returned, so that an unmoved camera keeps its N_i to the last digit.
     if not np.any(displacement_px):
         return camera
     matrix = moved_from_calibrated(camera, displacement_px) @ camera.image_from_row.matrix
@@ -53,7 +55,7 @@ def displace_camera(camera: Camera, displacement_px: Floats) -> Camera:
 
 
 def rms_displacement_px(displacement_px: Floats) -> float:
-    """Compute the motion of the picture, rms over the frame."""
+    """Compute the root mean square, over all points of the frame, of the picture's motion by a displacement (3,)."""
     x, y, corner = (float(v) for v in displacement_px)
-    # Over a rectangle, r² of a turn averages to a third of that at the corner.
+    # Over a rectangle, the mean squared motion by a turn is a third of the squared motion at the corner.
     return math.sqrt(x * x + y * y + corner * corner / 3)

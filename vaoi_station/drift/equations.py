@@ -1,9 +1,9 @@
-"""The adjustment of one run once more, with a displacement of every camera as unknowns.
+"""A second adjustment of a run, in which the displacements of all cameras are additional unknowns.
 
-Links and detections of fiducials are those of the stitching. The equations are the same, with three more unknowns per
-camera. The unknowns of the run alone (motion of its rows, C, height of its board) are eliminated. No picture of a board
-shows a motion of the whole array: those directions of the remaining information are empty, and `attribution` decides
-which camera has moved.
+Links and fiducial detections are those of the stitching. The equations are those of the first adjustment, with three
+more unknowns per camera. The other unknowns (motion of the rows, C, height of the board) are eliminated from the normal
+equations. Pictures of a board never show a motion of the whole array, so the remaining information matrix is singular
+in these directions. `attribution` then decides which camera has moved.
 """
 
 from __future__ import annotations
@@ -25,41 +25,46 @@ from vaoi_station.stitching.adjustment.similarity import apply_similarity, simil
 
 _ITERATIONS = 15
 _HELD_ITERATIONS = 2
-"""Iterations with the cameras as calibrated, for the residuals under the calibration."""
+"""Number of first iterations without displacements, which give the residuals under the calibration."""
 _CONVERGED_PX = 1e-3
 _STEP_PX = 0.05
-"""Step of numeric derivatives; the functions are smooth over hundreds of px."""
+"""Step of the numeric derivatives by a displacement. The functions are smooth over hundreds of px."""
 _ANYWHERE_PX = 100.0
 _FIRST_FLOOR_PX = 20.0
-"""First value of the links' scatter: links to a knocked camera must not be outliers."""
+"""First value of the scatter of links. It is large, so that links to a knocked camera do not count as outliers."""
 _FLOOR_PX = (0.010, 20.0)
 _PATIENCE = 0.25
-"""Least factor by which the scatter may shrink in one step."""
+"""Smallest ratio of the scatter of one step to the scatter of the step before."""
 _PAIR_SIGMA_PX, _PAIR_SHARE = 0.010, 0.25
-"""Error that the links of one pair of frames share, as in the adjustment of a run."""
+"""Error that all links of one pair of frames share: in px, and as a share of the scatter; the larger one counts.
+
+The adjustment of a run uses the same model."""
 _FIDUCIAL_SIGMA_PX = 0.05
-"""Detections made while filming are rougher than those of the result."""
+"""Noise added to fiducial detections: those made while filming are less precise than those of the result."""
 _KNEE, _CUT = 2.0, 6.0
 _SCALE_SIGMA = 3e-4
-"""Relative standard deviation of a board's scale against its CAD data."""
+"""Relative standard deviation of the scale between a board and its CAD data."""
 
 
 @dataclass(frozen=True, eq=False)
 class DisplacementEstimate:
-    """The displacements d̂ of n cameras by one run: minimise (d − d̂)ᵀ·information·(d − d̂)."""
+    """The displacements d̂ of n cameras estimated from one run, as normal equations.
+
+    A displacement d fits the run the worse, the larger (d − d̂)ᵀ·information·(d − d̂) is.
+    """
 
     information: Floats
-    """(3n, 3n) px⁻²; singular along motions of the whole array."""
+    """(3n, 3n) px⁻², information matrix of d̂; singular for motions of the whole array."""
     vector: Floats
-    """(3n,) px⁻¹: information · d̂, which stays finite where d̂ is not known."""
+    """(3n,) px⁻¹, the product information · d̂. It is finite even where d̂ is undetermined."""
     rms_px: Floats
-    """(n,) residuals of the links between neighbours and of the fiducials under the calibration; NaN without any."""
+    """(n,) rms residual, without displacements, of links to neighbouring cameras and fiducials; NaN if none exist."""
     left_px: Floats
-    """(n,) the same residuals with the displacements taken out."""
+    """(n,) rms of the same residuals after the estimated displacements are applied."""
     links: Ints
-    """(n,) links to neighbouring cameras that were used."""
+    """(n,) number of links to neighbouring cameras that were used."""
     fiducials: Ints
-    """(n,) detections of fiducials that were used."""
+    """(n,) number of fiducial detections that were used."""
 
 
 def estimate_displacements(run: RunEvidence) -> DisplacementEstimate:
@@ -97,19 +102,22 @@ class _Solver:
         self.held: tuple[Floats, Floats] = (np.zeros(0), np.zeros(0))
 
     def step(self, *, held: bool = False) -> float:
-        """Take one reweighted Gauss-Newton step, without displacements if `held`; return their largest change, px."""
+        """Take one Gauss-Newton step with robust weights; return the largest change of a displacement, px.
+
+        If `held` is true, all displacements stay as they are.
+        """
         self._project()
         normal, right = sum_blocks([*self._links(), *self._belt(), *self._fiducials(), *self._height()], self.size)
-        # The gauge: row 0 is the identity. Its three equations are replaced by "no change".
+        # The gauge: D_0 is the identity. The three equations of row 0 are replaced by "no change".
         first = slice(self.rows_at, self.rows_at + 3)
         normal[first, :] = normal[:, first] = 0
         normal[first, first], right[first] = np.eye(3), 0
-        # Schur complement: the run's own unknowns are eliminated, the cameras' remain.
+        # Schur complement: it eliminates the unknowns of the run, and the displacements of the cameras remain.
         own = slice(self.rows_at, None)
         tied = np.linalg.solve(normal[own, own], np.column_stack([normal[own, : self.rows_at], right[own]]))
         cross = normal[: self.rows_at, own]
         self.information = normal[: self.rows_at, : self.rows_at] - cross @ tied[:, :-1]
-        # Rounding makes it slightly asymmetric, and it is stored as a triangle.
+        # Rounding makes the matrix slightly asymmetric, but only one triangle of it is stored.
         self.information = (self.information + self.information.T) / 2
         self.vector = right[: self.rows_at] - cross @ tied[:, -1] + self.information @ self.d.ravel()
         # A weak prior makes the system regular; which camera has moved is decided later.
@@ -120,10 +128,10 @@ class _Solver:
         return float(np.abs(change).max())
 
     def release(self) -> None:
-        """Let the cameras be displaced from now on."""
+        """Store the residuals of the calibrated cameras; steps without `held` follow."""
         self._project()
         self.held = self._squares()
-        # Weights start anew: links to a knocked camera were outliers while it was held.
+        # Weights start anew: links to a knocked camera were outliers as long as its displacement was held at zero.
         self.fresh, self.floor_px = True, {False: _FIRST_FLOOR_PX, True: _FIRST_FLOOR_PX}
 
     def _move(self, change: Floats, rest: Floats) -> None:
@@ -135,21 +143,21 @@ class _Solver:
         self.height = self.height + rest[self.height_at - self.rows_at :]
 
     def _project(self) -> None:
-        """Compute ground points of all links and detections with the present displacements, and their derivatives."""
+        """Map links and detections to the ground with the present displacements; store points and derivatives."""
         run, cameras = self.run, self.run.cameras
         self.a, self.a_by = _ground(cameras, self.d, run.camera_a, run.a_px)
         self.b, self.b_by = _ground(cameras, self.d, run.camera_b, run.b_px)
         self.f, self.f_by = _ground(cameras, self.d, run.camera_f, run.f_px)
 
     def _residuals(self) -> tuple[Floats, Floats]:
-        """Compute residuals (k, 2) mm of the links, and their change per mm of height."""
+        """Compute residuals (k, 2) mm of the k links, and the change (k, 2) of these residuals per mm of height."""
         o, motion = self.run.links, self.motion
         lean = motion.turned(o.q, o.b_lean) - motion.turned(o.p, o.a_lean)
         rise = self.run.surface.at_links @ self.height
         return motion.board(o.q, self.b) - motion.board(o.p, self.a) + lean * rise[:, None], lean
 
     def _fiducial_residuals(self) -> tuple[Floats, Floats]:
-        """Compute residuals (s, 2) mm of the fiducials, and their change per mm of height."""
+        """Compute residuals (s, 2) mm of the s detections, and the change (s, 2) of residuals per mm of height."""
         s, run = self.run.fiducials, self.run
         assert s is not None
         assert self.c is not None
@@ -158,13 +166,13 @@ class _Solver:
         return self.motion.board(s.row, self.f) + lean * rise[:, None] - apply_similarity(self.c, s.cad), lean
 
     def _weights(self, residual: Floats) -> Floats:
-        """Compute robust weights (k, 2, 2) mm⁻², smaller where a pair of frames has many links."""
+        """Compute robust weights (k, 2, 2) mm⁻². A link weighs less if its pair of frames has many links."""
         o, self.settled = self.run.links, not self.fresh
         for kind in (False, True):
             px = (residual * o.px_per_mm[:, None])[self.same_row == kind]
             if len(px) and not self.fresh:
                 scatter = float(np.clip(median_sigma(px), *_FLOOR_PX))
-                # Shrinks slowly: right links to a knocked camera win over false ones only after some steps.
+                # The scatter shrinks slowly, since correct links to a knocked camera need some steps to prevail.
                 least = _PATIENCE * self.floor_px[kind]
                 self.settled = self.settled and scatter >= least
                 self.floor_px[kind] = max(scatter, least)
@@ -180,7 +188,7 @@ class _Solver:
         return np.asarray(information * (self.used * share)[:, None, None])
 
     def _links(self) -> Iterator[Block]:
-        """Make one block per pair of frames."""
+        """Make the normal equations' blocks of the links, one block per pair of frames."""
         o, run = self.run.links, self.run
         if not len(o):
             return
@@ -211,7 +219,7 @@ class _Solver:
         )
 
     def _belt(self) -> list[Block]:
-        """Hold the conveyor at its mean speed, as measured."""
+        """Make the blocks that keep the rows' motion near the conveyor's mean velocity, as measured in this run."""
         if self.m < 2:
             return []
         dt = np.diff(self.run.times_s)
@@ -246,7 +254,7 @@ class _Solver:
         return [Block(np.arange(self.height_at, self.size), np.diag(1 / sigma), self.height / sigma)]
 
     def _squares(self) -> tuple[Floats, Floats]:
-        """Compute squared residuals px² of the links (k,) and of the fiducials (s,)."""
+        """Compute the squared residuals, px², of the k links and of the s fiducial detections."""
         residual, _ = self._residuals()
         links = ((residual * self.run.links.px_per_mm[:, None]) ** 2).sum(1)
         if self.run.fiducials is None:
@@ -255,7 +263,7 @@ class _Solver:
         return links, ((off * self.run.fiducials.px_per_mm[:, None]) ** 2).sum(1)
 
     def estimate(self) -> DisplacementEstimate:
-        """Return the estimate of the last step."""
+        """Return the estimate after the last step, with residuals and counts per camera."""
         run = self.run
         self._project()
         if len(run.links):
@@ -267,7 +275,7 @@ class _Solver:
         return DisplacementEstimate(self.information, self.vector, before, after, np.asarray(links), marks)
 
     def _rms(self, squares: tuple[Floats, Floats], kept: Ints, count: Ints) -> Floats:
-        """Compute rms residuals (n,) px of the kept links to neighbours and of the fiducials; NaN without any."""
+        """Compute the rms residual (n,) px per camera, of kept links to neighbours and fiducials; NaN without any."""
         run, (links, marks) = self.run, squares
         total = np.bincount(run.camera_f, marks, minlength=self.n)
         for camera in (run.camera_a, run.camera_b):
@@ -276,7 +284,10 @@ class _Solver:
 
 
 def _ground(cameras: Sequence[Camera], d: Floats, which: Ints, px: Floats) -> tuple[Floats, Floats]:
-    """Map undistorted pixels to ground points (k, 2) mm, with derivatives (k, 2, 3) by their camera's displacement."""
+    """Map undistorted pixels `px` (k, 2) of the cameras numbered `which` (k,) to ground points (k, 2) mm.
+
+    `d` (n, 3) are the displacements of the cameras. Also return the derivatives (k, 2, 3) of the points by them.
+    """
     ground, by = np.zeros((len(px), 2)), np.zeros((len(px), 2, PARAMETERS))
     for i, camera in enumerate(cameras):
         at = np.flatnonzero(which == i)
@@ -289,12 +300,12 @@ def _ground(cameras: Sequence[Camera], d: Floats, which: Ints, px: Floats) -> tu
 
 
 def _turned(motion: Motion, row: Ints, arrows: Floats) -> Floats:
-    """Rotate derivatives (k, 2, f) into the board's coordinates."""
+    """Rotate derivatives (k, 2, f), taken in the rows numbered `row` (k,), into board coordinates."""
     return np.stack([motion.turned(row, arrows[:, :, k]) for k in range(arrows.shape[2])], -1)
 
 
 def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
-    """Compute the derivative (k, 2, 3) of a board point by (φ, sx, sy) of its row."""
+    """Compute derivatives (k, 2, 3) of board points by their rows' motion (φ, sx, sy): turn, shift x, shift y."""
     arm = motion.turned(row, ground_mm - motion.pivot)
     one, nil = np.ones(len(arm)), np.zeros(len(arm))
     return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)

@@ -1,4 +1,4 @@
-"""The evidence of a finished run, prepared for `equations`: links on the bare board, fiducials, first values."""
+"""The evidence of a finished run, prepared for `equations`: links on the bare board, fiducials and initial values."""
 
 from __future__ import annotations
 
@@ -21,26 +21,29 @@ from vaoi_station.stitching.board.footprints import component_at
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
 
 _LINKS_OF_ROWS = 24
-"""Links per pair of rows of one camera that are used."""
+"""Largest number of links that are used per pair of rows of one camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunEvidence:
-    """A run under its calibration; k links and s detections of fiducials."""
+    """The inputs of the second adjustment of a run, with k links and s fiducial detections.
+
+    Link number n joins the pixel `a_px[n]` of camera `camera_a[n]` with the pixel `b_px[n]` of camera `camera_b[n]`.
+    """
 
     cameras: tuple[Camera, ...]
     times_s: Floats
     links: Observations
-    """Links on the bare board; all links where C is not known."""
+    """Links on the bare board. If C is unknown, all links."""
     camera_a: Ints
     a_px: Floats
     """(k, 2) undistorted pixels."""
     camera_b: Ints
     b_px: Floats
     motion: Motion
-    """First values of the rows' motion."""
+    """Initial values of the rows' motion."""
     surface: SurfaceBasis
-    """Basis of the board's height; one constant where C is not known."""
+    """Basis functions of the board's height. If C is unknown, the only one is a constant."""
     fiducials: FiducialPoints | None
     camera_f: Ints
     f_px: Floats
@@ -59,12 +62,12 @@ def prepare_evidence(
     """Prepare the evidence of a run.
 
     Args:
-        cameras: as calibrated.
-        board_type: of the board that was filmed.
-        times_s: (m,) time of every row.
-        velocity_mm_s: nominal motion of the belt.
-        evidence: of the run's tasks, in any order.
-        stitch: the run's result; only its C is used, if it has one.
+        cameras: the cameras as calibrated.
+        board_type: board type of the run; None if it is unknown.
+        times_s: (m,) time of each of the m rows.
+        velocity_mm_s: nominal velocity of the belt.
+        evidence: evidence of the run's tasks, in any order.
+        stitch: result of the run. Only C is read from it, if the result has one.
     """
     order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
     found = [e for e in order if isinstance(e, Links) and e.task.kind != "reference" and not e.unmatched]
@@ -74,7 +77,7 @@ def prepare_evidence(
     plane = None if board_type is None or stitch.cad_matrix is None else board_plane(board_type, cameras[0])
     c = None if plane is None or stitch.cad_matrix is None else _similarity(stitch.cad_matrix)
     if plane is not None and c is not None:
-        # A link on a component has a height of its own, which looks like a displacement across a seam.
+        # A link on a component lies above the board. Across a seam, this height looks like a displacement of a camera.
         bare = component_at(plane, c, motion.board(seen.p, seen.a_mm)) < 0
         found, seen = _kept(found, bare), to_observations(_kept(found, bare), cameras)
     points, camera_f, f_px = _fiducials(plane, c, order, cameras, motion)
@@ -97,8 +100,8 @@ def prepare_evidence(
 
 
 def subsample_links(e: Evidence) -> Evidence:
-    """Choose links of a pair of rows evenly; other evidence is returned as it is."""
-    # Links of one camera do not show where it is. They hold the motion of the rows, for which a few suffice.
+    """Choose an even subset of the links of a pair of rows. Evidence of other kinds is returned as it is."""
+    # Links within one camera do not show its displacement. They determine the motion of the rows, and few are enough.
     if not isinstance(e, Links) or e.task.kind != "rows" or len(e.a_px) <= _LINKS_OF_ROWS:
         return e
     use = np.linspace(0, len(e.a_px) - 1, _LINKS_OF_ROWS).round().astype(np.int_)
@@ -106,7 +109,7 @@ def subsample_links(e: Evidence) -> Evidence:
 
 
 def _kept(links: Sequence[Links], keep: np.ndarray) -> list[Links]:
-    """Drop the links that are not to keep (k,)."""
+    """Return the links with only those point pairs that `keep` (k,) selects; k counts the pairs of all links."""
     out, start = [], 0
     for e in links:
         use = keep[start : start + len(e.a_px)]
@@ -116,7 +119,7 @@ def _kept(links: Sequence[Links], keep: np.ndarray) -> list[Links]:
 
 
 def _similarity(cad_matrix: Floats) -> Floats:
-    """Extract the parameters (4,) a, b, x, y from C as results carry it."""
+    """Extract the parameters (4,) a, b, x, y from the 3×3 matrix C of a result."""
     c = cad_matrix / cad_matrix[2, 2]
     return np.array([c[0, 0], c[1, 0], c[0, 2], c[1, 2]])
 
@@ -124,7 +127,7 @@ def _similarity(cad_matrix: Floats) -> Floats:
 def _fiducials(
     plane: BoardPlane | None, c: Floats | None, evidence: Sequence[Evidence], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[FiducialPoints | None, Ints, Floats]:
-    """Select detections that are fiducials under C, with their cameras and pixels; None if there are none."""
+    """Select the detections that are fiducials under C; return their points, cameras and pixels. No points: None."""
     parts, camera, px = [], [], []
     for s in evidence:
         if plane is None or c is None or not isinstance(s, Detections) or not len(s.px):
@@ -141,7 +144,7 @@ def _fiducials(
 
 
 def _pixels_of(points: FiducialPoints, s: Detections, camera: Camera) -> Floats:
-    """Find the pixels of the detections from which these points were made."""
+    """Find the pixels of the detections `s` from which the fiducial points were made."""
     ground = camera.ground(s.px)
     off = np.hypot(*np.moveaxis(ground[None] - points.ground_mm[:, None], 2, 0))
     return np.asarray(s.px[off.argmin(1)])

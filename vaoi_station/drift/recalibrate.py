@@ -1,4 +1,4 @@
-"""Corrected N_i from production runs: a proposal with its uncertainty, or a refusal with numbers."""
+"""Correction of N_i from production runs: a proposal with its uncertainty, or a refusal that states the numbers."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from vaoi_station.model import Calibration, CameraHead
 
 LEAST_RUNS, MOST_RUNS = 3, 50
 LEAST_LINKS = 30
-"""Least number of links to neighbours of one camera, over all runs."""
+"""Least number of links from one camera to its neighbours, over all runs."""
 _SIGMAS = 4.0
 _KNOWN_PX = 0.25
-"""Largest standard deviation of a displacement that is corrected, for each number."""
+"""Largest standard deviation of x, y or turn with which a displacement is still corrected."""
 _AGREE_PX, _AGREE_SIGMAS = 0.15, 5.0
-"""Largest difference between a single run and all runs together."""
+"""Largest difference between the displacement by one run and that by all runs: in px, and in standard deviations."""
 _STEP_PX = 0.05
 
 
@@ -37,10 +37,11 @@ class Proposal:
     corrected: tuple[int, ...]
     """Cameras whose N_i changes."""
     before_px: tuple[float | None, ...]
-    """Per camera: residuals of links to neighbours and of fiducials under the calibration in force, rms."""
+    """Per camera: rms residual of links to neighbouring cameras and of fiducials, under the calibration in force."""
     after_px: tuple[float | None, ...]
-    """The same residuals with the displacements taken out."""
+    """Per camera: rms of the same residuals after the estimated displacements are applied."""
     runs: int
+    """Number of runs that were used."""
 
     def lines(self) -> list[str]:
         """Describe the proposal in one line per camera."""
@@ -69,21 +70,21 @@ def recalibrate(
     checks: Sequence[RunCheck],
     created: datetime | None = None,
 ) -> Proposal:
-    """Propose corrected N_i.
+    """Propose a calibration with corrected N_i of the cameras that have moved.
 
     Args:
-        calibration: under which the runs were stitched.
-        heads: sizes of the frames.
-        checks: the runs, oldest first.
+        calibration: the calibration with which the runs were stitched.
+        heads: sizes of the cameras' frames.
+        checks: checks of the runs, oldest first.
         created: date of the new calibration; by default now.
 
     Raises:
-        InputError: too few runs or links, a camera that no run shows, runs that contradict one another.
+        InputError: there are too few runs or links, no run shows one of the cameras, or runs contradict one another.
     """
     cameras = calibration.cameras(tuple(heads))
     _refuse_too_little(checks, len(cameras))
     found = combine_runs(checks)
-    # Only cameras that have plainly moved: the others keep their N_i to the last digit.
+    # Only cameras that have clearly moved are corrected. The others keep their N_i to the last digit.
     corrected = tuple(i for i in range(len(cameras)) if _has_moved(found, i))
     for i in corrected:
         _refuse_vague(found, i)
@@ -139,8 +140,8 @@ def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
 
 
 def _refuse_vague(found: Attribution, i: int) -> None:
-    """Refuse a camera whose displacement is known too badly to be corrected."""
-    # It shares too little with its neighbours: what it shows may as well be the height of the boards.
+    """Raise InputError if the displacement of camera i is too uncertain to be corrected."""
+    # The camera shares few links with its neighbours, so the displacement may in truth be the height of the boards.
     sigma = found.sigma_px[i]
     if sigma.max() > _KNOWN_PX:
         x, y, turn = found.displacement_px[i]
@@ -154,8 +155,8 @@ def _refuse_vague(found: Attribution, i: int) -> None:
 
 
 def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: int) -> None:
-    """Refuse runs of which one contradicts all together about a camera."""
-    # Runs before and after a knock, or with a loose mount, have no common answer, and their mean is wrong for all.
+    """Raise InputError if one run gives another displacement of camera i than all runs together."""
+    # Runs before and after a knock, or with a loose mount, have no common displacement. Their mean is wrong for all.
     worst: tuple[float, RunCheck] | None = None
     for check in checks:
         camera = check.cameras[i]
@@ -176,7 +177,10 @@ def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: in
 
 
 def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, i: int) -> list[list[float]]:
-    """Add the covariance of the displacement to that of N_i (n11 … n32, then the lens)."""
+    """Add the covariance of camera i's displacement to the covariance of its N_i.
+
+    The first eight parameters of that covariance are n11 … n32 of N_i; those of the lens follow and stay as they are.
+    """
 
     def entries(d: Floats) -> Floats:
         m = displace_camera(camera, d).image_from_row.matrix
@@ -191,7 +195,7 @@ def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, 
 
 
 def _mean(checks: Sequence[RunCheck], key: str) -> tuple[float | None, ...]:
-    """Compute the root mean square over the runs, per camera; None where no run has a value."""
+    """Compute per camera the root mean square over the runs of the value named `key`; None where no run has it."""
     out = []
     for i in range(len(checks[0].cameras)):
         values = [v for check in checks if (v := getattr(check.cameras[i], key)) is not None]

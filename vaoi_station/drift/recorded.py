@@ -1,4 +1,4 @@
-"""Checks of recorded runs, made as the station makes those of its own."""
+"""Drift checks of recorded runs, computed in the same way as the station checks its live runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.stitching.work import all_tasks
 
 
 def check_recording(opened: OpenedRun) -> RunCheck:
-    """Stitch a recording and check its cameras; the check has the directory as its name."""
+    """Stitch a recording and check its cameras. The check carries the recording's directory as the run id."""
     times_s, present = opened.recording.head.row_times_s(), opened.present
     runner = opened.runner()
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), opened.setup)]

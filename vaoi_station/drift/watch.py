@@ -1,8 +1,10 @@
-"""Drift detection: the test for cameras that have moved since their calibration, over a sequence of runs.
+"""Drift detection: a statistical test, over a sequence of runs, for cameras that have moved since their calibration.
 
-Two cumulative sums (CUSUM; Page 1954) per number and camera, up and down, of deviations in standard deviations. One odd
-board raises no alarm; two in a row that are far off do, and so does a creeping drift within some runs. What boards of a
-type always show (a board that lies a little higher, errors of the calibration) is subtracted as long as it is small.
+For each camera and each of x, y and turn there are two cumulative sums (CUSUM; Page 1954), one of upward and one of
+downward deviations, in standard deviations. One unusual board raises no alarm. Two boards in a row with large
+deviations raise an alarm, and a slow drift raises it after some runs. The baseline of each board type is subtracted
+first, as long as it is small: boards of one type may always lie a little higher, and the calibration may have small
+errors.
 """
 
 from __future__ import annotations
@@ -19,21 +21,21 @@ from vaoi_station.geometry.robust import median_sigma
 from vaoi_station.geometry.transforms import Floats
 
 BASELINE_RUNS = 5
-"""Number of first runs of a board type that give its baseline, its usual displacements."""
+"""Number of first runs of a board type from which its baseline (its usual displacements) is computed."""
 _BASELINE_PX = 0.15
-"""Largest displacement (root of the sum of the three squares) that counts as baseline and not as a move."""
+"""Largest length of a vector (x, y, turn) that is still a baseline. A larger one is a camera that has moved."""
 VANISHED_RUNS = 3
-"""Number of boards in a row that do not show a camera before it counts as vanished."""
+"""Number of consecutive boards without evidence of a camera after which the camera counts as vanished."""
 _USUALLY = 0.8
-"""Least share of the boards before that showed it."""
+"""Least share of the earlier boards that must have shown a camera before it can count as vanished."""
 LEAST_PX = 0.05
-"""Smallest drift (rms over the frame) that is reported; smaller ones do no harm."""
+"""Smallest drift (rms over the frame) that is reported. Smaller drifts do no harm."""
 _FLOOR_PX = 0.02
-"""Scatter of displacements from board to board, beyond their standard deviations."""
+"""Scatter of displacements from board to board, in addition to their estimated standard deviations."""
 _SLACK, _ALARM, _MOST = 0.5, 10.0, 6.0
-"""Of the sums: subtracted in each run, level of an alarm, and largest contribution of one run."""
+"""Parameters of the sums: amount subtracted in each run, alarm level, and largest deviation counted for one run."""
 _CEILING = _ALARM + 3.0
-"""Ceiling of the sums, so that a camera that was set right is cleared after some runs."""
+"""Largest value of a sum. It is limited so that the alarm ends some runs after the camera is corrected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,24 +44,24 @@ class Drift:
 
     camera: int
     displacement_px: tuple[float, float, float]
-    """x, y, and turn at the corner: mean of the runs since."""
+    """x, y, and turn at the corner: median of the runs since the drift began."""
     size_px: float
-    """Motion of the picture, rms over the frame."""
+    """Motion of the picture by the displacement, rms over the frame."""
     since: int
-    """Index of the first run that shows it, among the runs given."""
+    """Index, among the given runs, of the first run that shows the drift."""
     since_run: str
     since_time: str
     runs: int
-    """Number of runs that show it."""
+    """Number of runs since then that show the camera."""
     instead: tuple[int, ...]
-    """Cameras that may have moved in its place."""
+    """Cameras that may have moved instead of this one."""
 
 
 def find_drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
-    """Find the drifts that hold at the end of these runs.
+    """Find the drifts that are present at the end of a sequence of runs.
 
     Args:
-        checks: runs under one calibration, oldest first.
+        checks: checks of runs under one calibration, oldest first.
     """
     if not checks:
         return ()
@@ -67,7 +69,7 @@ def find_drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
     off = d - _baselines(checks, d)
     seen = np.array([[c.seen for c in check.cameras] for check in checks])
     formal = np.array([[c.sigma_px for c in check.cameras] for check in checks])
-    # The scatter of this line is measured, since boards differ more than their standard deviations say.
+    # The scatter is measured on this line, since boards differ more than the estimated standard deviations predict.
     scatter = median_sigma(off[seen]) if seen.any() else 0.0
     z = off / np.sqrt(formal**2 + _FLOOR_PX**2 + scatter**2)
     found = [_drift(checks, d[:, i], seen[:, i], i, k) for i, k in _alarms(z, seen).items()]
@@ -75,12 +77,12 @@ def find_drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
 
 
 def find_vanished_cameras(checks: Sequence[RunCheck]) -> tuple[int, ...]:
-    """Find cameras that the last boards do not show although boards of their type usually do.
+    """Find cameras that the last boards do not show although earlier boards of the same type usually did.
 
-    Such a camera was perhaps knocked so far that it shares nothing with its neighbours.
+    Such a camera was perhaps knocked so far that its view no longer overlaps with those of its neighbours.
 
     Args:
-        checks: runs under one calibration, oldest first.
+        checks: checks of runs under one calibration, oldest first.
     """
     alike = [check for check in checks if check.board_type == checks[-1].board_type]
     seen = np.array([[camera.seen for camera in check.cameras] for check in alike])
@@ -91,27 +93,35 @@ def find_vanished_cameras(checks: Sequence[RunCheck]) -> tuple[int, ...]:
 
 
 def _baselines(checks: Sequence[RunCheck], d: Floats) -> Floats:
-    """Compute the baseline of every run, (runs, n, 3) px: the median of the first runs of its board type."""
+    """Compute for every run the baseline of its board type: (runs, n, 3) px for n cameras.
+
+    The baseline is the median displacement of the first runs of the board type; zero for a camera where it is large.
+    """
     by_type: dict[str, list[int]] = defaultdict(list)
     for k, check in enumerate(checks):
         by_type[check.board_type].append(k)
     baselines = np.zeros_like(d)
     for at in by_type.values():
         usual = np.median(d[at[:BASELINE_RUNS]], axis=0)
-        # A camera that was knocked before the first run shows a large usual displacement: that one is reported.
+        # A camera that was knocked before the first run has a large usual displacement. It is reported, not subtracted.
         small = np.hypot.reduce(usual, axis=1, keepdims=True) <= _BASELINE_PX
         baselines[at] = np.where(small, usual, 0.0)
     return baselines
 
 
 def _alarms(z: Floats, seen: np.ndarray) -> dict[int, int]:
-    """Find cameras in alarm at the end of the runs (runs, n, 3), each with the index of its first run."""
+    """Find the cameras in alarm at the end of the runs, each with the index of the run in which its drift began.
+
+    Args:
+        z: (runs, n, 3) deviations of n cameras from the baseline, in standard deviations.
+        seen: (runs, n) whether each run shows each camera.
+    """
     n = z.shape[1]
     sums, began = np.zeros((n, 2 * PARAMETERS)), np.zeros((n, 2 * PARAMETERS), dtype=np.int_)
-    # Clipped, so that one odd board (lifted, or badly linked) never raises the alarm alone.
+    # Deviations are clipped, so that one unusual board (lifted, or badly linked) never raises the alarm alone.
     steps = np.clip(np.concatenate([z, -z], -1), -_MOST, _MOST) - _SLACK
     for k, step in enumerate(steps):
-        # A run that does not show a camera leaves its sums as they are.
+        # A run that does not show a camera leaves the sums of this camera as they are.
         here = seen[k][:, None]
         began = np.where(here & (sums <= 0), k, began)
         sums = np.where(here, np.clip(sums + step, 0, _CEILING), sums)
@@ -121,7 +131,7 @@ def _alarms(z: Floats, seen: np.ndarray) -> dict[int, int]:
 
 def _drift(checks: Sequence[RunCheck], d: Floats, seen: np.ndarray, camera: int, since: int) -> Drift:
     at = since + np.flatnonzero(seen[since:])
-    # Reported as measured, without the baseline: `vaoi recalibrate` corrects the whole displacement.
+    # The measured displacement is reported, baseline included: `vaoi recalibrate` corrects all of it.
     middle = np.median(d[at], axis=0)
     x, y, turn = (float(v) for v in middle)
     return Drift(

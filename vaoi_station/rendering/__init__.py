@@ -1,4 +1,4 @@
-"""Temporary images: upright, CAD-aligned pictures of components, resampled from the frames (section 3.4)."""
+"""Temporary images: upright, CAD-aligned pictures of components, resampled from the frames (paper, section 3.4)."""
 
 from vaoi_station.rendering.temporary import render
 from vaoi_station.rendering.views import View, ViewCalculator, compute_views

@@ -1,7 +1,7 @@
-"""The contact sheet: one picture of many component pictures, labelled, under the run's verdict.
+"""The contact sheet of a run: one image with labelled pictures of many components, and the verdict above them.
 
-Pictures lie in a grid. Large components get several cells, so that a connector and a resistor are both legible. The
-sheet is for people: its grey levels and sizes are not those of the frames.
+The pictures lie in a grid. Large components get several cells, so that a connector and a resistor are both legible. The
+sheet is meant for people, not for measurements: grey levels and sizes differ from those of the frames.
 """
 
 from __future__ import annotations
@@ -25,51 +25,54 @@ CELL_PX, GAP_PX, MARGIN_PX = 72, 8, 24
 LABEL_PX = 18
 HEADER_PX = 92
 MOST_CELLS = 3
-"""Largest number of cells of a picture along each axis."""
+"""Largest number of cells that a picture takes along each axis."""
 SIDE_PER_CELL_PX = 130
-"""A picture whose side is n² times this gets n cells along it, up to `MOST_CELLS`."""
+"""Side of a picture in px for one cell. A side up to n² times as long gets n cells, at most `MOST_CELLS`."""
 MAGNIFIED = 2.0
-"""Largest enlargement of small pictures."""
+"""Largest factor by which small pictures are enlarged."""
 GREY_STEP = 4
-"""Step of grey levels: 64 levels are enough for the eye and halve the file, since the rest is mostly noise."""
+"""Step between grey levels. 64 levels are enough for the eye and halve the file; finer levels are mostly noise."""
 
 _PAPER, _CARD, _INK, _FAINT = (255, 255, 255), (243, 241, 239), (38, 32, 28), (116, 106, 98)
 _COLOURS = {Status.OK: (82, 130, 28), Status.DEGRADED: (0, 118, 196), Status.FAILED: (38, 38, 190)}
-"""Blue, green, red."""
+"""Colour of each verdict; all colours are in the channel order of OpenCV: blue, green, red."""
 _NAME, _NOTE = (12, 700), (11, 400)
-"""Size and weight of a label."""
+"""Font size and weight of a tile's title and of its note."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """One component: its picture, (h, w) or (h, w, 3), 8 or 16 bit, or None; its name; the frame of the picture."""
+    """The part of the sheet that shows one component: its picture and its label."""
 
     picture: NDArray[Any] | None
+    """(h, w) or (h, w, 3) pixels, 8 or 16 bit; None if no frame shows the component."""
     title: str
+    """Main text of the label: the component's name or the frame of the picture."""
     note: str = ""
+    """Fainter text beside the title, such as the frame or the coverage."""
 
     @property
     def span(self) -> tuple[int, int]:
-        """Number of cells along x and y."""
+        """Number of cells that the tile takes along x and y."""
         if self.picture is None:
             return 1, 1
         sides = self.picture.shape[1::-1]
         columns, rows = (min(max(math.ceil(math.sqrt(s / SIDE_PER_CELL_PX)), 1), MOST_CELLS) for s in sides)
         width, height = _fitted_size(sides, _box(columns, rows))
-        # A long, thin picture does not fill its square of cells: only those it covers are taken.
+        # A long, thin picture does not fill its block of cells. The tile takes only the cells that the picture covers.
         return min(columns, -(-(width + GAP_PX) // _step(0))), min(rows, -(-(height + GAP_PX + LABEL_PX) // _step(1)))
 
 
 def contact_sheet(tiles: Sequence[Tile], title: str, status: Status, facts: Sequence[str]) -> Canvas:
-    """Draw the sheet, (h, w, 3) blue-green-red; its width is fixed, its height follows from the tiles.
+    """Draw the contact sheet, (h, w, 3) in blue, green, red. The width w is fixed; the height h follows from the tiles.
 
     Args:
-        tiles: in any order; large ones are placed first.
-        title: of the run.
-        status: the verdict, beside the title.
-        facts: short phrases below it.
+        tiles: components to show, in any order; large tiles are placed first.
+        title: title of the sheet, which names the run.
+        status: verdict on the run, drawn beside the title.
+        facts: short phrases, drawn in one line below the title.
     """
-    # Large ones first: small ones fill the gaps that they leave.
+    # Large tiles are placed first; small tiles then fill the gaps between them.
     order = sorted(tiles, key=lambda t: -t.span[0] * t.span[1])
     places = _places([t.span for t in order])
     rows = max((y + t.span[1] for (_, y), t in zip(places, order, strict=True)), default=0)
@@ -82,12 +85,12 @@ def contact_sheet(tiles: Sequence[Tile], title: str, status: Status, facts: Sequ
 
 
 def _step(axis: int) -> int:
-    """Return the distance from one cell to the next, along x (0) or y (1)."""
+    """Return the distance in px from one cell to the next, along x (axis 0) or y (axis 1)."""
     return CELL_PX + GAP_PX + (LABEL_PX if axis else 0)
 
 
 def _places(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Assign column and row to every tile: the first free place from the top."""
+    """Choose the column and row of every tile: the first place from the top where all of its cells are free."""
     taken: set[tuple[int, int]] = set()
     places = []
     for columns, rows in spans:
@@ -119,7 +122,7 @@ def _draw_header(sheet: Canvas, title: str, status: Status, facts: Sequence[str]
 
 
 def _draw_tile(sheet: Canvas, tile: Tile, x: int, y: int) -> None:
-    """Draw the picture with its label below."""
+    """Draw a tile at pixel (x, y) of the sheet: the picture, and the label below it."""
     width, height = _box(*tile.span)
     sheet[y : y + height, x : x + width] = _CARD
     if tile.picture is not None:
@@ -133,49 +136,49 @@ def _draw_tile(sheet: Canvas, tile: Tile, x: int, y: int) -> None:
 
 
 def _fitted(picture: NDArray[Any], box: tuple[int, int]) -> Canvas:
-    """Scale a picture to a box, in three channels of 64 levels."""
+    """Scale a picture to fit into a box (width, height), and convert it to three channels with 64 grey levels."""
     eight = picture if picture.dtype == np.uint8 else np.asarray(picture >> 8, np.uint8)
     size = _fitted_size(eight.shape[1::-1], box)
-    # INTER_AREA averages, which avoids aliases when shrinking; when enlarging it would show blocks.
+    # INTER_AREA averages pixels, which avoids aliasing when a picture shrinks. An enlarged picture would show blocks.
     scaled = cv2.resize(eight, size, interpolation=cv2.INTER_AREA if size[0] < eight.shape[1] else cv2.INTER_LINEAR)
     even = np.asarray(scaled // GREY_STEP * GREY_STEP + GREY_STEP // 2, np.uint8)
     return np.asarray(even if even.ndim == 3 else cv2.cvtColor(even, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def _fitted_size(sides: Sequence[int], box: tuple[int, int]) -> tuple[int, int]:
-    """Return width and height of a picture in a box."""
+    """Return the width and height to which a picture with these sides is scaled to fit into a box."""
     scale = min(box[0] / sides[0], box[1] / sides[1], MAGNIFIED)
     return max(round(sides[0] * scale), 1), max(round(sides[1] * scale), 1)
 
 
 def _box(columns: int, rows: int) -> tuple[int, int]:
-    """Return width and height of a block of cells, without its label."""
+    """Return the width and height in px of a block of cells, without the space for the label."""
     return columns * _step(0) - GAP_PX, rows * _step(1) - GAP_PX - LABEL_PX
 
 
 def _pill(sheet: Canvas, x: int, y: int, width: int, height: int, colour: tuple[int, int, int]) -> None:
-    """Draw a pill: a thick line, whose ends OpenCV makes round."""
+    """Draw a filled rectangle with round ends, as a thick line whose ends OpenCV rounds."""
     r = height // 2
     cv2.line(sheet, (x + r, y + r), (x + width - r, y + r), colour, height, cv2.LINE_AA)
 
 
 @cache
 def _font() -> Any:
-    """Load the font that OpenCV carries with it, so that no font need be installed."""
+    """Load the font that is part of OpenCV, so that no font needs to be installed."""
     return cv2.FontFace("sans")
 
 
 def _write(
     sheet: Canvas, text: str, x: int, baseline: int, size: int, weight: int, colour: tuple[int, int, int]
 ) -> int:
-    """Write a text; return the column of its end."""
+    """Write a text on the sheet, from column x; return the column where the text ends."""
     if text:
         cv2.putText(sheet, text, (x, baseline), colour, _font(), size, weight)
     return x + _width(text, size, weight)
 
 
 def _width(text: str, size: int, weight: int) -> int:
-    """Measure the columns that a text takes."""
+    """Measure the width of a text in px."""
     if not text:
         return 0
     x, _, width, _ = cv2.getTextSize((1, 1), text, (0, 0), _font(), size, weight)
@@ -183,7 +186,7 @@ def _width(text: str, size: int, weight: int) -> int:
 
 
 def _shortened(text: str, room_px: int) -> str:
-    """Shorten a title to the room there is, with an ellipsis."""
+    """Shorten a title with an ellipsis so that it fits into `room_px`."""
     if _width(text, *_NAME) <= room_px:
         return text
     whole = next((n for n in range(len(text) - 1, 0, -1) if _width(text[:n] + "…", *_NAME) <= room_px), 1)

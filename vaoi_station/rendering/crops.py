@@ -1,7 +1,7 @@
 """Sizes of component pictures and their transforms from CAD, independent of any frame.
 
-Pixels are areas: the edges of a component's bounding box are the outer edges of its picture's
-border pixels, so the centre of pixel (0, 0) lies half a pixel inside.
+A pixel is an area. The edges of a component's bounding box are the outer edges of the border pixels of its picture, so
+the centre of pixel (0, 0) lies half a pixel inside the box.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component
 
 MOST_PIXELS = 16_000_000
-"""Largest size of a temporary image; fewer pixels per mm make it smaller."""
+"""Largest number of pixels of a temporary image. A caller who exceeds it must ask for fewer pixels per mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Crops:
-    """Sizes and transforms of k component pictures."""
+    """Sizes of k component pictures, and their transforms from and to CAD coordinates."""
 
     size: Floats
-    """(k, 2) whole width and height."""
+    """(k, 2) width and height in px, whole numbers."""
     crop_from_cad: Floats
-    """(k, 3, 3), scale and shift only."""
+    """(k, 3, 3) matrices from CAD coordinates to the pixels of each picture; scale and shift only."""
     cad_from_crop: Floats
-    """(k, 3, 3) the inverse."""
+    """(k, 3, 3) inverse matrices, from pixels to CAD coordinates."""
 
 
 def compute_crops(components: Sequence[Component], board_type: BoardType, px_per_mm: float) -> Crops:
-    """Lay out the pictures of components: upright as CAD shows them, on the side that the camera sees.
+    """Compute size and transform of each component's picture: upright as CAD shows it, and as the camera sees the side.
 
     Raises:
         InputError: a picture would have more than `MOST_PIXELS`.
@@ -47,9 +47,10 @@ def compute_crops(components: Sequence[Component], board_type: BoardType, px_per
         if width * height > MOST_PIXELS:
             limit = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {width:.0f}×{height:.0f})"
             raise InputError.field(component.address, "px_per_mm", px_per_mm, limit)
-    # The board as the camera sees it, never mirrored (docs/conventions.md): CAD x runs left on the bottom side.
+    # Pictures show the board as the camera sees it, never mirrored (docs/conventions.md). On the bottom side, CAD x
+    # runs to the left.
     way = np.array([1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0])
-    # From the rounded size: the box fills the picture exactly, at a resolution that differs by less than a pixel.
+    # The scale uses the rounded size, so that the box fills the picture exactly. The sides change by less than a pixel.
     scale = way * size / (2 * reach)
     origin = center - way * reach
     there, back = np.zeros((len(components), 3, 3)), np.zeros((len(components), 3, 3))

@@ -1,4 +1,4 @@
-"""Temporary images (section 3.4): one upright picture of a component from one frame, by bilinear interpolation."""
+"""Temporary images (paper, section 3.4): one upright picture of a component, resampled from one frame (bilinear)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
 
 def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
-    """Resample one temporary image, (height, width) or (height, width, channels), in the frame's own pixel type.
+    """Resample a frame into one temporary image, (height, width) or (height, width, channels).
 
-    Places outside the frame are black. Where the lens bends, the picture is made in tiles, exact to 0.03 px for
-    the lenses of such an array.
+    The image has the pixel type of the frame. Places outside the frame are black. If lens distortion matters in this
+    view, the image is made in tiles, with an error of at most 0.03 px for the lenses of such an array.
     """
-    # WARP_INVERSE_MAP: `matrix` leads from the picture to the frame, and OpenCV must not invert it.
+    # WARP_INVERSE_MAP: `matrix` maps the picture to the frame already, so OpenCV must not invert it.
     if not view.tiles:
         return np.asarray(cv2.warpPerspective(frame, view.matrix, (view.width, view.height), flags=_FLAGS))
     picture = np.empty((view.height, view.width, *frame.shape[2:]), dtype=frame.dtype)

@@ -1,10 +1,10 @@
-"""The views of a component: the frames that show it, and the matrices from its picture to them (equation 22).
+"""The views of a component: the frames that show it, and the matrices from its picture to these frames (equation 22).
 
-The picture (section 3.4) shows the component's bounding box, upright as CAD shows it: never mirrored, CAD x to the
-right on the top side and to the left on the bottom side, CAD "up" up. One matrix maps its pixels to CAD and back, one
-to the pixels of the frame. Where the lens bends so little over the picture that a matrix represents it, it is part of
-that matrix; elsewhere the view is `distorted` and comes in tiles. Where the board's surface is known, the footprint
-lies on it.
+The picture (paper, section 3.4) shows the component's bounding box, upright as CAD shows it and never mirrored: CAD x
+points right on the top side and left on the bottom side, and CAD "up" points up. One matrix maps the pixels of the
+picture to CAD coordinates, another one to pixels of the frame. If the lens bends the picture so little that a matrix
+can represent it, the matrix to the frame includes the lens. Otherwise the view is `distorted`, and the picture is made
+in tiles, each with a matrix. If the board's surface is known, the footprint lies at the height of the surface.
 """
 
 from __future__ import annotations
@@ -26,29 +26,30 @@ from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.rendering.crops import compute_crops
 
 GRID = 9
-"""Points per side at which the coverage of a picture that is cut off is computed."""
+"""Points per side of the grid on which the coverage of a picture is computed if the frame cuts it off."""
 _TILE_PX = 256
-"""Side of a tile; over it a lens that bends by a pixel at the frame's corner is straight to 0.03 px."""
+"""Longest side of a tile. Over it, a lens with a distortion of 1 px at the frame's corner is straight to 0.03 px."""
 _STRAIGHT_PX = 0.02
-"""Largest bending over a picture that goes into the matrix."""
+"""Largest deviation from a homography at which one matrix includes the lens for a whole picture."""
 _CORNERS = (0, 2, 8, 6)
-"""The corners among 3×3 points."""
+"""Indices of the corners, going round, among 3×3 points in row order."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Tile:
-    """Part of a picture: its columns and rows (ends excluded), and the matrix from its pixels to raw pixels."""
+    """A rectangular part of a picture: columns x0 to x1 and rows y0 to y1, ends excluded."""
 
     x0: int
     y0: int
     x1: int
     y1: int
     matrix: Floats
+    """(3, 3) from pixels of the tile, counted from its corner, to raw pixels of the frame."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class View:
-    """One component in one frame."""
+    """The view of one component in one frame: the size of its picture, its quality, and the matrices to render it."""
 
     camera: int
     row: int
@@ -58,17 +59,17 @@ class View:
     coverage: float
     """Share of the picture that lies inside the frame."""
     off_center: float
-    """Distance of the component's middle from the frame's, in half diagonals; small means seen from straight above."""
+    """Distance from the component's centre to the frame's centre, in half diagonals; 0 is seen from straight above."""
     crop_matrix: Floats
-    """(3, 3) CAD coordinates to the picture's pixels."""
+    """(3, 3) matrix from CAD coordinates to pixels of the picture."""
     matrix: Floats
-    """(3, 3) the picture's pixels to the frame's: raw pixels, or undistorted ones where `distorted`."""
+    """(3, 3) matrix from pixels of the picture to raw pixels of the frame; to undistorted pixels if `distorted`."""
     tiles: tuple[Tile, ...]
-    """Where `distorted`, the parts of the picture, each with its own matrix to raw pixels; else empty."""
+    """Parts of the picture, each with a matrix to raw pixels, if the view is `distorted`; otherwise empty."""
 
     @property
     def distorted(self) -> bool:
-        """Whether the lens bends more over this picture than a matrix represents."""
+        """Whether lens distortion over this picture is too large for a single matrix."""
         return bool(self.tiles)
 
     @property
@@ -83,26 +84,30 @@ class View:
 
     @property
     def image_from_crop(self) -> Projective:
-        """`matrix` as a transform."""
+        """Transform from pixels of the picture to pixels of the frame, with the matrix `matrix`."""
         return Projective(self.matrix, System.IMAGE, System.CROP)
 
 
 class _Pairs(NamedTuple):
-    """Pairs of a component and a frame of one camera."""
+    """k pairs of a component and a frame, all frames from one camera."""
 
     component: NDArray[np.int_]
+    """(k,) number of the component."""
     frame: NDArray[np.int_]
+    """(k,) number of the frame."""
     matrices: Floats
-    """(k, 3, 3) picture to undistorted pixels."""
+    """(k, 3, 3) from pixels of the picture to undistorted pixels of the frame."""
     size: Floats
+    """(k, 2) width and height of the picture."""
     crop_from_cad: Floats
+    """(k, 3, 3) from CAD coordinates to pixels of the picture."""
 
 
 class ViewCalculator:
-    """Computes views of the components of one stitched board; what components share is computed once."""
+    """Calculator of the views of one board's components. Values that all components share are computed once."""
 
     def __init__(self, board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> None:
-        """Take matrices and cameras of one run.
+        """Store the matrices and cameras of one run.
 
         Raises:
             StateError: the run has no CAD mapping.
@@ -125,27 +130,27 @@ class ViewCalculator:
         feet = np.array([(*c.foot_mm, 1.0) for c in cameras])
         lean = (image_from_row @ feet[:, :, None])[:, :, 0] / [[c.working_distance_mm or np.inf] for c in cameras]
         self._lean = lean[self._camera]
-        """(f, 3) decrease of the third column of CAD → image per mm of height (`geometry.Camera`)."""
+        """(f, 3) for f frames: decrease of the third column of CAD → image per mm of height (`geometry.Camera`)."""
         self._size = np.array([(c.width_px, c.height_px) for c in cameras], dtype=np.float64)[self._camera]
         self._bend = np.array([_bend(c) for c in cameras])[self._camera]
 
     def compute(
         self, component: Component, *, px_per_mm: float | None = None, min_coverage: float = 0.5
     ) -> tuple[View, ...]:
-        """Compute the views of one component; see `views_of`."""
+        """Compute the views of one component; see `compute_views`."""
         return self.compute_all([component], px_per_mm=px_per_mm, min_coverage=min_coverage)[component.address]
 
     def compute_all(
         self, components: Sequence[Component], *, px_per_mm: float | None = None, min_coverage: float = 0.5
     ) -> dict[str, tuple[View, ...]]:
-        """Compute the views of many components at once, by address."""
+        """Compute the views of many components at once; the keys of the result are the components' addresses."""
         if not components:
             return {}
         resolution = px_per_mm or self._resolution
         crops = compute_crops(components, self._board_type, resolution)
         matrices = self._matrices(components, crops.cad_from_crop)
         ends = _project(matrices, _grid(crops.size, 3)[:, _CORNERS])
-        # A cheap test by corners first, widened by the lens: most components are in few of the frames.
+        # A cheap test of corners comes first, since few frames show a component. The margin allows for lens distortion.
         spread = self._bend[None, :, None]
         touching = (ends.max(2) >= -spread).all(2) & (ends.min(2) <= self._size - 1 + spread).all(2)
         component, frame = np.nonzero(touching)
@@ -159,14 +164,14 @@ class ViewCalculator:
                 for component_number, view in self._views_of_camera(camera, pairs, resolution, least):
                     found[component_number].append(view)
         for views in found:
-            # Rounded, so that the order does not depend on the last digits of equal coverages.
+            # Coverages are rounded, so that the order does not depend on the last digits of nearly equal values.
             views.sort(key=lambda v: (-round(v.coverage, 3), round(v.off_center, 6), v.row, v.camera))
         return {c.address: tuple(views) for c, views in zip(components, found, strict=True)}
 
     def _views_of_camera(
         self, camera: Camera, pairs: _Pairs, resolution: float, min_coverage: float
     ) -> Iterator[tuple[int, View]]:
-        """Compute the views of one camera, each with the number of its component."""
+        """Compute the views in frames of one camera; yield each with the number of the component that it shows."""
         component, frame, matrices, size, crop_from_cad = pairs
         points = _grid(size, 3)
         raw = _through(matrices, points)
@@ -177,7 +182,7 @@ class ViewCalculator:
             bent = ~(np.abs(_through(straight, points) - raw).max((1, 2)) <= _STRAIGHT_PX)
             matrices = np.where(bent[:, None, None], matrices, straight)
         coverage = np.asarray(camera.sees(raw).all(1), dtype=np.float64)
-        # Most views lie inside as a whole; only the others are sampled finely.
+        # Most pictures lie completely inside the frame. Only the others are sampled finely.
         partial = np.flatnonzero(coverage < 1)
         at = _through(matrices[partial], _grid(size[partial], GRID))
         at[bent[partial]] = camera.lens.distort(at[bent[partial]])
@@ -196,7 +201,10 @@ class ViewCalculator:
             yield k, view
 
     def _matrices(self, components: Sequence[Component], cad_from_crop: Floats) -> Floats:
-        """Build the matrices (k, f, 3, 3) from pictures to undistorted pixels, in the plane of each footprint."""
+        """Build the matrices (k, f, 3, 3) from the pictures of k components to undistorted pixels of f frames.
+
+        Each matrix holds in the plane of the component's footprint, at the height of the board's surface.
+        """
         image_from_cad = np.repeat(self._image_from_cad[None], len(components), 0)
         if self._surface is not None:
             heights = self._surface.height_mm(np.array([c.center for c in components]))
@@ -213,15 +221,15 @@ def compute_views(
     px_per_mm: float | None = None,
     min_coverage: float = 0.5,
 ) -> tuple[View, ...]:
-    """Compute the views of a component, best first: by coverage, then by distance from the frame's middle.
+    """Compute the views of a component: highest coverage first, then smallest distance from the frame's centre.
 
     Args:
-        component: of the board type.
-        board_type: gives unit, axes and side.
-        stitch: matrices of the run.
-        cameras: of the same calibration.
-        px_per_mm: resolution of the pictures; by default the cameras'.
-        min_coverage: frames that show less of the box are left out.
+        component: a component of the board type.
+        board_type: board type of the run; its unit, axes and side are used.
+        stitch: result of the run; its matrices and surface are used.
+        cameras: cameras of the calibration with which the run was stitched.
+        px_per_mm: resolution of the pictures; by default the mean resolution of the cameras.
+        min_coverage: least share of the picture inside a frame; frames that show less are left out.
 
     Raises:
         StateError: the run has no CAD mapping.
@@ -233,13 +241,13 @@ def compute_views(
 
 
 def _bend(camera: Camera) -> float:
-    """Compute the largest shift in px of a corner of the frame by its lens."""
+    """Compute the largest shift, in px, that the lens causes on a 3×3 grid of points over the frame."""
     corners = _grid(np.array([[camera.width_px, camera.height_px]]), 3)[0]
     return float(np.abs(camera.lens.undistort(corners) - corners).max())
 
 
 def _grid(size: Floats, n: int) -> Floats:
-    """Spread pixels (k, n², 2) evenly over pictures of sizes (k, 2), border pixels included, row by row."""
+    """Lay a grid of n×n points (k, n², 2), row by row, over k pictures of sizes (k, 2), border pixels included."""
     return np.asarray(_unit_grid(n) * (size[:, None] - 1))
 
 
@@ -250,19 +258,19 @@ def _unit_grid(n: int) -> Floats:
 
 
 def _project(matrices: Floats, points: Floats) -> Floats:
-    """Project points (k, n, 2) by matrices (k, f, 3, 3) to pixels (k, f, n, 2)."""
+    """Project n points of each of k pictures, (k, n, 2), by matrices (k, f, 3, 3) to f frames: (k, f, n, 2)."""
     q = matrices[..., :2] @ points[:, None].swapaxes(2, 3) + matrices[..., 2:]
     return np.asarray((q[:, :, :2] / q[:, :, 2:]).swapaxes(2, 3))
 
 
 def _through(matrices: Floats, points: Floats) -> Floats:
-    """Project points (k, n, 2) by matrices (k, 3, 3)."""
+    """Project n points of each of k pictures, (k, n, 2), by one matrix per picture, (k, 3, 3), to pixels (k, n, 2)."""
     q = points @ matrices[:, :, :2].swapaxes(1, 2) + matrices[:, None, :, 2]
     return np.asarray(q[..., :2] / q[..., 2:])
 
 
 def _tiles(camera: Camera, matrices: Floats, size: Floats) -> list[tuple[Tile, ...]]:
-    """Cut pictures into tiles whose corners pass through the lens exactly, all pictures at once."""
+    """Cut pictures into tiles whose corners are mapped through the lens exactly; return the tiles of each picture."""
     lines = [[_cuts(int(v)) for v in wh] for wh in size]
     nodes = [np.stack(np.meshgrid(x, y), -1).astype(np.float64) - 0.5 for x, y in lines]
     ahead = [apply(m, n).reshape(-1, 2) for m, n in zip(matrices, nodes, strict=True)]
@@ -278,18 +286,18 @@ def _tiles(camera: Camera, matrices: Floats, size: Floats) -> list[tuple[Tile, .
 
 
 def _cuts(length: int) -> NDArray[np.int_]:
-    """Return the cuts of a side into tiles, both ends included."""
+    """Return the positions at which a side of this length is cut into tiles, both ends included."""
     return np.asarray(np.linspace(0, length, -(-length // _TILE_PX) + 1).round(), dtype=np.int_)
 
 
 def _cells(nodes: Floats) -> Floats:
-    """Collect the corners (k, 4, 2), going round, of the cells of a grid of nodes (rows, columns, 2)."""
+    """Collect the four corners of each of the k cells of a grid of nodes (rows, columns, 2), going round: (k, 4, 2)."""
     corners = (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1])
     return np.stack([nodes[c] for c in corners], 2).reshape(-1, 4, 2)
 
 
 def _homographies(source: Floats, target: Floats) -> Floats:
-    """Solve for matrices (k, 3, 3) that take four points (k, 4, 2) to four others; eight equations each."""
+    """Compute k homographies (k, 3, 3), each from four points `source` (k, 4, 2) to four points `target` (k, 4, 2)."""
     x, y = source[..., 0], source[..., 1]
     one, nil = np.ones_like(x), np.zeros_like(x)
     u, v = target[..., 0], target[..., 1]
@@ -297,7 +305,8 @@ def _homographies(source: Floats, target: Floats) -> Floats:
     rows_v = np.stack([nil, nil, nil, x, y, one, -v * x, -v * y], -1)
     system = np.concatenate([rows_u, rows_v], 1)
     flat = (x.max(1) - x.min(1) < 1) | (y.max(1) - y.min(1) < 1)
-    # Pictures of one pixel have no four corners; their matrix is NaN, and the caller keeps the one without lens.
+    # A picture one pixel wide or high has no four distinct corners. Its matrix is NaN, and the caller then keeps the
+    # matrix without lens.
     system[flat] = np.eye(8)
     h = np.linalg.solve(system, np.concatenate([u, v], 1)[..., None])[..., 0]
     h[flat] = np.nan
