@@ -26,36 +26,41 @@ def id_step(first: int, second: int) -> int:
 
 @dataclass(frozen=True)
 class Gap:
-    """The interval between two frames of a camera, and how many exposures its frame ids count in it."""
+    """The interval between two frames of a camera, with the counts of pulses and of exposures in the interval."""
 
     before: int
     """Row of the first frame."""
     after: int
     """Row of the second frame."""
     ids: tuple[int, int]
+    """Frame ids of these two frames."""
     pulses: int
-    """Pulses fired after row `before`, up to and including that of row `after`."""
+    """Count of pulses fired after the pulse of row `before`, up to and including the pulse of row `after`."""
     exposed: int
-    """Frames that the camera counted for these pulses."""
+    """Count of frames that the camera exposed for these pulses, by its frame ids."""
     missing: tuple[int, ...]
-    """Rows in between of which nothing arrived."""
+    """Rows between `before` and `after` of which no frame arrived."""
 
     @property
     def unanswered(self) -> int:
-        """Pulses without an exposure.
+        """Count of pulses in the interval on which the camera did not expose.
 
-        Below 0: exposures without a pulse. More than the missing rows: the count contradicts the time stamps.
+        A negative value counts exposures without a pulse. A value above the number of missing rows means that the
+        frame ids contradict the time stamps.
         """
         return self.pulses - self.exposed
 
     @property
     def span(self) -> str:
-        """The counted ids and pulses as text."""
+        """The frame ids and the count of pulses, as text for causes and findings."""
         return f"(frame ids {self.ids[0]} → {self.ids[1]} over {self.pulses} pulses)"
 
 
 def in_counting_order(ids: Mapping[int, int]) -> dict[int, int]:
-    """Give the frame ids to the rows in ascending order; the result differs from `ids` where frames are exchanged."""
+    """Return row → frame id with the same rows and ids, but with the ids in ascending order of the rows.
+
+    The result differs from `ids` in those rows whose frames are exchanged.
+    """
     rows = sorted(ids)
     if not rows:
         return {}
@@ -66,7 +71,7 @@ def in_counting_order(ids: Mapping[int, int]) -> dict[int, int]:
 def find_gaps(
     fired: Sequence[int], ids: Mapping[int, int], incomplete: AbstractSet[int], unassigned_ids: Sequence[int]
 ) -> list[Gap]:
-    """Return the intervals between consecutive numbered frames of one camera.
+    """Return the intervals between consecutive frames of one camera that have a frame id.
 
     Args:
         fired: rows whose pulse was fired, in order.
@@ -74,13 +79,13 @@ def find_gaps(
         incomplete: rows of which a frame without a usable id arrived.
         unassigned_ids: ids of frames that belong to no row.
     """
-    # With exchanged ids in place a gap would be negative on one side and too large on the other.
+    # Ids are sorted first: next to an exchanged frame one interval would be negative and the other too large.
     ids = in_counting_order(ids)
     place = {row: n for n, row in enumerate(fired)}
     found = []
     for before, after in pairwise(sorted(row for row in ids if row in place)):
         step = id_step(ids[before], ids[after])
-        # Frames of no pulse were counted too: without them the step would hide as many unanswered pulses.
+        # The camera counts unassigned frames too. If they were not subtracted, they would hide unanswered pulses.
         extra = sum(1 for i in unassigned_ids if 0 < id_step(ids[before], i) < step)
         between = fired[place[before] + 1 : place[after]]
         missing = tuple(row for row in between if row not in incomplete)
@@ -94,8 +99,8 @@ def explain_missing(row: int, numbered: AbstractSet[int], gaps: Sequence[Gap]) -
 
     Args:
         row: the missing row.
-        numbered: rows of its camera whose frame has an id.
-        gaps: the intervals between those rows (`find_gaps`).
+        numbered: rows of the same camera whose frame has an id.
+        gaps: the intervals between the numbered rows (`find_gaps`).
     """
     if not numbered:
         return "the camera sent no frame in this run; check its cable, its power and its trigger line"

@@ -1,9 +1,10 @@
 """Map the clock of a device to the host's `time.monotonic()`, with a bound of the error.
 
-A `ClockReading` states: when the device's clock showed d, the host's showed h ± b, where b is half the round trip. A
-line h = h₀ + (1 + s)·(d − d₀) is fitted with weights 1/b². The drift s is known beforehand to a few hundred ppm (a
-prior). Short round trips therefore dominate. At a reading the line is wrong by at most b plus its residual there; away
-from it the uncertainty of s is added.
+A `ClockReading` states: when the device's clock showed d, the host's showed h ± b, where b is half the round trip of
+the request. The line h = h₀ + (1 + s)·(d − d₀) is fitted to the readings with weights 1/b², so that readings with a
+short round trip dominate; (d₀, h₀) is the weighted mean. A prior limits the drift s to a few hundred ppm. At the time
+of a reading the error of the line is at most b plus the residual of that reading. At a distance Δd from the reading,
+3·σ_s·Δd is added, where σ_s is the standard deviation of s.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from dataclasses import dataclass
 from vaoi_station.errors import DeviceError
 
 PRIOR_DRIFT = 2e-4
-"""Standard deviation of the relative rate of crystals before anything is measured."""
+"""Standard deviation of the drift s of a crystal clock before anything is measured."""
 RESOLUTION_S = 1e-7
-"""Smallest bound that a reading is given, s."""
+"""Lower limit for the error bound of a reading, s. It keeps the weights 1/b² finite."""
 
 
 class ClockError(DeviceError):
-    """A clock is not known well enough yet; more readings may improve that."""
+    """The error raised while a clock model is not accurate enough yet; more readings may improve it."""
 
     code = "clock-unknown"
 
@@ -40,7 +41,7 @@ class ClockModel:
     """The mapping from one device's clock to the host's, updated with every reading."""
 
     def __init__(self, name: str, keep: int = 60) -> None:
-        """Start without readings; fit the latest `keep` of them."""
+        """Start without readings; later, fit at most the latest `keep` readings."""
         self.name = name
         self._readings: deque[ClockReading] = deque(maxlen=keep)
         self._device0_s = self._host0_s = 0.0
@@ -48,13 +49,14 @@ class ClockModel:
         self._slope_sigma = PRIOR_DRIFT
         self._bound_s = math.inf
         self.restarts = 0
-        """Count of jumps of the device's clock (the device was switched off and on)."""
+        """Count of jumps of the device's clock, for example because the device was switched off and on."""
 
     def add(self, reading: ClockReading) -> None:
-        """Add a reading; start a new line if it contradicts the present one beyond all bounds."""
+        """Add a reading and fit the line again; discard the older readings if the new one shows a jump of the clock."""
         if self._readings:
             off_s = abs(self.host_s(reading.device_s) - reading.host_s)
-            # Both bounds hold for a clock that runs on, so only a restarted one exceeds twice their sum.
+            # While a clock runs on, line and reading differ by no more than the sum of both bounds. Twice that sum
+            # means that the clock has restarted.
             if off_s > 2 * (self.bound_s(reading.device_s) + reading.bound_s + RESOLUTION_S):
                 self._readings.clear()
                 self.restarts += 1
@@ -68,16 +70,16 @@ class ClockModel:
         return self._host0_s + (1 + self._slope) * (device_s - self._device0_s)
 
     def device_s(self, host_s: float) -> float:
-        """Return what the device's clock shows at a host time: the inverse of `host_s`."""
+        """Return what the device's clock shows at a host time; the inverse of the method `host_s`."""
         self._require_reading()
         return self._device0_s + (host_s - self._host0_s) / (1 + self._slope)
 
     def bound_s(self, device_s: float | None = None) -> float:
-        """Return the largest error of `host_s` at a device time (default: the newest reading).
+        """Return the largest error of `host_s` at a device time; by default at the time of the newest reading.
 
-        Infinite before the first reading.
+        The bound is infinite before the first reading.
         """
-        # Without a time the value of the last fit is returned: it is asked for with every frame.
+        # Without a device time the bound stored by the last fit is returned: this is called with every frame.
         if device_s is None or not self._readings:
             return self._bound_s
         return min(
@@ -89,11 +91,11 @@ class ClockModel:
 
     @property
     def drift_ppm(self) -> float:
-        """Excess of the device's second over the host's, ppm."""
+        """Drift s, ppm: by how much a second of the device is longer than a second of the host."""
         return self._slope * 1e6
 
     def require(self, limit_s: float) -> None:
-        """Raise ClockError while the bound is above the limit."""
+        """Raise ClockError if the error bound is above the limit."""
         if (bound_s := self.bound_s()) > limit_s:
             raise ClockError(
                 f"{self.name}: its clock is known to ± {bound_s * 1e3:.3f} ms, but must be to {limit_s * 1e3:.3f} ms.",
@@ -101,7 +103,7 @@ class ClockModel:
             )
 
     def _fit(self) -> None:
-        """Fit by weighted least squares about the weighted mean; the prior on the slope acts like one more reading."""
+        """Fit the line by weighted least squares; the prior on the drift acts like one more reading."""
         weights = [1 / max(r.bound_s, RESOLUTION_S) ** 2 for r in self._readings]
         total = sum(weights)
         newest = self._readings[-1]

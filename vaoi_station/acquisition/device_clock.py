@@ -1,4 +1,4 @@
-"""The clock of a simulated or replayed device: an offset and a drift against `time.monotonic()`."""
+"""The clock of a simulated or replayed device, which has an offset and a drift against `time.monotonic()`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class DeviceClock:
         return self.offset_s + (host_s - self.origin_s) * (1 + self.drift_ppm * 1e-6)
 
     def host_s(self, device_s: float) -> float:
-        """Return the host time at which the device's clock shows a time."""
+        """Return the host time at which the device's clock shows `device_s`."""
         return self.origin_s + (device_s - self.offset_s) / (1 + self.drift_ppm * 1e-6)
 
     def now_s(self) -> float:
@@ -29,23 +29,23 @@ class DeviceClock:
         return self.device_s(time.monotonic())
 
     def read(self) -> ClockReading:
-        """Read the clock as over a wire: the reply is dated by the middle of its round trip."""
+        """Read the clock like a request over a wire: the middle of the round trip is the host time of the reading."""
         asked_s = time.monotonic()
         device_s = self.now_s()
         answered_s = time.monotonic()
         return ClockReading(device_s, (asked_s + answered_s) / 2, (answered_s - asked_s) / 2)
 
     def read_exactly(self) -> ClockReading:
-        """Read the clock without a wire, for devices that run by the host's clock; the bound is 0."""
+        """Read the clock with an error bound of 0, for devices whose times are computed from the host's clock."""
         host_s = time.monotonic()
         return ClockReading(self.device_s(host_s), host_s, 0.0)
 
 
 def simulated_clock(number: int) -> DeviceClock:
-    """Return a clock that differs from those of other devices as real ones do: by hours and up to ± 50 ppm.
+    """Return a clock that differs from other devices' clocks like real ones do: by hours and by up to ± 50 ppm.
 
     Args:
-        number: of the camera; −1 for the controller.
+        number: number of the camera, or −1 for the controller.
     """
     # 37 and 101 have no common factor: neighbouring devices get drifts far apart, and the first 101 all differ.
     return DeviceClock(offset_s=3600.0 * (2 + number) + 0.137 * number, drift_ppm=-50 + (37 * (number + 2)) % 101)

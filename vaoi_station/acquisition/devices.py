@@ -1,4 +1,4 @@
-"""The opened devices of a station, and the feedback that a fast replay needs from the session."""
+"""The opened devices of a station, and the session's feedback by which a fast replay sets its pace."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from vaoi_station.acquisition.controller.interface import Controller
 
 
 class Feedback:
-    """Progress of the session, for a replay that runs as fast as its frames are taken; used from several threads."""
+    """The session's progress: the count of processed frames, and whether memory is available for a run.
+
+    A fast replay waits for this progress before it delivers the next row. Several threads may use the object.
+    """
 
     def __init__(self) -> None:
         self._change = threading.Condition()
@@ -25,7 +28,7 @@ class Feedback:
             self._change.notify_all()
 
     def set_memory(self, available: bool) -> None:
-        """Set whether the cameras hold slots for a coming run."""
+        """Set whether memory is available, that is, whether the cameras hold slots for a coming run."""
         with self._change:
             self._has_memory = available
             self._change.notify_all()
@@ -35,24 +38,24 @@ class Feedback:
         return self._done
 
     def wait_for_frames(self, count: int, stop: Callable[[], bool], timeout_s: float) -> None:
-        """Wait until `count` frames are done, `stop()` is true, or the time is over."""
+        """Wait until at least `count` frames are done, until `stop()` is true, or until `timeout_s` has passed."""
         with self._change:
             self._change.wait_for(lambda: self._done >= count or stop(), timeout_s)
 
     def wait_for_memory(self, stop: Callable[[], bool]) -> None:
-        """Wait until there is memory for a run, or `stop()` is true."""
+        """Wait until memory is available for a run, or until `stop()` is true."""
         with self._change:
             self._change.wait_for(lambda: self._has_memory or stop())
 
     def wake(self) -> None:
-        """Let waiting threads evaluate their `stop` again."""
+        """Wake all waiting threads, so that they evaluate their `stop` again."""
         with self._change:
             self._change.notify_all()
 
 
 @dataclass(frozen=True)
 class Devices:
-    """Cameras and controller of a station, opened and not started."""
+    """The cameras and the controller of a station, opened but not started."""
 
     cameras: tuple[CameraDevice, ...]
     controller: Controller
@@ -60,7 +63,7 @@ class Devices:
 
     def close(self) -> None:
         """Close all devices."""
-        # The controller first: it must not fire a pulse without cameras.
+        # The controller is closed first: it must not fire a pulse without cameras.
         self.controller.close()
         for camera in self.cameras:
             camera.close()

@@ -1,4 +1,4 @@
-"""Record when cameras were away, so that the frames they missed have that cause."""
+"""Record the outages of cameras, so that frames missing during an outage have the outage as their cause."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ class _Outage:
 
 
 class Outages:
-    """The latest outages of every camera, in host time."""
+    """The latest outages of every camera, in host time. A camera is *away* during its outage."""
 
     def __init__(self, keep: int = 20) -> None:
         """Keep at most `keep` outages per camera."""
         self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
 
     def begin(self, camera: int, since_s: float, why: str) -> None:
-        """Record that a camera has been away since a time."""
+        """Record that a camera has been away since `since_s`, for the reason `why`."""
         self._outages[camera].append(_Outage(since_s, math.inf, why))
 
     def end(self, camera: int, at_s: float) -> None:
-        """Record that a camera delivers again."""
+        """Record that a camera delivers again from `at_s` on."""
         for outage in self._outages[camera]:
             outage.until_s = min(outage.until_s, at_s)
 
     def is_away(self, camera: int) -> bool:
-        """Whether a camera was lost and has not come back."""
+        """Whether a camera is away now: an outage began and has not ended."""
         return any(math.isinf(outage.until_s) for outage in self._outages[camera])
 
     def count_ended(self, camera: int, host_s: float) -> int:
-        """Count the outages of a camera that had ended by a time."""
+        """Return the count of a camera's outages that had ended by the time `host_s`."""
         return sum(outage.until_s <= host_s for outage in self._outages[camera])
 
     def cause_at(self, camera: int, host_s: float) -> str:
-        """Return why a camera was away at a time; empty if it was not."""
+        """Return why a camera was away at the time `host_s`; an empty text if it was not away."""
         return next(
             (f"the camera was lost: {o.why}" for o in self._outages[camera] if o.since_s <= host_s <= o.until_s), ""
         )

@@ -1,8 +1,8 @@
 """The interface of a camera, independent of its backend.
 
-A camera fills slots of the ring from a thread of its own: every slot of a coming run is queued before the first pulse,
-and each pulse fills the next one. The acquisition process reads `Arrival`s from one queue for all cameras. No pixel is
-read here.
+A camera fills slots of the ring from a separate thread. All slots of a coming run are queued before its first pulse,
+and each pulse fills the next queued slot. The acquisition process reads `Arrival`s from one queue for all cameras.
+Pixels are not read at this level.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ class Slot:
 
 @dataclass(frozen=True)
 class Arrival:
-    """A slot that a camera has finished with.
+    """The report that a camera has delivered a frame, complete or not, into a slot.
 
-    `frame_id` and `time_s` are None unless `complete`: an incomplete GigE frame repeats those of an older frame.
+    `frame_id` and `time_s` are None if the frame is incomplete: an incomplete GigE frame carries the id and the time
+    stamp of an older frame.
     """
 
     camera: int
@@ -42,7 +43,7 @@ class Arrival:
     host_time_s: float
     """time.monotonic() when the slot was delivered."""
     fault: str = ""
-    """What the backend found wrong, for the cause of the verdict; empty if nothing."""
+    """The defect that the backend found; it becomes the cause of the frame's verdict. Empty if there is none."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,12 @@ class CameraHealth:
     next_try_s: float | None = None
     """time.monotonic() of the next attempt to open a camera that is not connected; None during an attempt."""
     action: str = ""
-    """What to do about a camera that is not connected, where that is known."""
+    """What the operator should do if the camera is not connected; empty if that is not known."""
 
 
 @dataclass(frozen=True)
 class DeviceFault:
-    """A fault in a device's own thread; it goes through the queue of the device's events."""
+    """A fault in the thread of a device, reported through the queue of the device's events."""
 
     device: str
     error: VaoiError
@@ -74,24 +75,24 @@ class DeviceFault:
 
 @dataclass(frozen=True)
 class CameraLost:
-    """A camera stopped answering; its backend continues to look for it."""
+    """The report that a camera stopped answering; its backend continues to search for it."""
 
     camera: int
     since_s: float
-    """Earliest time.monotonic() at which it may have been away."""
+    """Earliest time.monotonic() from which on the camera may have been away."""
     why: str
-    """The reason in a few words, for the causes of the frames that it misses."""
+    """The reason in a few words; it appears in the cause of every frame that is missing during the outage."""
     error: VaoiError
 
 
 @dataclass(frozen=True)
 class CameraBack:
-    """A lost camera delivers again; its clock may have restarted."""
+    """The report that a lost camera delivers again; the camera's clock may have restarted."""
 
     camera: int
     at_s: float
     reading: ClockReading
-    """A reading of its clock, taken before its first frame."""
+    """A reading of the camera's clock, taken before its first frame after the outage."""
 
 
 CameraEvent = Arrival | CameraLost | CameraBack | DeviceFault
@@ -101,19 +102,19 @@ class CameraDevice(Protocol):
     """One camera of the array, opened and in trigger mode."""
 
     def start(self, events: SimpleQueue[CameraEvent]) -> None:
-        """Begin to deliver; put every finished slot and every change of state into `events`."""
+        """Begin to deliver frames; put every delivered slot and every change of state into the queue `events`."""
 
     def queue(self, slot: Slot) -> None:
         """Queue memory for a coming frame; slots are filled in the order in which they were queued."""
 
     def take_back(self) -> list[int]:
-        """Withdraw the slots that were queued and not used; return their numbers."""
+        """Withdraw the slots that were queued and are not used yet; return their numbers."""
 
     def read_clock(self) -> ClockReading:
-        """Compare the camera's clock with the host's; may block for seconds."""
+        """Compare the camera's clock with the host's clock; this may block for seconds."""
 
     def health(self) -> CameraHealth:
         """Return the camera's state; never blocks."""
 
     def close(self) -> None:
-        """Stop delivery and release the camera; no slot is written to afterwards."""
+        """Stop delivery and release the camera; after the return the camera writes to no slot."""

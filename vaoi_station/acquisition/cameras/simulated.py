@@ -1,4 +1,4 @@
-"""A camera of the simulated line, with its own clock, latency and jitter."""
+"""A camera of the simulated line, with a simulated clock, latency and jitter."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ JITTER_S = 0.002
 TRIGGER_LATENCY_S = 5e-6
 TRIGGER_JITTER_S = 2e-6
 FIRST_ID = 65500
-"""First frame id. Ids wrap after 35 frames, so that every longer test includes the wrap."""
+"""First frame id. The ids wrap within the first 40 frames, so that every longer test includes the wrap."""
 
 
 class SimulatedCamera(VirtualCamera):
-    """A camera that the line triggers at host times; it delivers the given pixels after read-out and transfer."""
+    """A camera that the simulated line triggers; it delivers the given pixels after exposure, read-out and transfer."""
 
     def __init__(self, number: int, clock: DeviceClock, exposure_us: float) -> None:
         super().__init__(number, clock.read)
@@ -42,16 +42,16 @@ class SimulatedCamera(VirtualCamera):
         stamp_error_s: float = 0.0,
         id_error: int = 0,
     ) -> None:
-        """Expose at a host time.
+        """Expose one frame at a host time.
 
         Args:
             host_s: time of the pulse.
             pixels: flat bytes of the frame.
-            lost: the camera counts the frame, but it never arrives.
+            lost: whether the frame is lost: the camera counts it, but it never arrives.
             late_s: additional delay of the transfer.
-            share: share of the frame that arrives.
-            stamp_error_s: is added to the time stamp.
-            id_error: is added to the frame id.
+            share: share of the frame's bytes that arrives, 0 … 1.
+            stamp_error_s: error that is added to the time stamp.
+            id_error: error that is added to the frame id.
         """
         # Ids count from 1 to 65535 and then from 1 again, as those of GigE Vision.
         frame_id, self._id = (self._id - 1 + id_error) % MAX_FRAME_ID + 1, self._id % MAX_FRAME_ID + 1

@@ -1,7 +1,8 @@
-"""A camera without hardware: it receives exposures and delivers them into slots from a thread of its own.
+"""A camera without hardware: it receives exposures and delivers them into slots from a separate thread.
 
-It is the base of simulated and replayed cameras. Like the stream of a real camera it takes a queued slot when the
-transfer of a frame begins, fills it, and reports it when the transfer ends. Without a slot the frame is dropped.
+It is the base class of simulated and replayed cameras. Like the stream of a real camera it takes a queued slot when
+the transfer of a frame begins, fills the slot, and reports the slot when the transfer ends. If no slot is queued, the
+frame is dropped.
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ class Exposure:
     begin_s: float
     """Host time at which the transfer begins."""
     end_s: float
-    """Host time at which it ends."""
+    """Host time at which the transfer ends."""
     pixels: NDArray[np.uint8]
     """All bytes of the frame, flat."""
     share: float = 1.0
-    """Share of the bytes that arrive."""
+    """Share of the bytes that arrives, 0 … 1."""
 
 
 class VirtualCamera:
-    """A `CameraDevice` that delivers what `expose` receives."""
+    """A `CameraDevice` without hardware: it delivers the frames that callers pass to `expose`."""
 
     def __init__(self, number: int, read_clock: Callable[[], ClockReading]) -> None:
         self.number = number
@@ -54,12 +55,12 @@ class VirtualCamera:
         self._delivered = self._incomplete = self._dropped = 0
 
     def start(self, events: SimpleQueue[CameraEvent]) -> None:
-        """Begin to deliver."""
+        """Begin to deliver frames."""
         self._thread = threading.Thread(target=self._deliver, args=(events,), name=f"camera-{self.number}")
         self._thread.start()
 
     def expose(self, exposure: Exposure) -> None:
-        """Deliver a frame at its times."""
+        """Schedule a frame for transfer at the times that the exposure states."""
         with self._change:
             # The running number keeps the order of exposures whose transfers begin at the same time.
             heapq.heappush(self._coming, (exposure.begin_s, next(self._order), exposure))
@@ -78,7 +79,7 @@ class VirtualCamera:
             return numbers
 
     def health(self) -> CameraHealth:
-        """Return the counts of delivered frames."""
+        """Return the camera's state with its counts of delivered, incomplete and dropped frames."""
         message = f"{self._dropped} frames dropped: no free slot in the ring" if self._dropped else ""
         return CameraHealth(not self._closing, message, None, self._delivered, self._incomplete)
 
@@ -98,7 +99,7 @@ class VirtualCamera:
                 self._dropped += 1
                 continue
             arrived = round(exposure.pixels.size * exposure.share)
-            # Bytes that do not arrive stay black: the slot was cleared before it was queued.
+            # Pixels that do not arrive stay black, because the slot was cleared before it was queued.
             slot.memory[:arrived] = exposure.pixels[:arrived]
             if not self._wait_until(exposure.end_s):
                 return

@@ -1,9 +1,9 @@
-"""Compare the time stamps of a camera's frames with the pulses, on the two devices' own clocks.
+"""Compare the time stamps of a camera's frames with the pulse times, without the host's clock.
 
-Two crystals differ by an offset and a constant rate, and a triggered camera answers every pulse with the same delay:
-camera time = a + (1 + s)·pulse time, up to a jitter of microseconds. s is the median over all pairs of frames (Theil,
-1950; Sen, 1968), limited to what crystals can differ by; a is the median of the remainders. Outliers of less than a
-third of the frames do not move the line.
+Time stamps are of the camera's clock, pulse times of the controller's clock. The two clocks differ by an offset and a
+constant rate, and a triggered camera answers every pulse with the same delay. Therefore time stamp = a + (1 + s)·pulse
+time, up to a jitter of microseconds. s is the median slope over all pairs of frames (Theil, 1950; Sen, 1968), limited
+to ± `MAX_DRIFT`. a is the median of time stamp − (1 + s)·pulse time. The estimate tolerates up to about 29 % outliers.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.causes import id_step
 
 MAX_DRIFT = 5e-4
-"""Largest relative rate of two crystals within their specification."""
+"""Largest relative difference in rate between two crystal clocks within their specification."""
 MAX_INTERVAL_DEVIATION = 0.01
-"""Frames come by a free-running clock if their times deviate by less than this share of their interval."""
+"""A camera runs freely if its time stamps deviate from equal intervals by less than this share of the interval."""
 
 
 def residuals_s(pulse_s: Sequence[float], camera_s: Sequence[float]) -> NDArray[np.float64]:
@@ -33,7 +33,7 @@ def residuals_s(pulse_s: Sequence[float], camera_s: Sequence[float]) -> NDArray[
     if len(x) < 2:
         return np.zeros(len(x))
     i, j = np.triu_indices(len(x), 1)
-    # The limit matters with few frames: two wrong ones always lie on a line of some rate.
+    # The limit matters with few frames: any two lie on a line exactly, even if one belongs to another pulse.
     rate = min(max(median((y[j] - y[i]) / (x[j] - x[i])), -MAX_DRIFT), MAX_DRIFT)
     left = y - rate * x
     return np.asarray(left - median(left))
@@ -41,17 +41,17 @@ def residuals_s(pulse_s: Sequence[float], camera_s: Sequence[float]) -> NDArray[
 
 def median(values: NDArray[np.float64] | Sequence[float]) -> float:
     """Return the median."""
-    # np.median imports the module of masked arrays first, which takes 50 ms at the end of the first board.
+    # np.median imports NumPy's masked arrays on first use, which would delay the end of the first board by 50 ms.
     ordered = np.sort(np.asarray(values, dtype=np.float64))
     return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def free_running_interval_s(camera_s: Sequence[float], ids: Sequence[int]) -> float | None:
-    """Return the interval of frames that come by a clock of their own; None if they do not.
+    """Return the interval of a camera that runs freely, s; None if its frames do not come at equal intervals.
 
     Args:
         camera_s: time stamps of the frames, ascending.
-        ids: their frame ids; gaps from lost frames and the wrap of ids are allowed.
+        ids: frame ids of the same frames; they may have gaps from lost frames and may wrap.
     """
     if len(ids) < 3:
         return None

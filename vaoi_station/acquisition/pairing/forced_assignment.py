@@ -1,4 +1,4 @@
-"""Assign incomplete frames by elimination.
+"""Assign incomplete frames to pulses by elimination.
 
 An incomplete frame has no trustworthy time stamp or id. It belongs to some pulse of its camera, at most one frame
 belongs to each pulse, and no frame arrives before its pulse. So each frame has a set of candidate pulses. A frame with
@@ -17,9 +17,9 @@ T = TypeVar("T", bound=Hashable)
 
 
 def assign_forced(candidates: Sequence[AbstractSet[T]]) -> dict[int, T]:
-    """Return index of a candidate set → its element, where the sets leave no other possibility.
+    """Return index of a candidate set → the element assigned to it, for the sets that have only one possibility.
 
-    Two sets that are left with the same single element get nothing.
+    If two sets are left with the same single element, neither of them gets it.
     """
     left = [set(c) for c in candidates]
     chosen: dict[int, T] = {}

@@ -1,8 +1,8 @@
-"""The proof of a run: every frame belongs to its pulse, or findings state what contradicts it.
+"""The proof of a run: the check that every frame belongs to its pulse, with findings that contradict this.
 
-A frame is assigned to a pulse by time alone, on the host's clock. Three independent checks follow: the camera's own
-clock against the controller's, to microseconds; the frame ids of the camera; and causality, for no frame arrives
-before its pulse. Pure logic.
+A frame is assigned to a pulse only by time on the host's clock. Three independent checks follow. The camera's time
+stamps must fit the controller's pulse times to microseconds. The frame ids of the camera must match the pulses. No
+frame may arrive before its pulse was fired. Pure logic.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedP
 from vaoi_station.model import FrozenModel
 
 RESIDUAL_LIMIT_S = 200e-6
-"""Largest residual of a triggered camera's frame against the pulses, s; real jitter is some 10 µs."""
+"""Largest accepted residual of a frame of a triggered camera against the pulses, s; real jitter is about 10 µs."""
 Kind = Literal["runs-freely", "extra-frame", "ignored-trigger", "exchanged", "off-beat", "early", "miscounted"]
 QUESTIONING_KINDS: frozenset[Kind] = frozenset({"runs-freely", "exchanged", "off-beat", "early", "miscounted"})
-"""Kinds of findings by which a frame may belong to another moment than its row's pulse."""
+"""Kinds of findings that put in question whether a frame was exposed by the pulse of its row."""
 
 
 class TriggerFinding(FrozenModel):
-    """A deviation of one camera, or of one of its rows, from one frame per pulse."""
+    """A deviation from the rule of one frame per pulse, found for one camera or for one row of it."""
 
     camera: int
     row: int | None
-    """None: it concerns all rows."""
+    """The row that the finding concerns; None if it does not concern one particular row."""
     kind: Kind
     text: str
 
 
 class CameraProof(FrozenModel):
-    """The figures of one camera."""
+    """The figures of the proof for one camera."""
 
     camera: int
     pulses: int
     frames: int
-    """Complete frames that have a row."""
+    """Count of complete frames that are assigned to a row."""
     extra: int
-    """Complete frames that have none."""
+    """Count of complete frames that are assigned to no row."""
     max_residual_us: float | None
-    """Largest residual of the camera's clock against the controller's; None for fewer than two frames."""
+    """Largest residual of the time stamps against the pulse times; None for fewer than two frames."""
     latency_us: float | None
-    """Median of time stamp minus pulse on the host's clock."""
+    """Median of time stamp minus pulse time, both on the host's clock."""
     proven: bool
 
 
@@ -67,7 +67,7 @@ def prove(
     """Check the frames of every camera against the pulses.
 
     Args:
-        pulses: row → pulse, of all rows that were fired and reported.
+        pulses: row → its pulse, for all rows whose pulse was fired and reported.
         pulse_bound_s: largest error of a pulse's host time.
         frames: complete frames of every camera, unassigned ones included.
         gaps: the gaps in the frame ids of every camera (`causes.find_gaps`).
@@ -95,7 +95,7 @@ def prove(
 
 
 def questioned_rows(proof: TriggerProof, camera: int, rows: AbstractSet[int]) -> dict[int, str]:
-    """Return those of the rows of a camera whose frames a finding puts in question → the texts of the findings."""
+    """Return row → texts of the findings that put its frame in question, for the given rows of one camera."""
     notes: dict[int, str] = {}
     for finding in proof.findings:
         if finding.camera == camera and finding.kind in QUESTIONING_KINDS:
@@ -105,7 +105,7 @@ def questioned_rows(proof: TriggerProof, camera: int, rows: AbstractSet[int]) ->
 
 
 class _CameraCheck:
-    """The checks of one camera."""
+    """The checks of the frames of one camera; each check returns its findings."""
 
     def __init__(
         self,
@@ -121,14 +121,14 @@ class _CameraCheck:
         self._assigned, self._extra, self._residuals_s = assigned, extra, residuals_s
 
     def findings(self) -> list[TriggerFinding]:
-        """Return all findings, at most one per row and kind; of a free-running camera only that."""
+        """Return all findings, at most one per row and kind; for a free-running camera only this one finding."""
         free_running = self._free_running()
         if free_running is not None:
             return [free_running]
         found = [
             *self._off_beat(), *self._exchanged(), *self._early(), *self._miscounted(), *self._unassigned(),
         ]  # fmt: skip
-        # Several checks may find the same fault: the first text of a row and kind is kept.
+        # Several checks may find the same fault. For each row and kind only the first finding is kept.
         once: dict[tuple[int | None, Kind], TriggerFinding] = {}
         for finding in found:
             once.setdefault((finding.row, finding.kind), finding)
@@ -138,9 +138,10 @@ class _CameraCheck:
         return TriggerFinding(camera=self._camera, row=row, kind=kind, text=text)
 
     def _free_running(self) -> TriggerFinding | None:
-        """Check whether the frames come by a clock that is not the controller's."""
+        """Return a finding if the camera exposes at equal intervals that are independent of the controller's pulses."""
         off = [row for row, s in self._residuals_s.items() if abs(s) > RESIDUAL_LIMIT_S]
-        # A triggered camera is steady too. Only residuals or unassigned frames show that its clock is another one.
+        # The frames of a triggered camera come at equal intervals too. Only large residuals or unassigned frames show
+        # that the camera follows another clock.
         if not (off or self._extra):
             return None
         frames = sorted((f for f in [*self._assigned, *self._extra] if f.frame_id is not None), key=lambda f: f.time_s)
@@ -153,7 +154,10 @@ class _CameraCheck:
         return self._finding(None, "runs-freely", text + "it runs freely, or on another trigger")
 
     def _answers_every_pulse(self) -> bool:
-        """Whether every pulse has a frame and all unassigned frames lie between pulses: those are extra exposures."""
+        """Whether every pulse has a frame and every unassigned frame lies between the first and the last pulse.
+
+        The camera is then triggered, and its unassigned frames are extra exposures.
+        """
         first_s, last_s = (edge(p.host_s for p in self._pulses.values()) for edge in (min, max))
         inside = all(first_s < f.host_s < last_s for f in self._extra)
         return inside and len(self._assigned) == len(self._pulses)
@@ -171,13 +175,13 @@ class _CameraCheck:
         ]
 
     def _early(self) -> list[TriggerFinding]:
-        """Find frames that arrived before their pulse, and the later-arriving frames they are exchanged with."""
+        """Find frames that arrived before their pulse was fired, and the frames with which they are exchanged."""
         found = []
         for frame in self._assigned:
             assert frame.row is not None
             fired_s = self._pulses[frame.row].host_s - self._bound_s
             before_s = fired_s - frame.arrived_s
-            # A replay at the fast pace reports pulses before their time: causality proves nothing there.
+            # A replay at the fast pace reports pulses before their time, so the order of arrival proves nothing.
             if before_s <= 0 or self._pulses[frame.row].reported_s < fired_s:
                 continue
             text = f"its frame arrived {before_s * 1e3:.1f} ms before its pulse was fired: it is of an earlier pulse"
@@ -192,7 +196,7 @@ class _CameraCheck:
         return found
 
     def _exchanged(self) -> list[TriggerFinding]:
-        """Find frames whose ids are in another order than their time stamps."""
+        """Find frames whose frame ids are in another order than their rows, which were assigned by time stamp."""
         found = []
         for epoch in sorted({f.epoch for f in self._assigned}):
             ids = {
@@ -215,10 +219,10 @@ class _CameraCheck:
         return found
 
     def _miscounted(self) -> list[TriggerFinding]:
-        """Find gaps in the frame ids that do not match the pulses in between."""
+        """Find intervals in which the frame ids count fewer or more exposures than there were pulses."""
         found = []
         for gap in self._gaps:
-            # Every pulse in between was answered: missing frames were lost in transfer, which is no trigger fault.
+            # The camera exposed on every pulse: missing frames were lost in transfer, which is no trigger fault.
             if gap.unanswered == 0:
                 continue
             if gap.unanswered > len(gap.missing):
@@ -251,7 +255,7 @@ class _CameraCheck:
 
 
 def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:
-    """Return row → residual of its frame against the pulses, s; a line is fitted per epoch, as its clock may differ."""
+    """Return row → residual of its frame, s. Each epoch is fitted separately, because its clock may have restarted."""
     found: dict[int, float] = {}
     for epoch in {f.epoch for f in assigned}:
         frames = [f for f in assigned if f.epoch == epoch and f.row is not None]

@@ -1,9 +1,9 @@
 """Assign one frame per camera to every pulse, by time, and end every run with a verdict for each (camera, row).
 
-Pure logic: events, arrivals and the time of day come in, outcomes go out; there are no threads and no devices here.
-A frame belongs to the pulse nearest to its time stamp, both mapped to the host's clock, if that is near enough. The
-order of arrival never decides. A pulse and its frames may become known in either order, and frames of one run may
-arrive while the next run is filmed.
+Pure logic: the recorder receives events, arrivals and the host time, and returns outcomes. It uses no threads and no
+devices. A frame belongs to the pulse nearest to its time stamp, both on the host's clock, if the difference is within
+the tolerance. The order of arrival never decides. A pulse may be reported before or after its frames arrive, and frames
+of one run may arrive while the next run is filmed.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedP
 from vaoi_station.model import FrameRecord, Pulse, Verdict
 
 MAX_UNASSIGNED = 256
-"""Unassigned frames kept per camera, for the proofs of the runs near them in time."""
+"""Count of unassigned frames kept per camera; the proofs of runs near them in time use them."""
 MAX_FINISHED = 4
-"""Finished runs kept, so that a late frame of an earlier run is recognised as one."""
+"""Count of finished runs kept, so that a late frame of a finished run is recognised."""
 
 
 @dataclass(frozen=True)
@@ -33,19 +33,20 @@ class Limits:
     """Tolerances and waiting times of the recorder."""
 
     tolerance_s: float = 0.010
-    """Between time stamp and pulse, in addition to both clocks' bounds; never more than half a period."""
+    """Largest accepted difference between time stamp and pulse, in addition to the error bounds of both clocks. The sum
+    is limited to half the shortest interval between pulses."""
     late_s: float = 0.5
-    """Frames are awaited until one period plus this time after the last pulse."""
+    """Frames are awaited for one period plus this time after the end of the pulses."""
     report_delay_s: float = 0.1
-    """The controller's report of a pulse comes at the latest this long after the pulse."""
+    """Longest time from a pulse to the controller's report of it."""
     unexplained_s: float = 5.0
-    """A frame without any pulse is given up after this time. It is longer than the 3 s for which a controller fires
-    without its host: the reports of those pulses are read when the connection is back."""
+    """Time after its arrival at which a frame without a pulse is given up. It exceeds the 3 s for which a controller
+    fires without a connection to the host: the reports of those pulses are read when the connection is back."""
 
 
 @dataclass(frozen=True)
 class Settled:
-    """The verdict of one (camera, row)."""
+    """The outcome that one (camera, row) of a run has its verdict."""
 
     run: str
     frame: FrameRecord
@@ -53,7 +54,7 @@ class Settled:
 
 @dataclass(frozen=True)
 class Unassigned:
-    """A frame that belongs to no (camera, row) of a run; its slot is free again."""
+    """The outcome that a frame belongs to no (camera, row) of a run; its slot is free again."""
 
     camera: int
     slot: int
@@ -62,7 +63,7 @@ class Unassigned:
 
 @dataclass(frozen=True)
 class Finished:
-    """The end of a run: a verdict for every (camera, row), ordered by camera, then row."""
+    """The outcome that a run is finished: `frames` has every (camera, row), ordered by camera, then row."""
 
     record: RunRecord
     frames: tuple[FrameRecord, ...]
@@ -71,11 +72,11 @@ class Finished:
 
 Outcome = Settled | Unassigned | Finished
 MoveToBay = Callable[[int, int, int], int | None]
-"""`move(slot, bay, camera)` brings a frame into its run's bay and returns its slot there; None if there is no room."""
+"""`move(slot, bay, camera)` moves a frame into its run's bay; returns its slot there, or None if no slot is free."""
 
 
 class Recorder:
-    """All runs that are open or recently finished."""
+    """Assigns arriving frames to pulses and settles the runs; it keeps all runs that are open or recently finished."""
 
     def __init__(
         self,
@@ -91,12 +92,12 @@ class Recorder:
             controller_clock: maps pulse times to the host's clock.
             camera_clocks: map the time stamps of every camera.
             limits: tolerances and waiting times.
-            move_to_bay: brings a frame into the bay of its run.
-            exposures_us: of every camera, where the controller does not report them pulse by pulse.
+            move_to_bay: moves a frame into the bay of its run.
+            exposures_us: exposure time of every camera; used if the controller does not report it with each pulse.
         """
         self.limits = limits or Limits()
         self.outages = Outages()
-        """When cameras were away, by their own reports."""
+        """The outages that the cameras' backends have reported."""
         self._controller_clock = controller_clock
         self._camera_clocks = camera_clocks
         self._move_to_bay = move_to_bay
@@ -107,9 +108,9 @@ class Recorder:
         self._unassigned: list[deque[ObservedFrame]] = [deque(maxlen=MAX_UNASSIGNED) for _ in camera_clocks]
         """Newest unassigned complete frames of every camera."""
         self._undated: list[Arrival] = []
-        """Frames without a trustworthy time stamp."""
+        """Incomplete frames without a row; their time stamps cannot be trusted."""
         self._known_until_s = float("-inf")
-        """Host time up to which the controller has reported everything."""
+        """Host time up to which the controller has reported all its events."""
 
     @property
     def open_runs(self) -> list[RunRecord]:
@@ -117,13 +118,13 @@ class Recorder:
         return [r for r in self._runs if not r.finished]
 
     def begin_run(self, run: str | None, bay: int | None, period_s: float) -> RunRecord:
-        """Begin the run of a board (`run` None: there is no memory for it)."""
+        """Begin the run of a board; `run` and `bay` are None if there is no memory for its frames."""
         record = RunRecord(run, bay, period_s)
         self._runs.append(record)
         return record
 
     def note_controller_time(self, time_s: float) -> None:
-        """Note that the controller reported something at its time `time_s`: all earlier pulses are known by now."""
+        """Note that an event of controller time `time_s` was reported; all earlier pulses are then known."""
         self._known_until_s = max(self._known_until_s, self._controller_clock.host_s(time_s))
 
     def add_pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, Iterator[Outcome]]:
@@ -135,14 +136,14 @@ class Recorder:
         return pulse, self.settle(now_s)
 
     def end_pulses(self, record: RunRecord, pulses: int, reason: str, now_s: float) -> Iterator[Outcome]:
-        """Note that the last pulse of a run has been fired."""
+        """Note that the last pulse of a run has been fired; `pulses` is the count of its rows."""
         if record.pulse_count is None:
             record.pulse_count, record.reason = pulses, reason
             record.deadline_s = now_s + record.period_s + self.limits.late_s
         return self.settle(now_s)
 
     def add_arrival(self, arrival: Arrival, now_s: float) -> Iterator[Outcome]:
-        """Add a slot that a camera has finished with."""
+        """Add a delivered frame; return the outcomes that it makes possible."""
         if arrival.complete and arrival.time_s is not None:
             self._waiting.append((arrival, self._camera_clocks[arrival.camera].host_s(arrival.time_s)))
         else:
@@ -159,14 +160,14 @@ class Recorder:
         yield from self._assign_waiting(now_s)
         for record in self.open_runs:
             yield from self._try_finish(record, now_s)
-        # After the runs: an incomplete frame that no open run could take is given up here.
+        # This comes after the runs: only an incomplete frame that no open run could take is given up.
         yield from self._give_up_undated(now_s)
         finished = [r for r in self._runs if r.finished]
         for record in finished[:-MAX_FINISHED]:
             self._runs.remove(record)
 
     def next_deadline_s(self, after_s: float) -> float | None:
-        """Return the first host time after `after_s` at which `settle` may decide something without further events."""
+        """Return the next host time after `after_s` at which `settle` may decide something even without a new event."""
         limits = self.limits
         times = [a.host_time_s + limits.unexplained_s for a, _ in self._waiting]
         times += [a.host_time_s + s for a in self._undated for s in (limits.report_delay_s, limits.unexplained_s)]
@@ -174,7 +175,7 @@ class Recorder:
         return min((t for t in times if t > after_s), default=None)
 
     def _assign_waiting(self, now_s: float) -> list[Outcome]:
-        """Return the outcomes of those waiting frames that can be decided now."""
+        """Assign or refuse the waiting frames that can be decided now; return their outcomes."""
         out: list[Outcome] = []
         waiting, self._waiting = self._waiting, []
         for arrival, host_s in waiting:
@@ -186,7 +187,7 @@ class Recorder:
         return out
 
     def _assign(self, arrival: Arrival, host_s: float, now_s: float) -> Outcome | None:
-        """Assign a frame to the pulse nearest in time, if near enough; None while a nearer one may be reported."""
+        """Assign a frame to the nearest pulse or refuse it; return None while a nearer pulse may still be reported."""
         near = [(abs(found[1]), n, *found) for n, r in enumerate(self._runs) if (found := r.nearest(host_s))]
         if near:
             distance_s, n, row, error_s = min(near)
@@ -201,7 +202,7 @@ class Recorder:
     def _gate_s(self, record: RunRecord, camera: int) -> float:
         """Return the largest accepted difference between a time stamp and its pulse."""
         bounds_s = self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
-        # Beyond half an interval the neighbouring pulse would be nearer, whatever the tolerance allows.
+        # Beyond half the interval between two pulses the neighbouring pulse would be nearer.
         return min(record.shortest_interval_s / 2, self.limits.tolerance_s + bounds_s)
 
     def _is_aged(self, arrival: Arrival, now_s: float) -> bool:
@@ -210,7 +211,7 @@ class Recorder:
     def _take(
         self, record: RunRecord, row: int, arrival: Arrival, verdict: Verdict, error_s: float | None = None
     ) -> Outcome:
-        """Give a frame to its (camera, row); refuse it if that has one, or if the run is over or has no memory."""
+        """Assign a frame to its row; refuse it if the row has a frame, or if the run is finished or has no memory."""
         key = (arrival.camera, row)
         if key in record.taken:
             if error_s is not None:
@@ -252,27 +253,27 @@ class Recorder:
         return known[camera] if known else None
 
     def _refuse(self, arrival: Arrival, reason: str, record: RunRecord | None = None) -> Unassigned:
-        """Count an unassigned frame, by default for the newest open run."""
+        """Return the outcome of a refused frame; count the frame in `record`, by default in the newest open run."""
         counted = record or next(iter(self.open_runs[-1:]), None)
         if counted is not None:
             counted.unassigned += 1
         return Unassigned(arrival.camera, arrival.slot, reason)
 
     def _try_finish(self, record: RunRecord, now_s: float) -> list[Outcome]:
-        """Finish a run whose frames have all arrived, or whose deadline has passed."""
+        """Assign a run's incomplete frames; finish the run if all frames have arrived or its deadline has passed."""
         if record.pulse_count is None:
             return []
         if record.run is None:
             record.finished = True
             return []
         overdue = now_s >= record.deadline_s
-        # An incomplete frame may still get further candidates while its pulses are not all reported.
+        # Pulses that are reported later may be further candidates for an incomplete frame of these cameras.
         undecided = {a.camera for a in self._undated if not self._is_decidable(a, now_s)}
         out: list[Outcome] = []
         for camera in range(len(self._camera_clocks)):
             forced = {a: row for a, (r, row) in self._assign_undated(camera, now_s).items() if r is record}
             settles_all = camera not in undecided and set(forced.values()) == set(record.open_rows(camera))
-            # Before the deadline the open rows may yet get complete frames, which would change the candidates.
+            # Before the deadline complete frames may still arrive for open rows, which would change the candidates.
             if forced and (overdue or settles_all):
                 for arrival, row in forced.items():
                     self._undated.remove(arrival)
@@ -282,28 +283,31 @@ class Recorder:
         return out
 
     def _assign_undated(self, camera: int, now_s: float) -> dict[Arrival, tuple[RunRecord, int]]:
-        """Return incomplete frames of a camera → the only (run, row) they can belong to."""
+        """Return incomplete frame of a camera → the only (run, row) to which the frame can belong."""
         decidable = [a for a in self._undated if a.camera == camera and self._is_decidable(a, now_s)]
         runs = dict(enumerate(self._runs))
         chosen = assign_forced([self._candidates(a) for a in decidable])
         return {decidable[n]: (runs[index], row) for n, (index, row) in chosen.items()}
 
     def _is_decidable(self, arrival: Arrival, now_s: float) -> bool:
-        """Whether all pulses that a frame may belong to are known."""
+        """Whether all pulses to which a frame may belong are known."""
         return self._is_reported(arrival) or now_s >= arrival.host_time_s + self.limits.report_delay_s
 
     def _is_reported(self, arrival: Arrival) -> bool:
-        """Whether the controller has reported everything up to the arrival of a frame."""
+        """Whether the controller has reported all events up to the arrival of a frame."""
         return self._known_until_s >= arrival.host_time_s
 
     def _candidates(self, arrival: Arrival) -> set[tuple[int, int]]:
-        """Return the (index of run, row) that have no frame and were fired before its arrival, but not too long ago."""
+        """Return every (index of the run, row) to which an incomplete frame may belong.
+
+        Such a row has no frame yet, and its pulse was fired before the frame arrived, but not too long before.
+        """
         found = set()
         for n, record in enumerate(self._runs):
             latest_s = record.period_s + self.limits.late_s
             for row in record.open_rows(arrival.camera):
                 fired = record.pulses.get(row)
-                # A row whose report was lost has no time: it stays a candidate of every incomplete frame.
+                # If the report of a pulse was lost, its time is unknown: its row is a candidate for every such frame.
                 if fired is None or -self.limits.tolerance_s <= arrival.host_time_s - fired.host_s <= latest_s:
                     found.add((n, row))
         return found
@@ -321,7 +325,7 @@ class Recorder:
         return out
 
     def _finish(self, record: RunRecord) -> list[Outcome]:
-        """Conclude a run: verdicts for the missing frames, and the proof."""
+        """Finish a run; return the outcomes of its missing frames and its end, with the proof."""
         assert record.run is not None
         record.finished = True
         place = next(n for n, r in enumerate(self._runs) if r is record)

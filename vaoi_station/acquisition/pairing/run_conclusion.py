@@ -1,4 +1,4 @@
-"""The end of a run: a cause for every missing frame, and the proof of those that arrived. Pure logic."""
+"""The end of a run: find the cause of every missing frame, and prove the frames that arrived. Pure logic."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
 
 MARGIN_PERIODS = 1.5
-"""Unassigned frames count as a run's from this many periods before its first pulse to as many after its last."""
+"""Unassigned frames enter a run's proof from this many periods before its first pulse to as many after its last."""
 PREVIOUS_RUN = -1
-"""In place of a row: the last row of the run before."""
+"""Row number that stands for the last row of the previous run."""
 
 
 def conclude_run(
@@ -26,14 +26,14 @@ def conclude_run(
     pulse_bound_s: float,
     previous: RunRecord | None = None,
 ) -> tuple[list[FrameRecord], TriggerProof]:
-    """Complete `run.frames`; return the records of the missing frames, and the proof.
+    """Add the missing frames of a run to `run.frames`; return their records, and the proof of the run.
 
     Args:
         run: a run whose frames have all arrived or are awaited no longer.
-        unassigned: complete frames of every camera that belong to no pulse, of this run or of others near it in time.
+        unassigned: complete frames of every camera that belong to no pulse; not only those from the time of this run.
         outages: when cameras were away.
         pulse_bound_s: largest error of a pulse's host time.
-        previous: the run before it, from whose last frames the cameras continued to count.
+        previous: the run before this one; the cameras continue to count from its last frame ids.
     """
     missing: list[FrameRecord] = []
     frames, gaps = [], []
@@ -66,7 +66,7 @@ def _near_run(run: RunRecord, unassigned: Sequence[ObservedFrame]) -> list[Obser
 
 
 def _gaps(run: RunRecord, frames: Sequence[ObservedFrame], taken: AbstractSet[int]) -> list[Gap]:
-    """Return the gaps in the frame ids of one camera; `taken`: rows of which something arrived."""
+    """Return the intervals between the frames of one camera; `taken` holds the rows of which a frame arrived."""
     fired = [row for row in range(run.rows) if row not in run.skipped]
     # A camera restarts its frame ids after an outage, so ids are compared within an epoch only.
     ids: defaultdict[int, dict[int, int]] = defaultdict(dict)
@@ -89,7 +89,7 @@ def _opening_gap(
     outages: Outages,
     taken: AbstractSet[int],
 ) -> list[Gap]:
-    """Return the gap from the last row of the previous run to the first frame of this one, if it explains anything."""
+    """Return the gap between the previous run's last frame and this run's first, if it explains a missing frame."""
     if previous is None:
         return []
     last = next((f for f in previous.complete_frames[camera] if f.row == previous.rows - 1), None)
@@ -102,7 +102,7 @@ def _opening_gap(
     between = [f.frame_id for f in unassigned if f.frame_id is not None and last.host_s < f.host_s < first.host_s]
     ids = {PREVIOUS_RUN: last.frame_id, first.row: first.frame_id}
     (gap,) = find_gaps([PREVIOUS_RUN, *fired], ids, taken, between)
-    # Between two runs the ids may have restarted (AcquisitionStart does that), so a count that does not fit is ignored.
+    # A camera may restart its ids between runs (AcquisitionStart does that), so a count that does not fit is ignored.
     return [gap] if gap.missing and 0 <= gap.unanswered <= len(gap.missing) else []
 
 
@@ -125,7 +125,7 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages)
 
 
 def _annotate(run: RunRecord, camera: int, proof: TriggerProof) -> None:
-    """Set the cause of every complete frame that a finding puts in question."""
+    """Write the findings into the cause of every complete frame that they put in question."""
     complete = {row for n, row in run.frames if n == camera and run.frames[n, row].verdict is Verdict.OK}
     for row, text in questioned_rows(proof, camera, complete).items():
         run.frames[camera, row] = run.frames[camera, row].model_copy(update={"cause": text})

@@ -15,33 +15,37 @@ class ObservedPulse:
 
     pulse: Pulse
     host_s: float
-    """Host time at which it was fired."""
+    """Host time at which the pulse was fired."""
     exposures_us: tuple[float, ...] = ()
-    """Exposure of every camera; empty where the controller does not report them."""
+    """Exposure time of every camera, µs; empty if the controller does not report it."""
     reported_s: float = float("inf")
-    """Host time at which the controller's report of it was received."""
+    """Host time at which the controller's report of the pulse was received."""
 
 
 @dataclass(frozen=True)
 class ObservedFrame:
-    """A complete frame."""
+    """A complete frame with its frame id and times, as the proof uses them."""
 
     row: int | None
-    """The row it is assigned to; None for an unassigned frame."""
+    """The row to which the frame is assigned; None for an unassigned frame."""
     frame_id: int | None
     time_s: float
     """Time stamp by the camera's clock."""
     host_s: float
-    """The time stamp on the host's clock."""
+    """The time stamp, converted to the host's clock."""
     arrived_s: float
-    """Host time of its arrival."""
+    """Host time at which the frame arrived."""
     epoch: int = 0
-    """Count of outages of its camera before it. Frames of one epoch share one clock and one frame counter."""
+    """Count of the camera's outages before this frame. Frames of one epoch share one clock and one frame counter."""
 
 
 @dataclass
 class RunRecord:
-    """One run; `run` is None for a missed board without memory, whose frames are recognised and discarded."""
+    """The pulses and frames of one run, collected while the run is filmed.
+
+    `run` and `bay` are None for a board that was missed because no memory was free. Its frames are recognised and
+    discarded.
+    """
 
     run: str | None
     bay: int | None
@@ -51,19 +55,19 @@ class RunRecord:
     skipped: dict[int, str] = field(default_factory=dict)
     """Row → why the controller did not fire it."""
     frames: dict[tuple[int, int], FrameRecord] = field(default_factory=dict)
-    """(camera, row) → its verdict; final once set."""
+    """(camera, row) → record of its frame with the verdict, which is final."""
     taken: set[tuple[int, int]] = field(default_factory=set)
-    """(camera, row) whose frame has arrived."""
+    """Every (camera, row) of which a frame has arrived."""
     complete_frames: defaultdict[int, list[ObservedFrame]] = field(default_factory=lambda: defaultdict(list))
     """Camera → its complete frames."""
     refused: dict[tuple[int, int], str] = field(default_factory=dict)
-    """(camera, row) → why its frame arrived and could not be kept."""
+    """(camera, row) → why its frame could not be kept although it arrived."""
     unassigned: int = 0
     """Count of frames that belong to no pulse."""
     last_frame_host_s: float | None = None
     """Host time of the latest arrival."""
     pulse_count: int | None = None
-    """Pulses of the whole run; None while it goes on."""
+    """Count of rows of the whole run, including skipped ones; None until the end of the pulses is reported."""
     reason: str = ""
     """Why the pulses ended: see `controller.interface.RunEnded`."""
     deadline_s: float = float("inf")
@@ -72,24 +76,24 @@ class RunRecord:
 
     @property
     def rows(self) -> int:
-        """Rows known by now."""
+        """Count of rows known by now."""
         return max(self.pulse_count or 0, 1 + max(self.pulses, default=-1))
 
     @property
     def shortest_interval_s(self) -> float:
-        """Shortest time between two pulses; the period for fewer than two."""
+        """Shortest time between two pulses; the trigger period if there are fewer than two pulses."""
         times = sorted(p.host_s for p in self.pulses.values())
         return min((b - a for a, b in pairwise(times)), default=self.period_s)
 
     def nearest(self, host_s: float) -> tuple[int, float] | None:
-        """Return the row of the pulse nearest to a host time, and host_s minus the pulse's; None without a pulse."""
+        """Return the row of the pulse nearest to `host_s`, and `host_s` minus the pulse time; None without a pulse."""
         if not self.pulses:
             return None
         row = min(self.pulses, key=lambda r: abs(self.pulses[r].host_s - host_s))
         return row, host_s - self.pulses[row].host_s
 
     def open_rows(self, camera: int) -> list[int]:
-        """Return the fired rows of a camera of which no frame has arrived."""
+        """Return the rows that were not skipped and of which no frame of this camera has arrived."""
         return [r for r in range(self.rows) if (camera, r) not in self.taken and r not in self.skipped]
 
     def lights(self) -> tuple[str, ...] | None:
@@ -98,12 +102,12 @@ class RunRecord:
         return names if any(names) else None
 
     def exposures_us(self) -> tuple[tuple[float, ...], ...] | None:
-        """Return the exposures of every row; None unless the controller reported them for all rows."""
+        """Return every row's exposure times, one per camera, µs; None unless they were reported for all rows."""
         rows = [self.pulses[r].exposures_us if r in self.pulses else () for r in range(self.rows)]
         return tuple(rows) if all(rows) else None
 
     def times_s(self) -> tuple[float, ...]:
-        """Return the pulse times by the controller's clock, relative to the first and rounded to ns.
+        """Return every row's pulse time by the controller's clock, relative to row 0 and rounded to ns.
 
         A pulse whose report was lost is placed one period after the pulse before it.
         """
