@@ -1,4 +1,4 @@
-"""Compile the few inner loops that numpy and OpenCV cannot do in one pass (docs/decisions/0008)."""
+"""Compile to machine code the few inner loops that numpy and OpenCV cannot do in one pass (docs/decisions/0008)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
-"""Fast-math flags of LLVM: sums may be reordered, to run in vector registers; NaN and ∞ keep their meaning."""
+"""Fast-math flags of LLVM that the compiler may use. They allow it to reorder sums so that these run in vector
+registers. NaN and ∞ keep their meaning."""
 _LOCK = "vaoi-station.lock"
-"""File in the directory of the cached code."""
+"""Name of the lock file, in the directory where Numba caches the machine code."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -27,7 +28,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     the first process after an installation waits for the compiler. The GIL is released while the code runs. Results are
     the same in all processes of one machine and may differ in the last digits between machines.
 
-    A function with many arrays takes them in a `typing.NamedTuple`: Numba unpacks it in a microsecond or two.
+    A function of many arrays takes them as fields of a `typing.NamedTuple`, which Numba unpacks in one or two
+    microseconds.
     """
     try:
         made: Any = numba.njit(cache=True, nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
@@ -42,8 +44,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """Inline a function into each compiled function of its module that calls it.
 
-    A separate function would exist twice, optimised alone and with its caller. Which of the two is linked depends on
-    whether the code was just compiled or cached, and so would the last digits of a result.
+    Without inlining, the machine code of the function would exist twice: optimised alone, and optimised together with
+    its caller. Which of the two runs would depend on whether the caller was just compiled or was loaded from the cache,
+    and the two may round differently. The last digits of a result would then depend on the cache.
     """
     return cast(
         "Callable[P, R]", numba.njit(inline="always", nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
@@ -51,10 +54,11 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _alone(compile_it: Callable[[Any], Any], cache: Path) -> Callable[[Any], Any]:
-    """Return a compile function that only one process at a time runs; the others then find the code in the cache.
+    """Return `compile_it` with a lock: one process at a time compiles, the others wait and then load the cached code.
 
-    If two processes compiled, each would run its own code. As other functions may be ready for inlining, the two may
-    round differently, and a station's result would not be that of `vaoi stitch`.
+    If two processes compiled the same function, each would run the code that it compiled itself. The two may round
+    differently, because not the same other functions are ready for inlining. The result of a station would then
+    differ from that of `vaoi stitch`.
     """
 
     def compile_alone(signature: Any) -> Any:
@@ -70,11 +74,14 @@ _depth = 0
 
 @contextmanager
 def _lock(directory: Path) -> Iterator[None]:
-    """Hold the lock of a directory; functions that are compiled within hold it too."""
+    """Let one process at a time compile into a cache directory.
+
+    The lock is re-entrant, because compiling a function also compiles those it calls.
+    """
     global _depth  # noqa: PLW0603  (one per process, changed under its lock)
-    # threads first take a lock of the process, which a thread may hold twice; flock cannot be held twice
+    # an RLock excludes the other threads of this process; one thread may take it twice, which flock does not allow
     with _in_this_process:
-        # a compiled function compiles those that it calls: a second flock on another open file would be a deadlock
+        # nested call: this thread holds the file lock already, and a second flock on another open file would block
         if _depth:
             yield
             return

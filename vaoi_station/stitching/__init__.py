@@ -1,5 +1,5 @@
-"""From frames to matrices: links, motion, adjustment, CAD mapping, verdict (section 3.3 of the paper).
+"""Stitch a run: compute its image matrices, CAD matrix and verdict from its frames (section 3.3 of the paper).
 
-`work` divides a run into tasks that can be performed while it is still being filmed; `recordings.offline` performs them
-all for a recording.
+`work` divides a run into tasks, which are performed as soon as their frames have arrived. `conclude` computes the
+result from the evidence of these tasks. `recordings.offline` performs all tasks of a recording.
 """

@@ -1,7 +1,7 @@
-"""Conclude a run: from its evidence to its result, stage by stage.
+"""Conclude a run: compute its result from its evidence, stage by stage.
 
-The order is that of section 3.3 of the paper: first the motion of the rows from links alone, then the position of
-the board from its fiducials, then everything together in one adjustment.
+The order of the stages is that of section 3.3 of the paper. First the motion of the rows is estimated from links alone,
+then the position of the board from its fiducials. Last, all unknowns are estimated together in one adjustment.
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping")
 
 @dataclass(frozen=True, eq=False)
 class PriorKnowledge:
-    """What is known before the board is filmed."""
+    """What is known about a run before its board is filmed: board plane, expectation, velocity, method, reference."""
 
     plane: BoardPlane | None
-    """The plane of the board type on the belt; None leaves C out."""
+    """The board plane of the board type. None if no board type was given; the CAD matrix C is then not computed."""
     expectation: Expectation
     velocity_mm_s: Floats
-    """(2,) nominal."""
+    """(2,) nominal velocity of the conveyor."""
     method_name: str
     reference: Reference | None = None
 
     @property
     def method(self) -> Method:
-        """The kinds of evidence that may be used."""
+        """The method named `method_name`: the kinds of evidence that may be used."""
         return METHODS[self.method_name]
 
 
 class SortedEvidence(NamedTuple):
-    """The evidence of a run by kind, in an order that does not depend on that of its arrival."""
+    """The evidence of a run, separated by kind and sorted by task, so that the order of arrival has no influence."""
 
     links: tuple[Links, ...]
     reference_links: tuple[Links, ...]
@@ -70,14 +70,14 @@ def conclude(
     """Compute the result of a run from the evidence of its frames.
 
     Args:
-        scene: cameras and good frames.
-        prior: what is known beforehand.
-        times_s: (m,) time of every row.
-        evidence: of the canonical tasks, in any order.
-        link_store: may contain the links already.
+        scene: the cameras and the good frames of the run.
+        prior: what is known before the board is filmed.
+        times_s: (m,) time of every row's pulse.
+        evidence: the evidence of all canonical tasks (`work.all_tasks`), in any order.
+        link_store: projects links to the ground. Links that were added to it before are not projected again.
 
     Returns:
-        The result, and the findings it rests on.
+        The result, and the findings from which the result and its verdict were derived.
     """
     stages = StageTimes()
     found = sort_evidence(evidence)
@@ -95,7 +95,10 @@ def conclude(
 
 
 def sort_evidence(evidence: Sequence[Evidence]) -> SortedEvidence:
-    """Sort evidence by task and separate its kinds: floating-point sums depend on the order of their terms."""
+    """Separate evidence by kind and sort each kind by task.
+
+    Floating-point sums depend on the order of their terms. A fixed order makes the result reproducible.
+    """
     order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
     return SortedEvidence(
         tuple(e for e in order if isinstance(e, Links) and e.task.kind != "reference"),
@@ -105,13 +108,16 @@ def sort_evidence(evidence: Sequence[Evidence]) -> SortedEvidence:
 
 
 def _links_problem(prior: PriorKnowledge, times_s: Floats, found: SortedEvidence, link_store: LinkStore) -> Problem:
-    """State the adjustment of the rows by links alone: no link is known to lie on a component yet."""
+    """Return the adjustment problem of the row motion with links alone.
+
+    All links count as links on the bare board (−1), because the components are not located before the CAD mapping.
+    """
     links = link_store.observations(found.links)
     return Problem(times_s, prior.velocity_mm_s, links, np.full(len(links), -1))
 
 
 def _estimate_motion(scene: Scene, prior: PriorKnowledge, problem: Problem, found: SortedEvidence) -> AdjustmentResult:
-    """Estimate the motion of the rows from the evidence that the method allows."""
+    """Estimate the motion of the rows from links, or from detected marks if the method uses no links."""
     pivot = np.mean([c.row_from_image(c.center_px) for c in scene.cameras], axis=0)
     nominal = nominal_motion(problem.times_s, prior.velocity_mm_s, pivot)
     if prior.method.links:
@@ -122,7 +128,10 @@ def _estimate_motion(scene: Scene, prior: PriorKnowledge, problem: Problem, foun
 def _map_cad(
     scene: Scene, prior: PriorKnowledge, problem: Problem, motion: AdjustmentResult, found: SortedEvidence
 ) -> CadMapping | Failure:
-    """Find the board, where its type is known, and adjust everything together."""
+    """Locate the board by its CAD data and adjust all unknowns together.
+
+    Return a Failure if no board type was given or if the board is not found.
+    """
     if prior.plane is None:
         return NO_BOARD_TYPE
     texture = board_texture(problem.links, motion) if prior.method.links else np.zeros((0, 2))
@@ -135,14 +144,17 @@ def _map_cad(
 def _refine_motion(
     prior: PriorKnowledge, problem: Problem, motion: AdjustmentResult, mapping: CadMapping | Failure
 ) -> AdjustmentResult:
-    """Let the motion from links converge where no CAD mapping has adjusted it."""
+    """Iterate the motion from links to full convergence if there is no CAD mapping, which would have adjusted it."""
     if isinstance(mapping, Failure) and prior.method.links:
         return adjust(problem, motion.motion)
     return motion
 
 
 def _provenance(prior: PriorKnowledge, stages: StageTimes) -> dict[str, Any]:
-    """Return what the result was computed with, and the times of the stages (also of those that are still to end)."""
+    """Return the entries of the quality document on software versions, reference, and wall times of the stages.
+
+    The dictionary of times is that of `stages`, so that a stage which ends after this call is contained as well.
+    """
     used = prior.reference is not None and prior.method.reference
     return {
         "timings_ms": stages.ms,

@@ -1,6 +1,6 @@
 """The methods of stitching, and the evidence each may use (sections 3.3.1 to 3.3.3 of the paper).
 
-A method uses no other kind of evidence than its own; `auto` uses all there is.
+Each method uses only the kinds of evidence that `METHODS` allows for it. The method `auto` uses all kinds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["METHODS", "Method", "MethodName"]
 
 @dataclass(frozen=True)
 class Method:
-    """The kinds of evidence that a method uses."""
+    """Which kinds of evidence a stitching method uses."""
 
     links: bool
     """Texture linked from row to row and from camera to camera."""

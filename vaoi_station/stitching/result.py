@@ -33,7 +33,7 @@ def build_result(
 
 
 def _image_matrices(findings: Findings) -> Iterator[tuple[NDArray[Any] | None, ...]]:
-    """Return M_ij of every camera i and row j; None in rows that nothing placed."""
+    """Yield for each camera i the matrices M_ij of all rows j; None for a row without any good frame."""
     rows, placed = findings.adjusted.motion.rows_from_tester, findings.placed
     for camera in findings.scene.cameras:
         matrices = _read_only(camera.image_from_row.matrix @ rows)
@@ -41,7 +41,7 @@ def _image_matrices(findings: Findings) -> Iterator[tuple[NDArray[Any] | None, .
 
 
 def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, float, float], ...]] | None:
-    """Return the views of each component by its address; None without a CAD mapping."""
+    """Return the footprint views (camera, row, x, y) of each component, by its address; None without a CAD mapping."""
     if findings.plane is None or findings.views is None:
         return None
     addresses = findings.plane.components.addresses
@@ -49,6 +49,7 @@ def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, floa
 
 
 def _read_only(matrices: Floats) -> Floats:
+    """Return a copy of matrices that cannot be written to, as results are shared."""
     out = matrices.copy()
     out.setflags(write=False)
     return out

@@ -8,13 +8,16 @@ from dataclasses import dataclass, field
 
 @dataclass
 class StageTimes:
-    """Wall times of stages in ms; each stage begins where the one before it ended."""
+    """Wall times of consecutive stages in ms, by name.
+
+    The first stage begins when this object is created, every other stage when the stage before it ends.
+    """
 
     ms: dict[str, float] = field(default_factory=dict)
     _last: float = field(default_factory=time.perf_counter)
 
     def finish(self, name: str) -> None:
-        """Record the end of a stage."""
+        """End the current stage and record its wall time under `name`."""
         now = time.perf_counter()
         self.ms[name] = round((now - self._last) * 1e3, 3)
         self._last = now

@@ -1,7 +1,7 @@
-"""Divide a run into tasks: which there are, when they become possible, and how one is performed.
+"""Divide a run into tasks: list the tasks, find those that a new frame makes possible, and perform them.
 
-Tasks depend on frames alone, never on one another. They can run in any process and any order, as soon as their
-frames are present, and the evidence they return is the same in the live station and offline.
+A task depends on its one or two frames only, never on another task. Tasks can therefore run in any process and in any
+order as soon as their frames are present. They return the same evidence in the live station and offline.
 """
 
 from __future__ import annotations
@@ -34,19 +34,20 @@ from vaoi_station.stitching.method import METHODS, MethodName
 from vaoi_station.stitching.quality.findings import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
-"""Prepared frames that a runner keeps: this number of rows, and a few more."""
+"""Number of prepared frames that a task runner keeps: those of `_KEPT_ROWS` complete rows, and `_KEPT_MORE` more."""
 _KEPT_STRIPS = 1024
-"""Entries of the caches of overlaps; they depend on cameras and time steps, of which a station has few."""
+"""Entries of the caches of overlap sizes. The keys are cameras and time steps, of which a station has few."""
 _AT_REST = np.zeros(2)
-"""Nominal shift between frames of one row, mm."""
+"""Nominal motion of the board between two frames of the same row, mm: none."""
 _WIDE_PX = 110.0
-"""Least width of the strip that rows j and j + 2 share, for a link between them: three patches. A narrower strip, in
-which a patch and its margin fit once, costs as much as any pair of frames and improves σ by 3 to 8 per cent only."""
+"""Smallest width, three patches, of the overlap of rows j and j + 2 for which these two rows are linked. In a narrower
+overlap, a patch with its margin fits only once. Linking it takes as long as any pair of frames, but improves σ by only
+3 to 8 per cent."""
 
 
 @dataclass(frozen=True)
 class StitchSetup:
-    """What is known before a board is filmed; the same for all frames of a run."""
+    """The settings of stitching that are fixed before a board is filmed and are the same for all frames of a run."""
 
     cameras: tuple[Camera, ...]
     conveyor_mm_s: tuple[float, float]
@@ -55,11 +56,11 @@ class StitchSetup:
     expectation: Expectation = field(default_factory=Expectation)
     method: MethodName = "auto"
     reference: Reference | None = None
-    """A stitched run of the board type."""
+    """A stitched run of the same board type, to which the frames are linked; None without one."""
 
     @cached_property
     def plane(self) -> BoardPlane | None:
-        """The board type's plane as these cameras see it."""
+        """The board plane of the board type as these cameras see it; None without a board type."""
         return None if self.board_type is None else board_plane(self.board_type, self.cameras[0])
 
 
@@ -70,20 +71,23 @@ def possible_tasks(
 
     Args:
         new: camera and row of the frame.
-        present: all good frames that have arrived, with or without `new`; a set is fastest.
+        present: all good frames that have arrived. It may contain `new` or not. A set is fastest.
         times_s: time of each row's pulse, by row.
-        setup: cameras, belt, board type and method.
+        setup: cameras, belt velocity, board type and method.
     """
     return tuple(_tasks_of(new, lambda key: key in present, times_s, setup))
 
 
 def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup: StitchSetup) -> tuple[Task, ...]:
-    """Return the canonical tasks of a finished run, row by row: their evidence determines the result."""
+    """Return the canonical tasks of a run whose frames are all settled, row by row.
+
+    The evidence of these tasks, and no other evidence, determines the result of the run.
+    """
     frames = set(present)
     in_order = sorted(frames, key=lambda key: (key[1], key[0]))
     there = frames.__contains__
     tasks = [task for key in in_order for task in _tasks_of(key, there, times_s, setup, only_ahead=True)]
-    # bridges depend on rows that are missing for good, which is known only at the end of a run
+    # a bridge links the rows before and after missing rows; only at the end of a run it is known which rows are missing
     if bridges := _bridges(frames, times_s, setup):
         known = set(tasks)
         tasks += [task for task in bridges if task not in known]
@@ -91,7 +95,7 @@ def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup
 
 
 class TaskRunner:
-    """Performs the tasks of one run, and concludes it; keeps the frames it prepared last."""
+    """Performs the tasks of one run and concludes the run. It keeps the prepared frames that were used last."""
 
     def __init__(
         self,
@@ -99,7 +103,13 @@ class TaskRunner:
         frame: Callable[[int, int], NDArray[Any] | None],
         reference_frame: Callable[[int, int], NDArray[Any] | None] | None = None,
     ) -> None:
-        """Take functions that return the pixels of camera and row: of the run, and of the reference."""
+        """Create the runner of one run.
+
+        Args:
+            setup: the settings of the run.
+            frame: returns the pixels of the run's frame of a camera and row, or None if the frame is missing.
+            reference_frame: the same for the frames of the reference.
+        """
         self._setup = setup
         self._frame = frame
         self._reference_frame = reference_frame
@@ -107,18 +117,22 @@ class TaskRunner:
         self._link_store = LinkStore(setup.cameras)
 
     def perform(self, task: Task) -> Links | Detections:
-        """Perform one task; a task that finds nothing returns evidence with a note, not an error."""
+        """Perform one task and return its evidence. A task that finds nothing returns empty evidence, not an error."""
         found = self._perform(task)
         self.add_evidence(found)
         return found
 
     def add_evidence(self, evidence: Evidence) -> None:
-        """Take evidence of any process for the conclusion here; work done now is not left for the end of the run."""
+        """Project the links of evidence to the ground, so that this need not be done when the run is concluded.
+
+        The evidence may come from any process.
+        """
         # links to the reference do not enter the adjustment of the rows
         if isinstance(evidence, Links) and evidence.task.kind != "reference":
             self._link_store.add(evidence)
 
     def _perform(self, task: Task) -> Links | Detections:
+        """Perform one task and return its evidence, without adding it to the link store."""
         setup = self._setup
         if task.kind == "marks":
             fixture = METHODS[setup.method].fixture
@@ -140,12 +154,12 @@ class TaskRunner:
     def conclude_with_findings(
         self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]
     ) -> tuple[Stitch, Findings]:
-        """Return the result of the run, and the findings it rests on.
+        """Return the result of the run, and the findings from which it was derived.
 
         Args:
             times_s: (m,) time of every row's pulse.
-            present: the good frames.
-            evidence: of `all_tasks`, in any order.
+            present: camera and row of all good frames.
+            evidence: the evidence of `all_tasks`, in any order.
         """
         s = self._setup
         return conclude(
@@ -159,20 +173,22 @@ class TaskRunner:
         )
 
     def _reference(self, key: FrameKey) -> PreparedFrame:
+        """Return a prepared frame of the reference; raise LookupError if the reference lacks it."""
         pixels = self._reference_frame(*key) if self._reference_frame is not None else None
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} of the reference is not there")
-        # not kept: each frame of a reference is linked to one frame of the run
+        # the prepared frame is not kept: each frame of a reference is linked to only one frame of the run
         return PreparedFrame(pixels)
 
     def _get(self, key: FrameKey) -> PreparedFrame:
+        """Return a prepared frame of the run, from the kept ones if possible; raise LookupError if it is missing."""
         if key in self._prepared:
             self._prepared.move_to_end(key)
             return self._prepared[key]
         pixels = self._frame(*key)
         if pixels is None:
             raise LookupError(f"frame of camera {key[0]}, row {key[1]} is not there")
-        # workers take frames in the order of rows: the least recently used frame is one of a row that is done
+        # workers use frames row by row: the least recently used frame belongs to a row whose tasks are done
         self._prepared[key] = PreparedFrame(pixels)
         if len(self._prepared) > _KEPT_ROWS * len(self._setup.cameras) + _KEPT_MORE:
             self._prepared.popitem(last=False)
@@ -187,9 +203,10 @@ def _tasks_of(
     *,
     only_ahead: bool = False,
 ) -> list[Task]:
-    """Return the tasks of a frame whose partner is present; with `only_ahead` those with later rows and cameras.
+    """Return the tasks in which a frame takes part and whose other frame is present.
 
-    Every task of two frames is ahead of exactly one of them, so that `only_ahead` lists each task once.
+    With `only_ahead`, the other frame is of a later row or of the next camera only. If the tasks of all frames of a run
+    are listed in this way, each task occurs exactly once.
     """
     camera, row = key
     method, tasks = METHODS[setup.method], []
@@ -213,8 +230,11 @@ def _tasks_of(
 
 @lru_cache(maxsize=_KEPT_STRIPS)
 def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -> float:
-    """Return the shorter side of the overlap of two frames of a camera at nominal motion; ≤ 0: no overlap."""
-    # plain floats: this runs for every frame that arrives, and numpy takes longer for a single point
+    """Return the shorter side in px of the overlap of two frames that one camera takes `dt_s` apart at nominal motion.
+
+    The result is 0 or negative if the frames do not overlap.
+    """
+    # plain floats instead of numpy, which takes longer for a single point: this runs for every frame that arrives
     (a, b, c), (d, e, f), (g, h, i) = camera.image_from_row.matrix.tolist()
     u, v = camera.center_px
     x, y = _middle_mm(camera)
@@ -227,13 +247,13 @@ def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -
 
 @lru_cache(maxsize=_KEPT_STRIPS)
 def _middle_mm(camera: Camera) -> tuple[float, float]:
-    """Return the point of the belt at the centre of the undistorted frame."""
+    """Return the point (x, y) of the conveyor's plane, mm, that the centre of the undistorted frame shows."""
     x, y = camera.row_from_image(camera.center_px).tolist()
     return x, y
 
 
 def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: StitchSetup) -> list[Task]:
-    """Return links across missing rows, wherever the frames before and after still overlap."""
+    """Return the tasks that link the last frame before missing rows to the first after them, where the two overlap."""
     tasks: list[Task] = []
     if not METHODS[setup.method].links:
         return tasks
@@ -247,10 +267,11 @@ def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: StitchS
 
 
 def _link(a: FrameKey, b: FrameKey, times_s: Mapping[int, float]) -> Task:
+    """Return the task that links two frames of one camera."""
     return Task("rows", a, b, _dt_s(a[1], b[1], times_s))
 
 
 def _dt_s(p: int, q: int, times_s: Mapping[int, float]) -> float:
-    """Return the time from one row to another."""
-    # rounded to a microsecond: equal steps are then equal keys of tasks and caches
+    """Return the time in s from the pulse of row p to the pulse of row q."""
+    # rounded to a microsecond, so that nominally equal steps are the same key in caches and equal in tasks
     return round(float(times_s[q] - times_s[p]), 6)

@@ -1,1 +1,1 @@
-"""Match frames: prepare them, choose corners, find them in a neighbouring frame to a few thousandths of a pixel."""
+"""Match two frames: prepare them, choose corners in one, find these in the other to a few thousandths of a pixel."""

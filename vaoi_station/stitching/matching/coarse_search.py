@@ -1,8 +1,9 @@
-"""Coarse search: the difference of the real motion from the nominal one, to a pixel or two.
+"""Coarse search: estimate by how much the shift between two frames differs from the prediction, to a pixel or two.
 
-The overlap, small and high-passed, is correlated within the range of the belt's motion. A wide overlap is correlated at
-half the size only. A narrower one is correlated at half the size first, which limits the search at full size to a few
-peaks.
+The overlap is cut from reduced, high-passed copies of the frames and correlated at all shifts within a given range.
+There are two copies (`PreparedFrame`): `coarse`, called full size here, and `coarser`, of half that size. A wide
+overlap is searched at half size only. A narrower one is searched at half size first; the search at full size is then
+limited to the surroundings of a few peaks.
 """
 
 from __future__ import annotations
@@ -20,44 +21,45 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 _MIN_SCORE = 0.25
-"""Correlation below which no shift is reported."""
+"""Smallest correlation of a shift that is reported."""
 _AMPLE_PX = 24
-"""Width of an overlap at half the size from which it is searched there only, at a quarter of the pixels and of
-the shifts; from half that width on it is searched there first."""
+"""Width of an overlap in pixels of half size. An overlap at least this wide is searched at half size only, where it has
+a quarter of the pixels and a quarter of the shifts. One at least half this wide is searched at half size first."""
 _PEAKS, _RIVAL, _AROUND_PX = 4, 0.8, 2
-"""Peaks at half the size that are searched at full size: their number, their least share of the highest, and the range
-around them."""
+"""Which peaks of the search at half size are searched again at full size: at most `_PEAKS`, with at least the share
+`_RIVAL` of the highest correlation, each within ±`_AROUND_PX` pixels of full size."""
 _DIRECT = 1_200_000
-"""Products up to which a correlation is summed directly; beyond, OpenCV's Fourier transform is faster."""
+"""Largest number of products for which a correlation is summed directly. Beyond it, OpenCV's Fourier transform is
+faster."""
 _MIN_CONTRAST = 1.0
-"""Grey levels (rms) of texture below which an overlap counts as empty."""
+"""Contrast, rms of the high-passed grey levels, below which an overlap counts as empty."""
 
 Small = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class CoarseShift:
-    """The shift to add to the nominal prediction, in pixels of frame b, and its correlation."""
+    """The result of a coarse search: the shift (2,) to add to the prediction, in px, and its correlation."""
 
     px: Floats
     score: float
 
 
 class NoMatch(Failure):
-    """The overlap has texture, but the other frame does not show it."""
+    """The failure of a search in which the overlap has texture, but frame b does not show this texture."""
 
 
 def find_shift(
     a: PreparedFrame, b: PreparedFrame, box: tuple[int, int, int, int], offset_px: Floats, reach_px: Floats
 ) -> CoarseShift | Failure:
-    """Find the shift of frame a's content in frame b beyond the prediction.
+    """Find by how much the content of frame a is shifted in frame b beyond the prediction.
 
     Args:
-        a: frame whose overlap is the template.
-        b: frame that is searched.
-        box: the overlap in frame a, x0, y0, x1, y1.
-        offset_px: (2,) predicted b − a in the middle of the overlap.
-        reach_px: (2,) range of the search around it.
+        a: the frame whose part inside the overlap is the template.
+        b: the frame in which the template is searched.
+        box: the overlap (x0, y0, x1, y1) in pixels of frame a.
+        offset_px: (2,) predicted position in frame b minus position in frame a, in the middle of the overlap.
+        reach_px: (2,) the search covers shifts within ± this range around `offset_px`.
     """
     narrow = min(box[2] - box[0], box[3] - box[1])
     wide = narrow >= _AMPLE_PX * 2 * a.factor
@@ -66,11 +68,11 @@ def find_shift(
     if min(template.shape, default=0) < 4:
         return Failure(f"the overlap of {box[2] - box[0]}×{box[3] - box[1]} px is too narrow to search in")
     template = np.ascontiguousarray(template)
-    # normalised correlation magnifies the noise of an empty overlap to any score
+    # normalisation divides by the contrast: the noise of an empty overlap could reach any score
     contrast = math.sqrt(float(np.vdot(template, template)) / template.size)
     if contrast < _MIN_CONTRAST:
         return Failure(f"the overlap is empty: contrast {contrast:.1f} grey levels")
-    # an overlap that half the size would leave narrower than half of _AMPLE_PX has no reliable peak there
+    # an overlap narrower than _AMPLE_PX / 2 at half size has no reliable peak there: search at full size at once
     if wide or narrow < _AMPLE_PX * a.factor:
         peaks = _peaks(template, coarse_b, box, f, offset_px, reach_px, 1)
     else:
@@ -86,7 +88,7 @@ def find_shift(
 
 
 def _cut(coarse: Small, box: tuple[int, int, int, int], factor: int) -> Small:
-    """Return the part of a reduced frame that shows a box of the frame."""
+    """Return the part of a reduced copy (`factor` times smaller) that shows the box (x0, y0, x1, y1) of the frame."""
     x0, y0, x1, y1 = (round(v / factor) for v in box)
     return coarse[y0:y1, x0:x1]
 
@@ -100,8 +102,21 @@ def _peaks(
     reach_px: Floats,
     most: int,
 ) -> list[tuple[float, Floats]]:
-    """Return the best correlations and their shifts (2,) in pixels of the image, the best first."""
-    # one more on every side: the parabola through a peak needs its neighbours
+    """Correlate a template with a reduced frame around the predicted shift and return the highest peaks.
+
+    Args:
+        template: the overlap, cut from the reduced frame a.
+        image: the reduced frame b.
+        box: the overlap in pixels of the unreduced frame a.
+        factor: the size of a pixel of `image` in pixels of the frame.
+        offset_px: (2,) predicted shift in pixels of the frame.
+        reach_px: (2,) range of the search in pixels of the frame.
+        most: largest number of peaks.
+
+    Returns:
+        Correlation and shift (2,) of each peak, the highest first; shifts are in pixels of `image`.
+    """
+    # one pixel more on every side: the parabola through a peak needs the neighbours of the peak
     reach_x, reach_y = (max(math.ceil(v / factor) + 1, 2) for v in reach_px.tolist())
     shift_x, shift_y = (round(v / factor) for v in offset_px.tolist())
     left, top = round(box[0] / factor) + shift_x - reach_x, round(box[1] / factor) + shift_y - reach_y
@@ -110,7 +125,7 @@ def _peaks(
         surface = correlations(np.ascontiguousarray(template), window)
     else:
         surface = cv2.matchTemplate(window, template, cv2.TM_CCORR_NORMED)
-        # where the window is empty OpenCV divides by zero
+        # OpenCV divides by zero where the window is empty
         surface = np.nan_to_num(surface, nan=0.0, posinf=0.0, neginf=0.0)
     return [
         (score, np.array([x - reach_x + shift_x, y - reach_y + shift_y]))
@@ -120,10 +135,12 @@ def _peaks(
 
 @compiled
 def correlations(template: Small, window: Small) -> Small:
-    """Correlate a template (h, w) with a window at every shift, normalised, without subtracting means (both have none).
+    """Return the normalised correlation of a template (h, w) with a window (H, W) at every shift.
+
+    Template and window are high-passed, so that means need not be subtracted.
 
     Returns:
-        (H − h + 1, W − w + 1); 0 where the window is empty.
+        (H − h + 1, W − w + 1) correlations; 0 at shifts where the window is empty.
     """
     h, w = template.shape
     lines, pitch = window.shape
@@ -148,7 +165,8 @@ def correlations(template: Small, window: Small) -> Small:
     for y in range(h - 1):
         total += energy[y]
     out = np.zeros((ny, nx), np.float32)
-    # template and window have the same pitch in memory, so that one flat loop, which vectorises, is a correlation
+    # the template is stored with the line pitch of the window: the sum over both dimensions is then one flat loop,
+    # which the compiler turns into vector instructions
     for y in range(ny):
         total += energy[y + h - 1]
         for x in range(nx):
@@ -164,7 +182,10 @@ def correlations(template: Small, window: Small) -> Small:
 
 @compiled
 def best_peaks(surface: Small, most: int) -> Floats:
-    """Return the highest maxima (k, 3) of a surface: height, and x and y by parabolas through the neighbours."""
+    """Return the k highest local maxima (k, 3) of a correlation surface, k ≤ `most`, the highest first.
+
+    Each is the correlation and the position x, y, interpolated by parabolas through the neighbouring samples.
+    """
     rows, columns = surface.shape
     found, count = np.zeros((most, 3)), 0
     for y in range(rows):
@@ -185,7 +206,7 @@ def best_peaks(surface: Small, most: int) -> Floats:
 
 @inlined
 def _is_peak(surface: Small, x: int, y: int) -> bool:
-    """Whether a sample is above all its neighbours; of equal ones the first counts."""
+    """Whether the sample (x, y) is higher than its eight neighbours. Among equal samples, the first one is the peak."""
     rows, columns = surface.shape
     for i in range(max(y - 1, 0), min(y + 2, rows)):
         for j in range(max(x - 1, 0), min(x + 2, columns)):
@@ -197,7 +218,7 @@ def _is_peak(surface: Small, x: int, y: int) -> bool:
 
 @inlined
 def _vertex_offset(line: Small, k: int) -> float:
-    """Return the offset of the maximum from sample k, by a parabola through its neighbours."""
+    """Return the position of the maximum relative to sample k, from a parabola through it and its two neighbours."""
     if not 0 < k < len(line) - 1:
         return 0.0
     bend = line[k - 1] - 2 * line[k] + line[k + 1]
@@ -205,7 +226,7 @@ def _vertex_offset(line: Small, k: int) -> float:
 
 
 def _window(image: Small, left: int, top: int, width: int, height: int) -> Small:
-    """Return a part of an image, with zeros (no texture) outside."""
+    """Cut a window out of a high-passed image; pixels of the window outside the image are 0, that is no texture."""
     h, w = image.shape
     out = np.zeros((height, width), dtype=np.float32)
     xa, ya, xb, yb = max(left, 0), max(top, 0), min(left + width, w), min(top + height, h)

@@ -1,7 +1,7 @@
-"""Select corners to match: in each cell of a grid the pixel with the most texture in both directions.
+"""Select the corners to match: in each cell of a grid, the pixel with the most texture in both directions.
 
-The measure of texture is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994) over 3×3 pixels of a
-reduced frame, with slopes by Sobel.
+The measure of texture is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994). The tensor is summed
+over 3×3 pixels of a reduced frame. The slopes in it come from the Sobel operator.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled, inlined
 
 _REACH = 2
-"""Pixels on each side that the structure tensor reads: one for its sum, one for the slopes."""
+"""Number of pixels on each side that the texture of one pixel depends on: one for the sum over 3×3, one for Sobel."""
 _UNIT = 1 / (4 * 3 * 255)
-"""Scale of slopes, as OpenCV's cornerMinEigenVal has it: 4 for Sobel, 3 for the block size, 255 grey levels."""
+"""Scale of the slopes, the same as in OpenCV's cornerMinEigenVal: 4 for Sobel, 3 for the block size, 255 grey
+levels."""
 _GOOD_SHARE, _WEAK, _LEAST = 0.9, 0.003, 1e-5
-"""A corner is dropped as noise or bare belt if its texture is below `_WEAK` times the quantile `_GOOD_SHARE` of all
-cells, or below `_LEAST`."""
+"""A corner is dropped as noise or bare belt if its texture is below `_LEAST`, or below `_WEAK` times the texture of a
+good corner. A good corner is the quantile `_GOOD_SHARE` of the best texture per cell."""
 
 _Plane = NDArray[np.float32]
 _Ints = NDArray[np.int64]
@@ -27,14 +28,14 @@ _Ints = NDArray[np.int64]
 
 @compiled
 def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]) -> _Ints:
-    """Return the best pixel (k, 2) of every cell that has a good one, x and y in the image.
+    """Return the corners (k, 2), x and y in the image: the best pixel of each cell, without cells of weak texture.
 
     Args:
-        image: (h, w) reduced.
-        x0: first column of the first cell.
-        y0: first line of it.
-        across: number of cells in x, and their width.
-        down: number of cells in y, and their height.
+        image: (h, w) a reduced frame.
+        x0: first pixel column of the grid.
+        y0: first pixel line of the grid.
+        across: number of cells in x, and the width of a cell in pixels.
+        down: number of cells in y, and the height of a cell in pixels.
     """
     nx, width = across
     ny, height = down
@@ -49,14 +50,17 @@ def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, 
             for x in range(left, left + width):
                 if score[y, x] > best[n]:
                     best[n], at[n, 0], at[n, 1] = score[y, x], x0 + x, y0 + y
-    # the quantile of the cells' best is a measure of the good ones, even where most cells show bare belt
+    # a high quantile over the cells is the texture of a good corner, even if most cells show bare belt
     least = max(_WEAK * np.sort(best)[int(len(best) * _GOOD_SHARE)], _LEAST)
     return np.asarray(at[best > least])
 
 
 @inlined
 def _corners(image: NDArray[np.uint8], x0: int, y0: int, score: _Plane) -> None:
-    """Compute the smaller eigenvalue at the pixels from (x0, y0) on; 0 within `_REACH` of the image's border."""
+    """Write the smaller eigenvalue of the structure tensor to `score` (H, W), for the image pixels from (x0, y0) on.
+
+    Pixels within `_REACH` of the image's border keep the value 0.
+    """
     rows, columns = score.shape
     h, w = image.shape
     left, top = max(x0, _REACH), max(y0, _REACH)

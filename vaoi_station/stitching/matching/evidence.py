@@ -14,22 +14,22 @@ FrameKey = tuple[int, int]
 
 
 class Task(NamedTuple):
-    """Independent work on one or two frames.
+    """Independent work on one or two frames that yields evidence: links between two frames, or detections in one.
 
-    It is a tuple because it is a key: the 1200 tasks of a large board are looked up often, and tuples hash fastest.
+    A task is a tuple because it is used as a key. A large board has 1200 tasks, and tuples hash fastest.
     """
 
     kind: Literal["rows", "neighbours", "marks", "reference"]
     a: FrameKey
     b: FrameKey | None = None
-    """The second frame; for the kind "reference" a frame of the reference run."""
+    """The second frame. It is a frame of the reference run if `kind` is "reference", and None if `kind` is "marks"."""
     dt_s: float = 0.0
-    """Time between the two frames."""
+    """Time from the pulse of frame a to the pulse of frame b. Only linking two rows ("rows") uses it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """k pairs of corresponding points in the frames `task.a` and `task.b`, found without CAD data."""
+    """k links: pairs of corresponding points in the frames `task.a` (frame a) and `task.b` (frame b)."""
 
     task: Task
     a_px: Floats
@@ -37,17 +37,18 @@ class Links:
     b_px: Floats
     """(k, 2) raw pixels in frame b."""
     information: Floats
-    """(k, 2, 2) inverse covariance of b_px − a_px by image noise, px⁻²; small along an edge, large across it."""
+    """(k, 2, 2) information matrix, px⁻²: the inverse covariance of b_px − a_px that image noise causes. It is small
+    along an edge and large across it."""
     score: Floats
     """(k,) zero-mean normalised correlation of the patches."""
     note: str = ""
-    """The reason why there are none."""
+    """The reason if there are no links, otherwise empty."""
     coarse_px: tuple[float, float] | None = None
-    """Difference of the coarse search from the nominal motion."""
+    """Shift that the coarse search added to the predicted one; None if no links were found."""
     tried: int = 0
-    """The number of corners that were searched for."""
+    """The number of corners of frame a that were searched in frame b."""
     unmatched: bool = False
-    """Whether the overlap of two cameras shows texture of which little or nothing is in both frames."""
+    """Whether the overlap of two cameras shows texture, but hardly any of it was found in both frames."""
 
     @staticmethod
     def empty(task: Task, note: str, tried: int = 0) -> Links:
@@ -57,7 +58,7 @@ class Links:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """k places in one frame that look like a fiducial of the board type."""
+    """k detections in the frame `task.a`: places that look like a fiducial of the board type."""
 
     task: Task
     px: Floats
@@ -65,7 +66,7 @@ class Detections:
     sigma_px: Floats
     """(k,) standard deviation of `px`."""
     score: Floats
-    """(k,) correlation with the artwork."""
+    """(k,) correlation of the pixels with the expected picture of the mark."""
     kind: np.ndarray
     """(k,) index into `mark_kinds(board_type)`."""
 

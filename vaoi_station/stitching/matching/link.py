@@ -1,4 +1,4 @@
-"""Link two frames: choose well-textured corners, find the coarse shift, match patches to sub-pixel accuracy."""
+"""Link two frames: find the coarse shift, choose well-textured corners, match their patches with sub-pixel accuracy."""
 
 from __future__ import annotations
 
@@ -20,29 +20,31 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsa
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 _CORNERS, _CORNERS_APART = 80, 40
-"""Corners per pair of consecutive rows, enough to lose half of them to tall parts; and per pair of rows further apart,
-which only stiffen the chain."""
+"""Number of corners per pair of frames. `_CORNERS` is enough even if half of them are lost to tall parts.
+`_CORNERS_APART` is for rows that are not consecutive; their links only stiffen the chain of rows."""
 _GRAIN_PX, _AMPLE_PX = 8, 96
-"""Grid pitch of corner selection, a third of a patch; half of it in small frames and in overlaps narrower than this."""
+"""Corners are selected in copies that are reduced by `_GRAIN_PX`, a third of a patch. Small frames, and overlaps
+narrower than `_AMPLE_PX`, are reduced by half of it."""
 _MIN_CELL_PX = 28
-"""Least distance of corners: patches that overlap more measure the same pixels twice."""
+"""Smallest side of a cell of the corner grid, px. Patches of smaller cells would measure the same pixels twice."""
 _MIN_SCORE, _MAX_SIGMA_PX = 0.80, 0.80
-"""Correlation and standard deviation of a match that becomes a link."""
+"""Smallest correlation, and largest standard deviation, of a match that becomes a link."""
 _PLACEMENT_MM = 4.0
-"""Range of board positions around that of the reference, in the same row."""
+"""Range of the coarse search between run and reference: the board's position in the same row may differ by this."""
 _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
-"""Range of belt motion around the nominal motion: a share of it, and a constant."""
+"""Range of the coarse search between rows: the share `_SLIP_SHARE` of the nominal motion, plus `_PLAY_MM`."""
 _MOVED_MM = 4.0
-"""Range in which a displaced camera is searched."""
+"""Range of the coarse search between two cameras of which one may be displaced."""
 _ENOUGH = 8
-"""Links between two cameras that show that both are where they were calibrated."""
+"""Number of links between two cameras that shows that neither was displaced since its calibration."""
 _CERTAIN, _CERTAIN_SHARE = 24, 0.6
-"""A count of links, and a share of the corners, that look-alikes do not reach: a displaced camera gave up to eleven."""
+"""Number of links, and share of the tried corners, that false links to similar texture do not reach. A displaced camera
+gave at most eleven false links."""
 
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
-    """Two frames, their cameras, and the predicted shift of the board between them."""
+    """Two frames to be linked, their cameras, and the predicted shift of the board between the frames."""
 
     a: PreparedFrame
     b: PreparedFrame
@@ -52,21 +54,21 @@ class FramePair:
     """(2,) nominal motion of the board from frame a to frame b."""
 
     def overlap(self) -> Box | None:
-        """Return the part of frame a that frame b shows too, if there is one."""
+        """Return the part of frame a that frame b is predicted to show too; None if the frames do not overlap."""
         return overlap_box(self.camera_a, self.camera_b, self.shift_mm)
 
     def predict(self, a_px: Floats) -> Floats:
-        """Return the predicted points (k, 2) in frame b of points in frame a."""
+        """Predict where frame b shows the points (k, 2) of frame a, both in raw pixels."""
         return predict(a_px, self.camera_a, self.camera_b, self.shift_mm)
 
     def offset_px(self, box: Box) -> Floats:
-        """Return the predicted b − a (2,) in the middle of an overlap."""
+        """Return the predicted position in frame b minus the position in frame a (2,), in the middle of an overlap."""
         middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
         return np.asarray((self.predict(middle) - middle)[0])
 
 
 def link_rows(task: Task, pair: FramePair) -> Links:
-    """Link two rows of one camera."""
+    """Link two frames of one camera in different rows, with a coarse search around the nominal belt motion."""
     box = pair.overlap()
     if box is None:
         return Links.empty(task, "the frames do not overlap")
@@ -79,11 +81,11 @@ def link_rows(task: Task, pair: FramePair) -> Links:
 
 
 def link_neighbours(task: Task, pair: FramePair) -> Links:
-    """Link neighbouring cameras in one row, where N_i alone predict corresponding points.
+    """Link the frames of two neighbouring cameras in one row, where the camera matrices N_i predict the correspondence.
 
-    Few links can mean that a camera was displaced, and that they are look-alikes. The overlap is then searched in a
-    wider range. Links are marked `unmatched` if the overlap shows texture but little of it in both frames, which the
-    verdict reports.
+    If only few links are found, a camera may have been displaced and the links may be false. A coarse search in a wider
+    range then looks for the true correspondence. `Links.unmatched` is set if the overlap shows texture of which hardly
+    any was found in both frames; the verdict reports this.
     """
     box = pair.overlap()
     if box is None:
@@ -93,21 +95,24 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
     if found >= _CERTAIN or found >= max(_ENOUGH, _CERTAIN_SHARE * links.tried):
         return links
     if _grid(pair.a, _shrink(box, pair.a.grey.shape, np.zeros(2))) is None:
-        # no room for a single patch: a narrow overlap without links is no sign of a displaced camera
+        # the overlap has no room for a single patch: that it has no links is no sign of a displaced camera
         return links
     reach = np.full(2, _MOVED_MM * pair.camera_a.px_per_mm)
     coarse = find_shift(pair.a, pair.b, box, pair.offset_px(box), reach)
     if isinstance(coarse, Failure):
-        # an overlap without texture fails too, but only texture that does not match is a sign
+        # the search also fails without texture, but only texture that does not match is a sign of a displaced camera
         return replace(links, unmatched=_too_few(links) and isinstance(coarse, NoMatch))
     displaced = _link_corners(task, pair, box, coarse.px)
-    # the more links the likelier: look-alikes rarely outnumber the true ones
+    # the larger set is the likelier one: false links rarely outnumber true ones
     best = displaced if len(displaced.a_px) > len(links.a_px) else links
     return replace(best, unmatched=_too_few(best))
 
 
 def link_reference(task: Task, pair: FramePair) -> Links:
-    """Link a frame of a run and its counterpart in the reference: the same view, but for the board's position."""
+    """Link a frame of a run to the frame of the reference with the same camera and row.
+
+    The two frames differ by the position of the board only.
+    """
     box = pair.overlap()
     assert box is not None
     reach = np.full(2, _PLACEMENT_MM * pair.camera_a.px_per_mm)
@@ -118,13 +123,19 @@ def link_reference(task: Task, pair: FramePair) -> Links:
 
 
 def _too_few(links: Links) -> bool:
-    """Whether two cameras that see the same would give more links; a narrow overlap has room for few corners."""
+    """Whether the links are fewer than two cameras that are where they were calibrated would give.
+
+    Where a narrow overlap has room for few corners only, the limit is a share of these corners.
+    """
     enough = _ENOUGH if links.tried >= _ENOUGH else max(_CERTAIN_SHARE * links.tried, 1)
     return len(links.a_px) < enough
 
 
 def _link_corners(task: Task, pair: FramePair, box: Box, correction_px: Floats, count: int = _CORNERS) -> Links:
-    """Match corners of an overlap in which b differs from its prediction by a correction (2,)."""
+    """Choose corners in the overlap of frame a, match them in frame b, and return the good matches as links.
+
+    Frame b is searched at the prediction plus `correction_px` (2,), the result of the coarse search.
+    """
     a, b = pair.a, pair.b
     corners = choose_corners(a, _shrink(box, a.grey.shape, correction_px), count)
     guess = pair.predict(patch_centres(corners)) + correction_px
@@ -148,7 +159,10 @@ def _link_corners(task: Task, pair: FramePair, box: Box, correction_px: Floats, 
 
 
 def choose_corners(a: PreparedFrame, box: Box, count: int = _CORNERS) -> NDArray[np.int64]:
-    """Return the best-textured corner (k, 2) of each cell of a grid over a box of the frame, in whole pixels."""
+    """Return corners (k, 2), x and y in whole pixels: the best-textured place of each cell of a grid over a box.
+
+    The grid has about `count` cells. Cells without sufficient texture have no corner.
+    """
     grid = _grid(a, box)
     if grid is None:
         return np.zeros((0, 2), dtype=np.int64)
@@ -160,8 +174,11 @@ def choose_corners(a: PreparedFrame, box: Box, count: int = _CORNERS) -> NDArray
 
 
 def _grid(a: PreparedFrame, box: Box) -> tuple[int, int, int, int, int] | None:
-    """Return the grain in px, and x0, y0, width, height in grains, of the grid in a box; None if it has no room."""
-    # the finer grain costs four times the pixels, which only small frames and narrow overlaps can afford
+    """Return the grid of corner selection in a box: (grain, x0, y0, width, height), or None if the box is too small.
+
+    The grain is the reduction of the copy in which corners are selected, in px; the other values are in grains.
+    """
+    # half the grain means four times as many pixels: acceptable only in small frames and narrow overlaps
     grain = (
         _GRAIN_PX if a.factor >= _GRAIN_PX and min(box[2] - box[0], box[3] - box[1]) >= _AMPLE_PX else _GRAIN_PX // 2
     )
@@ -170,7 +187,11 @@ def _grid(a: PreparedFrame, box: Box) -> tuple[int, int, int, int, int] | None:
 
 
 def _shrink(box: Box, shape: tuple[int, ...], correction_px: Floats) -> Box:
-    """Return the overlap after the coarse correction, without a margin at the borders of both frames."""
+    """Return the part of the overlap in which patches can be matched.
+
+    The correction (2,) of the coarse search reduces the overlap, and patches need a margin to the borders of both
+    frames. `shape` is the shape of frame a.
+    """
     m = MARGIN_PX + 1
     cx, cy = correction_px
     x0, y0, x1, y1 = box[0] - min(cx, 0), box[1] - min(cy, 0), box[2] - max(cx, 0), box[3] - max(cy, 0)

@@ -1,4 +1,4 @@
-"""Sizes of a patch and the weights of its blur and of the interpolation: constants of `refinement`."""
+"""Constants of `refinement`: the sizes of a patch, the weights of the blur, and the weights of the interpolation."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ from numpy.typing import NDArray
 WINDOW_PX = 24
 """Side of a patch: three vector registers of eight pixels."""
 PITCH_PX = 32
-"""Distance of two lines of a patch or tile in memory; loops run over all lines at once, and the padding is 0."""
+"""Distance of two lines of a patch or tile in memory, in pixels. The rest of each line is padding with the value 0, so
+that one loop can run over all lines at once."""
 BINOMIAL = (20, 15, 6, 1)
-"""Weights of the blur in 64ths, from the centre outwards: close to a Gaussian of 1.22 px, in whole numbers, and zero at
-the Nyquist frequency."""
+"""Weights of the blur in 64ths, from the centre outwards. The blur is close to a Gaussian with σ = 1.22 px, has whole
+numbers as weights, and removes the Nyquist frequency completely."""
 BLUR_REACH = 3
-"""Pixels on either side that the blur reads."""
+"""Number of pixels on each side of a pixel that the blur reads."""
 TAPS = 6
-"""Points of the interpolation."""
+"""Number of neighbouring pixels from which the sinc interpolates a value in one direction."""
 FRACTIONS = 512
-"""Entries per pixel in the table of the interpolation; weights between them are linear."""
+"""Number of fractions of a pixel for which `SINC` contains weights; weights in between are interpolated linearly."""
 _KAISER = 6.0
-"""Shape of the Kaiser window."""
+"""Shape parameter of the Kaiser window, which limits the sinc to `TAPS` pixels."""
 
 _Table = NDArray[np.float32]
 
 
 def _sinc() -> _Table:
-    """Return the weights (FRACTIONS + 1, TAPS) of a windowed sinc; each row sums to 1, so that grey levels stay."""
+    """Return the weights (FRACTIONS + 1, TAPS) of a windowed sinc.
+
+    The weights of each fraction sum to 1, so that interpolation does not change the mean grey level.
+    """
     f = np.linspace(0, 1, FRACTIONS + 1)
     at = np.arange(1 - TAPS // 2, TAPS // 2 + 1) - f[:, None]
     window = np.i0(_KAISER * np.sqrt(np.maximum(1 - (at / (TAPS / 2)) ** 2, 0)))
@@ -34,17 +38,19 @@ def _sinc() -> _Table:
 
 
 def _in_lines(values: NDArray[np.float64]) -> _Table:
-    """Return a patch (WINDOW_PX, WINDOW_PX) line after line, padded with 0."""
+    """Return the values of a patch (WINDOW_PX, WINDOW_PX) as a flat array, each line padded with 0 to PITCH_PX."""
     lines = np.zeros((WINDOW_PX, PITCH_PX), dtype=np.float32)
     lines[:, :WINDOW_PX] = values
     return lines.ravel()
 
 
 NOISE_SHARE = float((924 / 64**2) ** 2)
-"""Share of the variance of white noise that the blur keeps: its squared weights sum to C(12, 6) / 64² in x and in y."""
+"""Share of the variance of white noise that remains after the blur. The squared weights of the blur sum to
+C(12, 6) / 64² = 924 / 64² in x, and the same in y."""
 SINC = _sinc()
-"""(FRACTIONS + 1, 6) at fractions 0 … 1; they shift blurred texture with an error of 0.002 px."""
+"""(FRACTIONS + 1, TAPS) weights of the sinc interpolation at the fractions 0 … 1 of a pixel. The error of the
+interpolation displaces blurred texture by 0.002 px."""
 INSIDE = _in_lines(np.ones((WINDOW_PX, WINDOW_PX)))
-"""(768,) 1 within the patch and 0 in the padding of its lines."""
+"""(768,) 1 at the pixels of a patch and 0 in the padding of its lines."""
 ACROSS, DOWN = map(_in_lines, np.meshgrid(np.linspace(-1, 1, WINDOW_PX), np.linspace(-1, 1, WINDOW_PX)))
-"""(768,) x and y within the patch, −1 … 1; 0 in the padding."""
+"""(768,) the coordinates x and y of each pixel of a patch, from −1 to 1; 0 in the padding of its lines."""

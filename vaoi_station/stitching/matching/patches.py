@@ -1,9 +1,10 @@
-"""Match many small patches of two images at once, and state the accuracy of each match.
+"""Match many small patches of two images at once, and estimate the accuracy of each match.
 
-Let g be the slopes of a patch, H = Σ g·gᵀ, B the blur, and let the noise be white with variance s² before the blur.
-A match then scatters by H⁻¹·(s²·Σ (B g)(B g)ᵀ)·H⁻¹: slopes are smooth, and the blur leaves smooth noise. The remaining
-difference of the two patches has the variance v² = s²·Σ B², which gives s². The structure tensor over v² alone
-overestimates the accuracy by a factor of 4 to 14.
+Let g (2,) be the slopes of a patch in x and y at one pixel, Σ a sum over the pixels of the patch, H = Σ g·gᵀ, and B
+the blur. Let the noise before the blur be white with variance s². The covariance of a match is then
+H⁻¹·(s²·Σ (B g)(B g)ᵀ)·H⁻¹. The difference that remains between the two matched patches has the variance v² = s²·Σ B²,
+from which s² follows. The simpler estimate v²·H⁻¹ takes blurred noise for white noise, and overestimates the accuracy
+by a factor of 4 to 14.
 """
 
 from __future__ import annotations
@@ -21,44 +22,50 @@ from vaoi_station.stitching.matching.prepared_frame import read_only
 from vaoi_station.stitching.matching.refinement import MARGIN_PX, Refinement, refine
 
 PATCH_PX = WINDOW_PX + 10
-"""Side of the square that a patch depends on, blur included."""
+"""Side of the square of image pixels on which a patch depends, including the reach of the blur."""
 REACH_PX = 6.0
-"""A match further from its prediction is discarded."""
+"""Largest distance of a match from its predicted position, in x and in y; a match further away is discarded."""
 _SETTLED_PX = 0.1
-"""Longest last step of a match that converged; after a longer one the score is that of a place nearby."""
+"""Largest last step of a match that counts as converged. After a larger step, the score is that of another position."""
 _SATURATED_SHARE = 0.02
-"""Largest share of saturated pixels: they do not move with the texture."""
+"""Largest share of saturated pixels in a match; saturated pixels do not move with the texture."""
 _NOISE_FLOOR = 0.5
-"""Least noise in grey levels after rounding to whole numbers and blurring."""
+"""Smallest noise in grey levels that is assumed after the blur: pixels are rounded to whole numbers."""
 _TINY = 1e-9
-"""Added to the covariance of slopes, so that it can be inverted where it is 0."""
+"""Addend to the diagonal of s²·Σ (B g)(B g)ᵀ, so that this matrix can be inverted where it is 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """The results for k patches."""
+    """The matches of k patches of image a in image b."""
 
     b_px: Floats
-    """(k, 2) centres of the patches in b."""
+    """(k, 2) measured centres of the patches in image b, px."""
     information: Floats
     """(k, 2, 2) inverse covariance of b_px, px⁻²."""
     sigma_px: Floats
-    """(k,) standard deviation in the least certain direction."""
+    """(k,) standard deviation of b_px in its least certain direction."""
     score: Floats
-    """(k,) correlation."""
+    """(k,) correlation of the matched patches; 0 for a lost patch."""
     found: NDArray[np.bool_]
-    """(k,) whether the other values can be used."""
+    """(k,) whether the patch was found; only then the other values can be used."""
 
 
 def patch_centres(corners: NDArray[np.int_]) -> Floats:
-    """Return the centres (k, 2) of patches at whole pixels (k, 2): half a pixel on, as their side is even."""
+    """Return the centres (k, 2) of the patches at corners (k, 2), which are whole pixels.
+
+    The side of a patch is even: its centre lies half a pixel to the right of its corner and below it.
+    """
     return np.asarray(corners + 0.5, dtype=np.float64)
 
 
 def inside_both(
     a: tuple[int, ...], b: tuple[int, ...], corners: NDArray[np.int64], guess_px: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return the corners and guesses (k, 2) whose patches lie inside images of shapes a and b respectively."""
+    """Return those corners (k, 2) and guesses (k, 2) whose patches lie inside both images.
+
+    Corners are in image a and guesses in image b; `a` and `b` are the shapes of the images.
+    """
     return _inside_both((a[0], a[1]), (b[0], b[1]), corners, guess_px)
 
 
@@ -68,10 +75,10 @@ def match_patches(a: NDArray[np.uint8], b: NDArray[np.uint8], corners: NDArray[n
     Args:
         a: first image.
         b: second image.
-        corners: (k, 2) whole pixels in a, as of `inside_both`. What is matched are the `patch_centres`.
-        guess_px: (k, 2) expected centres in b, as of `inside_both`; right to a few pixels.
+        corners: (k, 2) whole pixels in image a that passed `inside_both`; patches are centred at `patch_centres`.
+        guess_px: (k, 2) predicted centres in image b that passed `inside_both`, accurate to a few pixels.
     """
-    # one type of each array: for another layout or a writable image a second variant would be compiled
+    # Numba would compile a second variant for another memory layout or for a writable image
     at = np.ascontiguousarray(corners, dtype=np.int64)
     guess = np.ascontiguousarray(guess_px, dtype=np.float64)
     refined = refine(read_only(a), read_only(b), at, guess, REACH_PX)
@@ -81,7 +88,7 @@ def match_patches(a: NDArray[np.uint8], b: NDArray[np.uint8], corners: NDArray[n
 
 @compiled
 def _assess(guess_px: Floats, refined: Refinement) -> tuple[NDArray[np.bool_], Floats, Floats]:
-    """Return which patches were found (k,), inverse covariances (k, 2, 2), and the largest sigma of each (k,)."""
+    """Return for each patch whether it was found, its information matrix (2, 2), and its largest standard deviation."""
     b_px, hessian, blurred = refined.b_px, refined.hessian, refined.blurred
     k = len(guess_px)
     found, information, sigma = np.zeros(k, np.bool_), np.zeros((k, 2, 2)), np.full(k, np.inf)
@@ -92,7 +99,7 @@ def _assess(guess_px: Floats, refined: Refinement) -> tuple[NDArray[np.bool_], F
         noise = max(refined.scatter[n], _NOISE_FLOOR)
         share = noise * noise / NOISE_SHARE
         p, q, r = blurred[n, 0, 0] * share + _TINY, blurred[n, 0, 1] * share, blurred[n, 1, 1] * share + _TINY
-        # the inverse of s²·Σ (B g)(B g)ᵀ is (a, b; b, c) / d
+        # s²·Σ (B g)(B g)ᵀ = (p, q; q, r), and its inverse is (a, b; b, c) / d
         a, b, c, d = r, -q, p, p * r - q * q
         xx, xy, yy = hessian[n, 0, 0], hessian[n, 0, 1], hessian[n, 1, 1]
         along_x = (xx * (xx * a + xy * b) + xy * (xx * b + xy * c)) / d
@@ -110,6 +117,7 @@ def _assess(guess_px: Floats, refined: Refinement) -> tuple[NDArray[np.bool_], F
 def _inside_both(
     a: tuple[int, int], b: tuple[int, int], corners: NDArray[np.int64], guess_px: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
+    """Perform `inside_both` for shapes (height, width) of the images."""
     keep = np.zeros(len(corners), np.bool_)
     for n in range(len(corners)):
         x, y = corners[n, 0] + 0.5, corners[n, 1] + 0.5

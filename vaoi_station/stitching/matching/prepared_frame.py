@@ -1,4 +1,4 @@
-"""Prepare a frame once for all its tasks: grey pixels and small high-passed copies."""
+"""Prepare a frame once for all tasks that read it: compute its grey pixels and its reduced, high-passed copies."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 
 _COARSE_WIDTH_PX = 150
-"""Least width of `coarse`."""
+"""Smallest width of `PreparedFrame.coarse`."""
 
 
 class PreparedFrame:
-    """One frame and its copies, each computed when it is first needed.
+    """One frame with its grey pixels and reduced copies, each of which is computed when it is first read.
 
-    The centre of pixel k of a copy lies at (k + ½)·factor − ½ of the frame.
+    In a copy that is reduced by `factor`, the centre of pixel k lies at the coordinate (k + ½)·factor − ½ of the frame.
     """
 
     def __init__(self, pixels: NDArray[Any]) -> None:
-        """Take a frame (h, w) or (h, w, 3), 8 or 16 bit."""
+        """Create it from the pixels of a grey frame (h, w) or a colour frame (h, w, 3), 8 or 16 bit."""
         self._pixels = pixels
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
-        """(h, w) 8-bit luminance, read-only and contiguous, from any source.
+        """(h, w) 8-bit luminance, as a read-only and contiguous array.
 
-        Numba compiles a second variant for writable arrays, and the two may round differently. A frame in the ring
-        and the same frame from a file must give the same evidence.
+        Numba compiles separate variants for read-only and for writable arrays, and the two may round differently. A
+        frame in the ring and the same frame from a file must give the same evidence.
         """
         return read_only(to_eight_bit(to_grey(self._pixels)))
 
     @cached_property
     def quarter(self) -> NDArray[np.uint8]:
-        """A fourth of the size, by block means."""
+        """The grey frame reduced by 4 in width and height: means of 4×4 pixels."""
         return read_only(quarter_size(self.grey))
 
     @cached_property
     def copies(self) -> dict[int, NDArray[np.uint8]]:
-        """The results of `downsampled`, by factor."""
+        """The cache of `downsampled`: reduced grey frames by their factor."""
         return {}
 
     @cached_property
     def factor(self) -> int:
-        """Size of a pixel of `coarse` in pixels of the frame."""
+        """By how much `coarse` is reduced: 4, or a higher power of two in large frames."""
         factor = 4
         while self.grey.shape[1] // (2 * factor) >= _COARSE_WIDTH_PX:
             factor *= 2
@@ -54,19 +54,19 @@ class PreparedFrame:
 
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
-        """A small copy minus its local mean, so that light and vignetting cancel."""
+        """The grey frame reduced by `factor`, minus its local mean, which removes uneven light and vignetting."""
         small = downsampled(self, self.factor)
         wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
         return np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
 
     @cached_property
     def coarser(self) -> NDArray[np.float32]:
-        """Half the size of `coarse`."""
+        """The copy `coarse` reduced once more by 2."""
         return np.asarray(half_size(self.coarse))
 
 
 def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:
-    """Return the frame reduced by a power of two, by block means, read-only; computed once."""
+    """Return the grey frame reduced by a power of two, by block means, read-only. It is computed once per frame."""
     if factor == 1:
         return frame.grey
     if factor not in frame.copies:
@@ -80,7 +80,10 @@ def to_grey(pixels: NDArray[Any]) -> NDArray[Any]:
 
 
 def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
-    """Convert to 8 bit; 16-bit frames, of which cameras fill 10, 12 or 16 bits, are scaled by the bits in use."""
+    """Convert grey pixels to 8 bit.
+
+    Cameras use 10, 12, 14 or 16 bits of a 16-bit pixel. The brightest pixel shows how many of them are in use.
+    """
     if grey.dtype == np.uint8:
         return grey
     bits = max(int(grey.max()).bit_length(), 8)
@@ -90,15 +93,15 @@ def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
 
 @compiled
 def quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return block means of 4×4; a remainder at the right and at the bottom is left out.
+    """Return the means of blocks of 4×4 pixels. Incomplete blocks at the right and at the bottom are left out.
 
-    This is the first read of a frame from memory, so that its order of access decides: line by line takes half the
-    time of several lines at once, and a third of two halvings.
+    This is the first time a frame is read from memory, so that the order of access determines the time. To read line
+    by line takes half the time of reading several lines at once, and a third of the time of two reductions by 2.
     """
     h, w = image.shape[0] // 4, image.shape[1] // 4
     out, sums = np.empty((h, w), np.uint8), np.empty(4 * w, np.uint16)
     for y in range(h):
-        # 2 in each of four sums rounds their sixteenth to the nearest
+        # four sums are added and divided by 16 below: a start of 2 in each adds 8, which rounds to the nearest
         sums[:] = 2
         for k in range(4):
             line = image[4 * y + k, : 4 * w]
@@ -111,13 +114,16 @@ def quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def read_only(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a contiguous, read-only view, so that compiled functions see a single type of array."""
+    """Return a contiguous, read-only view of an image, so that compiled functions receive a single type of array."""
     view = np.ascontiguousarray(image).view()
     view.flags.writeable = False
     return view
 
 
 def half_size(image: NDArray[Any]) -> NDArray[Any]:
-    """Return block means of 2×2; an odd last row or column is left out, so that pixel centres stay aligned."""
+    """Return the means of blocks of 2×2 pixels.
+
+    An odd last line or column is left out: OpenCV would otherwise stretch the result, and pixel centres would shift.
+    """
     h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     return np.asarray(cv2.resize(image[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA))

@@ -1,20 +1,23 @@
 """The inner loop of matching: find one patch of image a in image b with an accuracy of a few thousandths of a pixel.
 
-Both images are blurred around the patch, which removes most of the interpolation's bias towards whole pixels.
-Inverse-compositional Gauss-Newton with gain and offset follows: first with bilinear interpolation until steps are
-short, then with a sinc of six points under a Kaiser window until it has converged.
+Both images are blurred around the patch, which removes most of the bias of the interpolation towards whole pixels. The
+position is then found by inverse-compositional Gauss-Newton with gain and offset. It starts with bilinear
+interpolation; once steps are short, it continues with a sinc of six points under a Kaiser window until it has
+converged.
 
-Let t be the patch minus its mean, g its two slopes, orthogonal to what light can explain, H = g·gᵀ, and s the window of
-b at the current position. A step is H⁻¹·(g·s) / gain, with gain = (t·s) / (t·t).
+Let t be the patch of image a minus its mean, and s the window of image b at the current position. Let g be the slopes
+of the patch in x and y, made orthogonal to changes of light (see below), and H = g·gᵀ. Products are sums over all
+pixels. One step moves the window by H⁻¹·(g·s) / gain, where gain = (t·s) / (t·t).
 
-**Light.** Vignetting and the fall-off of a lamp make a patch brighter on one side, and often on the other side in
-frame b. A blob of 5 px then seems to move by 0.01 to 0.02 px, in all patches alike, so that the error does not average
-out. The slopes are therefore made orthogonal to what offset, gain and a slope of the gain across the patch can explain
-(1, t, t·x, t·y).
+**Light.** Vignetting and the fall-off of a lamp make a patch brighter on one side; in image b this is often the other
+side. A blob of 5 px then seems to move by 0.01 to 0.02 px. The error is the same in all patches and does not average
+out. The slopes are therefore made orthogonal to four changes of light: an offset, a gain, and a gain that varies
+linearly in x or in y. The corresponding vectors are 1, t, t·x and t·y; the code takes the blurred pixels for t in the
+latter two.
 
-**Memory.** Patches and tiles are flat arrays whose lines lie `PITCH_PX` apart, and one loop runs over all lines: the
-compiler turns it into vector instructions, which it does not for loops over a line of 24. The padding of the lines is 0
-in every factor of a sum.
+**Memory.** Patches and tiles are flat arrays whose lines lie `PITCH_PX` apart, so that one loop runs over all lines.
+The compiler turns such a loop into vector instructions, but not a loop over one line of 24 pixels. In every sum of
+products, at least one factor is 0 in the padding of the lines.
 """
 
 from __future__ import annotations
@@ -42,47 +45,53 @@ from vaoi_station.stitching.matching.patch_tables import (
 from vaoi_station.stitching.matching.tiles import Pixels, Plane, blur, cut, saturated_share
 
 _MOST_TILES = 7
-"""Most tiles cut out of b for one patch; in each the patch can move by a pixel and a half."""
+"""Largest number of tiles cut out of image b for one patch. Within each tile the window can move by 1.5 px."""
 MARGIN_PX = WINDOW_PX // 2 + TAPS // 2
-"""Least distance of a patch's centre from the border of either image; the blur repeats border pixels."""
+"""Smallest distance of a patch's centre from the border of either image. The blur reads further and repeats border
+pixels."""
 _MOST_STEPS, _NEAR_PX, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.25, 0.01, 1.5, 1e-3
-"""After a step below `_NEAR_PX` the sinc replaces bilinear interpolation; a step below `_STILL_PX` is the last."""
+"""Limits of the iteration. After a step below `_NEAR_PX` the sinc replaces bilinear interpolation. A step with the sinc
+below `_STILL_PX` is the last one. A step is cut to `_LONGEST_STEP_PX`. A patch is lost if its gain is below
+`_LEAST_GAIN`."""
 _FOLLOWED, _FOLLOWED_SCORE = 4, 0.8
-"""A patch starts at the mean shift of about this number of patches before it with this score: neighbours move alike."""
+"""The search for a patch starts at its guess plus the mean shift from the guess of about `_FOLLOWED` earlier patches
+whose score was at least `_FOLLOWED_SCORE`, because neighbouring patches move alike."""
 _LEAST_CORNER = 1e-6
-"""det H / (trace H)² below which a patch is a mere edge and fixes no point."""
+"""Smallest det H / (trace H)² of a patch that is searched. Below it, the patch shows an edge only, which does not
+determine a point."""
 _A_PX, _B_PX, _B_PITCH = WINDOW_PX + 2, 32, 40
-"""Sides of the tiles cut out of a and b, and the pitch of the raw pixels of b with the margin of the blur."""
+"""Sides of the tiles cut out of images a and b, and the pitch of the raw pixels of image b, which include the margin
+of the blur."""
 _B_FIRST = 4
-"""Position of the window's first pixel in a new tile of b."""
+"""Position in x and y of the window's first pixel in a tile that is newly cut out of image b."""
 _RAW_LINES, _PADDING, _TILE = 40, 6 * PITCH_PX, 34 * PITCH_PX
-"""Sizes of buffers: loops over whole lines read a little beyond the last line."""
+"""Sizes of buffers. They exceed the data, because loops over whole lines read a little beyond the last line."""
 _LEFT = WINDOW_PX // 2 - 1
 _AREA = WINDOW_PX * WINDOW_PX
 _SIZE = WINDOW_PX * PITCH_PX
 
 _Patch = tuple[Plane, Plane, Plane, Plane, Plane]
-"""t, the slopes in x and y, t·x and t·y; (768,) each."""
+"""The arrays of one patch, (768,) each: t, the slopes in x and y, t·x and t·y."""
 _Float = np.float32
 
 
 class Refinement(NamedTuple):
-    """The results for k patches."""
+    """The results of refining k patches."""
 
     b_px: Floats
-    """(k, 2) centres of the patches in b."""
+    """(k, 2) centres of the patches in image b; the guess if the patch has too little texture to be searched."""
     hessian: Floats
-    """(k, 2, 2) H, grey levels² / px²."""
+    """(k, 2, 2) the matrices H = g·gᵀ, grey levels² / px²."""
     blurred: Floats
-    """(k, 2, 2) Σ (B g)(B g)ᵀ, B the blur: the covariance of g·noise for blurred white noise of unit variance."""
+    """(k, 2, 2) Σ (B g)(B g)ᵀ, B being the blur: the covariance of g·n for blurred white noise n of unit variance."""
     score: Floats
-    """(k,) correlation."""
+    """(k,) correlation of the matched patches; 0 for a lost patch."""
     scatter: Floats
-    """(k,) rms of the remaining difference, grey levels."""
+    """(k,) rms of the difference that remains between the matched patches, grey levels."""
     last_step_px: Floats
-    """(k,) length of the last step; infinite if the patch was lost."""
+    """(k,) larger component of the last step; infinite if the patch was lost."""
     saturated: Floats
-    """(k,) share of saturated pixels, in a or in b."""
+    """(k,) share of saturated pixels in the patch of image a or of image b, whichever is larger."""
 
 
 @compiled
@@ -92,11 +101,11 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
     """Find patches of image a in image b.
 
     Args:
-        a: first image (h, w).
+        a: first image.
         b: second image.
-        corners: (k, 2) whole pixels; a patch's centre is half a pixel to the right of and below them.
-        guess_px: (k, 2) expected centres in b.
-        reach_px: a patch that moves further from there is lost.
+        corners: (k, 2) whole pixels in image a. The centre of a patch is half a pixel to the right and below.
+        guess_px: (k, 2) predicted centres in image b.
+        reach_px: a patch that moves further than about this from its guess is lost.
     """
     count = len(corners)
     b_px, hessian, blurred = np.empty((count, 2)), np.empty((count, 2, 2)), np.zeros((count, 2, 2))
@@ -108,14 +117,14 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
     t, tx, ty = np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float)
     patch, factor, lines, soft = (t, gx, gy, tx, ty), np.zeros((4, 4)), np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
     lead_x, lead_y, followed = 0.0, 0.0, 0
-    # `one` is 1, but not known to the compiler, which would unroll copies of constant length byte by byte
+    # `one` is always 1. The compiler does not know that; it would unroll copies of constant length byte by byte
     further, one = reach_px + _LONGEST_STEP_PX, corners.shape[1] // 2
     for k in range(len(corners)):
         x0, y0 = corners[k, 0] - _LEFT - 1, corners[k, 1] - _LEFT - 1
         cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
         blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
         last_step_px[k], saturated[k] = np.inf, saturated_share(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
-        # a lost patch stays at its guess
+        # a patch with too little texture keeps its guess
         b_px[k] = guess_px[k]
         mean, tt, xx, xy, yy = _template(tile_a, patch, factor)
         hessian[k, 0, 0], hessian[k, 0, 1], hessian[k, 1, 0], hessian[k, 1, 1] = xx, xy, xy, yy
@@ -123,7 +132,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
         if determinant <= _LEAST_CORNER * (xx + yy) ** 2 + _LEAST_CORNER:
             continue
         ixx, ixy, iyy = yy / determinant, -xy / determinant, xx / determinant
-        # from here on positions are those of the window's first pixel
+        # from here on, a position is that of the window's first pixel, not of its centre
         first_x, first_y = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5
         px, py, tiles, near, lost = first_x + lead_x, first_y + lead_y, 0, False, True
         s1 = st = sx = sy = ss = su = sv = ex = ey = length = 0.0
@@ -139,17 +148,17 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
                 s1, st, sx, sy, ss, su, sv = _sharp(tile_b, px - x0, py - y0, patch, lines)
             else:
                 st, sx, sy = _bilinear(tile_b, px - x0, py - y0, patch)
-            # no or inverted contrast: the step would be divided by a gain of nearly 0
+            # the window has no contrast or an inverted one: the step would be divided by a gain near 0 or below
             if st <= _LEAST_GAIN * tt:
                 break
             ex, ey = (ixx * sx + ixy * sy) * tt / st, (ixy * sx + iyy * sy) * tt / st
             length = max(abs(ex), abs(ey))
-            # far from the solution the linearisation overshoots: long steps are cut
+            # the linearisation overshoots far from the solution: long steps are shortened
             share = min(1.0, _LONGEST_STEP_PX / max(length, 1e-9))
             px, py = px - ex * share, py - ey * share
             if max(abs(px - first_x), abs(py - first_y)) > further or not _within(px, py, b):
                 break
-            # a match counts only if the sinc has confirmed it
+            # a match counts only if its last step used the sinc
             lost = not near
             if near and length < _STILL_PX:
                 break
@@ -158,7 +167,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
         if not lost:
             score[k], scatter[k] = _agreement(factor, tt, (s1, st, sx, sy, ss, su, sv), ex, ey)
             last_step_px[k] = length
-            # the window of b, where it came to rest
+            # the share of saturated pixels of image b is that of the window at its final position
             here = saturated_share(raw, _B_PX, _B_PITCH, round(px) - x0 + BLUR_REACH, round(py) - y0 + BLUR_REACH)
             saturated[k] = max(saturated[k], here)
             xx, xy, yy = _softened(padded_x, padded_y, soft)
@@ -174,7 +183,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
 def _agreement(
     factor: Floats, tt: float, sums: tuple[float, float, float, float, float, float, float], ex: float, ey: float
 ) -> tuple[float, float]:
-    """Return correlation and scatter after a last step (ex, ey), from the sums before it."""
+    """Return correlation and scatter after the last step (ex, ey), from the sums of `_sharp` before this step."""
     s1, st, sx, sy, ss, su, sv = sums
     v0, v1, v2, v3 = _halfway(factor, s1, st, su, sv)
     gain = st / tt
@@ -185,14 +194,14 @@ def _agreement(
 
 @inlined
 def _outside(dx: float, dy: float) -> bool:
-    """Whether a window reaches beyond its tile."""
+    """Whether a window with its first pixel at (dx, dy) of a tile, with the reach of the sinc, exceeds the tile."""
     low, high = TAPS // 2 - 1, _B_PX - WINDOW_PX - TAPS // 2 + 1
     return not (low <= dx < high and low <= dy < high)
 
 
 @inlined
 def _within(px: float, py: float, image: Pixels) -> bool:
-    """Whether a window with this first pixel keeps its margin to the image's border."""
+    """Whether a window with its first pixel at (px, py) keeps the distance `MARGIN_PX` from the border of the image."""
     h, w = image.shape
     low = MARGIN_PX - _LEFT - 0.5
     return bool(low <= px <= w - MARGIN_PX - _LEFT and low <= py <= h - MARGIN_PX - _LEFT)
@@ -200,7 +209,16 @@ def _within(px: float, py: float, image: Pixels) -> bool:
 
 @inlined
 def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
-    """Compute a patch and the Cholesky factor of its light; return its mean, t·t, and H as (xx, xy, yy)."""
+    """Compute the arrays of a patch from its tile, and the Cholesky factor (4, 4) for the four changes of light.
+
+    Args:
+        tile: blurred pixels of image a.
+        patch: written in place; its slopes are orthogonal to changes of light.
+        factor: written in place: the factor of the matrix of products of 1, t, t·x and t·y.
+
+    Returns:
+        The mean of the patch, t·t, and the entries xx, xy, yy of H.
+    """
     t, gx, gy, tx, ty = patch
     half, total, p = _Float(0.5), _Float(0), PITCH_PX
     for n in range(_SIZE):
@@ -252,7 +270,10 @@ def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float,
 
 @inlined
 def _factorise(m: Floats) -> None:
-    """Replace the lower triangle of a matrix (4, 4) by its Cholesky factor; a small addend covers missing texture."""
+    """Replace the lower triangle of a matrix (4, 4) by its Cholesky factor.
+
+    A small addend keeps the matrix positive definite where the patch has no texture.
+    """
     for i in range(4):
         m[i, i] += 1e-3 if i else 0.0
         for j in range(i + 1):
@@ -264,7 +285,7 @@ def _factorise(m: Floats) -> None:
 
 @inlined
 def _halfway(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
-    """Return L⁻¹·b for the factor L."""
+    """Return L⁻¹·b for a Cholesky factor L (4, 4) and a vector b of four numbers."""
     v0 = b0 / m[0, 0]
     v1 = (b1 - m[1, 0] * v0) / m[1, 1]
     v2 = (b2 - m[2, 0] * v0 - m[2, 1] * v1) / m[2, 2]
@@ -273,7 +294,7 @@ def _halfway(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[flo
 
 @inlined
 def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[float, float, float, float]:
-    """Return (L·Lᵀ)⁻¹·b for the factor L."""
+    """Return (L·Lᵀ)⁻¹·b for a Cholesky factor L (4, 4) and a vector b of four numbers."""
     v0, v1, v2, v3 = _halfway(m, b0, b1, b2, b3)
     w3 = v3 / m[3, 3]
     w2 = (v2 - m[3, 2] * w3) / m[2, 2]
@@ -283,9 +304,14 @@ def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[floa
 
 @inlined
 def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, float, float]:
-    """Return Σ (B g)(B g)ᵀ as (xx, xy, yy); slopes are 0 outside the patch.
+    """Return the entries xx, xy, yy of Σ (B g)(B g)ᵀ, where B is the blur and slopes g are 0 outside the patch.
 
-    Only every second line is computed and the sum doubled: blurred slopes are smooth enough for that.
+    Blurred slopes are smooth: the sum runs over every second line only and is doubled.
+
+    Args:
+        padded_x: slopes in x, with padding above and below.
+        padded_y: slopes in y, with padding above and below.
+        soft: buffer for slopes that are blurred in y only.
     """
     w0, w1, w2, w3 = BINOMIAL
     v0, v1, v2, v3 = _Float(w0 / 64), _Float(w1 / 64), _Float(w2 / 64), _Float(w3 / 64)
@@ -313,7 +339,10 @@ def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, flo
 
 @inlined
 def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, float, float]:
-    """Return the sums of s·t, s·gx, s·gy for the window s whose first pixel lies at (x, y) of a tile."""
+    """Return the sums of s·t, s·gx, s·gy for the window s whose first pixel lies at (x, y) of a tile of image b.
+
+    The window is interpolated bilinearly; t, gx, gy are the arrays of the patch.
+    """
     t, gx, gy = patch[0], patch[1], patch[2]
     x0, y0, one = int(x), int(y), _Float(1)
     fx, fy = _Float(x - x0), _Float(y - y0)
@@ -333,7 +362,10 @@ def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, fl
 def _sharp(
     tile: Plane, x: float, y: float, patch: _Patch, lines: Plane
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return the sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y for the same window by the sinc of six points."""
+    """Return the sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y for the window s at (x, y) of a tile of image b.
+
+    As `_bilinear`, but the window is interpolated by the sinc of six points. `lines` is a buffer for its lines.
+    """
     t, gx, gy, tx, ty = patch
     x0, y0, p = int(x), int(y), PITCH_PX
     first, count = (y0 - 2) * p + x0 - 2, (WINDOW_PX + TAPS - 1) * p
@@ -359,7 +391,7 @@ def _sharp(
 
 @inlined
 def _weights(f: float) -> tuple[float, float, float, float, float, float]:
-    """Return the weights of the six points at a fraction, interpolated in the table."""
+    """Return the weights of the sinc's six points for a fraction f (0 … 1) of a pixel, interpolated in `SINC`."""
     at = f * FRACTIONS
     n = min(int(at), FRACTIONS - 1)
     w = SINC[n] + _Float(at - n) * (SINC[n + 1] - SINC[n])

@@ -1,4 +1,4 @@
-"""The frames of a run, for the stages that read pixels again after all links are known."""
+"""The frames of a run, for those stages of the conclusion that read pixels again after all links are known."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Cameras, good frames, and access to their prepared pixels."""
+    """The cameras and good frames of a run, with access to the prepared frames."""
 
     cameras: tuple[Camera, ...]
     present: tuple[FrameKey, ...]
-    """The good frames, sorted."""
+    """Camera and row of every good frame, sorted."""
     prepared: Callable[[FrameKey], PreparedFrame]
-    """Returns a frame; raises LookupError where there is none."""
+    """A function that returns the prepared frame of a camera and row, and raises LookupError if it is missing."""

@@ -1,7 +1,7 @@
-"""Tiles: squares of an image, cut out and blurred, which contain patches and their windows.
+"""Cut tiles out of an image: blurred squares, from which `refinement` takes patches and windows.
 
 A tile is a flat array whose lines lie `PITCH_PX` apart, so that one loop runs over all lines (see `refinement`). It is
-computed from `raw` pixels, which reach `BLUR_REACH` further on every side and may have a larger pitch.
+computed from a square of raw pixels, which is larger by `BLUR_REACH` on every side and may have a larger pitch.
 """
 
 from __future__ import annotations
@@ -22,9 +22,11 @@ _Float = np.float32
 
 @inlined
 def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wide: int) -> None:
-    """Cut a square out of an image, `BLUR_REACH` wider than `size` on every side; border pixels are repeated outside.
+    """Copy the raw pixels for a tile of side `size` from an image to `raw`, a flat array with lines `pitch` apart.
 
-    `wide` equals the pitch. It is a variable because the compiler unrolls a copy of constant length byte by byte.
+    The square of raw pixels begins at (x0, y0) of the image and is larger than the tile by `BLUR_REACH` on every side.
+    Outside the image, border pixels are repeated. `wide` equals `pitch`; it is a variable because the compiler unrolls
+    a copy of constant length byte by byte.
     """
     h, w = image.shape
     side = size + 2 * BLUR_REACH
@@ -42,13 +44,17 @@ def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wid
 
 @inlined
 def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: float) -> None:
-    """Blur a square: down in whole numbers, then across; subtract a constant."""
+    """Blur raw pixels to a tile `out` of side `size`, and subtract the constant `less`.
+
+    The blur first runs down the columns, in exact whole numbers, and then along the lines. `half_way` is a buffer for
+    the result in between. Lines of `raw` lie `pitch` apart.
+    """
     w0, w1, w2, w3 = BINOMIAL
     p = pitch
     for n in range(size * p):
         near = w1 * (raw[n + 2 * p] + raw[n + 4 * p]) + w2 * (raw[n + p] + raw[n + 5 * p])
         half_way[n] = np.uint16(w0 * raw[n + 3 * p] + near + w3 * (raw[n] + raw[n + 6 * p]))
-    # 64² from both directions; the sum down was exact, so that only these products round
+    # 4096 = 64²: the weights of both directions are in 64ths. The sum down was exact; only these products round
     v0, v1, v2, v3 = _Float(w0 / 4096), _Float(w1 / 4096), _Float(w2 / 4096), _Float(w3 / 4096)
     constant = _Float(less)
     for y in range(size):
@@ -60,8 +66,8 @@ def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: 
 
 @inlined
 def saturated_share(raw: Pixels, size: int, pitch: int, x0: int, y0: int) -> float:
-    """Return the share of a window's pixels that are saturated."""
-    # most tiles have no saturated pixel: a maximum, which vectorises, decides that without counting
+    """Return the share of saturated pixels in the window whose first pixel is (x0, y0) of the raw pixels of a tile."""
+    # most tiles have no saturated pixel: a maximum, which the compiler vectorises, shows that without counting
     brightest = np.uint8(0)
     for n in range((size + 2 * BLUR_REACH) * pitch):
         brightest = max(brightest, raw[n])
