@@ -1,8 +1,9 @@
 """The station: all parts, built from one configuration, started and stopped in order.
 
-    store → ring → workers → coordinator → acquisition, and back again.
+    store → ring → coordinator → workers → acquisition process
 
-After a failure during start or stop, too, nothing stays in shared memory and no process is left over.
+The parts start in this order and stop in the reverse order. Also when starting or stopping fails, nothing stays in
+shared memory and no process keeps running.
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ from vaoi_station.store import BoardTypeDirectory, Database, Store
 _log = logging.getLogger(__name__)
 
 GRACE_S = 10.0
-"""Time for runs under way to end when the station is stopped."""
+"""Longest wait for unfinished runs to end when the station is stopped."""
 DATABASE, REFERENCES = "station.db", "references"
 
 
 class Station:
-    """All processes and threads but the web server; a context manager."""
+    """All processes and threads of the station except the web server; a context manager that starts and stops them."""
 
     def __init__(self, config: StationConfig, launch: Launch | None = None) -> None:
-        """Prepare a station; `launch` starts the acquisition process, by default the real one."""
+        """Prepare a station. `launch` is the function that starts the acquisition process; None starts the real one."""
         self.config = config
         self._launch = launch
         self._parts = ExitStack()
@@ -49,13 +50,13 @@ class Station:
 
     @property
     def coordinator(self) -> StationCoordinator:
-        """The coordinator; `StateError` while the station is not running."""
+        """The coordinator of the running station. Raises `StateError` while the station is not running."""
         if self._coordinator is None:
             raise StateError("The station is not running.", action="Start it.")
         return self._coordinator
 
     def start(self) -> None:
-        """Build and start everything; on a failure stop what was started and raise the failure."""
+        """Build and start all parts. If one part fails, stop the parts that were started and raise its error."""
         config = self.config
         with ExitStack() as parts:
             calibration = read_calibration(config.calibration, [c.head for c in config.cameras])
@@ -63,7 +64,7 @@ class Station:
             parts.callback(store.close)
             ring = parts.enter_context(Ring.create(ring_path(config), RingLayout.of(config)))
             events = EventLog(store)
-            # Workers and cameras open the ring by its path: it must exist before either of them starts.
+            # Workers and the acquisition process open the ring by its path, so the ring must exist before they start.
             workers = WorkerPool(config.workers, ring.path)
             link = AcquisitionLink(self._launch or spawn_launcher(config, ring.path))
             archive = Archive(store, events)
@@ -80,7 +81,8 @@ class Station:
                 lambda: (link.status(), *workers.status()),
                 notify_watchdog,
             )
-            # Callbacks run in reverse: the link stops first, the coordinator last, so that it receives the last events.
+            # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
+            # thus receives the last events of both.
             parts.callback(coordinator.close)
             coordinator.start()
             parts.callback(workers.stop)
@@ -92,13 +94,13 @@ class Station:
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def wind_down(self) -> None:
-        """Film no more boards and let the runs under way end; requests are still answered."""
+        """Film no more boards, and wait up to `GRACE_S` for unfinished runs to end. Requests are still answered."""
         if self._coordinator is not None and not self._wound_down:
             self._wound_down = True
             self._coordinator.wind_down(GRACE_S)
 
     def stop(self) -> None:
-        """Stop everything; harmless when stopped."""
+        """Stop all parts. A second call does nothing."""
         self.wind_down()
         self._coordinator = None
         self._parts.close()
@@ -112,7 +114,7 @@ class Station:
 
 
 def serve(config: StationConfig, port: int | None = None) -> None:
-    """Run the whole service until SIGTERM or SIGINT."""
+    """Run the station and its web server until SIGTERM or SIGINT. `port` replaces the configured port."""
     from vaoi_station.api import create_app
     from vaoi_station.api.web_server import WebServer, open_listener
 

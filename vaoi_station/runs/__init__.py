@@ -1,4 +1,5 @@
-"""The life of one board: from the light barrier to its matrices and pictures, one state table, one thread.
+"""Runs: each follows one board from the light barrier to its matrices and pictures.
 
-`control.coordinator` is what the REST service calls; `states.tables` holds the two state tables.
+One thread, the coordinator's, changes the state of runs and station, as the two tables in `states.tables` allow. The
+REST service calls `control.coordinator`.
 """

@@ -1,1 +1,1 @@
-"""Keep finished runs: their results, the components they show, and the event log."""
+"""Keep finished runs and their results, find the frames that show a component, and keep the event log."""

@@ -14,7 +14,7 @@ from vaoi_station.runs.states.schemas import ComponentSummary
 
 
 def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
-    """All components of the board type the run was filmed with; positions only with a CAD mapping."""
+    """Return a summary of every component of the run's board type. Without a CAD mapping, positions are None."""
     board_type, stitch = finished.board_type, finished.stitch
     from_cad = stitch.tester_from_cad if stitch else None
     views = _view_counts(finished)
@@ -31,16 +31,16 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
 def views_of_component(
     finished: FinishedRun, ref: str, px_per_mm: float | None, min_coverage: float
 ) -> tuple[View, ...]:
-    """Return the good frames that show a component, best first; `NotFoundError` without such a component."""
+    """Return the views of a component in complete frames, best first; `NotFoundError` if the component is unknown."""
     part = component_of(finished.board_type, ref)
-    # Frames with holes have matrices too, but a picture with black packets is no view.
+    # Incomplete frames have matrices too, but the areas of their missing packets are black: they are not used as views.
     whole = {(f.camera, f.row) for f in finished.detail.frames if f.verdict is Verdict.OK}
     views = finished.view_calculator.compute(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
     return tuple(view for view in views if (view.camera, view.row) in whole)
 
 
 def view_of_component(finished: FinishedRun, ref: str, k: int, px_per_mm: float | None, min_coverage: float) -> View:
-    """View k of a component; `NotFoundError` states how many there are."""
+    """Return view k of a component; `NotFoundError`, which states the number of views, if there is no view k."""
     views = views_of_component(finished, ref, px_per_mm, min_coverage)
     if not 0 <= k < len(views):
         raise NotFoundError(
@@ -52,7 +52,7 @@ def view_of_component(finished: FinishedRun, ref: str, k: int, px_per_mm: float 
 
 
 def component_of(board_type: BoardType, ref: str) -> Component:
-    """Return the component at an address; `NotFoundError` names the board type."""
+    """Return the component with the address `ref`; `NotFoundError` if the board type has no such component."""
     part = board_type.component(ref)
     if part is None:
         raise NotFoundError(
@@ -64,7 +64,18 @@ def component_of(board_type: BoardType, ref: str) -> Component:
 
 
 def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: bool) -> None:
-    """Raise unless a frame is whole, or incomplete and allowed."""
+    """Raise an error if a frame is missing, or if it is incomplete and incomplete frames are not allowed.
+
+    Args:
+        verdict: verdict of the frame.
+        cause: why the frame is missing or incomplete.
+        where: name of the frame in the message.
+        allow_incomplete: accept an incomplete frame.
+
+    Raises:
+        NotFoundError: the frame is missing.
+        StateError: the frame is incomplete and that is not allowed.
+    """
     if verdict is Verdict.MISSING:
         raise NotFoundError(f"{where} never arrived: {cause}.", code="frame-missing")
     if verdict is Verdict.INCOMPLETE and not allow_incomplete:
@@ -76,7 +87,7 @@ def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: boo
 
 
 def _view_counts(finished: FinishedRun) -> Counter[str]:
-    """Count the views of each component: whole frames that show at least half of it."""
+    """Count the views of each component: the complete frames that show at least half of the component."""
     stitch = finished.stitch
     if stitch is None or stitch.cad_matrix is None:
         return Counter()

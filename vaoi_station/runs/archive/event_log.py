@@ -1,4 +1,4 @@
-"""The event log: numbered without gaps, kept in the database, awaited by any number of callers."""
+"""The event log: events are numbered without gaps and kept in the database; callers can wait for the next event."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from vaoi_station.store import EventRow, Store
 _log = logging.getLogger(__name__)
 
 RECENT = 1000
-"""Number of events served from memory; older ones are read from the database."""
+"""Number of the latest events that are kept in memory. Older events are read from the database."""
 _WARNINGS = frozenset({"trouble", "board-missed", "process"})
-"""Kinds that are logged as warnings."""
+"""Kinds of events that are logged at level WARNING; all others are logged at level INFO."""
 
 
 class EventLog:
-    """Usable from any thread."""
+    """The events of the station, in memory and in the database. Its methods may be called from any thread."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -31,31 +31,35 @@ class EventLog:
 
     @property
     def last(self) -> int:
-        """Number of the newest event; 0 before the first."""
+        """Number of the newest event; 0 if there is no event yet."""
         return self._last
 
     def add(
         self, kind: str, message: str, *, state: str = "", run: str | None = None, code: str = "", action: str = ""
     ) -> EventRecord:
-        """Append an event and wake all callers that wait for one."""
+        """Append an event to the log, and wake all callers that wait for a new event."""
         with self._changed:
             event = EventRecord(
                 number=self._last + 1, time=utc(), kind=kind, state=state, run=run,
                 code=code, message=message, action=action,
             )  # fmt: skip
-            # Number and write under one lock: the database gets the events in the order of their numbers.
+            # The number is assigned and the event is written under one lock, so that the database receives the events
+            # in the order of their numbers.
             self._store.add_event(EventRow(event.number, event.model_dump_json()))
             self._recent.append(event)
             self._last = event.number
             self._changed.notify_all()
-        # Logged outside the lock: a slow log must not delay readers.
+        # The log is written outside the lock: a slow log must not delay readers.
         level = logging.WARNING if kind in _WARNINGS else logging.INFO
         _log.log(level, "%s%s: %s", kind, f" {run}" if run else "", f"{message} {action}".strip())
         return event
 
     def read(self, after: int, timeout_s: float, limit: int) -> tuple[EventRecord, ...]:
-        """Events numbered above `after`, oldest first; waits up to `timeout_s` for one."""
-        # A condition may wake without an event: the remaining time is computed anew in every turn.
+        """Return at most `limit` events with numbers above `after`, oldest first.
+
+        If there is no such event yet, wait for one up to `timeout_s`; after that, return an empty tuple.
+        """
+        # `wait` may return although no event was added: each pass computes the remaining time anew.
         deadline = time.monotonic() + timeout_s
         with self._changed:
             while self._last <= after and not self._closed:
@@ -66,7 +70,7 @@ class EventLog:
         return tuple(EventRecord.model_validate_json(row.document) for row in self._store.events(after, limit))
 
     def close(self) -> None:
-        """Wake all callers that wait; no more events follow."""
+        """Wake all callers that wait for an event, because no more events will follow."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -1,4 +1,7 @@
-"""The archive of finished runs: the latest in memory, all of them in the database; callers can wait for the next."""
+"""The archive of finished runs. All are in the database, the latest also in memory; callers can wait for the next run.
+
+A finished run is announced (callers that wait for it are woken, and an event is published) once its result was written.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from vaoi_station.store import RunRow, Store
 
 R = TypeVar("R", RunSummary, RunDetail)
 CACHED_RUNS = 32
-"""Number of finished runs whose documents stay parsed."""
+"""Number of finished runs that are kept in memory with their documents parsed."""
 
 
 @dataclass(frozen=True)
@@ -36,26 +39,26 @@ class FinishedRun:
     board_type: BoardType
     cameras: tuple[Camera, ...]
     stitch: Stitch | None
-    """The result without its tables of components; None if there is none."""
+    """The result without its tables of components; None if the run ended without a result."""
     document: str | None
-    """The result as JSON text."""
+    """The complete result as JSON text; None if the run ended without a result."""
     timeline: Timeline
     head: RecordingHead | None
-    """Head of the recording; None if the station ended while it was filmed."""
+    """Head of the run's recording; None if the station ended while the board was filmed."""
 
     @cached_property
     def view_calculator(self) -> ViewCalculator:
-        """Views of components; `StateError` without a CAD mapping, `NotFoundError` without a result."""
+        """Calculator of component views. Raises `StateError` without CAD mapping, `NotFoundError` without result."""
         return ViewCalculator(self.board_type, self.stitch or self.result, self.cameras)
 
     @cached_property
     def result(self) -> Stitch:
-        """The complete result; `NotFoundError` if the run ended without one."""
+        """The complete result. Raises `NotFoundError` if the run ended without a result."""
         return Stitch.model_validate_json(self.text)
 
     @property
     def text(self) -> str:
-        """The result as JSON text; `NotFoundError` with the reasons if the run ended without one."""
+        """The complete result as JSON text. Raises `NotFoundError` with the reasons if the run ended without result."""
         if self.document is None:
             raise NotFoundError(
                 f"Run {self.detail.id} ended without a result: "
@@ -67,7 +70,10 @@ class FinishedRun:
 
 
 class Archive:
-    """Results of all runs; usable from any thread. A run is announced when its result is on disk."""
+    """The finished runs of the station and their results. Its methods may be called from any thread.
+
+    A run is announced when its result is on disk, or when the disk has refused it.
+    """
 
     def __init__(self, store: Store, events: EventLog) -> None:
         self._store = store
@@ -77,19 +83,19 @@ class Archive:
         self._under_way: set[str] = set()
         last = store.last_finished()
         self._finished = last.finish_number or 0 if last else 0
-        """Highest number given to a finished run; it may not have been announced yet."""
+        """Highest finish number that was given to a run. That run may not have been announced yet."""
         self._announced = self._finished
         self._closed = False
         self._close_unfinished()
 
     def begin(self, progress: Progress) -> None:
-        """Record that a run has begun: a crash of the station leaves its record."""
+        """Write the record of a run that has begun, so that the run is known even after a crash of the station."""
         with self._changed:
             self._under_way.add(progress.run)
         self._store.save_run(_row(progress, detail_of(progress), None))
 
     def finish(self, progress: Progress) -> RunDetail:
-        """Keep a run that has ended; it is announced when it is written."""
+        """Keep a run that has ended, and return its document. The run is announced when it was written."""
         self._finished += 1
         detail, order = detail_of(progress), progress.order
         finished = FinishedRun(
@@ -102,7 +108,8 @@ class Archive:
             timeline_of(progress),
             progress.head,
         )
-        # In memory first: callers get the result while the disk still works, and also if the disk refuses it.
+        # The run is put into memory before it is written: callers get its result while the disk is still busy, and even
+        # if the disk refuses the result.
         with self._changed:
             self._under_way.discard(progress.run)
             self._cache(finished)
@@ -116,7 +123,7 @@ class Archive:
         return Calibration.model_validate_json(self._store.document(finished.detail.calibration))
 
     def mark(self, run: str, step: RunStep) -> None:
-        """Record that a finished run's frames were released or evicted."""
+        """Record that the frames of a finished run were released or evicted; `step` states which."""
         finished = self.get(run)
         state = RUN.next(finished.detail.state, step)
         with self._changed:
@@ -124,14 +131,20 @@ class Archive:
         self._store.set_state(run, state)
 
     def get(self, run: str) -> FinishedRun:
-        """Return a finished run; `NotFoundError` for an unknown id, `StateError` if it has not ended."""
+        """Return a finished run by its id.
+
+        Raises:
+            NotFoundError: the id is unknown.
+            StateError: the run has not ended.
+            DeviceError: the disk refused the result, and the run is no longer in memory.
+        """
         known = self._cached(run)
         if known is not None:
             return known
         row = self._store.run(run)
         if row is None:
             raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
-        # The row was written when the run began, but not when it ended: the disk refused the result.
+        # A row without a finish number was written when the run began, but not again when it ended.
         if row.finish_number is None:
             if (known := self._cached(run)) is not None:  # it ended between the two look-ups
                 return known
@@ -141,14 +154,14 @@ class Archive:
             return self._recent.get(run) or self._cache(finished)
 
     def _cached(self, run: str) -> FinishedRun | None:
-        """Return a run in memory, or None; `StateError` if it has not ended."""
+        """Return a finished run if it is in memory, else None; `StateError` if the run has not ended."""
         with self._changed:
             if run in self._under_way:
                 raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
             return self._recent.get(run)
 
     def latest(self) -> FinishedRun | None:
-        """Return the run that was announced last; None before the first."""
+        """Return the run that was announced last; None if no run was announced yet."""
         with self._changed:
             announced = [d for d in self._recent.values() if d.finish_number == self._announced]
         if announced:
@@ -157,7 +170,10 @@ class Archive:
         return None if row is None else self.get(row.id)
 
     def next(self, after: str | None, timeout_s: float) -> FinishedRun | None:
-        """Return the run announced next after `after` (None: after this call); None on time-out."""
+        """Return the first run that is announced after the run `after`; None if `timeout_s` passes without one.
+
+        If `after` is None, return the first run that is announced after this call.
+        """
         number = self._announced if after is None else self._number_of(after)
         deadline = time.monotonic() + timeout_s
         with self._changed:
@@ -173,20 +189,23 @@ class Archive:
         return None if row is None else self.get(row.id)
 
     def list(self, limit: int, before: str | None) -> list[RunSummary]:
-        """Return runs that have begun, newest first."""
+        """Return summaries of at most `limit` runs, finished or not, newest first.
+
+        If `before` is given, return only runs older than the run with this id.
+        """
         return [
             _in_state(RunSummary.model_validate_json(row.summary), RunState(row.state))
             for row in self._store.runs(limit, before)
         ]
 
     def close(self) -> None:
-        """Wake all callers that wait; no more runs end."""
+        """Wake all callers that wait for a run, because no more runs will end."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def _close_unfinished(self) -> None:
-        """Mark runs from before a restart: their frames are gone; those without a result have failed."""
+        """Update the records of runs from before a restart: unfinished runs have failed, and all frames are gone."""
         lost = Reason(code="station-restarted", message="The station ended before this run had a result.")
         for row in self._store.unfinished():
             self._finished += 1
@@ -206,9 +225,12 @@ class Archive:
         self._announced = self._finished
 
     def _announce(self, finished: FinishedRun, saved: Future[None]) -> None:
-        """Announce a run; called in the order in which runs ended, because the database writes in that order."""
+        """Wake callers that wait for a run, and publish its event. `saved` is the completed write of the run.
+
+        The database completes writes in their order, so runs are announced in the order in which they ended.
+        """
         fault = saved.exception()
-        # A full disk must not hide a result: the run is announced anyway and stays in memory.
+        # A full disk must not hide a result: the run is announced nevertheless, and its result is served from memory.
         if fault is not None:
             self._events.add(
                 "trouble",
@@ -222,7 +244,7 @@ class Archive:
         self._events.add("run", summary_line(finished.detail), state=finished.detail.state, run=finished.detail.id)
 
     def _number_of(self, run: str) -> int:
-        """Return the number of a run in the order of ends; one that has not ended counts as the latest."""
+        """Return the finish number of a run. For a run that has not ended, return that of the last announced run."""
         try:
             return self.get(run).finish_number
         except StateError:
@@ -255,7 +277,7 @@ _EMPTY = Timeline(frames_settled_s=(), tasks=(), last_frame_s=0.0, ready_s=None)
 
 
 def summary_line(detail: RunDetail) -> str:
-    """Return the message of the event for a run that has ended."""
+    """Return the message of the event that announces a finished run: its reasons and the time to the matrices."""
     message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
     ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
     return message if ms is None else f"{message} {ms:.0f} ms after the last frame."

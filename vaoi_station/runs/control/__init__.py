@@ -1,1 +1,1 @@
-"""Control the station: one thread decides, the coordinator; every other thread sends it requests or events."""
+"""Control the station. Only the coordinator's thread changes its state; other threads send it requests and events."""

@@ -1,4 +1,4 @@
-"""The link to the acquisition process: start it, pass its messages on, restart it when it ends or hangs."""
+"""The link to the acquisition process. It starts the process, passes messages, and restarts it if it ends or hangs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 
 HEARTBEAT_LIMIT_S = 10.0
-"""A process without a heartbeat for this time (it sends two per second) counts as hung and is killed."""
+"""Longest silence of the running process, which sends two heartbeats per second. After it, the process is killed."""
 START_LIMIT_S = 60.0
-"""The same before its first message: cameras take their time to open, scenarios to be rendered."""
+"""Longest silence of a process before its first message: opening cameras or rendering a scenario takes time."""
 WARM_S, WARM_POLL_S = 60.0, 0.1
-"""Longest wait for warm workers before the devices are opened anyway, and the period of its checks."""
+"""Longest wait until all workers are warm, after which the devices are opened anyway; period of the checks, s."""
 EXIT_S = 2.0
-"""Time between the end of its pipe and the end of the process."""
+"""Longest time from the end of the process's pipe to the end of the process. After it, the process is killed."""
 PACE = BackoffPolicy(first_s=0.5, longest_s=60.0, proven_s=30.0)
-"""Pauses between restarts."""
+"""Pauses between restarts of the acquisition process."""
 PLUGGED_S = 6.0
-"""The longest pause while a device is only absent: what is plugged in is used within seconds. Refused settings, wrong
-input and a process that crashes are not cured by faster retries."""
+"""Longest pause between restarts while a device is absent or in use: once it is plugged in, it is used within seconds.
+After other failures (refused settings, wrong input, a crash) faster retries would not help."""
 _ABSENT = frozenset(
     {
         "camera-absent",
@@ -44,10 +44,11 @@ _ABSENT = frozenset(
         "controller-silent",
     }
 )
+"""Codes of troubles that end when a device is plugged in, switched on or released by another program."""
 
 
 class Process(Protocol):
-    """What the link needs of a process; `multiprocessing.Process` has it."""
+    """The attributes and methods of a process that the link uses; `multiprocessing.Process` has them."""
 
     @property
     def pid(self) -> int | None:
@@ -55,23 +56,24 @@ class Process(Protocol):
 
     @property
     def sentinel(self) -> int:
-        """Handle that becomes ready when the process ends."""
+        """Handle that `multiprocessing.connection.wait` reports as ready when the process has ended."""
 
     @property
     def exitcode(self) -> int | None:
-        """Exit code; None while it runs."""
+        """Exit code of the process; None while it runs."""
 
     def kill(self) -> None:
-        """End it at once."""
+        """End the process at once."""
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait until it has ended."""
+        """Wait until the process has ended, or `timeout` seconds have passed."""
 
     def close(self) -> None:
-        """Release its resources in this process."""
+        """Release the resources that this Python process holds for the ended process."""
 
 
 Launch = Callable[[], tuple[Process, "Connection[Any, Any]"]]
+"""Function that starts an acquisition process, and returns it with the station's end of the pipe to it."""
 
 
 def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
@@ -90,7 +92,7 @@ def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
 
 
 def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) -> None:
-    """Run the acquisition process; target of `multiprocessing.Process`."""
+    """Run the acquisition process until it ends. This function is the target of `multiprocessing.Process`."""
     set_up_process(one_thread=False)
     # Imported here: camera libraries must not be loaded into the station's own process.
     from vaoi_station.acquisition.process.main_loop import run_acquisition
@@ -100,7 +102,7 @@ def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) 
 
 @dataclass
 class _Attempt:
-    """One process from its start to its end."""
+    """One acquisition process, from its start to its end."""
 
     process: Process
     connection: Connection[Any, Any]
@@ -112,11 +114,11 @@ class _Attempt:
 
     @property
     def silence_s(self) -> float:
-        """Time since its last message, or since its start."""
+        """Time since the last message of the process, or since its start if there was no message."""
         return time.monotonic() - self.last_message_s
 
     def record(self, report: Report) -> None:
-        """Record a message and its time."""
+        """Record that a message has arrived now, and what it reports about the start of the process."""
         self.last_message_s, self.has_reported = time.monotonic(), True
         if isinstance(report, Ready):
             self.ready = True
@@ -124,24 +126,34 @@ class _Attempt:
             self.cause = report.code
 
     def describe_end(self, how: str, code: int | None) -> str:
-        """Describe how it ended; a process that reported its cause and exited in order did not crash."""
+        """Return a phrase that describes how the process ended, for messages.
+
+        A process that reported a trouble during its start and exited with code 0 could not start; it did not crash.
+
+        Args:
+            how: phrase for every other end.
+            code: exit code of the process.
+        """
         return "the acquisition process could not start" if self.cause and code == 0 else f"{how} (code {code})"
 
 
 def longest_pause_s(cause: str) -> float:
-    """Return the longest pause before a restart; `cause`: code of the last trouble, empty if there was none."""
+    """Return the longest pause before a restart. `cause` is the code of the last trouble, "" if there was none."""
     return PLUGGED_S if cause in _ABSENT else PACE.longest_s
 
 
 class AcquisitionLink:
-    """Reports messages and ends of the process as events; a thread of its own listens to the pipe."""
+    """Starts and restarts the acquisition process, and reports its messages and its ends to a `StationEvents`.
+
+    A separate thread listens to the pipe.
+    """
 
     def __init__(self, launch: Launch, backoff: Backoff | None = None) -> None:
-        """Prepare a link; nothing runs before `start`.
+        """Prepare a link. The process is not started before `start` is called.
 
         Args:
-            launch: starts the process and returns it with our end of its pipe.
-            backoff: pauses between restarts; by default those of `PACE`.
+            launch: starts the process and returns it with the station's end of the pipe.
+            backoff: pauses between restarts; None for those of `PACE`.
         """
         self._launch = launch
         self._events: StationEvents | None = None
@@ -155,7 +167,7 @@ class AcquisitionLink:
         self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
 
     def start(self, events: StationEvents, warm: Callable[[], bool] = lambda: True) -> None:
-        """Start the process once the workers are `warm` or `WARM_S` has passed, and report to `events`."""
+        """Start the process as soon as `warm` returns True, or after `WARM_S`, and report its messages to `events`."""
         self._events, self._warm = events, warm
         # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before
         # it waits: without this call an interpreter that exits early would hang.
@@ -163,13 +175,13 @@ class AcquisitionLink:
         self._thread.start()
 
     def send(self, command: Command) -> None:
-        """Send a command; if the process has just ended, that end is reported as an event instead."""
+        """Send a command to the process. If the process has ended, the command is lost and an event reports the end."""
         with self._lock:
             if self._attempt is not None:
                 _send(self._attempt.connection, command)
 
     def status(self) -> ProcessStatus:
-        """State of the process for the status page."""
+        """Return the state of the process for the status page."""
         with self._lock:
             attempt = self._attempt
             return ProcessStatus(
@@ -188,7 +200,7 @@ class AcquisitionLink:
         return "" if self._started or self._stopping.is_set() else WAITING
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """Have the devices closed and end the process; harmless when stopped."""
+        """Let the process close its devices and end; after `timeout_s` kill it. A second call does nothing."""
         if self._stopping.is_set():
             return
         self._stopping.set()
@@ -213,7 +225,8 @@ class AcquisitionLink:
             how = self._listen(attempt, self._events)
             with self._lock:
                 self._attempt = None
-            # The pipe closes first; only a process that then stays is killed, so that its exit code is its own.
+            # The pipe closes before the process ends. The process gets time to end by itself, because a killed process
+            # does not return the exit code that shows whether it crashed.
             attempt.process.join(EXIT_S)
             if attempt.process.exitcode is None:
                 attempt.process.kill()
@@ -233,23 +246,24 @@ class AcquisitionLink:
         process, connection = self._launch()
         with self._lock:
             self._attempt, self._started = _Attempt(process, connection, time.monotonic()), True
-            # stop() may have run between the launch and this lock: its Shutdown found no process.
+            # stop() may have run between the launch and this lock. It found no process then and sent no Shutdown.
             if self._stopping.is_set():
                 _send(connection, Shutdown())
             return self._attempt
 
     def _listen(self, attempt: _Attempt, events: StationEvents) -> str:
-        """Report messages until the process ends; returns how it ended."""
+        """Report the messages of the process until it ends or hangs; return a phrase that describes the end."""
         while True:
             ready = wait([attempt.connection, attempt.process.sentinel], timeout=0.5)
-            # The pipe before the sentinel: last messages of a process that has ended are still delivered.
+            # The pipe is read before the sentinel is checked: the last messages of an ended process are delivered too.
             if attempt.connection in ready:
                 try:
                     report = attempt.connection.recv()
                 except (EOFError, ConnectionResetError):
                     return "the acquisition process ended"
                 attempt.record(report)
-                # Every message proves that it still runs; after `proven_s` the next failure counts as the first.
+                # Every message proves that the process still runs. After `proven_s` of success, the next failure counts
+                # as the first one again, with the shortest pause.
                 if attempt.ready:
                     self._backoff.record_success()
                 events.acquisition_message(report)
@@ -268,4 +282,4 @@ def _send(connection: Connection[Any, Any], command: Command) -> None:
     try:
         connection.send(command)
     except (BrokenPipeError, ConnectionResetError, OSError):
-        return  # the process has ended; the listening thread reports it in a moment
+        return  # the process has ended; the listening thread reports its end in a moment

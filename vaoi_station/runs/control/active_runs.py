@@ -1,4 +1,4 @@
-"""Runs under way: their tasks go to the workers as frames arrive, their results to the archive."""
+"""Runs that have not ended: their tasks go to the workers as frames arrive, and their results to the archive."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, R
 
 
 class Workers(Protocol):
-    """What a run needs of the worker pool."""
+    """The methods of the worker pool that runs use."""
 
     def submit(self, job: Job) -> None:
-        """Have a job done; its reply comes as an event."""
+        """Queue a job for a worker. Its reply is reported as an event."""
 
     def open_run(self, opening: OpenRun) -> None:
-        """Announce a run whose jobs follow."""
+        """Announce a run to the pool, before its first job is submitted."""
 
     def close_run(self, run: str) -> None:
-        """Discard everything prepared for a run."""
+        """Have the pool and the workers discard everything they prepared for a run."""
 
 
 class ActiveRuns:
-    """The runs that are filmed or stitched, in the order of their boards.
+    """The runs that are filmed or stitched, in the order of their boards. Used by the coordinator's thread only.
 
-    Confined to the coordinator's thread. Methods that may end runs return those that have ended, oldest first.
+    Methods that may end runs return the runs that have ended, oldest first.
     """
 
     def __init__(self, workers: Workers, archive: Archive, events: EventLog) -> None:
@@ -41,11 +41,11 @@ class ActiveRuns:
 
     @property
     def filming(self) -> list[Progress]:
-        """Runs whose board is passing, oldest first."""
+        """The runs whose board is passing the cameras, oldest first."""
         return [p for p in self.active.values() if p.state is RunState.FILMING]
 
     def open(self, progress: Progress) -> None:
-        """Begin a run: a board has interrupted the barrier."""
+        """Begin the run of a board that has interrupted the barrier."""
         self.active[progress.run] = progress
         # Workers receive what all jobs of the run need before its first job can reach them.
         self._workers.open_run(progress.opening)
@@ -53,18 +53,18 @@ class ActiveRuns:
         self._publish(progress, f"A board of type {progress.order.board_type.name!r} is being filmed.")
 
     def pulse(self, report: PulseReported) -> None:
-        """Record a pulse; frames of rows without one are not linked."""
+        """Record a trigger pulse of a run. While filming, only frames of rows with a recorded pulse are linked."""
         if (progress := self.active.get(report.run)) is not None:
             progress.pulses[report.pulse.index] = report.pulse
 
     def settle(self, report: FrameSettled) -> None:
-        """Record a frame's verdict and submit the tasks that it makes possible."""
+        """Record the verdict of a frame, and submit the tasks that have become possible with this frame."""
         progress = self.active.get(report.run)
         if progress is not None and progress.state is RunState.FILMING:
             self._submit(progress.settle(report))
 
     def filmed(self, report: RunFinished) -> list[Progress]:
-        """Submit the remaining tasks of a run whose frames are all settled."""
+        """Record that all frames of a run are settled, and submit its remaining tasks."""
         progress = self.active.get(report.run)
         if progress is None or progress.state is not RunState.FILMING:
             return []
@@ -80,7 +80,7 @@ class ActiveRuns:
         return self._conclude_if_complete(progress)
 
     def linked(self, job: LinkJob, reply: Reply, at_s: float) -> list[Progress]:
-        """Add the evidence that a worker has found."""
+        """Add the evidence in a worker's reply to its run. `at_s` is the time of arrival by time.monotonic()."""
         # A reply may come after its run has ended without a result: it is ignored.
         if (progress := self.active.get(job.run)) is None:
             return []
@@ -88,7 +88,7 @@ class ActiveRuns:
         return self._conclude_if_complete(progress)
 
     def concluded(self, job: ConcludeJob, reply: Reply, at_s: float) -> list[Progress]:
-        """Add the result of a run."""
+        """Add the result in a worker's reply to its run. `at_s` is the time of arrival by time.monotonic()."""
         if (progress := self.active.get(job.run)) is None:
             return []
         progress.add_result(reply, at_s)
@@ -99,7 +99,7 @@ class ActiveRuns:
             self._workers.submit(job)
 
     def _conclude_if_complete(self, progress: Progress) -> list[Progress]:
-        """Submit the conclusion if all evidence is there; end the run if there can be no result."""
+        """Submit the conclude job once all evidence has arrived, or end the run if no result is possible."""
         if progress.state is not RunState.STITCHING:
             return []
         if progress.unstitchable:
@@ -109,7 +109,7 @@ class ActiveRuns:
         return []
 
     def _end_in_order(self, progress: Progress) -> list[Progress]:
-        """End all runs that are done and have no unfinished run before them."""
+        """Mark a run as done, then end every done run that has no unfinished run before it; return the ended runs."""
         # Callers follow runs/next and expect boards in the order in which they passed.
         progress.done = True
         ended = list(itertools.takewhile(lambda earlier: earlier.done, self.active.values()))

@@ -1,7 +1,6 @@
-"""Watching the calibration: after every run a worker checks the cameras, and a drift becomes a warning.
+"""Watch of the calibration: a worker checks the cameras after every run, and a drift of a camera becomes a warning.
 
-The check has the lowest priority of a run's jobs and is submitted after its result: no caller waits for it.
-Confined to the coordinator's thread.
+A worker performs the check after it has sent the run's result, so the check delays no result.
 """
 
 from __future__ import annotations
@@ -21,16 +20,19 @@ from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.documents import digest_of
 
 FIRST_CHECKS, LATEST_CHECKS = 50, 200
-"""Numbers of checks that are evaluated: from when the calibration was new, and the most recent ones."""
+"""Numbers of checks that are evaluated: the first after the calibration came into force, and the latest."""
 HISTORY_RUNS = 50
-"""Runs in the history of a camera."""
+"""Number of runs in the history of a camera."""
 _UNSEEN_RUNS = 5
-"""Runs in a row without evidence after which a camera's state is `unseen`."""
+"""Number of successive runs without evidence of a camera after which the camera's state is `unseen`."""
 CODE = "calibration-drift"
 
 
 class CalibrationWatch:
-    """The calibration in force, and what the runs since show of it."""
+    """Collects the checks of the calibration in force and finds drifted cameras.
+
+    Used by the coordinator's thread only.
+    """
 
     def __init__(
         self, checks: CalibrationChecks, events: EventLog, calibration: Calibration, names: Sequence[str]
@@ -46,12 +48,12 @@ class CalibrationWatch:
         self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
 
     def warnings(self) -> tuple[Reason, ...]:
-        """Drifted cameras, and cameras that the latest runs do not show."""
+        """Return one warning per drifted camera, and one per camera of which the latest runs give no evidence."""
         drifted = [Reason(code=CODE, message=self._message(d), action=self._action(d)) for d in self._drifts]
         return (*drifted, *(self._unseen(camera) for camera in self._vanished))
 
     def status(self) -> CalibrationStatus:
-        """Return the calibration in force, and how every camera stands to it."""
+        """Return the calibration in force, with the displacement and the state of every camera."""
         return CalibrationStatus(
             digest=self.digest,
             created=self._created,
@@ -60,16 +62,16 @@ class CalibrationWatch:
         )
 
     def checked(self, job: CheckJob, reply: Reply) -> None:
-        """Keep the outcome of a check, and publish what it changes."""
+        """Store the outcome of a check, and publish events for drifts that begin or end with it."""
         run, digest = job.run, job.calibration
         if reply.error is not None:
-            if not isinstance(reply.error, StateError):  # a station that stops does no more checks
+            if not isinstance(reply.error, StateError):  # a StateError means that the station stops: no trouble
                 self._events.add("trouble", reply.error.message, run=run, code="calibration-not-checked")
             return
         check: RunCheck = reply.value
         self._kept.save(run, digest, check.model_dump_json())
         if digest != self.digest:
-            return  # the run was stitched with another calibration: it says nothing of this one
+            return  # the run was stitched with another calibration, so its check does not concern this one
         self._runs += 1
         (self._first if len(self._first) < FIRST_CHECKS else self._latest).append(check)
         checks = [*self._first, *self._latest]
@@ -81,7 +83,7 @@ class CalibrationWatch:
         self._publish_changes(before, run)
 
     def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
-        """Publish new drifts, and those that are over."""
+        """Publish events for new and for ended drifts. `before` contains the drifts before this check."""
         known, now = {d.camera for d in before}, {d.camera for d in self._drifts}
         for d in self._drifts:
             if d.camera not in known:
@@ -101,7 +103,7 @@ class CalibrationWatch:
 
     def _message(self, d: Drift) -> str:
         seen = "1 board shows it" if d.runs == 1 else f"{d.runs} boards show it"
-        # Two neighbours that move apart look the same to a board: links show only their relative displacement.
+        # Links between two neighbouring cameras show only their relative displacement, not which of the two has moved.
         instead = "".join(f" (or {self._names[i]} the other way)" for i in d.instead)
         return (
             f"Camera {self._names[d.camera]}{instead} is displaced by {d.size_px:.2f} px from its calibration since "

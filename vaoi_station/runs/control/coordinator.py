@@ -1,7 +1,7 @@
-"""The coordinator: every request to the station, answered through one thread.
+"""The coordinator: it answers every request to the station.
 
-Requests about the present go through the inbox to `Core`. Finished runs never change: they are read from the archive in
-the caller's own thread. Pixels are copied or rendered under a lease.
+Requests that read or change the present state go through the inbox to `Core`, in the coordinator's thread. Finished
+runs do not change, so the caller's own thread reads them from the archive. Pixels are read under a lease.
 """
 
 from __future__ import annotations
@@ -51,14 +51,16 @@ from vaoi_station.store import BoardTypeDirectory
 ARM_LIMIT_S = 30.0
 """Longest wait for the acquisition process to confirm arming or disarming."""
 MAX_RUNS_LISTED = 1000
+"""Largest number of runs that one request for the list of runs returns."""
 
 MakeOrder = Callable[[BoardType, "str | None", "str | None"], Order]
+"""Function that checks a board type, and makes an order from it, the board id and the job id."""
 
 
 class StationCoordinator:
-    """The station as its callers see it; `station.Station` starts and stops it.
+    """The station's interface for callers such as the REST service; `station.Station` starts and stops it.
 
-    All public methods may be called from any thread; those that answer callers raise `VaoiError`s only.
+    All public methods may be called from any thread. Methods that serve callers raise only `VaoiError`s.
     """
 
     def __init__(
@@ -71,16 +73,16 @@ class StationCoordinator:
         processes: Callable[[], tuple[ProcessStatus, ...]],
         alive: Callable[[], None] = lambda: None,
     ) -> None:
-        """Connect the parts; nothing runs before `start`.
+        """Connect the parts. The coordinator's thread is not started before `start` is called.
 
         Args:
-            parts: everything the coordinator's thread works with.
-            ring: memory of the frames.
-            board_types: directory of the board types.
-            make_order: checks a board type and makes the order for its boards.
-            references: store of the references.
-            processes: states of the processes, for the snapshot.
-            alive: called at every tick, for a watchdog.
+            parts: the objects that the coordinator's thread works with.
+            ring: the shared memory that holds the frames.
+            board_types: the directory of the board types.
+            make_order: function that checks a board type and makes the order for its boards.
+            references: the store of the references.
+            processes: function that returns the states of all processes, for the snapshot.
+            alive: function that is called at every tick, to reset a watchdog.
         """
         self._parts, self._ring = parts, ring
         self._make_order, self._processes, self._alive = make_order, processes, alive
@@ -99,25 +101,25 @@ class StationCoordinator:
             self._frames,
         )
         self.process_events: StationEvents = InboxEvents(self._inbox, self._core, requests)
-        """Receives what the acquisition process and the workers report."""
+        """Receiver of the events of the acquisition process and the workers."""
 
     # --- start and stop
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the coordinator's thread."""
         self._gc_policy.start()
         self._inbox.start()
 
     def wind_down(self, timeout_s: float) -> None:
-        """Take no more boards, and wait until the runs under way have ended or the time has passed."""
+        """Take no more boards, and wait until all unfinished runs have ended or `timeout_s` has passed."""
         stopped: Future[None] = Future()
         try:
             self._inbox.wait(stopped, lambda: self._core.stop(stopped), timeout_s)
         except TimeoutError:
-            return  # runs that are not done by then are marked as failed at the next start
+            return  # the next start of the station marks runs that have not ended by now as failed
 
     def close(self) -> None:
-        """End the thread; callers that still wait are refused."""
+        """End the coordinator's thread. Callers that still wait receive a refusal."""
         self._inbox.close()
         self._gc_policy.stop()
         self._parts.archive.close()
@@ -126,7 +128,7 @@ class StationCoordinator:
     # --- the station
 
     def snapshot(self) -> StationSnapshot:
-        """State, health, memory and versions at this moment."""
+        """Return state, health, memory and versions of the station at this moment."""
         return self._inbox.ask(self._snapshot)
 
     def arm(
@@ -137,19 +139,20 @@ class StationCoordinator:
         runs: int | None = None,
         allow_lost_cameras: bool = False,
     ) -> StationSnapshot:
-        """Film every board from now on, or the next `runs`; returns once cameras and controller are armed.
+        """Arm the line: film every board from now on, or only the next `runs` boards.
 
-        While the line is armed, the new order applies to the boards that come from now on.
+        Returns once cameras and controller are armed. If the line is armed already, the new order applies to all boards
+        that come from now on.
 
         Raises:
             NotFoundError: the board type is unknown.
             BusyError: all memory is in use; the message names the holders.
             StateError: a board is passing, or the station is faulted.
-            DeviceError: a camera is lost (unless allowed), or a device cannot be armed.
+            DeviceError: a camera is lost and `allow_lost_cameras` is False, or a device cannot be armed.
         """
         if runs is not None and runs < 1:
             raise InputError.field("arm", "runs", runs, "at least 1, or absent")
-        # Everything that can be wrong with the board type is found here: in the caller's thread, before a board comes.
+        # An unusable board type is refused here, in the caller's thread, before a board comes.
         order = self._make_order(self._board_types.get(board_type), board_id, job_id)
         order = replace(order, despite_lost_cameras=allow_lost_cameras)
         armed: Future[None] = Future()
@@ -167,7 +170,11 @@ class StationCoordinator:
         return self.snapshot()
 
     def disarm(self) -> StationSnapshot:
-        """Ignore the barrier; a run under way is finished with what it has. Harmless when idle."""
+        """Disarm the line: ignore the barrier from now on, and return once the acquisition process has confirmed it.
+
+        A board that is passing gets a result from the frames that were filmed of it. Nothing happens if the line is
+        not armed.
+        """
         disarmed: Future[None] = Future()
         try:
             self._inbox.wait(disarmed, lambda: self._core.disarm(disarmed), ARM_LIMIT_S)
@@ -178,25 +185,28 @@ class StationCoordinator:
         return self.snapshot()
 
     def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[EventRecord, ...]:
-        """Events numbered above `after`, oldest first; waits up to `timeout_s` for one."""
+        """Return at most `limit` events with numbers above `after`, oldest first; wait up to `timeout_s` for one."""
         return self._parts.events.read(after, timeout_s, limit)
 
     def calibration(self) -> CalibrationStatus:
-        """Return the calibration in force, and how the cameras have stood to it in the latest runs."""
+        """Return the calibration in force, with the displacement of every camera from it in the latest runs."""
         return self._inbox.ask(self._parts.watch.status)
 
     # --- board types, their references and methods
 
     def board_types(self) -> tuple[BoardTypeSummary, ...]:
-        """All board types, by name; unusable files are listed with their fault."""
+        """Return a summary of every board type, sorted by name. A file that cannot be used is listed with its fault."""
         return self._board_types.list()
 
     def board_type(self, name: str) -> BoardType:
-        """One board type; `NotFoundError` if there is none of that name."""
+        """Return the board type with this name; `NotFoundError` if there is none."""
         return self._board_types.get(name)
 
     def put_board_type(self, board_type: BoardType) -> bool:
-        """Add or replace a board type; True if it is new. Runs keep theirs, an armed line the one it was armed with."""
+        """Add or replace a board type; return True if the name is new.
+
+        Existing runs keep the board type they were filmed with. An armed line keeps the board type of its order.
+        """
         return self._board_types.put(board_type)
 
     def delete_board_type(self, name: str) -> None:
@@ -208,18 +218,20 @@ class StationCoordinator:
         return self._board_types.reference(board_type)
 
     def teach_reference(self, board_type: str, run: str) -> bool:
-        """Make a finished run the reference of its board type, from the next arming on; True if it had none.
+        """Make a finished run the reference of its board type, from the next arming on.
+
+        Returns True if the board type had no reference before.
 
         Raises:
             NotFoundError: there is no such run or board type.
             InputError: the run shows another board type.
-            StateError: the run has no result yet, or not one that is ok.
-            GoneError: its frames are gone.
+            StateError: the run has no result yet, or the verdict of its result is not ok.
+            GoneError: the frames of the run are no longer in memory.
         """
         return self._board_types.teach_reference(board_type, run)
 
     def forget_reference(self, board_type: str) -> None:
-        """Place boards without a reference from the next arming on; `NotFoundError` if there is none."""
+        """Remove the reference of a board type, from the next arming on; `NotFoundError` if it has no reference."""
         self._board_types.forget_reference(board_type)
 
     def method(self, board_type: str) -> StitchingMethod:
@@ -227,42 +239,48 @@ class StationCoordinator:
         return self._board_types.method(board_type)
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
-        """Give a board type a method of its own from the next arming on; None: use that of the station."""
+        """Set the stitching method of a board type, from the next arming on; None selects the station's method."""
         return self._board_types.set_method(board_type, method)
 
     # --- runs
 
     def runs(self, limit: int = 50, before: str | None = None) -> tuple[RunSummary, ...]:
-        """Return runs, newest first; `before`: only those older than this id."""
+        """Return at most `limit` runs, newest first. If `before` is given, return only runs older than this id."""
         return tuple(self._parts.archive.list(min(max(limit, 1), MAX_RUNS_LISTED), before))
 
     def run(self, run: str) -> RunDetail:
-        """One run, also while it is filmed; `NotFoundError` if there was none of that id."""
+        """Return the document of a run, finished or not; `NotFoundError` if there is no run with this id."""
         try:
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
-        except StateError:  # the run began between the two look-ups: it is active now
+        except StateError:  # the run began between the two look-ups, so it is found among the active runs now
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
 
     def latest(self) -> RunDetail | None:
-        """Return the run that finished last; None before the first."""
+        """Return the run that finished last; None if no run has finished yet."""
         finished = self._parts.archive.latest()
         return finished.detail if finished else None
 
     def next_run(self, after: str | None, timeout_s: float) -> RunDetail | None:
-        """Return the first run that finished after `after` did (None: after this call); None on time-out.
+        """Return the first run that finishes after the run `after`; None if `timeout_s` passes without one.
 
-        A caller that passes the id it received last gets every finished run once.
+        If `after` is None, return the first run that finishes after this call. A caller that passes the id it received
+        last gets every finished run exactly once.
         """
         finished = self._parts.archive.next(after, timeout_s)
         return finished.detail if finished else None
 
     def release(self, run: str) -> RunDetail:
-        """Give up a finished run's frames; the result stays. `StateError` while it is filmed or stitched."""
+        """Give up the frames of a finished run; its result is kept. `StateError` if the run has not ended."""
         self._inbox.ask(self._core.release, run)
         return self.run(run)
 
     def hold(self, run: str, holder: str, purpose: str) -> LeaseStatus:
-        """Keep a run's frames in memory for `lease_s`; the same call again renews. `GoneError` if too late."""
+        """Keep the frames of a run in memory for the configured time `lease_s`; the same call again renews the hold.
+
+        Raises:
+            GoneError: the frames are no longer in memory.
+            BusyError: the run has too many holders.
+        """
         if not holder or holder.startswith(OWN):
             raise InputError.field("hold", "holder", holder, "a name that identifies the holder")
         _, lease = self._frames.take_lease(run, holder, purpose)
@@ -270,15 +288,15 @@ class StationCoordinator:
         return LeaseStatus(run=run, holder=holder, purpose=purpose, expires_in_s=remaining_s)
 
     def end_hold(self, run: str, holder: str) -> None:
-        """End a hold; harmless if there is none."""
+        """End a holder's hold on a run's frames. Nothing happens if there is no such hold."""
         self._inbox.ask(self._core.end_lease, run, holder)
 
     def stitch(self, run: str) -> Stitch:
-        """Return the result; `StateError` while there is none yet, `NotFoundError` if the run ended without one."""
+        """Return the result of a run; `StateError` before the run has ended, `NotFoundError` if it has no result."""
         return self._parts.archive.get(run).result
 
     def stitch_text(self, run: str) -> str:
-        """Return the result as JSON text."""
+        """Return the result of a run as JSON text; raises the errors of `stitch`."""
         return self._parts.archive.get(run).text
 
     def timeline(self, run: str) -> Timeline:
@@ -293,18 +311,25 @@ class StationCoordinator:
         """Return a copy of one frame's pixels, (h, w) uint8 or uint16, and its record.
 
         Raises:
-            GoneError: the memory was given to a later board.
-            NotFoundError: there is no such frame, or it never arrived.
-            StateError: it is incomplete and that is not allowed, or not settled yet.
+            GoneError: the memory of the frame was given to a later board.
+            NotFoundError: the run has no such frame, or the frame never arrived.
+            StateError: the frame may still arrive, or it is incomplete and `allow_incomplete` is False.
         """
         return self._frames.frame(self.run(run), camera, row, allow_incomplete)
 
     def components(self, run: str) -> tuple[ComponentSummary, ...]:
-        """Components of the board type the run was filmed with, and their positions."""
+        """Return the components of the run's board type, with their positions in tester coordinates."""
         return component_views.components_of(self._parts.archive.get(run))
 
     def views(self, run: str, ref: str, px_per_mm: float | None = None, min_coverage: float = 0.5) -> tuple[View, ...]:
-        """Return the views of a component (address `panel/ref` or `ref`), as temporary images to be rendered."""
+        """Return the views of a component, best first; each can be rendered as a temporary image.
+
+        Args:
+            run: id of the run.
+            ref: address of the component, `panel/ref` or `ref`.
+            px_per_mm: resolution of the temporary images; None for the mean resolution of the cameras.
+            min_coverage: smallest fraction of the component that a view must show.
+        """
         return component_views.views_of_component(self._parts.archive.get(run), ref, px_per_mm, min_coverage)
 
     def image(
@@ -317,7 +342,10 @@ class StationCoordinator:
         format: ImageFormat = "png",
         min_coverage: float = 0.5,
     ) -> bytes:
-        """Temporary image k of `views(…)` with the same arguments, rendered and encoded in a worker."""
+        """Return temporary image k of a component as an encoded file; a worker renders it.
+
+        `k` is an index into the list that `views` returns for the same arguments.
+        """
         detail = self._parts.archive.get(run).detail
         return self._frames.image(detail, ViewRequest(ref, k, px_per_mm, min_coverage), format)
 
@@ -325,7 +353,7 @@ class StationCoordinator:
 
     def _tick(self) -> None:
         self._core.tick()
-        # A garbage collection while a board passes would delay its frames' tasks.
+        # A full garbage collection while a board passes would delay the tasks of its frames.
         self._gc_policy.tick(busy=bool(self._core.runs.active))
         self._alive()
 

@@ -1,4 +1,4 @@
-"""The decisions of the coordinator's thread: what follows from each request, event and tick."""
+"""The decisions of the coordinator's thread: how the station reacts to each request, each event and each tick."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Job, LinkJob, 
 
 @dataclass(frozen=True)
 class Parts:
-    """Everything that the coordinator works with."""
+    """The objects that the coordinator works with."""
 
     config: StationConfig
     ring: BayRing
@@ -42,7 +42,10 @@ class Parts:
 
 
 class Core:
-    """Confined to the coordinator's thread; `InboxEvents` brings the events of other threads into it."""
+    """Decides how the station reacts to requests, events and ticks. Used by the coordinator's thread only.
+
+    `InboxEvents` passes the events of other threads to the coordinator's thread.
+    """
 
     def __init__(self, parts: Parts) -> None:
         self._parts, self.watch = parts, parts.watch
@@ -61,15 +64,15 @@ class Core:
     # --- requests of callers
 
     def arm(self, order: Order, runs: int | None, completion: Completion) -> None:
-        """Arm the line; the completion is set once it is armed, or carries the refusal."""
+        """Arm the line. The completion is set once the line is armed, or carries the refusal."""
         self.line.arm(order, runs, self.health, completion)
 
     def disarm(self, completion: Completion) -> None:
-        """Disarm the line; the completion is set once the barrier is ignored."""
+        """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
         self.line.disarm(completion)
 
     def release(self, run: str) -> None:
-        """Give up a finished run's frames, also if a caller holds them."""
+        """Give up the frames of a finished run, even if a caller holds them."""
         if run in self.runs.active:
             raise StateError(
                 f"Run {run} is {self.runs.active[run].state}; its memory is needed.", action="Wait for its result."
@@ -80,22 +83,22 @@ class Core:
         self.line.keep_memory_granted()
 
     def end_lease(self, run: str, holder: str) -> None:
-        """End a lease; the line may be blocked because of it."""
+        """End a holder's lease of a run. If the line was blocked for lack of memory, it may continue now."""
         self.leases.end(run, holder)
         self.line.keep_memory_granted()
 
     def stop(self, completion: Completion) -> None:
-        """Take no more boards; the completion is set when the runs under way have ended."""
+        """Take no more boards. The completion is set when all unfinished runs have ended."""
         self.line.disarm_for_stop()
         self.machine.advance(StationStep.STOP)
         self._stopping.append(completion)
         self._complete_stop_if_drained()
 
     def tick(self) -> None:
-        """Expire leases and troubles; called twice a second."""
+        """Remove expired leases and troubles, and try to grant memory again. The inbox calls this twice a second."""
         for lease in self.leases.expire():
             self._events.add("lease", f"The hold of {lease.holder} ({lease.purpose}) expired.", run=lease.run)
-        # While faulted or arming the reasons are what a caller waits for: they stay until the state changes.
+        # In the states FAULTED and ARMING, callers need the reasons to act: reasons stay until the state changes.
         if self.machine.state not in (StationState.FAULTED, StationState.ARMING):
             self.machine.reasons.expire()
         self.line.keep_memory_granted()
@@ -103,7 +106,7 @@ class Core:
     # --- events of the workers
 
     def worker_reply(self, job: Job, reply: Reply, at_s: float) -> None:
-        """Process the outcome of a job that arrived at `at_s`, by time.monotonic()."""
+        """Process a worker's reply to a job. `at_s` is the time of its arrival by time.monotonic()."""
         match job:
             case LinkJob():
                 self._after_runs(self.runs.linked(job, reply, at_s))
@@ -115,18 +118,18 @@ class Core:
                 raise InternalError(f"No part of the station expects the answer of {job}.")
 
     def worker_ended(self, description: str) -> None:
-        """Log the end of a worker; the pool restarts it."""
+        """Publish that a worker process has ended. The pool restarts it."""
         self._events.add("process", description)
 
     def workers_ready(self) -> None:
-        """Log that all workers are ready."""
+        """Publish that all workers are ready."""
         self._events.add("workers", "The workers are ready: results come at once.")
 
     # --- events of the acquisition process
 
     def acquisition_message(self, message: messages.Report) -> None:
-        """Process a message of the acquisition process."""
-        # The most frequent kinds first: a station of 8 cameras sends hundreds of pulses and frames per second.
+        """Process a message from the acquisition process."""
+        # The most frequent kinds are tested first: a station of 8 cameras sends hundreds of frames per second.
         match message:
             case messages.FrameSettled():
                 self.runs.settle(message)
@@ -152,7 +155,10 @@ class Core:
                 assert_never(message)
 
     def acquisition_ended(self, description: str) -> None:
-        """Conclude what the process filmed before it ended, and take its memory back; the link restarts it."""
+        """Conclude the runs that the acquisition process was filming when it ended, and take its memory back.
+
+        The link restarts the process.
+        """
         self.machine.add_reason("acquisition-lost", f"{sentence(description)}.", "The station restarts it.")
         self.machine.reasons.mark_outdated()
         for progress in self.runs.filming:
@@ -168,7 +174,7 @@ class Core:
         bay = self.memory.use(report.run, "filming")
         self.machine.advance_if_allowed(StationStep.BOARD_ARRIVED)
         self.runs.open(Progress.begin(report, bay, order))
-        # A board right behind this one must find memory: the next bay is granted while this one is filled.
+        # The next board may follow closely and needs memory at once: its bay is granted while this bay is filled.
         self.line.keep_memory_granted()
 
     def _on_run_finished(self, report: messages.RunFinished) -> None:
@@ -206,7 +212,7 @@ class Core:
     # --- runs
 
     def _salvage(self, progress: Progress) -> None:
-        """Stitch what had arrived of a run whose acquisition process ended."""
+        """Stitch the frames that had arrived of a run when the acquisition process ended."""
         reason = Reason(
             code="acquisition-lost",
             message="The acquisition process ended while the board was filmed; this is what had arrived.",
@@ -222,7 +228,7 @@ class Core:
             self._after_runs(self.runs.give_up(progress, reason))
 
     def _after_runs(self, ended: list[Progress]) -> None:
-        """Follow up runs that have ended: their memory may be evicted."""
+        """Mark the memory of ended runs as evictable, grant it if needed, and complete a stop that waits for runs."""
         for progress in ended:
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()

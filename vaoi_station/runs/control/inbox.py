@@ -1,4 +1,4 @@
-"""One thread, one inbox: everything that changes the station's state happens here, one message after another."""
+"""The inbox and the thread of the coordinator. All changes of the station's state happen in this thread, one by one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Inbox:
-    """Executes what is posted, in order; between messages it calls `tick` at least every `tick_s`."""
+    """Queue of functions, and the thread that calls them in order. The thread also calls `tick` every `tick_s`."""
 
     def __init__(self, tick: Callable[[], None], tick_s: float = 0.5) -> None:
         self._tick, self._tick_s = tick, tick_s
@@ -27,15 +27,19 @@ class Inbox:
         self._thread = threading.Thread(target=self._run, name="coordinator", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that executes the posted functions."""
         self._thread.start()
 
     def post(self, work: Callable[P, Any], *args: P.args, **kwargs: P.kwargs) -> None:
-        """Have a function executed; returns at once."""
+        """Have the inbox's thread call a function with these arguments; do not wait for the call."""
         self._messages.put(lambda: work(*args, **kwargs))
 
     def ask(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Have a function executed and return its result; what it raises is raised here."""
+        """Have the inbox's thread call a function, wait for the call, and return its result.
+
+        Raises:
+            VaoiError: the function raised it; any other exception of the function becomes an `InternalError`.
+        """
         answer: Future[T] = Future()
 
         def do() -> None:
@@ -43,14 +47,21 @@ class Inbox:
                 answer.set_result(work(*args, **kwargs))
             except VaoiError as refusal:
                 answer.set_exception(refusal)
-            except Exception as fault:  # the caller must not wait for ever; the fault is raised again for the log
+            except Exception as fault:  # the caller must not wait for ever; `raise` below brings the fault into the log
                 answer.set_exception(InternalError(f"{type(fault).__name__}: {fault}."))
                 raise
 
         return self.wait(answer, do)
 
     def wait(self, answer: Future[T], do: Callable[[], Any], timeout_s: float | None = None) -> T:
-        """Post `do` and wait for an answer that may come later than `do` ends; `TimeoutError` if it does not."""
+        """Have the inbox's thread call `do`, wait until the future `answer` is set, and return its result.
+
+        `answer` may be set after `do` has returned, by a later message.
+
+        Raises:
+            TimeoutError: the answer was not set within `timeout_s`.
+            StateError: the station is stopping.
+        """
         if threading.current_thread() is self._thread:
             raise InternalError("The coordinator's thread cannot wait for itself.")
         if self._closed.is_set():
@@ -60,7 +71,8 @@ class Inbox:
         while True:
             remaining = None if deadline is None else deadline - time.monotonic()
             try:
-                # In steps of a second: close() may race with the put above, and then no message is executed any more.
+                # Wait in steps of 1 s and then check for the end: if close() ran just before the put above, the message
+                # is never executed, and no answer comes.
                 return answer.result(1.0 if remaining is None else min(max(remaining, 0.0), 1.0))
             except TimeoutError:
                 if self._closed.is_set() and not answer.done():
@@ -69,10 +81,10 @@ class Inbox:
                     raise
 
     def close(self) -> None:
-        """Execute what was posted before, then end the thread; later requests are refused."""
+        """Execute all functions posted so far, then end the thread. Later requests are refused."""
         if self._closed.is_set():
             return
-        # The flag is set by a message, so that everything posted earlier is still executed.
+        # A message sets the flag, so that all messages posted before it are still executed.
         self._messages.put(self._closed.set)
         if self._thread.ident is not None:
             self._thread.join()
@@ -86,11 +98,14 @@ class Inbox:
                 work, next_tick = self._tick, time.monotonic() + self._tick_s
             try:
                 work()
-            except Exception:  # noqa: BLE001  one message that fails must not end the station; it is in the log
+            except Exception:  # noqa: BLE001  a message that fails must not end the station; the log shows the fault
                 _log.exception("a message to the coordinator failed")
 
     def _next(self, until_s: float) -> Callable[[], Any] | None:
-        """Return the next message; None when the tick is due, even if messages are waiting."""
+        """Return the next message, or None if the time `until_s` of the next tick comes first.
+
+        A tick that is due comes before waiting messages.
+        """
         try:
             left_s = until_s - time.monotonic()
             return self._messages.get(timeout=left_s) if left_s > 0 else None

@@ -1,4 +1,4 @@
-"""Events of the processes, posted to the coordinator's inbox."""
+"""Receiver of the processes' events, which posts them to the coordinator's inbox."""
 
 from __future__ import annotations
 
@@ -12,31 +12,35 @@ from vaoi_station.runs.workers.jobs import Job, RenderJob, Reply
 
 
 class InboxEvents:
-    """Implementation of `StationEvents`: every event becomes one message to the coordinator's thread."""
+    """Implementation of `StationEvents` that turns every event into one message to the coordinator's thread.
+
+    Only replies to render jobs go directly to the callers that wait for a picture.
+    """
 
     def __init__(self, inbox: Inbox, core: Core, pictures: PictureRequests) -> None:
         self._inbox, self._core, self._pictures = inbox, core, pictures
 
     def acquisition_message(self, message: Report) -> None:
-        """Have the coordinator process a message of the acquisition process."""
+        """Have the coordinator process a message from the acquisition process."""
         self._inbox.post(self._core.acquisition_message, message)
 
     def acquisition_ended(self, description: str) -> None:
-        """Have the coordinator conclude what was filmed before the process ended."""
+        """Have the coordinator conclude the runs that were filmed when the acquisition process ended."""
         self._inbox.post(self._core.acquisition_ended, description)
 
     def worker_reply(self, job: Job, reply: Reply) -> None:
-        """Have the coordinator process a reply, with the time at which it arrived."""
+        """Have the coordinator process a worker's reply, with the time of its arrival."""
         if isinstance(job, RenderJob):
-            # The caller waits in its own thread and changes no state: its picture does not queue behind frames.
+            # A picture changes no state and its caller waits in another thread, so the reply need not wait in the inbox
+            # behind the messages about frames.
             self._pictures.complete(job, reply)
         else:
             self._inbox.post(self._core.worker_reply, job, reply, time.monotonic())
 
     def worker_ended(self, description: str) -> None:
-        """Have the coordinator log the end of a worker."""
+        """Have the coordinator publish that a worker process has ended."""
         self._inbox.post(self._core.worker_ended, description)
 
     def workers_ready(self) -> None:
-        """Have the coordinator log that all workers are ready."""
+        """Have the coordinator publish that all workers are ready."""
         self._inbox.post(self._core.workers_ready)

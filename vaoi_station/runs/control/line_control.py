@@ -1,4 +1,4 @@
-"""Arming and disarming: the order in force, memory granted ahead of time, and callers that wait for the line."""
+"""Arming and disarming of the line: the order in force, the memory granted for the next board, and waiting callers."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 
 Completion = Future[None]
-"""Completed when a request has taken effect; carries the refusal otherwise."""
+"""A future that is set when a request has taken effect, or carries the refusal of the request."""
 
 
 class Acquisition(Protocol):
-    """Receiver of commands for the acquisition process."""
+    """The method of the acquisition link that line control uses."""
 
     def send(self, command: messages.Command) -> None:
-        """Send a command; returns at once."""
+        """Send a command to the acquisition process, without waiting for its effect."""
 
 
 class LineControl:
-    """Arms and disarms the line, and keeps one bay granted to the cameras while it is armed.
+    """Arms and disarms the line. Used by the coordinator's thread only.
 
-    Confined to the coordinator's thread.
+    While the line is armed, the cameras hold a bay for the next board, unless no bay is free.
     """
 
     def __init__(
@@ -51,18 +51,25 @@ class LineControl:
         self._memory, self._run_ids, self._archive, self._events = memory, run_ids, archive, events
         self.orders = Orders()
         self._granted: dict[str, int] = {}
-        """Bays that the cameras hold for coming runs, by run."""
+        """Numbers of the bays that the cameras hold for coming runs, by run id."""
         self._arming: list[Completion] = []
         self._disarming: list[Completion] = []
         self._after_disarm: list[tuple[Order, int | None, Completion]] = []
-        """Requests to arm that came while the line was being disarmed."""
+        """Requests to arm (order, number of runs, completion) that came while the line was being disarmed."""
         self._disarm_sent = False
 
     # --- requests
 
     def arm(self, order: Order, runs: int | None, health: messages.Health | None, completion: Completion) -> None:
-        """Arm the line for an order; the completion is set once it is armed, or carries the refusal."""
-        # A new Arm must not overtake the Disarm that is under way: it would be undone by it.
+        """Arm the line for an order. The completion is set once the line is armed, or carries the refusal.
+
+        Args:
+            order: the order for the boards to come.
+            runs: number of boards to film; None for no limit.
+            health: latest health report of the acquisition process; None before the first.
+            completion: future of the caller.
+        """
+        # While a Disarm is unconfirmed, a new request to arm waits: that Disarm would undo it.
         if self._disarm_sent and self._machine.state in _ARMED_STATES - {StationState.FILMING}:
             self._after_disarm.append((order, runs, completion))
             return
@@ -71,7 +78,7 @@ class LineControl:
             self._machine.require(StationStep.ARM)
             if not order.despite_lost_cameras:
                 readiness.require(health, self._config.cameras)
-            # Memory is claimed before the cameras are armed: with a full ring the caller is refused at once.
+            # Memory is granted before the cameras are armed, so that a full ring refuses the caller at once.
             if self._machine.state is StationState.IDLE:
                 self._grant()
         except (StateError, BusyError, DeviceError) as refusal:
@@ -88,7 +95,7 @@ class LineControl:
             self._send_arm()
 
     def disarm(self, completion: Completion) -> None:
-        """Disarm the line; the completion is set once the barrier is ignored."""
+        """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
         self.orders.cancel(time.monotonic())
         if self._machine.state in _ARMED_STATES:
             self._disarming.append(completion)
@@ -97,7 +104,7 @@ class LineControl:
             completion.set_result(None)
 
     def disarm_for_stop(self) -> None:
-        """Take no more boards: the station stops."""
+        """Disarm the line because the station stops; no caller waits for it."""
         self.orders.cancel(time.monotonic())
         if self._machine.state in _ARMED_STATES:
             self._send_disarm()
@@ -111,15 +118,15 @@ class LineControl:
     # --- reports of the acquisition process
 
     def on_ready(self) -> None:
-        """Return to the order that was in force before a fault, without a new request."""
+        """Process that the devices are open. An order that was in force before a fault is armed again automatically."""
         self._machine.reasons.clear()
         self._machine.advance_if_allowed(StationStep.READY)
         if self.orders.wants_more:
             self._rearm()
 
     def on_armed(self) -> None:
-        """Complete the requests to arm."""
-        # An Armed that crosses our Disarm is outdated: the Disarmed that follows decides.
+        """Process that the line is armed: complete the waiting requests to arm."""
+        # An Armed that arrives after a Disarm was sent is outdated: the Disarmed that follows it decides.
         if self._machine.state is StationState.ARMING and not self._disarm_sent:
             self._machine.reasons.clear()
             self._machine.advance(StationStep.ARMED)
@@ -129,7 +136,7 @@ class LineControl:
             self.keep_memory_granted()
 
     def on_disarmed(self, report: messages.Disarmed, health: messages.Health | None) -> None:
-        """Take unused memory back, complete the requests to disarm, then serve those that waited to arm."""
+        """Take unused memory back, complete requests to disarm, then serve requests to arm that waited for this."""
         for grant in report.unused:
             self._memory.free(grant.run)
             self._granted.pop(grant.run, None)
@@ -138,7 +145,7 @@ class LineControl:
         self._close_requests(StateError("The line was disarmed before it was armed."), health)
 
     def on_trouble(self, trouble: messages.Trouble) -> None:
-        """Refuse the requests to arm: a camera or the controller cannot be armed."""
+        """Refuse the waiting requests to arm, if the trouble of a camera or of the controller comes during arming."""
         if self._machine.state is not StationState.ARMING:
             return
         self.orders.cancel(time.monotonic())
@@ -147,11 +154,11 @@ class LineControl:
                 DeviceError(f"Arming failed: {trouble.message}", action=trouble.action, code=trouble.code)
             )
         self._arming = []
-        # Granted memory stays with the cameras until they confirm: Disarmed lists what they did not use.
+        # The cameras keep granted memory until they confirm the Disarm: Disarmed lists the bays they did not use.
         self._send_disarm()
 
     def on_acquisition_ended(self, description: str) -> None:
-        """Take all granted memory back; no process is left that could write to it."""
+        """Take all granted memory back, because no process can write to it now, and refuse waiting requests to arm."""
         for run in self._granted:
             self._memory.free(run)
         self._granted.clear()
@@ -161,20 +168,26 @@ class LineControl:
         )
 
     def take_grant(self, run: str, barrier_s: float) -> Order | None:
-        """Consume the grant of a run that has started at `barrier_s`; None if no order asked for it."""
+        """Return the order of a run that has started; None if no memory was granted to the run.
+
+        The grant is consumed. `barrier_s` is the time at which the board interrupted the barrier.
+        """
         granted = self._granted.pop(run, None)
         order = self.orders.take(barrier_s)
         return None if granted is None else order
 
     @property
     def has_grant(self) -> bool:
-        """Whether the cameras hold memory for the next board."""
+        """Whether the cameras hold a bay for the next board."""
         return bool(self._granted)
 
     # --- memory for the next board
 
     def keep_memory_granted(self) -> None:
-        """While boards are taken, grant memory for the next one; blocked while there is none."""
+        """Grant a bay for the next board while the line takes boards.
+
+        If no bay is free, an armed line becomes blocked. A blocked line becomes armed again when a bay is granted.
+        """
         taking = self._machine.state in _TAKING_BOARDS and not self._disarm_sent
         if not self.orders.wants_more or not taking:
             return
@@ -183,7 +196,8 @@ class LineControl:
         except BusyError as refusal:
             if self._machine.state is StationState.ARMED:
                 self._machine.reasons.hold(Reason.of(refusal))
-                # Without a hold the memory comes back when a stitch ends: a reason on the page, but no event.
+                # Without a hold, memory becomes free as soon as a stitch ends: the status page shows the reason, but no
+                # event is published.
                 if self._memory.held():
                     self._events.add("trouble", refusal.message, code=refusal.code, action=refusal.action)
                 self._machine.advance(StationStep.RING_FULL)
@@ -193,14 +207,14 @@ class LineControl:
             self._machine.advance(StationStep.MEMORY_FREED)
 
     def _unblock(self) -> None:
-        """Leave the blocked state by granting memory; `BusyError` names the holders."""
+        """Leave the state BLOCKED by granting a bay; `BusyError`, which names the holders, if no bay is free."""
         if self._machine.state is StationState.BLOCKED:
             self._grant()
             self._machine.reasons.drop("ring-full")
             self._machine.advance(StationStep.MEMORY_FREED)
 
     def _grant(self) -> None:
-        """Give the cameras memory for a coming run unless they hold some; `BusyError` if there is none."""
+        """Grant the cameras a bay for a coming run unless they hold one; `BusyError` if no bay is free."""
         if self._granted:
             return
         granted = self._memory.grant(self._run_ids.next())
@@ -231,7 +245,11 @@ class LineControl:
             self._acquisition.send(messages.Disarm())
 
     def _close_requests(self, refusal: StateError | DeviceError, health: messages.Health | None) -> None:
-        """Refuse requests to arm, complete requests to disarm, then serve those that waited: the line is disarmed."""
+        """Finish the requests of callers now that the line is disarmed.
+
+        Requests to arm that were under way are refused, requests to disarm are completed, and requests to arm that
+        waited for the Disarm are served.
+        """
         self._disarm_sent = False
         arming, disarming, waiting = self._arming, self._disarming, self._after_disarm
         self._arming, self._disarming, self._after_disarm = [], [], []
@@ -247,4 +265,4 @@ _S = StationState
 _ARMED_STATES = frozenset({_S.ARMING, _S.ARMED, _S.FILMING, _S.BLOCKED})
 """States in which the acquisition process has an Arm command in force."""
 _TAKING_BOARDS = frozenset({_S.ARMED, _S.FILMING, _S.BLOCKED})
-"""States in which the next board would be filmed, if there is memory."""
+"""States in which the next board is filmed if memory is free for it."""

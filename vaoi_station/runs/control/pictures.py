@@ -1,6 +1,6 @@
-"""Pixels of a run, for callers in any thread: copies of frames, and temporary images rendered by a worker.
+"""Pixels of a run, for callers in any thread: copies of frames, and temporary images that a worker renders.
 
-Both read the ring, whose memory may go to the next board at any moment: they hold a lease while they read.
+The ring's memory may be given to the next board at any time. So every access holds a lease while it reads pixels.
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.runs.workers.jobs import RenderJob, Reply
 
 RENDER_LIMIT_S = 60.0
-"""Time after which a caller no longer waits for its picture."""
+"""Longest wait of a caller for a rendered picture."""
 
 
 class ViewRequest(NamedTuple):
-    """One temporary image: component, index among its views, and how views are chosen."""
+    """Request for one temporary image: address of the component, index k of the view, and the choice of views.
+
+    Views are chosen as `StationCoordinator.views` describes.
+    """
 
     ref: str
     k: int
@@ -44,7 +47,10 @@ class ViewRequest(NamedTuple):
 
 
 class PictureRequests:
-    """Requests for pictures, matched with the workers' replies by their number; usable from any thread."""
+    """Sends render jobs to the workers, and passes each reply to the caller that waits for it.
+
+    Jobs and replies are matched by a request number. Methods may be called from any thread.
+    """
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
@@ -53,17 +59,17 @@ class PictureRequests:
         self._pending: dict[int, Future[Reply]] = {}
 
     def render(self, job: RenderJob, name: str) -> bytes:
-        """Submit a job and wait for the encoded picture.
+        """Submit a render job, wait for its reply, and return the encoded picture.
 
         Args:
-            job: without a request number.
-            name: of the picture in a refusal.
+            job: the job; this method sets its request number.
+            name: name of the picture for the message of a refusal.
 
         Raises:
-            DeviceError: no worker rendered it in time.
-            VaoiError: the worker's refusal.
+            DeviceError: no worker rendered the picture within `RENDER_LIMIT_S`.
+            VaoiError: the worker refused the job.
         """
-        # Two callers may want the same picture: only the number distinguishes their jobs.
+        # Two callers may request the same picture at the same time: only the number distinguishes their jobs.
         numbered = replace(job, request=next(self._numbers))
         pending: Future[Reply] = Future()
         with self._lock:
@@ -85,7 +91,7 @@ class PictureRequests:
         return content
 
     def complete(self, job: RenderJob, reply: Reply) -> None:
-        """Pass a reply to the caller that waits for it; ignored if the caller has given up."""
+        """Pass a worker's reply to the caller that waits for it. If the caller no longer waits, drop the reply."""
         with self._lock:
             pending = self._pending.get(job.request)
             if pending is not None:
@@ -93,7 +99,7 @@ class PictureRequests:
 
 
 class FrameAccess:
-    """Frames and temporary images of runs, each read under a lease of its own; usable from any thread."""
+    """Reads frames and temporary images of runs; each access takes a lease. Methods may be called from any thread."""
 
     def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, requests: PictureRequests) -> None:
         self._inbox, self._core, self._ring = inbox, core, ring
@@ -103,7 +109,7 @@ class FrameAccess:
     def frame(
         self, detail: RunDetail, camera: int, row: int, allow_incomplete: bool
     ) -> tuple[NDArray[Any], FrameRecord]:
-        """Copy one frame out of the ring."""
+        """Copy one frame out of the ring, and return its pixels and its record; see `StationCoordinator.frame`."""
         record = frame_record(detail, camera, row)
         where = f"Frame (camera {camera}, row {row}) of run {detail.id}"
         component_views.refuse_holes(record.verdict, record.cause, where, allow_incomplete)
@@ -112,7 +118,7 @@ class FrameAccess:
             return self._ring.snapshot(record.slot, bay.generation), record
 
     def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
-        """Render and encode one temporary image in a worker."""
+        """Have a worker render one temporary image, and return it as an encoded file."""
         finished = self._archive.get(detail.id)
         view: View = component_views.view_of_component(
             finished, wanted.ref, wanted.k, wanted.px_per_mm, wanted.min_coverage
@@ -125,12 +131,12 @@ class FrameAccess:
             return self._requests.render(job, name)
 
     def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
-        """Return a function that copies the frame in a slot of a leased bay."""
+        """Return a function that takes the number of a slot in a leased bay, and returns a copy of the frame in it."""
         return lambda slot: self._ring.snapshot(slot, bay.generation)
 
     @contextmanager
     def lease(self, run: str, purpose: str) -> Iterator[Bay]:
-        """Keep a run's memory while its pixels are read; `GoneError` if it is gone already."""
+        """Keep the run's frames in memory inside the context; `GoneError` if they are no longer in memory."""
         holder = f"{OWN}{next(self._uses)}"
         bay, _ = self.take_lease(run, holder, purpose)
         try:
@@ -139,7 +145,13 @@ class FrameAccess:
             self._inbox.post(self._core.end_lease, run, holder)
 
     def take_lease(self, run: str, holder: str, purpose: str) -> tuple[Bay, Lease]:
-        """Begin or renew a lease; `NotFoundError` for an unknown run, `GoneError` for one without frames."""
+        """Begin or renew a lease; return the run's bay and the lease.
+
+        Raises:
+            NotFoundError: the run is unknown.
+            GoneError: the frames of the run are no longer in memory.
+            BusyError: the run has too many holders.
+        """
 
         def take() -> tuple[Bay, Lease]:
             if not self._core.memory.has(run) and run not in self._core.runs.active:
@@ -150,7 +162,12 @@ class FrameAccess:
 
 
 def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:
-    """Return the record of one frame; `StateError` if it may still arrive, `NotFoundError` if there is none."""
+    """Return the record of a frame.
+
+    Raises:
+        StateError: the frame may still arrive.
+        NotFoundError: the run has no such frame.
+    """
     for frame in detail.frames:
         if (frame.camera, frame.row) == (camera, row):
             return frame

@@ -1,7 +1,7 @@
-"""Readiness of the cameras: reasons for those that are not connected, and the refusal to arm without them.
+"""Readiness of the cameras: the reasons why cameras are not connected, and the refusal to arm the line without them.
 
-A camera that is not connected delivers no frames: it is absent, in use by another program, or refuses its settings. A
-board filmed without it has a gap as wide as the camera's view; the operator learns that before the batch starts.
+A camera that is not connected is absent, in use by another program, or refuses its settings. Without its frames, every
+board has a gap as wide as the camera's view. The operator must know this before the batch starts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def disconnected(health: Health | None) -> tuple[int, ...]:
 
 
 def reasons(health: Health | None, cameras: Sequence[CameraConfig]) -> tuple[Reason, ...]:
-    """One reason for every camera that is not connected."""
+    """Return one reason for every camera that is not connected; none before the first health report."""
     if health is None:
         return ()
     away = ((cameras[k].label, health.cameras[k]) for k in disconnected(health))
@@ -35,7 +35,7 @@ def reasons(health: Health | None, cameras: Sequence[CameraConfig]) -> tuple[Rea
 
 
 def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
-    """Raise `DeviceError` that names every camera that is not connected, if there is one."""
+    """Raise `DeviceError` if a camera is not connected; the message names all such cameras."""
     if why := reasons(health, cameras):
         raise DeviceError(
             f"The array is not complete. {' '.join(reason.message for reason in why)}",
@@ -45,8 +45,8 @@ def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
 
 
 def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig]) -> tuple[str, ...]:
-    """Sentences for cameras that were lost, and for those that are connected again."""
-    # Before the first report no camera counts as lost: the first report names all that are missing.
+    """Return one sentence per camera that was lost or connected again between two health reports."""
+    # Before the first report all cameras count as connected, so the first report names all that are not.
     were, are = set(disconnected(before)), set(disconnected(now))
     gone = (f"{sentence(cameras[k].label)} is lost: boards would be filmed without it." for k in sorted(are - were))
     back = (f"{sentence(cameras[k].label)} is ready again." for k in sorted(were - are))
@@ -54,5 +54,8 @@ def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig])
 
 
 def not_connected(label: str, why: str) -> str:
-    """Return a sentence that names the camera once, even if the driver's message begins with its name."""
+    """Return a message that a camera is not connected, and `why`.
+
+    Drivers may begin their message with the camera's name; it is removed there, so that the name appears once.
+    """
     return f"{sentence(label)} is not connected. {sentence(why.removeprefix(f'{label}: '))}".strip()

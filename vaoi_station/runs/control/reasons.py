@@ -1,4 +1,4 @@
-"""Reasons for the station's state: those that hold until they are removed, and troubles that expire."""
+"""Reasons for the station's state. Reasons stay until they are removed; troubles of devices also expire."""
 
 from __future__ import annotations
 
@@ -10,40 +10,43 @@ from vaoi_station.acquisition.process.messages import Trouble
 from vaoi_station.runs.states.schemas import Reason
 
 TROUBLE_S = 10.0
-"""A trouble that was not reported again for this time is over."""
+"""Time after which a trouble expires if the device does not report it again."""
 
 _WORD = re.compile(r"[a-z]+(?=[ :])")
 
 
 def sentence(text: str) -> str:
-    """Capitalize a text, unless it begins with a file, a field or a figure."""
+    """Capitalize the first letter of a text, unless the text begins with a file name, a field name or a number."""
     return text[0].upper() + text[1:] if _WORD.match(text) else text
 
 
 class Reasons:
-    """The reasons that a status page shows, oldest first; used by one thread."""
+    """The reasons that the status page shows, oldest first. Used by one thread."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._reasons: dict[str, Reason] = {}
         self._reported_s: dict[str, float] = {}
-        """When each trouble was last reported."""
+        """Time of the latest report of each trouble, by its key, in seconds of the clock."""
         self._outdated: set[str] = set()
-        """Troubles of a process that has ended."""
+        """Keys of the troubles that were reported by an acquisition process that has ended."""
 
     def hold(self, reason: Reason) -> bool:
-        """Add a reason under its code, until `drop`; False if the same reason was there already."""
+        """Add a reason, which stays until `drop` is called with its code; return False if it was present already.
+
+        The reason replaces an earlier one with the same code.
+        """
         before = self._reasons.pop(reason.code, None)
-        self._reasons[reason.code] = reason  # a repeated reason moves behind the trouble that led to it
+        self._reasons[reason.code] = reason  # a repeated reason moves to the end, after the trouble that caused it
         return before != reason
 
     def mark_outdated(self) -> None:
-        """Let the next trouble replace all present ones: the devices are opened again."""
-        # They are not dropped yet: while the devices open, the old cause is all that the operator can act on.
+        """Mark all present troubles as outdated. The next trouble replaces all of them."""
+        # They are not removed yet: while the devices are being opened, the operator can act only on the old cause.
         self._outdated = set(self._reported_s)
 
     def trouble(self, report: Trouble) -> Reason | None:
-        """Add a device's trouble; None if the same was reported shortly before."""
+        """Add the trouble of a device and return its reason; None if the same trouble is present already."""
         key = f"{report.code}: {report.message}"
         for old in self._outdated - {key}:
             del self._reported_s[old]
@@ -56,7 +59,7 @@ class Reasons:
         return self._reasons[key]
 
     def drop(self, code: str) -> None:
-        """Remove a reason; harmless if there is none."""
+        """Remove the reason with this code, if it is present."""
         self._reasons.pop(code, None)
 
     def clear(self) -> None:
@@ -66,7 +69,7 @@ class Reasons:
         self._outdated = set()
 
     def expire(self) -> None:
-        """Remove troubles that were not reported lately."""
+        """Remove the troubles that were not reported again within `TROUBLE_S`."""
         now = self._clock()
         for key in [key for key, at in self._reported_s.items() if now - at > TROUBLE_S]:
             del self._reported_s[key]
@@ -74,5 +77,5 @@ class Reasons:
             self._reasons.pop(key, None)
 
     def all(self) -> tuple[Reason, ...]:
-        """All present reasons, oldest first."""
+        """Return all present reasons and troubles, oldest first."""
         return tuple(self._reasons.values())

@@ -1,4 +1,4 @@
-"""The one interface through which processes report events to the coordinator."""
+"""The interface by which the workers and the acquisition process report their events to the coordinator."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from vaoi_station.runs.workers.worker_events import WorkerEvents
 
 
 class StationEvents(WorkerEvents, Protocol):
-    """Receiver of all events: every method returns at once and may be called from any thread.
+    """Receiver of all events. Every method returns at once and may be called from any thread.
 
-    `inbox_events.InboxEvents` implements it. The pool receives the same object but sees only `WorkerEvents`,
-    because the workers' room lies below this one.
+    `inbox_events.InboxEvents` implements it. The worker pool uses only the methods of `WorkerEvents`, because
+    `runs.workers` must not import `runs.control`.
     """
 
     def acquisition_message(self, message: Report) -> None:
-        """Report a message of the acquisition process."""
+        """Report a message from the acquisition process."""
 
     def acquisition_ended(self, description: str) -> None:
-        """Report that the acquisition process has ended unexpectedly; it is restarted."""
+        """Report that the acquisition process has ended unexpectedly. The link restarts it."""

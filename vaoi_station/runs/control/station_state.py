@@ -1,4 +1,4 @@
-"""The state of the station with its reasons, changed only as the table `states.tables.STATION` allows."""
+"""The state of the station and its reasons. The table `states.tables.STATION` defines the legal changes of state."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from vaoi_station.runs.states.tables import ADVICE, STATION, StationState, Stati
 
 
 class StationStateMachine:
-    """Current state, since when, and why; every change is published as an event. Confined to one thread."""
+    """The present state of the station, its start time and its reasons. Used by one thread.
+
+    Every change of state is published as an event.
+    """
 
     def __init__(self, events: EventLog) -> None:
         self._events = events
@@ -20,7 +23,7 @@ class StationStateMachine:
         self.reasons = Reasons()
 
     def require(self, event: StationStep) -> None:
-        """Raise `StateError`, with the first reason of the present state, unless the event is possible now."""
+        """Raise `StateError` if the event is illegal in the present state; the message includes the first reason."""
         if not STATION.allows(self.state, event):
             reason = next(iter(self.reasons.all()), None)
             why = f" ({reason.message})" if reason else ""
@@ -28,19 +31,19 @@ class StationStateMachine:
             raise StateError(message, action=ADVICE.get(self.state, ""))
 
     def advance(self, event: StationStep) -> None:
-        """Follow the table; `StateError` if the event is illegal in the present state."""
+        """Change to the state that follows the event; `StateError` if the event is illegal in the present state."""
         state = STATION.next(self.state, event)
         if state is not self.state:
             self.state, self.since = state, utc()
             self._events.add("station", f"The station is {state}.", state=state)
 
     def advance_if_allowed(self, event: StationStep) -> None:
-        """Follow the table where the event is legal, and ignore it elsewhere."""
+        """Change to the state that follows the event; ignore an event that is illegal in the present state."""
         # Devices report asynchronously: a Disarmed or RunFinished may arrive after a fault or a stop.
         if STATION.allows(self.state, event):
             self.advance(event)
 
     def add_reason(self, code: str, message: str, action: str) -> None:
-        """Give the present state a reason, and publish it unless it is known."""
+        """Add a reason for the present state, and publish it unless the same reason is present already."""
         if self.reasons.hold(Reason(code=code, message=message, action=action)):
             self._events.add("trouble", message, code=code, action=action)

@@ -1,4 +1,4 @@
-"""The snapshot of the station that the status page and `GET station` show."""
+"""The snapshot of the station, which the status page and the REST request `GET station` show."""
 
 from __future__ import annotations
 
@@ -35,7 +35,16 @@ def snapshot_of(
     last_run: str | None,
     last_event: int,
 ) -> StationSnapshot:
-    """Build the snapshot; `ring` is path and size in bytes. Call in the coordinator's thread."""
+    """Build the snapshot of the station. Call this function in the coordinator's thread.
+
+    Args:
+        core: the present state of the station.
+        config: configuration of the station.
+        ring: path and size in bytes of the ring.
+        processes: states of all processes.
+        last_run: id of the run that finished last; None before the first.
+        last_event: number of the newest event.
+    """
     filming, cameras = core.runs.filming, _cameras(core, config)
     return StationSnapshot(
         name=config.name,
@@ -67,10 +76,10 @@ def snapshot_of(
 
 
 def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
-    """Return a warning while workers are starting.
+    """Return one warning if workers are still starting, else none.
 
-    Cameras are opened when the workers are ready, or after `acquisition_link.WARM_S`; boards filmed from then on are
-    stitched when the workers are ready.
+    Cameras are opened when all workers are ready, or after `acquisition_link.WARM_S`. Boards that are filmed while
+    workers are still starting get their results later.
     """
     workers = [process for process in processes if process.name.startswith("worker ")]
     # "starting" lasts until a worker has opened the ring and compiled its inner loops.

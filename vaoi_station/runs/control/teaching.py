@@ -1,4 +1,4 @@
-"""Teaching: board types, finished runs as their references, and the method by which each is stitched."""
+"""Board types, the references that are taught for them, and the methods by which their runs are stitched."""
 
 from __future__ import annotations
 
@@ -23,11 +23,17 @@ from vaoi_station.stitching.recordings.reference_frames import select_reference_
 from vaoi_station.store import BoardTypeDirectory
 
 Pixels = Callable[[int], Image]
-"""A copy of the frame in a slot of the ring; raises `GoneError` when its memory goes."""
+"""Function that copies the frame in a slot of the ring. Raises `GoneError` if the memory was given to a later run."""
 
 
 def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> BoardTypeSummary:
-    """Build one entry of the list of board types; a file that cannot be used (`board_type` None) has a fault."""
+    """Build one entry of the list of board types.
+
+    Args:
+        stem: name of the file without suffix.
+        board_type: content of the file; None if the file cannot be used.
+        fault: why the file cannot be used.
+    """
     if board_type is None:
         assert fault is not None
         return BoardTypeSummary(name=stem, fault=Reason.of(fault))
@@ -41,20 +47,20 @@ def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError
 
 
 class ReferenceTeaching:
-    """References and methods of board types, as they are stored; usable from any thread."""
+    """Teaches and removes the references of board types, and sets their methods. Usable from any thread."""
 
     def __init__(self, store: ReferenceStore, method: MethodName) -> None:
-        """Teach into a store.
+        """Prepare teaching.
 
         Args:
-            store: of the references.
-            method: of board types without one of their own.
+            store: keeps the references and methods.
+            method: the station's method, which applies to board types for which no method was set.
         """
         self._store, self._method = store, method
         self._teaching = threading.Lock()
 
     def status(self, board_type: BoardType) -> ReferenceStatus:
-        """Return the reference of a board type, and whether it can be used; `NotFoundError` if it has none."""
+        """Return the reference of a board type and whether it is usable; `NotFoundError` if there is no reference."""
         record = self._store.record(board_type.name)
         if record is None:
             raise _no_reference(board_type.name)
@@ -66,22 +72,22 @@ class ReferenceTeaching:
         return ReferenceStatus(**record.model_dump(), board_type=board_type.name, usable=fault is None, fault=fault)
 
     def teach(self, board_type: BoardType, finished: FinishedRun, calibration: Calibration, pixels: Pixels) -> bool:
-        """Make a finished run the reference of its board type; True if it had none.
+        """Make a finished run the reference of its board type; return True if there was no reference before.
 
         Args:
-            board_type: the present one.
+            board_type: the board type as it is now.
             finished: the run.
-            calibration: that of its stitch.
-            pixels: gives its frames.
+            calibration: the calibration with which the run was stitched.
+            pixels: function that copies a frame of the run, given its slot.
 
         Raises:
-            InputError: the run shows another board type, or the board type has changed since.
-            StateError: its verdict is not ok.
+            InputError: the run shows another board type, or the board type has changed since the run.
+            StateError: the verdict of the run is not ok.
             DeviceError: the disk refuses the files.
         """
         _check(board_type.name, finished)
         run = finished.detail.id
-        # One at a time: two calls for the same run would write the same directory.
+        # One call at a time: two calls for the same run would write to the same directory.
         with self._teaching:
             path = self._store.path_of(run)
             if not path.exists():
@@ -89,7 +95,7 @@ class ReferenceTeaching:
             self._store.load(run, board_type)
             new = self._store.record(board_type.name) is None
             self._store.keep(board_type.name, _record_of(path, finished))
-            self._store.open(board_type)  # opened now, so that arming does not wait for the disk
+            self._store.open(board_type)  # read now and cached, so that arming does not wait for the disk
         return new
 
     def forget(self, board_type: str) -> None:
@@ -104,23 +110,29 @@ class ReferenceTeaching:
         return StitchingMethod(method=own or self._method, chosen="board-type" if own else "station")
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
-        """Give a board type a method of its own; None: use that of the station."""
+        """Set the stitching method of a board type; None selects the station's method."""
         self._store.set_method(board_type, method)
         return self.method(board_type)
 
     def forget_board_type(self, board_type: str) -> None:
-        """Remove reference and method of a deleted board type."""
+        """Remove the reference and the method of a board type that was deleted."""
         self._store.drop(board_type)
         self._store.set_method(board_type, None)
 
     def sweep(self, in_use: set[str]) -> None:
-        """Remove references that no board type names; `in_use`: runs that boards may still be placed against."""
+        """Delete the files of references that no board type uses.
+
+        `in_use` contains the ids of reference runs against which boards may still be placed; their files are kept.
+        """
         with self._teaching:
             self._store.sweep(in_use)
 
 
 class BoardTypeService:
-    """Board types with their references and methods, as callers in any thread change them; changes are published."""
+    """Serves the requests about board types, their references and methods. Changes are published as events.
+
+    Methods may be called from any thread except the coordinator's.
+    """
 
     def __init__(
         self,
@@ -138,20 +150,20 @@ class BoardTypeService:
         self._changing = threading.Lock()
 
     def list(self) -> tuple[BoardTypeSummary, ...]:
-        """All board types, by name."""
+        """Return a summary of every board type, sorted by name. A file that cannot be used is listed with its fault."""
         entries = self._directory.list()
         return tuple(board_type_summary(entry.path.stem, entry.board_type, entry.fault) for entry in entries)
 
     def get(self, name: str) -> BoardType:
-        """One board type; `NotFoundError` if there is none of that name."""
+        """Return the board type with this name; `NotFoundError` if there is none."""
         return self._directory.get(name)
 
     def put(self, board_type: BoardType) -> bool:
-        """Add or replace a board type; True if it is new."""
+        """Add or replace a board type; return True if the name is new."""
         with self._changing:
             new = self._directory.put(board_type)
         armed = self._inbox.ask(self._core.line.orders.shown)
-        # An armed line keeps the board type it was armed with: a product must not change in mid-batch.
+        # An armed line keeps the board type it was armed with: the CAD data must not change within a batch.
         later = " The change applies from the next arming on." if armed and armed.board_type == board_type.name else ""
         action = "added" if new else "replaced"
         self._events.add("board-type", f"Board type {board_type.name!r} was {action}.{later}")
@@ -169,11 +181,11 @@ class BoardTypeService:
         self._events.add("board-type", f"Board type {name!r} was deleted.")
 
     def reference(self, board_type: str) -> ReferenceStatus:
-        """Return the reference of a board type."""
+        """Return the reference of a board type and whether it is usable; `NotFoundError` if there is no reference."""
         return self._references.status(self.get(board_type))
 
     def teach_reference(self, board_type: str, run: str) -> bool:
-        """Make a finished run the reference of its board type; True if it had none."""
+        """Make a finished run the reference of its board type; return True if there was no reference before."""
         known, finished = self.get(board_type), self._archive.get(run)
         calibration = self._archive.calibration_of(finished)
         with self._frames.lease(run, "taught as the reference") as bay:
@@ -183,7 +195,7 @@ class BoardTypeService:
         return new
 
     def forget_reference(self, board_type: str) -> None:
-        """Remove the reference of a board type."""
+        """Remove the reference of a board type; `NotFoundError` if there is no reference."""
         self._references.forget(self.get(board_type).name)
         self._sweep()
         self._events.add("reference", f"The reference of board type {board_type!r} was removed.")
@@ -193,11 +205,11 @@ class BoardTypeService:
         return self._references.method(self.get(board_type).name)
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
-        """Give a board type a method of its own; None: use that of the station."""
+        """Set the stitching method of a board type; None selects the station's method."""
         return self._references.set_method(self.get(board_type).name, method)
 
     def _sweep(self) -> None:
-        """Remove references that are no longer needed, except those of boards under way or still to come."""
+        """Delete the files of references that no board type, no unfinished run and no order uses."""
 
         def in_use() -> set[str]:
             under_way = {p.order.reference.run for p in self._core.runs.active.values() if p.order.reference}
