@@ -1,1 +1,1 @@
-"""Adjustment of a run: the motion of all rows, C, the surface and heights in one robust least-squares problem."""
+"""Adjust a run: estimate row motion, C, surface and component heights in one robust least-squares problem."""

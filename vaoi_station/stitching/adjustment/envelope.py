@@ -1,10 +1,12 @@
 """Store, solve and invert normal equations within the envelope of their matrix.
 
-A row of the board shares observations with nearby rows only. Its lines of the lower normal matrix therefore begin at
-the first row with which it shares one. C and the surface share observations with all rows and stand last. The Cholesky
-factor has the same envelope. The entries of the inverse inside it follow from the factor by Takahashi's recursion
-(Erisman and Tinney, On computing certain elements of the inverse of a sparse matrix, Communications of the ACM 18,
-1975). Time and memory grow linearly with the number of rows, not with its cube and square.
+A row of a run shares observations with nearby rows only. Only the lower triangle of the normal matrix is stored. The
+three lines of a row begin at the columns of the first row with which it shares an observation; entries before that are
+0 and are not stored. The stored part is the envelope. C and the surface share observations with all rows and stand
+last. The Cholesky factor has the same envelope. The entries of the inverse inside the envelope follow from the factor
+by Takahashi's recursion (Erisman and Tinney, On computing certain elements of the inverse of a sparse matrix,
+Communications of the ACM 18, 1975). Time and memory grow linearly with the number of rows; with a full matrix they
+would grow with its cube and square.
 """
 
 from __future__ import annotations
@@ -20,36 +22,43 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _MIN_PIVOT = 1e-14
-"""Smallest share of a diagonal entry that elimination may leave; below it the unknown counts as unobserved."""
+"""Smallest pivot, as a share of the diagonal entry before elimination. An unknown with a smaller one is unobserved."""
 
 
 class NormalEquations(NamedTuple):
-    """The lower triangle of a normal matrix (n, n) and its right-hand side, for compiled functions."""
+    """The lower triangle of a normal matrix (n, n), stored in its envelope, and the right-hand side.
+
+    This form is that of compiled functions.
+    """
 
     first: Ints
-    """(n,) the first column of each line."""
+    """(n,) the first stored column of each line."""
     at: Ints
-    """(n,) index of column 0 of each line: entry (i, j) is `values[at[i] + j]`."""
+    """(n,) index of column 0 of each line in `values`: entry (i, j) is `values[at[i] + j]`."""
     values: Floats
-    """The entries within the envelope; after `factorise` those of the Cholesky factor."""
+    """The entries inside the envelope; after `factorise`, those of the Cholesky factor."""
     right: Floats
-    """(n,)."""
+    """(n,) the right-hand side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Which entries of a lower triangular matrix (n, n) are stored: entry (i, j) is `values[at[i] + j]`."""
+    """Which entries of a lower triangular matrix (n, n) are stored, and where: entry (i, j) is `values[at[i] + j]`."""
 
     first: Ints
-    """(n,) the first column of each line."""
+    """(n,) the first stored column of each line."""
     at: Ints
-    """(n,) index of column 0 of each line, which may lie before the line's first stored entry."""
+    """(n,) index of column 0 of each line in the stored values, even if the line is stored from a later column on."""
     rows: int
-    """The first 3·rows unknowns are (φ, sx, sy) of the rows; the others are coupled to all rows and stand last."""
+    """The number of rows of the run. The first 3·rows unknowns are their (φ, sx, sy). The other unknowns are coupled to
+    all rows and stand last."""
 
     @staticmethod
     def of(furthest: Ints, others: int) -> Envelope:
-        """Build from the last row (m,) with which each row shares an observation; itself if there is none after it."""
+        """Build the envelope of m rows and a number of other unknowns.
+
+        `furthest` (m,) is the last row with which each row shares an observation, or the row itself.
+        """
         m = len(furthest)
         lowest = np.arange(m)
         for row, last in enumerate(furthest.tolist()):
@@ -65,15 +74,15 @@ class Envelope:
 
     @property
     def entries(self) -> int:
-        """The number of stored values."""
+        """The number of stored entries."""
         return int(self.at[-1]) + self.size
 
     def zeros(self) -> NormalEquations:
-        """Return normal equations without any observation."""
+        """Return normal equations with this envelope and without any observation: all values are 0."""
         return NormalEquations(self.first, self.at, np.zeros(self.entries), np.zeros(self.size))
 
     def dense(self, values: Floats) -> Floats:
-        """Return the symmetric matrix (n, n) with these lower entries."""
+        """Return the full symmetric matrix (n, n) whose lower triangle has these stored values."""
         out = np.zeros((self.size, self.size))
         for i, (first, at) in enumerate(zip(self.first.tolist(), self.at.tolist(), strict=True)):
             out[i, first : i + 1] = out[first : i + 1, i] = values[at + first : at + i + 1]
@@ -82,13 +91,13 @@ class Envelope:
 
 @compiled
 def add_equations(columns: Ints, a: Floats, b: Floats, normal: NormalEquations) -> None:
-    """Add whitened equations a·δ + b ≈ 0 to normal equations.
+    """Add k sets of whitened equations a·δ + b ≈ 0 to normal equations; δ are the changes of the unknowns.
 
     Args:
-        columns: (k, f) indices of the unknowns of each set, all different.
-        a: (k, r, f).
-        b: (k, r).
-        normal: changed in place.
+        columns: (k, f) indices of the f unknowns of each set. Within a set they are all different.
+        a: (k, r, f) coefficients of the r equations of each set.
+        b: (k, r) constant terms.
+        normal: the normal equations, changed in place.
     """
     at, values, right = normal.at, normal.values, normal.right
     for k in range(len(a)):
@@ -103,7 +112,7 @@ def add_equations(columns: Ints, a: Floats, b: Floats, normal: NormalEquations) 
 
 @compiled
 def hold_first_row(normal: NormalEquations) -> None:
-    """Fix the gauge: replace the lines of row 0 by those of the identity, so that it does not move."""
+    """Fix the gauge: replace the lines and columns of row 0 by those of the identity, so that row 0 does not move."""
     first, at, values = normal.first, normal.at, normal.values
     for i in range(len(first)):
         for j in range(first[i], min(i + 1, 3)):
@@ -113,7 +122,7 @@ def hold_first_row(normal: NormalEquations) -> None:
 
 @compiled
 def factorise(normal: NormalEquations) -> None:
-    """Replace the matrix by its Cholesky factor L, where L·Lᵀ is the matrix."""
+    """Replace a normal matrix, in place, by its Cholesky factor L. L is lower triangular, and L·Lᵀ is the matrix."""
     first, at, values = normal.first, normal.at, normal.values
     for i in range(len(first)):
         for j in range(first[i], i):
@@ -125,7 +134,8 @@ def factorise(normal: NormalEquations) -> None:
         rest = whole
         for k in range(first[i], i):
             rest -= values[at[i] + k] ** 2
-        # rounding can leave an unobserved unknown a pivot of 0 or less; a tiny one keeps it unknown and harms no other
+        # rounding can make the pivot of an unobserved unknown 0 or negative; with a tiny one, its variance is huge and
+        # the other unknowns are not affected
         values[at[i] + i] = math.sqrt(max(rest, _MIN_PIVOT * whole))
 
 
@@ -147,11 +157,14 @@ def solve(factor: NormalEquations) -> Floats:
 
 @compiled
 def inverse(factor: NormalEquations, rows: int) -> Floats:
-    """Return the entries of the inverse inside the envelope of factorised normal equations."""
+    """Return those entries of the inverse normal matrix that are inside the envelope, stored like the factor.
+
+    `factor` are the factorised normal equations of `rows` rows.
+    """
     first, at, values = factor.first, factor.at, factor.values
     out = np.zeros_like(values)
     below = np.zeros(len(first), np.int64)
-    # from the last column back: each entry needs those of later columns only
+    # columns from last to first: an entry of the inverse depends on entries of later columns only
     for j in range(len(first) - 1, -1, -1):
         count = 0
         for i in range(j + 1, 3 * rows):
@@ -176,7 +189,10 @@ def inverse(factor: NormalEquations, rows: int) -> Floats:
 
 
 def row_blocks(envelope: Envelope, values: Floats) -> Floats:
-    """Return the blocks (m, u, u) of a symmetric matrix: the three unknowns of each row together with the others."""
+    """Return one block (u, u) per row of a symmetric matrix that is stored in an envelope: (m, u, u) for m rows.
+
+    The u unknowns of a block are the three of the row, followed by those that stand last.
+    """
     own = 3 * np.arange(envelope.rows)[:, None] + np.arange(3)
     others = np.broadcast_to(
         np.arange(3 * envelope.rows, envelope.size), (envelope.rows, envelope.size - 3 * envelope.rows)

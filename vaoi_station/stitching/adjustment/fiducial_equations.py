@@ -1,4 +1,4 @@
-"""Equations of the fiducials: their detections, and the scale on which CAD data and calibration agree."""
+"""Set up the equations of detected fiducials, and the prior equation of the scale of C."""
 
 from __future__ import annotations
 
@@ -12,28 +12,33 @@ from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.adjustment.similarity import apply_similarity, similarity_jacobian
 
 _SINGLE_PX, _COMMON_PX = 0.002, 0.004
-"""Errors of a detection beyond its own standard deviation: one of its own, and one that all detections of the same
-fiducial have in common (artwork, light) and that does not average out (docs/measured/uncertainty.md)."""
+"""Standard deviations of two errors of a detection beyond `sigma_mm`. `_SINGLE_PX` is independent in each detection.
+`_COMMON_PX` is common to all detections of the same fiducial (artwork, light) and does not average out
+(docs/measured/uncertainty.md)."""
 _SCALE_SIGMA = 3e-4
-"""Shrinkage or stretch of a board against its CAD data (1 σ, relative)."""
+"""Standard deviation of the size of a board relative to its CAD data: boards shrink and stretch."""
 _KNEE, _CUT = 2.0, 6.0
-"""Standard deviations beyond which a detection loses weight (Huber), and beyond which a point of many has none."""
+"""Residuals beyond `_KNEE` standard deviations lose weight (Huber). Fixture marks and reference points, of which there
+are many, have no weight beyond `_CUT` standard deviations."""
 
 Equations = tuple[Ints, Floats, Floats]
-"""Columns (k, f) of the unknowns, and whitened a (k, r, f) and b (k, r): a·δ + b ≈ 0."""
+"""k sets of r whitened equations a·δ + b ≈ 0 in f unknowns: columns (k, f) of the unknowns, a (k, r, f), b (k, r)."""
 
 
 def fiducial_residuals(
     points: FiducialPoints, motion: Motion, c: Floats, basis: Floats, surface_mm: Floats
 ) -> tuple[Floats, Floats]:
-    """Return residuals (s, 2) in mm and their Jacobian (s, 2, 3 + 4 + f) by row, C and surface.
+    """Return the residuals (s, 2) of s detections in mm, and their Jacobian (s, 2, 3 + 4 + f).
+
+    The Jacobian contains the derivatives by (φ, sx, sy) of the row, by the four numbers of C, and by the f coefficients
+    of the surface.
 
     Args:
         points: the detections.
-        motion: of the rows.
-        c: the similarity (a, b, x, y).
-        basis: (s, f) values of the surface's basis functions; f may be 0.
-        surface_mm: (f,) coefficients.
+        motion: the motion of the rows.
+        c: the similarity C as (a, b, x, y).
+        basis: (s, f) values of the surface's basis functions at the detections; f may be 0.
+        surface_mm: (f,) coefficients of the surface.
     """
     height = basis @ surface_mm if basis.shape[1] else np.zeros(len(points.row))
     lean = motion.turned(points.row, points.lean)
@@ -45,19 +50,20 @@ def fiducial_residuals(
 
 
 def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floats, others: Ints) -> Equations:
-    """Return robustly weighted equations of all detections.
+    """Return the robustly weighted, whitened equations of s detections.
 
     Args:
         points: the detections.
-        residual: (s, 2) mm.
-        jacobian: (s, 2, 3 + u) by the row of each detection and the unknowns that stand last.
-        others: (u,) columns of the latter.
+        residual: (s, 2) residuals, mm.
+        jacobian: (s, 2, 3 + u) their derivatives by the row of each detection and by the u unknowns that stand last.
+        others: (u,) columns of the unknowns that stand last: C and the surface.
     """
     sigma = detection_sigma_mm(points)
     chi = np.sqrt((residual**2).sum(1) / 2) / sigma
     many = points.which < 0
     if many.any():
-        # while the rows still have their nominal motion all of these points are far off, and none is an outlier yet
+        # as long as the rows have only their nominal motion, all of these points have large residuals without being
+        # outliers: their median scales the limits
         scale = max(float(np.median(chi[many])), 1.0)
         chi, sigma = np.where(many, chi / scale, chi), np.where(many, sigma * scale, sigma)
     robust = np.where(many & (chi > _CUT), 0.0, huber_weights(chi, _KNEE))
@@ -69,7 +75,10 @@ def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floa
 
 
 def scale_equation(c: Floats, nominal_scale: float, columns: Ints) -> Equations:
-    """Return the prior of the scale: a board is hardly shrunk or stretched. `columns` (2,) are those of a and b."""
+    """Return the prior equation that the scale of the similarity c = (a, b, x, y) is close to its nominal value.
+
+    `columns` (2,) are the columns of the unknowns a and b.
+    """
     scale = float(np.hypot(*c[:2]))
     sigma = _SCALE_SIGMA * nominal_scale
     gradient = c[None, None, :2] / scale / sigma
@@ -77,9 +86,10 @@ def scale_equation(c: Floats, nominal_scale: float, columns: Ints) -> Equations:
 
 
 def detection_sigma_mm(points: FiducialPoints) -> Floats:
-    """Return the standard deviation (s,) of each detection.
+    """Return the standard deviation (s,) of each detection, mm.
 
-    The error that the n detections of a fiducial share counts n times in each: their mean is never better than it.
+    If a fiducial has n detections, the variance of their common error is multiplied by n in each. The mean of the
+    detections then has at least the variance of the common error.
     """
     own = points.sigma_mm**2 + (_SINGLE_PX / points.px_per_mm) ** 2
     shared = (_COMMON_PX / points.px_per_mm) ** 2
@@ -90,7 +100,7 @@ def detection_sigma_mm(points: FiducialPoints) -> Floats:
 
 
 def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
-    """Return the derivative (k, 2, 3) of a board point by (φ, sx, sy) of its row."""
+    """Return the derivatives (k, 2, 3) of `motion.board` at ground points (k, 2) by (φ, sx, sy) of their rows (k,)."""
     arm = motion.turned(row, ground_mm - motion.pivot)
     one, nil = np.ones(len(arm)), np.zeros(len(arm))
     return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)

@@ -1,4 +1,4 @@
-"""A first motion, accurate to a pixel: the medians of the links, chained over the rows."""
+"""Estimate a first row motion, accurate to a pixel, from the median shift of the links between rows."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from vaoi_station.stitching.adjustment.observations import Observations
 
 
 def chain_links(nominal: Motion, links: Observations) -> Motion:
-    """Correct the nominal motion row by row by the median of the links from an earlier row.
+    """Estimate the shift of every row from the median of its links to the latest earlier row.
 
-    Medians are over all cameras: the frames of a row outnumber a single one with tall parts or reflections.
+    A row without such links moves from the row before as in the nominal motion. A median is taken over the links of all
+    cameras, so that a single frame with tall parts or reflections has little influence.
     """
     shift = nominal.shift.copy()
     rows = len(shift)
@@ -24,7 +25,7 @@ def chain_links(nominal: Motion, links: Observations) -> Motion:
         # links between two cameras have p = q = row and are left out
         last = first + np.searchsorted(p[first:last], row)
         if last > first:
-            # the latest earlier row only: the nearest one has the smallest error
+            # only links to the latest earlier row are used: the smallest distance gives the smallest error
             latest = by_pair[first + np.searchsorted(p[first:last], p[last - 1]) : last]
             step = links.a_mm[latest] - links.b_mm[latest]
             shift[row] = shift[p[last - 1]] + np.median(step, axis=0)
@@ -34,7 +35,10 @@ def chain_links(nominal: Motion, links: Observations) -> Motion:
 
 
 def connected_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.ndarray]:
-    """Return the groups of rows that links connect; a complete run has one group."""
+    """Return the groups of rows that are connected by links, as arrays of row indices. A complete run has one group.
+
+    `rows` is the number of rows; `used` selects the links that count.
+    """
     label = np.arange(rows)
     for pair in np.unique(links.p[used] * rows + links.q[used]):
         a, b = label[pair // rows], label[pair % rows]

@@ -1,13 +1,17 @@
-"""Build the normal equations of all links: one compiled pass over them per step of the adjustment.
+"""Build the normal equations of all links in compiled passes over the links, in every step of the adjustment.
 
 A link states that ground point a of row p and ground point b of row q are the same point of the board. Its residual is
 
     r = board(q, b) − board(p, a) + l·h,    l = R(φ_q)·l_b − R(φ_p)·l_a,
 
-where l is its displacement per mm of height and h the height of the point: surface plus component. Unknowns are
-(φ, sx, sy) of every row, in the columns 3·row …, and the coefficients of the surface in the last ones; the normal
-matrix is stored in its envelope (`envelope.py`). Heights of components have normal equations of their own, each coupled
-only to the rows that see it and to the surface (`Coupling`), and are eliminated (`eliminate_heights`).
+where board() is the map from ground to board of `Motion`, R(φ) a rotation, l_a and l_b the leans of the two points, l
+the change of the residual per mm of height, and h the height of the point: that of the surface plus that of the
+component.
+
+Unknowns are (φ, sx, sy) of every row, in the columns 3·row to 3·row + 2, and the coefficients of the surface, in the
+last columns. The normal matrix is stored in its envelope (`envelope.py`). The heights of components have separate
+normal equations. Each height is coupled only to the rows that see the component and to the surface (`Coupling`). The
+heights are eliminated before the normal equations are solved (`eliminate_heights`).
 
 Compiled functions take their arrays in named tuples, which Numba unpacks without a copy.
 """
@@ -27,45 +31,45 @@ from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
 
 
 class MotionArrays(NamedTuple):
-    """The motion of m rows."""
+    """The motion of m rows, in the form that compiled functions take."""
 
     angle: Floats
-    """(m,) rad."""
+    """(m,) angle φ of each row, rad."""
     shift: Floats
-    """(m, 2) mm."""
+    """(m, 2) shift s of each row, mm."""
     pivot: Floats
-    """(2,) mm."""
+    """(2,) point about which the rows are rotated, mm."""
 
 
 class LinkState(NamedTuple):
-    """Values that one step computes for each of k links; written in place."""
+    """Values that each step of the adjustment computes for k links; the arrays are overwritten in place."""
 
     residual: Floats
-    """(k, 2) mm."""
+    """(k, 2) residual r, mm."""
     lean: Floats
-    """(k, 2) change of the residual per mm of height."""
+    """(k, 2) change l of the residual per mm of height of the point."""
     sigma: Floats
-    """(k,) length of the residual in standard deviations."""
+    """(k,) residual in standard deviations, rms of its two axes."""
     robust: Floats
     """(k,) robust weight, 0 … 1."""
     weight: Floats
-    """(k, 3) weight matrix, xx, xy, yy, mm⁻²."""
+    """(k, 3) entries xx, xy, yy of the weight matrix, mm⁻²."""
 
     @staticmethod
     def zeros(k: int) -> LinkState:
-        """Return the state before the first step."""
+        """Return the state of k links before the first step: all values are 0."""
         return LinkState(np.zeros((k, 2)), np.zeros((k, 2)), np.zeros(k), np.zeros(k), np.zeros((k, 3)))
 
 
 class NoiseModel(NamedTuple):
-    """How links scatter, by kind of link, and where the robust loss bends."""
+    """The noise of k links by kind of link, and the limits of the robust loss."""
 
     kind: Ints
-    """(k,) index into `floor_px` and `shared_px`."""
+    """(k,) kind of each link, an index into `floor_px` and `shared_px`: 0 between rows, 1 between two cameras."""
     floor_px: Floats
-    """Scatter of single links beyond image noise, by kind."""
+    """(2,) noise floor of each kind: scatter of single links beyond image noise."""
     shared_px: Floats
-    """Error that all links of one pair of frames have in common, by kind."""
+    """(2,) standard deviation, for each kind, of the error that all links of one pair of frames have in common."""
     knee: float
     """Residuals beyond this number of standard deviations lose weight (Huber)."""
     cut: float
@@ -73,53 +77,61 @@ class NoiseModel(NamedTuple):
 
 
 class HeightModel(NamedTuple):
-    """What determines the height of each of k links."""
+    """For each of k links, the surface functions and the component on which the height of its point depends."""
 
     basis: Floats
-    """(k, f) values of the surface's basis functions; f may be 0."""
+    """(k, f) values of the surface's f basis functions at the links; f may be 0."""
     component: Ints
-    """(k,) index of the component height, or −1."""
+    """(k,) index of the component height, −1 for a link on the bare board."""
 
 
 class HeightEquations(NamedTuple):
-    """Normal equations of the heights of c components."""
+    """The normal equations of c component heights, and their coupling to the other unknowns."""
 
     row: Ints
-    """(c,) the first row that sees each component."""
+    """(c,) index of the first row that sees each component."""
     at: Ints
     """(c + 1,) index of the first entry of each component in `coupling`."""
     surface: int
-    """The number f of coefficients of the surface."""
+    """The number of coefficients of the surface."""
     coupling: Floats
-    """Entries between heights and the other unknowns: (φ, sx, sy) of the component's rows, then the surface."""
+    """The entries of the normal matrix between each height and the other unknowns: (φ, sx, sy) of the rows that see the
+    component, then the coefficients of the surface."""
     normal: Floats
-    """(c,) diagonal."""
+    """(c,) diagonal of the normal matrix of the heights, which are not coupled to one another."""
     right: Floats
-    """(c,) right-hand side."""
+    """(c,) right-hand side of the heights."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """The unknowns to which the heights of c components are coupled: adjacent rows, then the surface."""
+    """The unknowns to which each of c component heights is coupled: a range of rows, and the surface."""
 
     row: Ints
-    """(c,) the first row."""
+    """(c,) the first row that sees each component; 0 for a component without links."""
     last: Ints
-    """(c,) the last row; −1 without links."""
+    """(c,) the last row that sees each component; −1 for a component without links."""
     at: Ints
-    """(c + 1,) index of the first entry of each: (φ, sx, sy) of its rows, then the surface's coefficients."""
+    """(c + 1,) index of the first entry of each component in `HeightEquations.coupling`. The entries of a component are
+    those of (φ, sx, sy) of its rows, then those of the surface's coefficients."""
     surface: int
     """The number of coefficients of the surface."""
 
     @staticmethod
     def of(component: Ints, p: Ints, q: Ints, count: int, surface: int) -> Coupling:
-        """Build from the component (k,) of every link, or −1, and its rows p and q."""
+        """Build the coupling of `count` component heights to the rows and to `surface` coefficients.
+
+        `component` (k,) is the index of the height of every link, or −1; `p` and `q` (k,) are the rows of the link.
+        """
         first, last = _rows_that_see(component, p, q, count)
         widths = np.where(last >= 0, 3 * (last - first + 1) + surface, 0)
         return Coupling(first, last, np.append(0, np.cumsum(widths)), surface)
 
     def equations(self, heights_mm: Floats, sigma_mm: float) -> HeightEquations:
-        """Return the equations of the prior alone: heights (c,) are 0 with this standard deviation."""
+        """Return the equations of the prior alone: every height is 0 with standard deviation `sigma_mm`.
+
+        `heights_mm` (c,) are the current heights, to which the solution is a change.
+        """
         normal = np.full(len(heights_mm), 1 / sigma_mm**2)
         coupling = np.zeros(int(self.at[-1]))
         return HeightEquations(self.row, self.at, self.surface, coupling, normal, -heights_mm / sigma_mm**2)
@@ -127,7 +139,7 @@ class Coupling:
 
 @compiled
 def _rows_that_see(component: Ints, p: Ints, q: Ints, count: int) -> tuple[Ints, Ints]:
-    """Return the first and last row (c,) of each component's links; 0 and −1 without any."""
+    """Return the first and the last row (c,) of the links of each component; 0 and −1 for one without links."""
     first, last = np.zeros(count, np.int64), np.full(count, -1)
     for n in range(len(component)):
         c = component[n]
@@ -140,7 +152,10 @@ def _rows_that_see(component: Ints, p: Ints, q: Ints, count: int) -> tuple[Ints,
 
 @compiled
 def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats, state: LinkState) -> None:
-    """Compute residual and lean of every link at heights (k,) above the calibrated plane."""
+    """Compute residual and lean of every link, for points at heights (k,) above the calibrated plane.
+
+    The results are written to `state`.
+    """
     p, q, a_mm, b_mm, a_lean, b_lean = links.p, links.q, links.a_mm, links.b_mm, links.a_lean, links.b_lean
     shift, pivot, residual, lean = motion.shift, motion.pivot, state.residual, state.lean
     cos, sin = np.cos(motion.angle), np.sin(motion.angle)
@@ -159,13 +174,14 @@ def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats
 def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
     """Compute sigma, robust weight and weight matrix of every link from its residual.
 
-    Links of one pair of frames share an error. Together they never weigh more than that error allows.
+    The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
+    inverse variance of this error.
 
     Args:
-        links: covariance, resolution and group are used.
-        noise: how links scatter.
+        links: the links, of which covariance, resolution and group are used.
+        noise: the noise of the links.
         groups: number of pairs of frames.
-        state: changed in place.
+        state: its residuals are read; sigma, robust weight and weight are written.
     """
     px_per_mm, group, noise_mm2, kind = links.px_per_mm, links.group, links.noise_mm2, noise.kind
     floor_px, shared_px, knee, cut = noise.floor_px, noise.shared_px, noise.knee, noise.cut
@@ -197,15 +213,15 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
     heights: HeightEquations,
     normal: NormalEquations,
 ) -> None:
-    """Add all links to the normal equations.
+    """Add all links to the normal equations of rows and surface, and to those of the heights.
 
     Args:
-        links: links of one group are adjacent and have the same rows p and q.
-        motion: at which residuals were computed.
-        model: the heights on which links depend.
-        state: residual, lean and weight are used.
-        heights: changed in place.
-        normal: changed in place.
+        links: the links. Those of one group (pair of frames) are adjacent and have the same rows p and q.
+        motion: the motion at which the residuals were computed.
+        model: the heights on which the links depend.
+        state: the state of the links, of which residual, lean and weight are used.
+        heights: normal equations of the heights, changed in place.
+        normal: normal equations of the other unknowns, changed in place.
     """
     p, q, a_mm, b_mm, group = links.p, links.q, links.a_mm, links.b_mm, links.group
     pivot, basis, component = motion.pivot, model.basis, model.component
@@ -223,7 +239,7 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
     for n in range(len(p)):
         i, j = p[n], q[n]
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
-        # derivative of the residual by φ_p and φ_q; those by the shifts are −1 and 1
+        # derivatives of the residual by φ_p (px, py) and φ_q (qx, qy); those by the shifts of p and q are −1 and 1
         px, py = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
         qx, qy = -sin[j] * bx - cos[j] * by, cos[j] * bx - sin[j] * by
         lx, ly = lean[n, 0], lean[n, 1]
@@ -232,7 +248,7 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
         wpx, wpy, wqx, wqy = xx * px + xy * py, xy * px + yy * py, xx * qx + xy * qy, xy * qx + yy * qy
         wlx, wly = xx * lx + xy * ly, xy * lx + yy * ly
         pl, ql, ll, lr = px * wlx + py * wly, qx * wlx + qy * wly, lx * wlx + ly * wly, lx * rx + ly * ry
-        # sums of one pair of frames stay in a small matrix: its rows and columns are those of all links of the pair
+        # all links of a pair of frames have the same unknowns: their sums are collected in a small matrix
         product[0] += px * rx + py * ry
         product[3] += qx * rx + qy * ry
         product[4] += rx
@@ -270,7 +286,7 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
 
 @inlined
 def _longest(group: Ints) -> int:
-    """Return the number of links of the largest group."""
+    """Return the number of links of the largest group (pair of frames)."""
     most, begin = 0, 0
     for n in range(len(group)):
         if group[n] != group[begin]:
@@ -281,9 +297,17 @@ def _longest(group: Ints) -> int:
 
 @inlined
 def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, product: Floats) -> None:
-    """Add the links of a group to the columns of the surface.
+    """Add the links of a group to those entries of the small matrix that belong to the surface.
 
-    Loops run over links, which are adjacent in memory: the compiler keeps these sums in vector registers.
+    The inner loops run over links, which are adjacent in memory, so that the compiler keeps the sums in vector
+    registers.
+
+    Args:
+        at_lift: (6, most) products of weight, lean, derivatives and residual of each link, as `add_links` stores them.
+        bases: (f, most) values of the surface's basis functions at each link.
+        count: number of links of the group.
+        square: (6 + f, 6 + f) the small normal matrix, changed in place.
+        product: (6 + f,) its right-hand side with opposite sign, changed in place.
     """
     for k in range(len(bases)):
         p, q, x, y, r = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -302,6 +326,7 @@ def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, pro
 
 @inlined
 def _couple(coupling: Floats, at: int, angle: float, x: float, y: float) -> None:
+    """Add the three entries between a component height and (φ, sx, sy) of a row to the coupling, from index `at` on."""
     coupling[at] += angle
     coupling[at + 1] += x
     coupling[at + 2] += y
@@ -309,9 +334,9 @@ def _couple(coupling: Floats, at: int, angle: float, x: float, y: float) -> None
 
 @inlined
 def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquations) -> None:
-    """Add the sums of a group of links to the normal equations and set them to zero."""
+    """Add the sums of a group of links (`square`, `product`) to the normal equations, and reset these sums to 0."""
     width, at, values, right = len(columns), normal.at, normal.values, normal.right
-    # derivatives by row p's shift (columns 1 and 2) are those by row q's shift (4 and 5) with the other sign
+    # derivatives by the shift of row p (columns 1 and 2) are those by the shift of row q (4 and 5) with opposite sign
     for x in range(1, 3):
         product[x] = -product[3 + x]
         square[x, 0], square[3, x] = -square[3 + x, 0], -square[3 + x, 3]
@@ -324,14 +349,15 @@ def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquatio
         product[k] = 0.0
         for m in range(k + 1):
             high, low = max(columns[k], columns[m]), min(columns[k], columns[m])
-            # of a link within one row both ends share a column: an entry off the diagonal counts on either side
+            # for a link between two cameras p = q: an entry off the diagonal of `square` then falls on the diagonal of
+            # the normal matrix, together with its mirror image, and counts twice
             values[at[high] + low] += square[k, m] * (2 if high == low and k != m else 1)
             square[k, m] = 0.0
 
 
 @compiled
 def eliminate_heights(heights: HeightEquations, normal: NormalEquations) -> None:
-    """Eliminate the heights from the normal equations (Schur complement)."""
+    """Eliminate the heights: subtract their Schur complement from the normal equations of the other unknowns."""
     tied_row, tied_at, surface, coupling = heights.row, heights.at, heights.surface, heights.coupling
     height_normal, height_right = heights.normal, heights.right
     at, values, right = normal.at, normal.values, normal.right

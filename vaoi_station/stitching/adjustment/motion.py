@@ -1,7 +1,7 @@
 """The motion of the board over the rows, and its priors.
 
-D_j maps the board from row 0 to row j. What is estimated is its inverse, about the centre of the camera array, so that
-angle and shift are nearly uncorrelated:
+D_j moves the board from row 0 to row j. The adjustment estimates the inverse of D_j, as a rotation by φ_j about the
+centre c of the camera array and a shift s_j. With this centre, angle and shift are nearly uncorrelated:
 
     board = R(φ_j)·(x − c) + c + s_j        for a point x of the conveyor's plane in row j
 """
@@ -21,41 +21,41 @@ from vaoi_station.geometry.transforms import Floats
 Ints = NDArray[np.int_]
 
 SPEED_TOLERANCE = 0.05
-"""Deviation of the belt's mean speed from the nominal one (1 σ, relative)."""
+"""Standard deviation of the belt's mean speed from the nominal speed, relative."""
 STEP_TOLERANCE = 0.02
-"""Deviation of a single step from the mean speed (1 σ, relative)."""
+"""Standard deviation of the speed of a single step between two rows from the mean speed, relative."""
 SWAY_MM = 0.15
-"""Motion across the belt between two rows (1 σ)."""
+"""Standard deviation of the motion across the belt between two rows."""
 YAW_RAD = 0.003
-"""Rotation between two rows (1 σ)."""
+"""Standard deviation of the rotation between two rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Position of the board at each of m rows."""
+    """The position of the board in each of m rows: rotation and shift from row to tester coordinates."""
 
     angle: Floats
-    """(m,) φ_j, rad."""
+    """(m,) rotation φ_j of each row, rad."""
     shift: Floats
-    """(m, 2) s_j, mm."""
+    """(m, 2) shift s_j of each row, mm."""
     pivot: Floats
-    """(2,) c, mm."""
+    """(2,) centre c of the rotations, mm."""
 
     def board(self, row: np.ndarray, ground_mm: Floats) -> Floats:
-        """Return the board points (k, 2), in tester coordinates, of ground points (k, 2) seen in rows (k,)."""
+        """Transform ground points (k, 2), mm, seen in rows (k,), to points (k, 2) in tester coordinates."""
         return _moved(row, np.ascontiguousarray(ground_mm), self.angle, self.pivot, self.pivot + self.shift)
 
     def turned(self, row: np.ndarray, arrow: Floats) -> Floats:
-        """Rotate directions (k, 2) in rows (k,) to tester coordinates."""
+        """Rotate directions (k, 2) from the coordinates of rows (k,) to tester coordinates."""
         return _moved(row, np.ascontiguousarray(arrow), self.angle, np.zeros(2), np.zeros_like(self.shift))
 
     def row_from_tester(self, row: int) -> Euclidean:
-        """Return the paper's D_j."""
+        """Return D_j of a row j, the rigid transform from tester to row coordinates."""
         return Euclidean(self.rows_from_tester[row], System.ROW, System.TESTER)
 
     @cached_property
     def rows_from_tester(self) -> Floats:
-        """All D_j, (m, 3, 3)."""
+        """The matrices D_j of all rows, (m, 3, 3)."""
         c, s, nil = np.cos(self.angle), np.sin(self.angle), np.zeros(len(self.angle))
         x, y = (self.pivot + self.shift).T
         px, py = self.pivot
@@ -63,7 +63,7 @@ class Motion:
         return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
 
     def in_gauge(self) -> Motion:
-        """Return the same motion with D_0 the identity, as results have it."""
+        """Return the same motion in the gauge of results, in which D_0 is the identity."""
         if self.angle[0] == 0 and not self.shift[0].any():
             return self
         first = self.row_from_tester(0)
@@ -73,13 +73,16 @@ class Motion:
 
 
 def nominal_motion(times_s: Floats, velocity_mm_s: Floats, pivot_mm: Floats) -> Motion:
-    """Return the motion of a belt at its nominal velocity."""
+    """Return the motion of a board on a belt with nominal velocity (2,), at the times (m,) of the rows."""
     elapsed = np.asarray(times_s) - times_s[0]
     return Motion(np.zeros(len(elapsed)), -elapsed[:, None] * np.asarray(velocity_mm_s), np.asarray(pivot_mm))
 
 
 def measured_velocity(motion: Motion, times_s: Floats, rows: np.ndarray) -> Floats | None:
-    """Return the mean velocity (2,) mm/s over rows that links connect; None for fewer than two rows."""
+    """Return the mean velocity (2,) mm/s of the belt from the first to the last of the given rows.
+
+    Links must connect these rows. Return None for fewer than two rows.
+    """
     if len(rows) < 2:
         return None
     first, last = int(rows.min()), int(rows.max())
@@ -88,7 +91,10 @@ def measured_velocity(motion: Motion, times_s: Floats, rows: np.ndarray) -> Floa
 
 @compiled
 def _moved(row: Ints, ground_mm: Floats, angle: Floats, pivot: Floats, to: Floats) -> Floats:
-    """Rotate points (k, 2) about the pivot by the angle of their row, and move the pivot to `to` (m, 2) of the row."""
+    """Rotate points (k, 2) of rows (k,) about a pivot (2,) by the angle of the row, and add a shift.
+
+    The shift moves the pivot to the point `to[j]` in row j. `angle` is (m,) and `to` is (m, 2).
+    """
     out, cos, sin = np.empty((len(row), 2)), np.cos(angle), np.sin(angle)
     for n in range(len(row)):
         j, x, y = row[n], ground_mm[n, 0] - pivot[0], ground_mm[n, 1] - pivot[1]
@@ -98,16 +104,16 @@ def _moved(row: Ints, ground_mm: Floats, angle: Floats, pivot: Floats, to: Float
 
 @compiled
 def points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
-    """Find the points of the board that are in a box, and the rows in which they are.
+    """Find in which rows which points of the board lie inside a box on the conveyor's plane.
 
     Args:
-        rows: (m, 3, 3) D_j.
-        board_mm: (k, 2) tester coordinates.
-        low: (2,) lowest corner of the box on the conveyor's plane.
-        high: (2,) highest corner.
+        rows: (m, 3, 3) matrices D_j of all rows.
+        board_mm: (k, 2) points of the board in tester coordinates.
+        low: (2,) the corner of the box with the smallest x and y, in row coordinates.
+        high: (2,) the corner with the largest x and y.
 
     Returns:
-        Row (v,) and index of the point (v,), row by row, and its position (v, 2) in row coordinates.
+        For each of v hits, row by row: the row (v,), the index of the point (v,), its row coordinates (v, 2).
     """
     most = len(rows) * len(board_mm)
     row, point, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 2))

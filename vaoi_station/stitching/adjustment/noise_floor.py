@@ -1,4 +1,4 @@
-"""Estimate how far measurements scatter beyond their stated noise."""
+"""Estimate the noise floor of measurements: by how much they scatter beyond their stated noise."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from vaoi_station.stitching.adjustment.observations import Ints
 _MEDIAN = 2 * math.log(2)
 """Median of χ² of two degrees of freedom."""
 _HALVINGS = 12
-"""Bisections: from 0.003 to 5 px they leave 0.2 per cent."""
+"""Number of bisections. If the limits are 0.003 and 5 px, an uncertainty of 0.2 per cent remains."""
 
 
 @compiled
 def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, low: float, high: float) -> float:
-    """Return the standard deviation per axis that, added to the stated noise, explains the median of residuals.
+    """Return the noise floor: the standard deviation per axis that must be added to the stated noise.
 
-    As it rests on the median, half of the measurements may be outliers.
+    With the noise floor, the median of the squared normalised residuals is that of χ² with two degrees of freedom. As a
+    median is used, up to half of the measurements may be outliers.
 
     Args:
-        residual: (k, 2).
-        noise: (k, 2, 2) covariances.
-        per_unit: (k,) units of the result per unit of residual: px per mm for residuals in mm.
-        use: indices of the measurements that count.
+        residual: (k, 2) residuals.
+        noise: (k, 2, 2) covariances of the stated noise.
+        per_unit: (k,) units of the result per unit of the residuals, for example px per mm.
+        use: indices of the measurements that are used.
         low: lower limit of the result.
         high: upper limit of the result.
     """
@@ -33,8 +34,8 @@ def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, lo
     for _ in range(_HALVINGS):
         # bisection in the logarithm: the limits are three orders of magnitude apart
         middle, above = math.sqrt(low * high), 0
-        # measurements above the median of χ² move to the front; each bisection decides one of the two parts for good,
-        # so that all bisections together cost about two passes
+        # measurements above the median of χ² move to the front. The next bisection need not test one of the two parts
+        # again, so that all bisections together take about as long as two passes
         for at in range(undecided):
             n = left[at]
             x, y, more = residual[n, 0], residual[n, 1], (middle / per_unit[n]) ** 2

@@ -1,7 +1,8 @@
-"""Blocks of whitened equations, and their sum as normal equations.
+"""Blocks of whitened equations, their sum as normal equations, and the prior of the belt in this form.
 
-A block states a·δ + b ≈ 0 for the unknowns in its columns, every line with unit variance. Sums of aᵀa and aᵀb over
-blocks are the normal equations; a block of a pair of rows has entries in the columns of those rows only.
+A block states a·δ + b ≈ 0, where δ are the changes of the unknowns in its columns. Every equation has unit variance.
+The sum of aᵀa over all blocks is the normal matrix, and the sum of −aᵀb is the right-hand side. A block that relates
+two rows has entries in the columns of these rows only.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from vaoi_station.stitching.adjustment.observations import Ints
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """n whitened equations in f unknowns."""
+    """A block of n whitened equations a·δ + b ≈ 0 in f unknowns."""
 
     columns: Ints
     """(f,) indices of the unknowns; an index may occur twice."""
     a: Floats
-    """(n, f)."""
+    """(n, f) coefficients."""
     b: Floats
-    """(n,)."""
+    """(n,) constant terms."""
 
 
 def sum_blocks(blocks: Iterable[Block], size: int) -> tuple[Floats, Floats]:
-    """Return the normal matrix (size, size) and the right-hand side (size,) of all blocks."""
+    """Return the normal matrix (size, size) and the right-hand side (size,) of all blocks in `size` unknowns."""
     normal, right = np.zeros((size, size)), np.zeros(size)
     for block in blocks:
         twice = len(set(block.columns.tolist())) < len(block.columns)
@@ -45,7 +46,7 @@ def sum_blocks(blocks: Iterable[Block], size: int) -> tuple[Floats, Floats]:
 
 
 def square_roots(information: Floats) -> Floats:
-    """Return upper triangular r (k, 2, 2) with rᵀr = information (k, 2, 2), which may be zero."""
+    """Return upper triangular matrices r (k, 2, 2) with rᵀ·r = information (k, 2, 2), which may be 0."""
     r = np.zeros_like(information)
     r[:, 0, 0] = np.sqrt(np.maximum(information[:, 0, 0], 0))
     r[:, 0, 1] = information[:, 0, 1] / np.maximum(r[:, 0, 0], 1e-150)
@@ -54,19 +55,28 @@ def square_roots(information: Floats) -> Floats:
 
 
 def whiten(root: Floats, values: Floats) -> Floats:
-    """Return the two whitened components (2, k, …) of values (k, 2, …)."""
+    """Return the products root·values, component by component (2, k, …), for values (k, 2, …).
+
+    `root` (k, 2, 2) are the results of `square_roots`.
+    """
     more = (...,) + (None,) * (values.ndim - 2)
     first = root[:, 0, 0][more] * values[:, 0] + root[:, 0, 1][more] * values[:, 1]
     return np.stack([first, root[:, 1, 1][more] * values[:, 1]])
 
 
 def belt_blocks(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> list[Block]:
-    """Return the belt's prior of every step between rows as blocks: along, across and rotation."""
+    """Return the prior of the belt's motion as blocks, one for each pair of consecutive rows.
+
+    The three equations of a block are those of the motion along the belt, across it, and of the rotation.
+    """
     return [Block(*step) for step in zip(*belt_steps(motion, times_s, velocity_mm_s), strict=True)]
 
 
 def belt_steps(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> tuple[Ints, Floats, Floats]:
-    """Return the belt's prior as arrays: columns (m − 1, 6), a (m − 1, 3, 6) and b (m − 1, 3)."""
+    """Return the blocks of `belt_blocks` for m rows as arrays: columns (m − 1, 6), a (m − 1, 3, 6), b (m − 1, 3).
+
+    `velocity_mm_s` (2,) is the velocity from which the steps are predicted.
+    """
     m = len(motion.angle)
     dt = np.diff(times_s)
     speed = max(float(np.hypot(*velocity_mm_s)), 1e-9)

@@ -1,8 +1,8 @@
-"""Store all links of a run as arrays on the ground plane: the input of the adjustment.
+"""Project all links of a run to the ground plane and store them as arrays, which are the input of the adjustment.
 
 A link states that ground point `a` of row `p` and ground point `b` of row `q` are the same point of the board.
-Lengths are mm in the calibrated plane. `…_lean` is the displacement of a ground point per mm of height
-(`geometry.Camera.parallax`).
+Positions are in mm in the calibrated plane, here called the ground. Fields named `…_lean` are the displacement of a
+ground point per mm of height (`geometry.Camera.parallax`).
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _INITIAL_CAPACITY = 4096
 
 
 class LinkArrays(NamedTuple):
-    """k links in the form that compiled functions take."""
+    """k links on the ground, in the form that compiled functions take."""
 
     p: Ints
-    """(k,) row of the first point."""
+    """(k,) row in which the first point was seen."""
     q: Ints
-    """(k,) row of the second point."""
+    """(k,) row in which the second point was seen."""
     a_mm: Floats
     """(k, 2) first point on the ground."""
     b_mm: Floats
@@ -43,16 +43,16 @@ class LinkArrays(NamedTuple):
     b_lean: Floats
     """(k, 2) displacement of the second point in mm per mm of height."""
     noise_mm2: Floats
-    """(k, 2, 2) covariance by image noise alone."""
+    """(k, 2, 2) covariance of the residual that image noise alone causes."""
     px_per_mm: Floats
-    """(k,) local resolution."""
+    """(k,) local resolution of the second image."""
     group: Ints
-    """(k,) index of the pair of frames; links of one pair are adjacent."""
+    """(k,) index of the pair of frames from which each link comes; links of one pair are adjacent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """k links with their origin; the fields are those of `LinkArrays`."""
+    """k links on the ground with the evidence from which they come. The arrays are those of `LinkArrays`."""
 
     p: Ints
     q: Ints
@@ -64,14 +64,14 @@ class Observations:
     px_per_mm: Floats
     group: Ints
     groups: tuple[Links, ...]
-    """The evidence to which `group` is an index."""
+    """The evidence of each pair of frames: link i comes from `groups[group[i]]`."""
 
     def __len__(self) -> int:
         return len(self.p)
 
     @cached_property
     def arrays(self) -> LinkArrays:
-        """The same links for compiled functions."""
+        """The same links as `LinkArrays`, for compiled functions."""
         return LinkArrays(
             self.p,
             self.q,
@@ -90,22 +90,22 @@ class Observations:
 
 
 class LinkStore:
-    """Project links to the ground when they arrive and keep them side by side in memory until the run is concluded.
+    """Memory for the links of a run: each link is projected to the ground as it arrives, and kept for the conclusion.
 
-    The evidence of a large board is some thousand small arrays that arrive over seconds. At the end of the run they
-    are in no processor cache any more: to gather them then takes longer than the adjustment itself.
+    The evidence of a large board is about a thousand small arrays, which arrive over seconds. At the end of the run
+    these arrays are no longer in a processor cache. To collect them then would take longer than the adjustment itself.
     """
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._cameras = _camera_arrays(cameras)
         self._begins: dict[Links, int] = {}
-        """The index of the first entry of each piece of evidence."""
+        """Index in `_columns` of the first link of each pair of frames."""
         self._size = 0
         self._columns = [np.empty((0, 2)) for _ in range(4)] + [np.empty((0, 2, 2)), np.empty(0)]
-        """The arrays that `_project_links` returns, with spare capacity."""
+        """The arrays that `_project_links` returns, for all links together, with spare capacity at the end."""
 
     def add(self, links: Links) -> None:
-        """Add the links of a pair of frames; do nothing if they are present."""
+        """Project the links of a pair of frames to the ground and store them, unless they are stored already."""
         count = len(links.a_px)
         if links in self._begins or not count:
             return
@@ -123,7 +123,7 @@ class LinkStore:
         self._size += count
 
     def observations(self, links: Sequence[Links]) -> Observations:
-        """Return the links of these pairs of frames, in this order."""
+        """Return the links of the given pairs of frames, in the given order; add those that are not stored yet."""
         used = tuple(e for e in links if len(e.a_px))
         for e in used:
             self.add(e)
@@ -137,19 +137,19 @@ class LinkStore:
 
 
 def to_observations(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
-    """Project the links of some pairs of frames to the ground."""
+    """Project the links of pairs of frames to the ground and return them as observations."""
     return LinkStore(cameras).observations(links)
 
 
 class PixelLinks(NamedTuple):
-    """k links in pixels."""
+    """k links in pixels, in the form that compiled functions take."""
 
     a_px: Floats
     """(k, 2) raw pixels in the first image."""
     b_px: Floats
     """(k, 2) raw pixels in the second image."""
     information: Floats
-    """(k, 2, 2) px⁻², inverse covariances in the second image."""
+    """(k, 2, 2) inverse covariance of the point in the second image, px⁻²."""
     camera_a: Ints
     """(k,) index of the camera of the first image."""
     camera_b: Ints
@@ -157,21 +157,22 @@ class PixelLinks(NamedTuple):
 
 
 class CameraArrays(NamedTuple):
-    """All c cameras of a station."""
+    """The c cameras of a station, in the form that compiled functions take."""
 
     image_from_row: Floats
-    """(c, 3, 3) N_i."""
+    """(c, 3, 3) camera matrices N_i."""
     row_from_image: Floats
-    """(c, 3, 3) N_i⁻¹."""
+    """(c, 3, 3) inverse camera matrices N_i⁻¹."""
     radial: Floats
     """(c, r) radial coefficients of the lenses, padded with zeros."""
     lens: Floats
-    """(c, 5) shapes of the lenses."""
+    """(c, 5) the further parameters of each lens, `geometry.Lens.shape`."""
     eye: Floats
-    """(c, 3) foot point x, y in mm, and lean per mm of distance from it."""
+    """(c, 3) foot point x, y of each camera in mm, and the lean per mm of distance from the foot point."""
 
 
 def _camera_arrays(cameras: Sequence[Camera]) -> CameraArrays:
+    """Return the parameters of all cameras as arrays for compiled functions."""
     most = max(len(c.lens.coefficients) for c in cameras)
     return CameraArrays(
         np.array([c.image_from_row.matrix for c in cameras]),
@@ -187,7 +188,8 @@ def _project_links(links: PixelLinks, cameras: CameraArrays) -> tuple[Floats, Fl
     """Project links to the ground plane.
 
     Returns:
-        Both points (k, 2) mm, both leans (k, 2), covariance (k, 2, 2) mm² on the ground, resolution (k,) px/mm.
+        First and second point (k, 2) on the ground, mm; first and second lean (k, 2); covariance (k, 2, 2) on the
+        ground, mm²; resolution (k,), px/mm.
     """
     a_px, b_px, information, eye = links.a_px, links.b_px, links.information, cameras.eye
     camera_a, camera_b, lens = links.camera_a, links.camera_b, cameras.lens
@@ -206,7 +208,7 @@ def _project_links(links: PixelLinks, cameras: CameraArrays) -> tuple[Floats, Fl
             x, y = (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w
             points[end, k, 0], points[end, k, 1] = x, y
             leans[end, k, 0], leans[end, k, 1] = (eye[i, 0] - x) * eye[i, 2], (eye[i, 1] - y) * eye[i, 2]
-        # u and v are those of the second image from here on: the information matrix is stated there
+        # after the loop, u and v are pixels of the second image, in which the information matrix is stated
         n, x, y = cameras.image_from_row[camera_b[k]], points[1, k, 0], points[1, k, 1]
         w = x * n[2, 0] + y * n[2, 1] + n[2, 2]
         a, b = (n[0, 0] - u * n[2, 0]) / w, (n[0, 1] - u * n[2, 1]) / w

@@ -1,4 +1,4 @@
-"""The input of an adjustment and its result."""
+"""Data classes for the input of an adjustment and for its result."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Ints, Observations
 
 FIXTURE, REFERENCE = -1, -2
-"""Values of `FiducialPoints.which` for points that are no fiducial of the board."""
+"""Values of `FiducialPoints.which` for fixture marks and for points of a reference run."""
 
 
 @dataclass(frozen=True, eq=False)
 class FiducialPoints:
-    """k points with CAD coordinates, observed in rows: fiducials, fixture marks, points of a reference run."""
+    """k observed points of known CAD coordinates: detections of fiducials and fixture marks, points of a reference."""
 
     row: Ints
-    """(k,)"""
+    """(k,) row in which each point was seen."""
     ground_mm: Floats
-    """(k, 2) point on the ground plane."""
+    """(k, 2) observed point on the ground plane."""
     lean: Floats
     """(k, 2) displacement in mm per mm of height."""
     cad: Floats
-    """(k, 2) CAD coordinates, y already flipped where the mapping mirrors."""
+    """(k, 2) CAD coordinates; y is already flipped if the CAD mapping mirrors."""
     sigma_mm: Floats
-    """(k,) standard deviation of the point."""
+    """(k,) standard deviation of the observed point, per axis."""
     px_per_mm: Floats
     """(k,) local resolution."""
     which: Ints
-    """(k,) index of the board's fiducial; negative for points of which there are many: `FIXTURE`, `REFERENCE`."""
+    """(k,) index of the fiducial of the board type; `FIXTURE` or `REFERENCE`, both negative, for other points."""
 
     @staticmethod
     def joined(parts: Sequence[FiducialPoints]) -> FiducialPoints:
@@ -49,12 +49,12 @@ class FiducialPoints:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceBasis:
-    """Basis functions of the board's height: values per link and detection, and priors."""
+    """The f basis functions of the surface: their values at links and detections, and the priors of coefficients."""
 
     at_links: Floats
-    """(k, f)."""
+    """(k, f) values at the k links."""
     at_fiducials: Floats
-    """(s, f)."""
+    """(s, f) values at the s points of `Problem.fiducials`."""
     sigma_mm: Floats
     """(f,) prior standard deviation of each coefficient."""
 
@@ -69,37 +69,38 @@ class Problem:
     """(2,) nominal velocity of the conveyor."""
     links: Observations
     component: Ints
-    """(k,) index of the component a link lies on, −1 for the bare board."""
+    """(k,) index of the component on which each link lies, −1 for the bare board."""
     fiducials: FiducialPoints | None = None
     nominal_scale: float = 1.0
-    """mm per CAD unit."""
+    """Nominal scale of C, mm per CAD unit."""
     surface: SurfaceBasis | None = None
-    """None: the board is taken to lie in the calibrated plane."""
+    """The surface to estimate; None if the board is assumed to lie in the calibrated plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class AdjustmentResult:
-    """The solution, its covariance and its residuals."""
+    """The solution of an adjustment with its covariance and its residuals."""
 
     motion: Motion
     similarity: Floats | None
-    """(4,) a, b, x, y: board = [a −b; b a]·cad + (x, y)."""
+    """(4,) C as (a, b, x, y): board = [a −b; b a]·cad + (x, y). None if the problem has no fiducials."""
     surface_mm: Floats
     """(f,) coefficients of the surface."""
     heights_mm: Floats
-    """(2, number of components) estimated from links from row to row, and from links between cameras; NaN with too few
-    links, or where the part is so tall that its links are outliers."""
+    """(2, number of components) component heights: first from links between rows, second from links between cameras.
+    NaN if a component has too few links, or if it is so tall that its links are outliers."""
     covariance: Floats
-    """(m, u, u) of each row's (φ, sx, sy) together with C and the surface; entries of row 0, which is held, are 0."""
+    """(m, u, u) for each row, the covariance of its (φ, sx, sy) together with C and the surface. Row 0 is fixed by the
+    gauge: the entries of its (φ, sx, sy) are 0."""
     link_sigma: Floats
     """(k,) residual of each link in standard deviations."""
     link_px: Floats
-    """(k, 2) residual of each link in px, along the tester's axes."""
+    """(k, 2) residual of each link in px, along the axes of tester coordinates."""
     weight: Floats
-    """(k,) final robust weight; 0: not used."""
+    """(k,) final robust weight of each link, 0 … 1; a link of weight 0 has no influence."""
     fiducial_px: Floats
-    """(s, 2) residuals of the detections in px."""
+    """(s, 2) residuals of the points of `Problem.fiducials` in px."""
     floor_px: float
-    """Noise floor of links from row to row."""
+    """Noise floor of the links between rows."""
     sigma0: float
     """Square root of the reduced χ² of the links."""

@@ -1,4 +1,4 @@
-"""Estimate the motion of the rows before the board is found (sections 3.3.1 and 3.3.2 of the paper)."""
+"""Estimate the motion of the rows before the board is located by its CAD data (paper, sections 3.3.1 and 3.3.2)."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_
 from vaoi_station.stitching.matching.evidence import Detections
 
 _CONVERGED_MM = 5e-4
-"""Convergence of the motion from links: enough to find the board, after which everything is adjusted once more."""
+"""Limit of convergence for the motion from links. It suffices to locate the board; the adjustment with the CAD mapping
+then estimates the motion again."""
 _TEXTURE_SAMPLE, _ON_BOARD_WEIGHT = 4000, 0.5
-"""Number of points that represent the board's texture, and their least robust weight."""
+"""About how many points represent the texture of the board, and their smallest robust weight."""
 
 
 def motion_from_links(problem: Problem, nominal: Motion) -> AdjustmentResult:
-    """Estimate the motion from texture linked between rows and cameras."""
+    """Estimate the motion of the rows from texture that is linked between rows and between cameras."""
     start = chain_links(nominal, problem.links)
-    # of many links a subsample gives the motion to a micrometre; all of them are then weighed at it without a step
+    # if there are many links, a subsample gives the motion to a micrometre; then all links are evaluated at this motion
     subsampled = solve_subsampled(problem, start)
     if subsampled is None:
         return adjust(problem, start, converged_mm=_CONVERGED_MM)
@@ -36,14 +37,17 @@ def motion_from_links(problem: Problem, nominal: Motion) -> AdjustmentResult:
 def motion_from_marks(
     problem: Problem, nominal: Motion, detections: Sequence[Detections], cameras: Sequence[Camera]
 ) -> AdjustmentResult:
-    """Estimate the motion from marks alone; the links of the problem are not used."""
+    """Estimate the motion of the rows from detected marks alone. The links of the problem are not used."""
     links = to_observations(mark_links(detections, cameras, nominal), cameras)
     by_marks = replace(problem, links=links, component=np.full(len(links), -1))
     return adjust(by_marks, chain_links(nominal, links))
 
 
 def board_texture(links: Observations, moved: AdjustmentResult) -> Floats:
-    """Return points (k, 2) that were linked from row to row and move with the board; a sample if there are many."""
+    """Return points (k, 2) of the board's texture, in tester coordinates: those of links that agree with the motion.
+
+    Only links between rows are used. If there are many, the points are a sample.
+    """
     use = np.flatnonzero((moved.weight > _ON_BOARD_WEIGHT) & (links.p != links.q))
     use = use[:: max(len(use) // _TEXTURE_SAMPLE, 1)]
     return moved.motion.board(links.p[use], links.a_mm[use])

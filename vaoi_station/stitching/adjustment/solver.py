@@ -1,12 +1,12 @@
-"""Adjust a run: the motion of all rows, and C, from all links and detections at once.
+"""Adjust a run: estimate the motion of all rows and C together, from all links and detections.
 
-Unknowns are three per row (φ_j, s_j), four of the similarity C once fiducials are assigned, the
-coefficients of the board's surface where one is requested, and a height for every component that has
-links of its own. The paper chains rows (equations 11–16), which adds up their errors; here every link
-counts once, robustly, by iteratively reweighted Gauss-Newton.
+The unknowns are (φ_j, s_j) of every row j, the four numbers of the similarity C once fiducials are assigned, the
+coefficients of the surface if one is requested, and the heights of the components on which links lie. The paper chains
+the rows (equations 11–16), so that their errors add up. Here all links are used together, in a robust least-squares
+solution by iteratively reweighted Gauss-Newton.
 
-Heights enter linearly: a ground point moves by its lean per mm. Heights of components are eliminated
-from the normal equations, because each is coupled to its own links only.
+The equations are linear in the heights: a ground point moves by its lean per mm of height. The heights of components
+are eliminated from the normal equations, because each of them occurs only in the links that lie on the component.
 """
 
 from __future__ import annotations
@@ -54,28 +54,33 @@ from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
 _MAX_STEPS = 15
 CONVERGED_MM = 5e-5
-"""The last step moves no row by more; as steps shrink tenfold, about a tenth of it remains."""
+"""The adjustment ends after a step that moves no row by more than this. Each step is about a tenth of the one before
+it, so that an error of about a tenth of this limit remains."""
 _SAMPLE_PER_ROW, _SAMPLE_CONVERGED_MM = 100, 3e-3
-"""Links per row in a subsampled solution, and its `CONVERGED_MM`."""
+"""For a solution from a subsample: the number of links per row, and the limit used in place of `CONVERGED_MM`."""
 _KNEE, _CUT = 2.0, 6.0
-"""Standard deviations beyond which a residual loses weight (Huber), and beyond which it has none."""
+"""Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
 _PAIR_SIGMA_PX, _PAIR_SHARE = (0.002, 0.014), 0.25
-"""Error that the links of one pair of frames share, which does not average out: a constant in px, between rows of one
-camera (interpolation) and between two cameras (each with its own light and its own perspective of what stands a little
-above the board), and at least this share of the noise floor."""
+"""Error that all links of one pair of frames have in common and that does not average out. It is the larger of a
+constant and of the share `_PAIR_SHARE` of the noise floor. The constant is 0.002 px between rows of one camera
+(interpolation) and 0.014 px between two cameras (different light, and different perspective of what stands a little
+above the board)."""
 _FLOOR_PX = (0.003, 5.0)
 """Limits of the noise floor of links."""
 _FLOOR_SAMPLE, _FLOOR_MIN_LINKS = 4000, 20
-"""Links of a kind from which the noise floor is estimated, to some 2 %, and the fewest that allow an estimate."""
+"""The noise floor of a kind of link is estimated from about `_FLOOR_SAMPLE` links, to some 2 %, and from no fewer than
+`_FLOOR_MIN_LINKS`."""
 _FLOOR_STEPS = 6
-"""The noise floor is constant after this number of steps, so that the remaining steps converge."""
+"""The noise floor is estimated in this number of steps only. It then stays constant, so that further steps converge."""
 _SEAM_PX, _NARROWING = 0.04, 3.0
-"""Limits of the noise floor between two cameras once a surface is estimated: in px, and as a divisor of the scatter.
-The surface then follows the links that agree; parts that lean over the board beside the seam become outliers."""
+"""Upper limit of the noise floor between two cameras if a surface is estimated: `_SEAM_PX`, or the scatter divided by
+`_NARROWING`, whichever is larger. With it, the surface follows the links that agree with each other, and tall parts
+that lean over the board beside the seam become outliers."""
 _HEIGHT_SIGMA_MM = 3.0
-"""Prior of a component's height."""
+"""Prior standard deviation of a component's height."""
 _USED_WEIGHT, _HEIGHT_MIN_LINKS = 0.1, 3
-"""A component's height is reported with this number of links above this robust weight."""
+"""A component's height is reported if at least `_HEIGHT_MIN_LINKS` links on it have a robust weight above
+`_USED_WEIGHT`."""
 
 
 def adjust(
@@ -86,8 +91,8 @@ def adjust(
     Args:
         problem: observations and priors.
         start: motion to start from; right to a few px.
-        similarity: C to start from, where fiducials are given.
-        converged_mm: a step that moves no row by more is the last one; about a tenth of that remains.
+        similarity: C to start from; needed if the problem has fiducials.
+        converged_mm: the adjustment ends after a step that moves no row by more; about a tenth of it remains.
     """
     solver = _Solver(problem, start, similarity)
     solver.run(converged_mm)
@@ -95,11 +100,14 @@ def adjust(
 
 
 def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
-    """Estimate the motion to a thousandth of a millimetre from a subsample of the links; None where they are few."""
+    """Estimate the motion, to a thousandth of a millimetre, from a subsample of the links.
+
+    Return None if there are too few links for a subsample.
+    """
     every = len(problem.links) // (_SAMPLE_PER_ROW * len(start.angle))
     if every < 2:
         return None
-    # every n-th link of each pair of frames, not of all links: no pair may be left without any
+    # take every n-th link of each pair of frames, instead of every n-th of all links: each pair keeps some links
     some = np.flatnonzero(_index_in_group(problem.links.group) % every == 0)
     sample = replace(problem, links=problem.links.select(some), component=problem.component[some])
     solver = _Solver(sample, start, None)
@@ -108,12 +116,15 @@ def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
 
 
 def evaluate_at(problem: Problem, motion: Motion) -> AdjustmentResult:
-    """Evaluate all links at a motion that is taken as the solution; its covariance is not computed, and 0."""
+    """Return residuals and weights of all links at a given motion, as if it were the solution.
+
+    The covariance is not computed: it is 0 in the result.
+    """
     return _Solver(problem, motion, None).result()
 
 
 class _Solver:
-    """The unknowns of one adjustment and the arrays of its steps."""
+    """The state of one adjustment: its current unknowns, and the arrays that its steps reuse."""
 
     def __init__(self, problem: Problem, start: Motion, similarity: Floats | None) -> None:
         self.problem = problem
@@ -125,31 +136,33 @@ class _Solver:
         self.n_surface = basis.shape[1]
         self.surface_mm = np.zeros(self.n_surface)
         self.kind = (links.p == links.q).astype(np.int_)
-        """0: from row to row; 1: between two cameras in one row."""
-        # what a part shows to two cameras at once (its top) and from row to row (its leads, the board between them) may
-        # stand at different heights: were they one unknown, the difference would lift the whole board
+        """(k,) kind of each link: 0 between rows, 1 between two cameras in one row."""
+        # a component has two heights, one for each kind of link. What two cameras see of it (its top) and what is seen
+        # from row to row (its leads, the board between them) may be at different heights. With a single unknown, the
+        # difference would lift the whole board
         self.n_parts = int(problem.component.max(initial=-1)) + 1
         component = np.where(problem.component < 0, -1, problem.component + self.n_parts * self.kind)
         self.heights_mm = np.zeros(2 * self.n_parts)
         self.model = HeightModel(basis, component)
-        # a start of the order of the real floor: the first weights need one before any estimate
+        # the first weights need a noise floor before it is estimated: start near its usual value
         self.floor_px = np.array([0.05, 0.05])
         others = (4 if problem.fiducials else 0) + self.n_surface
         self.others = np.arange(3 * self.rows, 3 * self.rows + others)
-        """Columns of C and the surface."""
+        """Columns of the unknowns of C and of the surface, which stand last."""
         self.coupling = Coupling.of(component, links.p, links.q, 2 * self.n_parts, self.n_surface)
         self.envelope = _envelope(links, self.coupling, self.rows, others)
         self.factor: NormalEquations | None = None
         self.state = LinkState.zeros(len(links))
         self.linked_steps = _linked_steps(links, self.rows)
         bare = [np.flatnonzero((problem.component < 0) & (self.kind == kind)) for kind in (0, 1)]
-        # contiguous: for a slice with a step another variant would be compiled, while a board waits
+        # contiguous copies: for slices with a step, Numba would compile another variant while a board waits
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
-        """Links on the bare board, by kind: the model explains them, so that what remains is noise."""
+        """Indices of sampled links on the bare board, by kind. The model explains these links: their residuals are
+        noise."""
         self.steps = 0
 
     def run(self, converged_mm: float) -> None:
-        """Step until a step moves no row by more."""
+        """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
         for _ in range(_MAX_STEPS):
             if self.step() < converged_mm:
                 break
@@ -162,7 +175,7 @@ class _Solver:
         for equations in (self._belt(), *self._fiducials(), self._surface()):
             add_equations(*equations, normal)
         self._compute_residuals()
-        # the noise floor needs residuals and weights need the noise floor
+        # in this order: the noise floor depends on the residuals, and the weights depend on the noise floor
         self._update_noise_floor()
         self._compute_weights()
         add_links(self.problem.links.arrays, self._motion_arrays(), self.model, self.state, heights, normal)
@@ -173,7 +186,10 @@ class _Solver:
         return self._move(solve(normal), heights)
 
     def _move(self, delta: Floats, heights: HeightEquations) -> float:
-        """Change all unknowns; return the largest change of a shift in mm."""
+        """Add the solution (n,) of a step to all unknowns; return the largest change of a shift in mm.
+
+        The changes of the eliminated heights are computed from `heights`.
+        """
         rows = delta[: 3 * self.rows].reshape(self.rows, 3)
         self.motion = replace(self.motion, angle=self.motion.angle + rows[:, 0], shift=self.motion.shift + rows[:, 1:])
         if self.similarity is not None:
@@ -183,6 +199,7 @@ class _Solver:
         return float(np.abs(rows[:, 1:]).max())
 
     def _motion_arrays(self) -> MotionArrays:
+        """Return the current motion as compiled functions take it."""
         return MotionArrays(self.motion.angle, self.motion.shift, self.motion.pivot)
 
     def _compute_residuals(self) -> None:
@@ -198,10 +215,11 @@ class _Solver:
         compute_weights(links.arrays, noise, len(links.groups), self.state)
 
     def _update_noise_floor(self) -> None:
-        """Estimate the scatter of links beyond image noise from those on the bare board.
+        """Estimate the noise floor of each kind of link from links on the bare board.
 
-        Links between rows and between cameras have separate floors: a lifted board first appears as a large
-        scatter of the latter, which keeps the weight of the former until the surface explains it.
+        Links between rows and links between cameras have separate noise floors. A lifted board at first causes a large
+        scatter of the links between cameras only. The links between rows keep their weight until the surface explains
+        this scatter.
         """
         if self.steps > _FLOOR_STEPS:
             return
@@ -214,7 +232,10 @@ class _Solver:
             self.floor_px[1] = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
 
     def _belt(self) -> Equations:
-        """Return the prior of every step: the conveyor at its mean measured speed, which places rows without links."""
+        """Return the prior of the motion between consecutive rows: the belt moves at its measured mean velocity.
+
+        This prior determines the position of rows without links.
+        """
         problem, velocity = self.problem, self.problem.velocity_mm_s
         if self.rows > 1:
             dt = np.diff(problem.times_s)
@@ -225,13 +246,13 @@ class _Solver:
         return belt_steps(self.motion, problem.times_s, velocity)
 
     def _surface(self) -> Equations:
-        """Return the prior of the surface: a board is hardly lifted, tilted and bent."""
+        """Return the prior of the surface: every coefficient is 0 with its prior standard deviation."""
         sigma = self.problem.surface.sigma_mm if self.problem.surface else np.ones(0)
         columns = self.others[None, len(self.others) - self.n_surface :]
         return columns, np.diag(1 / sigma)[None], (self.surface_mm / sigma)[None]
 
     def _fiducials(self) -> list[Equations]:
-        """Return the equations of detections of fiducials and of the scale."""
+        """Return the equations of the detections and of the scale of C; none if the problem has no fiducials."""
         points, c = self.problem.fiducials, self.similarity
         if points is None or c is None:
             return []
@@ -239,14 +260,14 @@ class _Solver:
         return [detections, scale_equation(c, self.problem.nominal_scale, self.others[:2])]
 
     def _fiducial_residuals(self, c: Floats) -> tuple[Floats, Floats]:
-        """Return residuals and Jacobian of the detections at the current unknowns."""
+        """Return the residuals and the Jacobian of the detections at similarity c and the other current unknowns."""
         points, surface = self.problem.fiducials, self.problem.surface
         assert points is not None
         basis = surface.at_fiducials if surface else np.zeros((len(points.row), 0))
         return fiducial_residuals(points, self.motion, c, basis, self.surface_mm)
 
     def result(self) -> AdjustmentResult:
-        """Return the current unknowns with residuals and weights of all links."""
+        """Return the current unknowns, their covariance, and the residuals and weights of all links at them."""
         self._compute_residuals()
         self._compute_weights()
         links, state, points = self.problem.links, self.state, self.problem.fiducials
@@ -272,17 +293,17 @@ class _Solver:
         )
 
     def _covariance(self) -> Floats:
-        """Return the covariance (m, u, u) of each row with C and the surface; 0 before the first step."""
+        """Return for each row the covariance (u, u) of its unknowns, C and the surface; 0 before the first step."""
         size = 3 + len(self.others)
         covariance = np.zeros((self.rows, size, size))
         if self.factor is not None:
             covariance = row_blocks(self.envelope, inverse(self.factor, self.rows))
-            # row 0 is held: its lines are those of the identity, not a covariance
+            # the gauge fixes row 0: its lines of the inverse are those of the identity, not a covariance
             covariance[0, :3] = covariance[0, :, :3] = 0
         return covariance
 
     def _reported_heights(self) -> Floats:
-        """Return the heights (2, parts), NaN where too few links determine them."""
+        """Return the heights of all components for both kinds of links (2, parts); NaN where too few links are used."""
         component = self.model.component
         on = component >= 0
         used = np.bincount(component[on], self.state.robust[on] > _USED_WEIGHT, minlength=2 * self.n_parts)
@@ -290,7 +311,11 @@ class _Solver:
 
 
 def _envelope(links: Observations, coupling: Coupling, rows: int, others: int) -> Envelope:
-    """Build the envelope: rows share the belt's steps, links, and the components that they see."""
+    """Build the envelope of the normal equations.
+
+    Two rows are coupled if they are consecutive (prior of the belt), if a link connects them, or if both see the same
+    component, whose height is eliminated.
+    """
     furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), _begins(links.group)
     p, q = links.p[first], links.q[first]
     np.maximum.at(furthest, np.minimum(p, q), np.maximum(p, q))
@@ -305,11 +330,11 @@ def _index_in_group(group: Ints) -> Ints:
 
 
 def _begins(group: Ints) -> Ints:
-    """Return the index of the first link of each group; all links of a group have the same two rows."""
+    """Return the index of the first link of each group; links of one group are adjacent."""
     return np.flatnonzero(np.diff(group, prepend=-1))
 
 
 def _linked_steps(links: Observations, rows: int) -> NDArray[np.bool_]:
-    """Return which steps (rows − 1,) from row to row are spanned by a link."""
+    """Return for each step from a row to the next (rows − 1,) whether a link connects rows across this step."""
     change = np.bincount(links.p, minlength=rows) - np.bincount(links.q, minlength=rows)
     return np.asarray(np.cumsum(change)[:-1] > 0)

@@ -1,9 +1,11 @@
-"""The board's height above the calibrated plane: lift, tilt and bow.
+"""The surface: the height of the board above the calibrated plane, described by lift, tilt and bow.
 
-A board thicker than the calibration board, or bowed, is the largest error of the planar model. The
-links of one camera from row to row do not distinguish a higher board from a faster belt; the overlap with the
-neighbouring camera, whose baseline is in N_i, and the CAD distance of the fiducials do. The surface is a
-polynomial of second degree in u, v = −1 … 1 over the board; its priors keep a poorly observed coefficient near zero.
+The largest error of the planar model comes from boards that are bowed, or thicker than the calibration board. The links
+of one camera from row to row do not distinguish a higher board from a faster belt. Two other observations do: links to
+the neighbouring camera, whose position is known from N_i, and the distance between fiducials, which is known from CAD.
+
+The surface is a polynomial of second degree in u and v, which run from −1 to 1 over the board. Priors keep a
+coefficient near 0 if it is poorly observed.
 """
 
 from __future__ import annotations
@@ -15,26 +17,30 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Surface
 
 SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
-"""Prior standard deviation of lift, tilt along u and v, and the coefficients of u², uv, v²."""
+"""(6,) prior standard deviation of the coefficients: lift, tilt along u, tilt along v, and bow (u², uv, v²)."""
 
 _EDGE = 1.2
-"""Largest |u| and |v|: further outside the board the functions are constant, where a polynomial would run away."""
+"""Largest |u| and |v|. Further outside the board, the surface is taken as constant, because a polynomial would grow
+without limit there."""
 
 
 def basis(board_type: BoardType, cad: Floats) -> Floats:
-    """Return the values (k, 6) of the basis functions at CAD points (k, 2)."""
+    """Return the values (k, 6) of the basis functions 1, u, v, u², uv, v² at CAD points (k, 2)."""
     return _basis(np.eye(3), np.ascontiguousarray(cad, dtype=np.float64), *frame_of(board_type))
 
 
 def basis_at_board(board_type: BoardType, cad_matrix: Floats, board_mm: Floats) -> Floats:
-    """Return the values (k, 6) at points (k, 2) of the board in tester coordinates."""
+    """Return the values (k, 6) of the basis functions at points (k, 2) of the board in tester coordinates, mm."""
     cad_from_board = np.ascontiguousarray(np.linalg.inv(cad_matrix), dtype=np.float64)
     return _basis(cad_from_board, np.ascontiguousarray(board_mm), *frame_of(board_type))
 
 
 @compiled
 def _basis(cad_from_place: Floats, place: Floats, about: Floats, half: Floats) -> Floats:
-    """Evaluate at points (k, 2) that an affine map (3, 3) transforms to CAD."""
+    """Return the values (k, 6) of the basis functions at points (k, 2) which an affine map (3, 3) transforms to CAD.
+
+    `about` (2,) and `half` (2,) are the centre and the half span of the board, see `frame_of`.
+    """
     m, out = cad_from_place, np.empty((len(place), 6))
     for n in range(len(place)):
         x, y = place[n, 0], place[n, 1]
@@ -45,13 +51,16 @@ def _basis(cad_from_place: Floats, place: Floats, about: Floats, half: Floats) -
 
 
 def frame_of(board_type: BoardType) -> tuple[Floats, Floats]:
-    """Return centre and half span of the board in CAD units: where u and v are 0 and 1."""
+    """Return the centre (2,) and the half span (2,) of a board type, in CAD units.
+
+    At the centre u and v are 0; at a distance of half the span they are 1 or −1.
+    """
     low, high = board_type.extent()
     return (low + high) / 2, np.maximum((high - low) / 2, 1e-9)
 
 
 def to_surface(board_type: BoardType, coefficients_mm: Floats) -> Surface:
-    """Convert coefficients to the surface of a result."""
+    """Convert the coefficients (6,) of the surface to the `Surface` of a result."""
     about, half = frame_of(board_type)
     c = [round(float(v), 5) for v in coefficients_mm]
     return Surface(
