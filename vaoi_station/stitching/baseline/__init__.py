@@ -1,1 +1,1 @@
-"""Stitch as the paper does: the baseline of `vaoi bench` and `vaoi stitch --method paper`."""
+"""The paper's stitching method, kept for comparison: `vaoi bench` and `vaoi stitch --method paper` use it."""

@@ -1,7 +1,7 @@
-"""`--method paper`: stitch a run as the paper does, from whole frames, row by row, in the plane.
+"""Stitching of a run by the paper's method (`--method paper`): from complete frames, row by row, in one plane.
 
-A baseline to compare with: no prior, no common adjustment, no uncertainty. C follows from the fiducials alone
-(equation 21).
+The method serves for comparison only. It uses no prior knowledge and no common adjustment, and it gives no uncertainty.
+C is computed from the fiducials alone (equation 21).
 """
 
 from __future__ import annotations
@@ -32,12 +32,18 @@ _BLANK = np.zeros((64, 64), dtype=np.uint8)
 
 
 def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> Stitch:
-    """Stitch frames of a finished run by Harris corners, SIFT descriptors and RANSAC, each row to the one before."""
+    """Stitch a finished run: join each row to the row before it by Harris corners, SIFT descriptors and RANSAC.
+
+    Args:
+        setup: cameras, board type and expectation of the run.
+        head: head of the recording.
+        frame: function that returns the pixels of a camera and a row; None where a frame never arrived.
+    """
     start = time.perf_counter()
     frames = _prepared(head, frame)
 
     def grey(camera: int, row: int) -> NDArray[np.uint8]:
-        # A missing frame has no features; the row is then placed by the other cameras.
+        # A blank frame stands for a missing one: it has no features, and the other cameras place the row.
         return frames[camera, row].grey if (camera, row) in frames else _BLANK
 
     motion = chain_rows(setup.cameras, head.rows, grey)
@@ -57,7 +63,7 @@ def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> S
 
 
 def as_motion(rows: Sequence[Euclidean], cameras: Sequence[Camera]) -> Motion:
-    """Convert D_j of every row to the motion that `stitching` computes with."""
+    """Convert the D_j of all rows to a `Motion`, the form in which the rest of the stitching computes."""
     pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
     back = [d.inverse() for d in rows]
     return Motion(np.array([b.angle_rad for b in back]), np.array([b(pivot) - pivot for b in back]), pivot)
@@ -77,7 +83,7 @@ def _cad_matrix(
     detections = [detect_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
     places = merge_detections(detections, setup.cameras, motion)
     angle = expected_angle(frame, setup.cameras[0], setup.expectation)
-    # No texture is given: the paper takes the fiducials alone.
+    # No texture is given, since the paper uses the fiducials alone.
     guess = find_board(frame, places, angle, setup.expectation, np.zeros((0, 2)))
     return guess if isinstance(guess, Failure) else frame.matrix(guess.c)
 

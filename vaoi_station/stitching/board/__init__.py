@@ -1,1 +1,1 @@
-"""Locate the board: detect its fiducials, assign them to the CAD data, check orientation and outline."""
+"""Location of the board: detection of fiducials, assignment to the CAD data, check of orientation and outline."""

@@ -1,8 +1,8 @@
-"""The CAD mapping of a run: find the fiducials among the detections, check the orientation, adjust everything.
+"""The CAD mapping of a run: find the fiducials among the detections, check the orientation, adjust all unknowns.
 
-A first C comes from the detections made while filming. It is accepted unless the pictures contradict it: the board's
-outline must be where the fiducials put it. Otherwise the frames are searched again for more marks before the mapping
-fails. In the end the outline is measured against the adjusted C.
+A first C is computed from the detections made while filming. It is accepted if the pictures do not contradict it: the
+board's outline must be visible where this C puts it. Otherwise the frames are searched again for more marks before the
+mapping fails. At the end, the shift of the outline against the adjusted C is measured.
 """
 
 from __future__ import annotations
@@ -40,32 +40,32 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 
 _LEAST_REFERRED = 12
-"""Least number of points linked to a reference from which it places a board without fiducials."""
+"""Least number of points linked to a reference run that can place a board without fiducials."""
 
 
 @dataclass(frozen=True, eq=False)
 class CadMapping:
-    """A board that was found: the adjustment of everything, its problem, and the evidence of the outline."""
+    """The result for a board that was found: the common adjustment, its problem, and the checks of the outline."""
 
     adjusted: AdjustmentResult
     problem: Problem
     outline: OutlineContrast | None
-    """Contrast along the board's outline as placed; None where no frame shows it."""
+    """Contrast along the outline where the first C puts it; None where too little of it is in view."""
     ambiguous: bool = False
-    """Whether the board may lie turned by 180° as well: neither fiducials nor pictures decide."""
+    """Whether the board may as well be turned by 180°, because neither fiducials nor pictures decide."""
     shift: OutlineShift | None = None
-    """Shift of the outline against the adjusted fiducials; None where too little of it shows an edge."""
+    """Measured shift of the outline against the adjusted C; None where too little of the outline shows an edge."""
 
 
 @dataclass(frozen=True, eq=False)
 class MappingInputs:
-    """The evidence and the prior knowledge that a mapping uses."""
+    """The evidence and the prior knowledge from which a CAD mapping is computed."""
 
     expectation: Expectation
     method: Method
     detections: tuple[Detections, ...]
     texture_mm: Floats
-    """(k, 2) places on the board that were linked from row to row."""
+    """(k, 2) points on the board, mm, that were linked from row to row."""
     reference: Reference | None = None
     reference_links: tuple[Links, ...] = ()
 
@@ -73,7 +73,15 @@ class MappingInputs:
 def map_cad(
     plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs
 ) -> CadMapping | Failure:
-    """Find the board, measure its fiducials again where they must be, and adjust everything together."""
+    """Find the board, locate its fiducials again where a first C predicts them, and adjust all unknowns together.
+
+    Args:
+        plane: plane of the board type.
+        scene: the cameras and the frames.
+        problem: the adjustment problem of the links alone.
+        moved: solution of that problem, whose motion of the rows is used.
+        known: evidence and prior knowledge.
+    """
     referred = FiducialPoints.empty()
     if known.reference is not None and known.method.reference:
         referred = cad_points(known.reference_links, scene.cameras, plane, known.reference)
@@ -91,16 +99,16 @@ def map_cad(
 def _find_first_c(
     plane: BoardPlane, scene: Scene, moved: AdjustmentResult, known: MappingInputs, referred: FiducialPoints
 ) -> tuple[Hypothesis | Failure, tuple[Detections, ...], OutlineContrast | None]:
-    """Find a first C; return it with the detections it was found among and the contrast of the outline."""
+    """Find a first C; return it, the detections among which it was found, and the contrast of the outline."""
     guess, detections = _c_from_detections(plane, scene, moved, known), known.detections
     outline = _measured_outline(plane, scene, moved.motion, guess)
-    # Look-alikes may have displaced the fiducials from the short list of a frame: search again with a longer one.
+    # Look-alikes may have pushed the fiducials off a frame's short list of detections. A longer list may hold them.
     if known.method.marks and (isinstance(guess, Failure) or (outline is not None and not outline.visible)):
         deep = tuple(detect_more_marks(plane.board_type, scene, detections, fixture=known.method.fixture))
         second = _c_from_detections(plane, scene, moved, replace(known, detections=deep))
         if isinstance(second, Hypothesis) or isinstance(guess, Failure):
             guess, detections, outline = second, deep, _measured_outline(plane, scene, moved.motion, second)
-    # The reference comes last: fiducials on the board itself are surer than a position carried over.
+    # The reference run comes last: fiducials on the board itself are more reliable than a position from another run.
     if isinstance(guess, Failure) and known.reference is not None and len(referred.row) >= _LEAST_REFERRED:
         c = initial_similarity(plane, known.reference, referred, moved.motion)
         guess = Hypothesis(c, 0.0, ())
@@ -111,7 +119,7 @@ def _find_first_c(
 def _c_from_detections(
     plane: BoardPlane, scene: Scene, moved: AdjustmentResult, known: MappingInputs
 ) -> Hypothesis | Failure:
-    """Find C from the detections, unless the pictures show that the board lies turned by 180°."""
+    """Find C from the detections; fail if the pictures show that the board is turned by 180°."""
     if not known.method.marks:
         return Failure("no point of the run was found again in the reference")
     expectation, detections = known.expectation, known.detections
@@ -121,7 +129,7 @@ def _c_from_detections(
     guess = find_board(plane, places, angle, expectation, texture)
     if isinstance(guess, Failure):
         return guess
-    # Only an orientation that fits as many fiducials is a rival; the pictures then decide.
+    # The turned board is a rival only if it fits at least as many fiducials. The pictures then decide.
     turned = find_board(plane, places, angle + np.pi, expectation, texture)
     if isinstance(turned, Hypothesis) and len(turned.fiducials) >= len(guess.fiducials):
         orientation = compare_orientations(
@@ -135,7 +143,10 @@ def _c_from_detections(
 
 
 def _by_fiducial_count(plane: BoardPlane, guess: Hypothesis, turned: Hypothesis) -> Hypothesis | Failure:
-    """Decide by the number of fiducials, where the pictures do not; equal numbers leave it open."""
+    """Decide the orientation by the number of fiducials that fit, if the pictures do not decide it.
+
+    If the turned board fits more fiducials, the mapping fails. If it fits as many, C is kept and marked as ambiguous.
+    """
     fit, fit_turned = len(guess.fiducials), len(turned.fiducials)
     if fit_turned > fit:
         return Failure(
@@ -170,7 +181,10 @@ def _turned_failure(plane: BoardPlane, orientation: Orientation) -> Failure:
 def _with_board(
     problem: Problem, points: FiducialPoints, plane: BoardPlane, scene: Scene, motion: Motion, c: Floats
 ) -> Problem:
-    """Extend the problem by fiducials, by the surface if all working distances are known, and by links' components."""
+    """Extend the problem by the fiducial points, by the component under each link, and by the board's surface.
+
+    The surface is added only if the working distances of all cameras are known.
+    """
     on_board = motion.board(problem.links.p, problem.links.a_mm)
     marks = motion.board(points.row, points.ground_mm)
     at_links, at_marks = (basis_at_board(plane.board_type, plane.matrix(c), at) for at in (on_board, marks))

@@ -1,6 +1,6 @@
-"""The components of a board type as arrays, with a grid that finds the one on which a point lies.
+"""The components of a board type as arrays, with a grid that finds the component on which a point lies.
 
-Lengths are in CAD units and angles in CAD's axes, y as the board type has it.
+Lengths are in CAD units. Angles refer to the CAD axes of the board type, whether its y axis points up or down.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _AROUND_MM = 0.3
-"""Margin around a footprint: solder and shadow of a component belong to it."""
+"""Margin around a footprint. Points in it belong to the component, since solder and shadow lie there."""
 _MOST_CELLS = 400
 """Largest number of cells along each axis of the grid."""
 
 
 @dataclass(frozen=True, eq=False)
 class ComponentIndex:
-    """n components, in the order of the board type."""
+    """The n components of a board type as arrays, in the order of the board type."""
 
     addresses: tuple[str, ...]
     center: Floats
-    """(n, 2)."""
+    """(n, 2) centres of the footprints."""
     size: Floats
-    """(n, 2) width and height before they are turned."""
+    """(n, 2) width and height of the footprints before rotation."""
     angle_rad: Floats
-    """(n,)."""
+    """(n,) rotation of the footprints."""
     stands_out: NDArray[np.bool_]
-    """(n,) whether a component is, or may be, higher than the board."""
+    """(n,) whether the component stands above the board; true also if its height is unknown."""
     mm_per_unit: float
 
     @staticmethod
     def of(board_type: BoardType) -> ComponentIndex:
-        """Make the index of a board type."""
+        """Make the index of a board type's components."""
         parts, sign = board_type.components, 1.0 if board_type.y_axis == "up" else -1.0
         return ComponentIndex(
             tuple(p.address for p in parts),
@@ -53,11 +53,13 @@ class ComponentIndex:
         )
 
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
-        """Find the number of the component on which each board point (k, 2) lies; −1 for none; the smallest wins.
+        """Return for each of k board points the number of the component on which it lies, or −1 for none: (k,).
+
+        If components overlap, the smallest one counts. Components that do not stand above the board are ignored.
 
         Args:
-            cad_from_board: (3, 3) affine, the inverse of C.
-            board_mm: (k, 2) tester coordinates.
+            cad_from_board: (3, 3) affine matrix, the inverse of C.
+            board_mm: (k, 2) points on the board, tester coordinates.
         """
         out = np.full(len(board_mm), -1)
         cells = self._cells
@@ -68,20 +70,20 @@ class ComponentIndex:
 
     @cached_property
     def _turn(self) -> Floats:
-        """Cosine and sine (n, 2) of the angles."""
+        """Cosine and sine (n, 2) of the footprints' rotations."""
         return np.stack([np.cos(self.angle_rad), np.sin(self.angle_rad)], -1)
 
     @cached_property
     def _half(self) -> Floats:
-        """Half of width and height (n, 2), with the margin."""
+        """Half of the width and height (n, 2) of each footprint, margin included."""
         return self.size / 2 + _AROUND_MM / self.mm_per_unit
 
     @cached_property
     def _cells(self) -> _Cells:
-        """The grid over the components that stand out."""
-        # Flat components are board: their links lie on its surface.
+        """The search grid over the components that stand above the board."""
+        # Components without height count as board, since links on them lie on its surface.
         use = np.flatnonzero(self.stands_out)
-        # Small ones first, since the smallest wins; of two alike, the later one of the board type.
+        # Small components come first, since the smallest wins. Of two with equal area, the later one wins.
         use = use[np.argsort(-self.size[use].prod(1), kind="stable")[::-1]]
         cos, sin = np.abs(self._turn[use]).T
         w, h = self._half[use].T
@@ -90,23 +92,24 @@ class ComponentIndex:
 
 
 class _Cells(NamedTuple):
-    """A grid, and for every cell the boxes that reach into it."""
+    """A search grid of cells, with the list of boxes that reach into each cell."""
 
     origin: Floats
+    """(2,) lowest corner of the grid."""
     size: Floats
-    """(2,) of a cell."""
+    """(2,) width and height of a cell."""
     first: Ints
-    """(rows, columns + 1): start and end of each cell's boxes in `numbers`."""
+    """(rows, columns + 1): cell (r, c) holds the boxes `numbers[first[r, c] : first[r, c + 1]]`."""
     numbers: Ints
-    """Numbers of the boxes, cell by cell, in the order in which they were given."""
+    """Numbers of the boxes, cell by cell; within a cell in the order in which the boxes were given."""
 
     @staticmethod
     def of(numbers: Ints, low: Floats, high: Floats) -> _Cells:
-        """Build the grid over boxes with corners (n, 2)."""
+        """Build the grid over n boxes with these numbers (n,), lowest corners (n, 2) and highest corners (n, 2)."""
         if not len(numbers):
             return _Cells(np.zeros(2), np.ones(2), np.zeros((1, 2), np.int_), np.zeros(0, np.int_))
         origin, span = low.min(0), high.max(0) - low.min(0)
-        # Cells as large as an average box: a point is compared with few boxes, and a box lies in few cells.
+        # Cells have the size of an average box: a point is then compared with few boxes, and a box lies in few cells.
         size = np.maximum((high - low).mean(0), span / _MOST_CELLS)
         columns, rows = (np.floor(span / size).astype(int) + 1).tolist()
         (x0, y0), (x1, y1) = (np.floor((corner - origin) / size).astype(int).T for corner in (low, high))
@@ -116,23 +119,24 @@ class _Cells(NamedTuple):
         cell = (y0[box] + k // wide[box]) * columns + x0[box] + k % wide[box]
         ends = np.append(0, np.cumsum(np.bincount(cell, minlength=rows * columns)))
         first = ends[np.arange(rows)[:, None] * columns + np.arange(columns + 1)]
-        # Stable: within a cell the boxes keep their order, and the first hit is the one that wins.
+        # The sort is stable, so boxes keep their order within a cell. The first box that contains a point wins.
         return _Cells(origin, size, first, numbers[box[np.argsort(cell, kind="stable")]])
 
 
 class _Boxes(NamedTuple):
-    """Rotated rectangles."""
+    """n rotated rectangles, in CAD coordinates."""
 
     center: Floats
+    """(n, 2) centres."""
     turn: Floats
-    """(n, 2) cosine and sine."""
+    """(n, 2) cosine and sine of the rotations."""
     half: Floats
-    """(n, 2)."""
+    """(n, 2) half of width and height."""
 
 
 @compiled
 def _find(cad_from_board: Floats, board_mm: Floats, cells: _Cells, boxes: _Boxes, out: Ints) -> None:
-    """Write into `out` (k,) the number of the first box of its cell in which each point lies."""
+    """Write the number of the first box that contains each point to `out` (k,); entries without a box stay."""
     origin, size, first, numbers = cells.origin, cells.size, cells.first, cells.numbers
     center, turn, half = boxes.center, boxes.turn, boxes.half
     rows, columns = first.shape[0], first.shape[1] - 1

@@ -1,4 +1,4 @@
-"""The expected place and direction of the board in row 0."""
+"""The expected position and rotation of the board in row 0, from the configuration of the line."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from vaoi_station.model import BoardType
 
 @dataclass(frozen=True)
 class Expectation:
-    """Prior knowledge of the board's place. By default only that it lies upright, as CAD shows it.
+    """Prior knowledge of the board's position and rotation. By default only: the board lies upright, as CAD shows it.
 
-    `angle_rad` is by how much the board, as the cameras see it, is turned from CAD-upright (CAD x to the
-    right on the top side, to the left on the bottom side; CAD "up" up), from image x towards image y.
+    `angle_rad` is the rotation of the board in the image, measured from image x towards image y. It is zero if CAD
+    "up" points up in the image and CAD x points right (on the bottom side: left).
     """
 
     angle_rad: float = 0.0
     angle_tolerance_rad: float = math.radians(8.0)
     corner_mm: tuple[float | None, float | None] = (None, None)
-    """Tester coordinates of the lowest x and y of the board in the first row, where known."""
+    """Lowest x and lowest y of the board in row 0, tester coordinates; None where unknown."""
     tolerance_mm: float = 4.0
 
 
@@ -30,11 +30,11 @@ def expectation_of(line: Line, board_type: BoardType) -> Expectation:
     low, high = board_type.extent()
     size = (high - low) * board_type.mm_per_unit
     width, height = (float(v) for v in (size if expected.rotation_deg % 180 == 0 else size[::-1]))
-    # The belt runs along one tester axis, whichever is nearer to its velocity.
+    # The belt is taken to run along the tester axis that is nearer to its velocity.
     along = 0 if abs(line.conveyor_mm_s[0]) > abs(line.conveyor_mm_s[1]) else 1
     length, across = (width, height) if along == 0 else (height, width)
     velocity = line.conveyor_mm_s[along]
-    # The barrier sees the leading edge; the board travels on until the first pulse.
+    # The barrier detects the leading edge. The board then travels on until the first pulse.
     leading = line.barrier_mm + velocity * line.start_delay_s
     corner: list[float | None] = [None, None]
     corner[along] = leading - length if velocity > 0 else leading
@@ -43,7 +43,7 @@ def expectation_of(line: Line, board_type: BoardType) -> Expectation:
     elif expected.center_mm is not None:
         corner[1 - along] = expected.center_mm - across / 2
     return Expectation(
-        # CAD rotations run counter-clockwise, angles in an image clockwise as seen (docs/conventions.md).
+        # CAD rotations count counter-clockwise, angles in an image clockwise (docs/conventions.md).
         angle_rad=-math.radians(expected.rotation_deg),
         angle_tolerance_rad=math.radians(expected.rotation_tolerance_deg),
         corner_mm=(corner[0], corner[1]),

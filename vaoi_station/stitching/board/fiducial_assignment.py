@@ -1,7 +1,7 @@
-"""Assignment of detections to the board's fiducials, with a first C (section 3.3.4).
+"""Assignment of detections to the board's fiducials, which gives a first C (paper, section 3.3.4).
 
-Handedness follows from board type and cameras, never from the data. The fiducials are the set of detections whose
-distances, direction and scores fit the CAD data best. Where the outline is known, linked texture must lie on the board.
+Handedness follows from board type and cameras, never from the detections. The fiducials are the set of detections whose
+distances, direction and scores fit the CAD data best. If the outline is known, linked texture must lie inside it.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _SCALE_SIGMA = 1.0e-3
 _SCORE_SIGMA = 0.02
 _TEXTURE_MARGIN_MM = 1.0
 _MOST_OUTSIDE = 0.25
-"""Largest share of texture off the board; with more, C is rejected."""
+"""Largest share of textured points off the board. If more lie there, C is rejected."""
 _SCALE_LIMIT = 4e-3
 _SLACK_MM = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class FiducialCandidates:
-    """Detections merged over frames: places on the board (tester mm), kinds and scores."""
+    """k candidates: detections merged over frames, at `mm` (k, 2) on the board, with kind (k,) and score (k,)."""
 
     mm: Floats
     kind: NDArray[np.int_]
@@ -46,13 +46,13 @@ class FiducialCandidates:
 
 
 def merge_detections(detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion) -> FiducialCandidates:
-    """Merge detections of the same mark in several frames into one place, that of the best score."""
+    """Merge detections of the same mark in several frames into one candidate, that with the best score."""
     mm, kind, score = (np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
     seen = [s for s in detections if len(s.px)]
     if seen:
         _, _, mm = _to_board(seen, cameras, motion)
         kind, score = np.concatenate([s.kind for s in seen]), np.concatenate([s.score for s in seen])
-    # Best score first: of places close together the first is kept.
+    # Detections are sorted by score, best first: of those close together, only the first is kept.
     best_first = np.argsort(-score, kind="stable")
     mm, kind, score = mm[best_first], kind[best_first].astype(np.int_), score[best_first]
     kept = keep_distinct(mm, kind, _SAME_PLACE_MM)
@@ -62,7 +62,7 @@ def merge_detections(detections: Sequence[Detections], cameras: Sequence[Camera]
 def _to_board(
     detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[NDArray[np.int_], Floats, Floats]:
-    """Return camera (k,), place on the ground (k, 2) and on the board (k, 2) of all detections, in their order."""
+    """Return camera (k,), ground point (k, 2) and board point (k, 2) of each of the k detections, in order."""
     count = [len(s.px) for s in detections]
     camera = np.repeat(np.array([s.task.a[0] for s in detections], dtype=np.int_), count)
     px, ground = np.concatenate([s.px for s in detections]), np.empty((sum(count), 2))
@@ -73,7 +73,10 @@ def _to_board(
 
 @compiled
 def keep_distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArray[np.bool_]:
-    """Return (k,) which places are kept: those not within `apart_mm` of an earlier kept one of their kind."""
+    """Select distinct points: return for each of k points whether it is kept.
+
+    A point is dropped if an earlier kept point of the same kind lies closer than `apart_mm`.
+    """
     kept = np.zeros(len(mm), np.bool_)
     for n in range(len(mm)):
         kept[n] = True
@@ -86,14 +89,14 @@ def keep_distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArra
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A first C, its cost, and the fiducials it was found from."""
+    """A possible first C, with the cost of its misfit and the fiducials that it fits."""
 
     c: Floats
     cost: float
     fiducials: tuple[int, ...]
-    """Numbers of the fiducials that it fits."""
+    """Numbers of the fiducials for which this C finds a detection."""
     ambiguous: bool = False
-    """Whether the board turned by 180° fits as well, and the pictures do not decide."""
+    """Whether the board turned by 180° fits equally well and the pictures do not decide."""
 
 
 def find_board(
@@ -102,13 +105,13 @@ def find_board(
     """Find the similarity under which the detections fit the board's fiducials at the least cost.
 
     Args:
-        plane: of the board type.
+        plane: plane of the board type.
         places: candidates on the board.
-        angle_rad: expected direction of the flat x axis.
-        expectation: tolerances, and the expected place of the board.
-        texture_mm: (k, 2) places with texture (linked points), all of which lie on the board.
+        angle_rad: expected direction of the flat x axis, in tester coordinates.
+        expectation: expected position of the board, and tolerances.
+        texture_mm: (k, 2) linked points, which should lie on the board.
     """
-    # Two points define a similarity, so every pair of fiducials is tried on every pair of candidates at its distance.
+    # Two points define a similarity. Each pair of fiducials is tried on each pair of candidates at the same distance.
     board_type, flat = plane.board_type, plane.fiducials
     if len(flat) < 2:
         return Failure(f"board type {board_type.name!r} has {len(flat)} fiducials; two are needed for the CAD mapping")
@@ -122,7 +125,7 @@ def find_board(
             off = max(abs(turn) / expectation.angle_tolerance_rad, abs(scale) / _SCALE_LIMIT)
             if off > 1:
                 what = f"turned by {np.degrees(turn):.1f}°, scale off by {scale:.2%}"
-                # Kept for the reason of a failure only: it shows the engineer what was nearly accepted.
+                # This text serves for the reason of a failure only. It shows the engineer what was nearly accepted.
                 nearest = min(nearest, (off, what))
                 continue
             cost, used = _score_cost(plane, c, places, kinds, pair, (i, j))
@@ -140,7 +143,7 @@ def find_board(
 def assign_fiducials(
     plane: BoardPlane, c: Floats, detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> FiducialPoints:
-    """Select the detections that are fiducials, or marks of the fixture, under a first C."""
+    """Select the detections that are fiducials or fixture marks under a first C, and return them as observations."""
     board_type = plane.board_type
     kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
     flat, number = plane.fiducials, np.arange(len(kinds))
@@ -176,18 +179,18 @@ def match_nearest(
     expected_kind: NDArray[np.int_],
     apart_mm: float,
 ) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Match marks to detections: for each mark, in each frame, the nearest detection of its kind.
+    """Match marks to detections: find for each mark, in each frame, the nearest detection of the same kind.
 
     Args:
-        board_mm: (k, 2) places of detections, frame by frame.
-        kind: (k,).
-        ends: (f + 1,) start of each frame's detections, and the end of the last.
-        expected_mm: (m, 2) expected places of marks.
-        expected_kind: (m,).
-        apart_mm: largest distance of a match.
+        board_mm: (k, 2) board points of the k detections, frame by frame.
+        kind: (k,) kind of each detection.
+        ends: (f + 1,) for f frames: index of the first detection of each frame, and finally k.
+        expected_mm: (m, 2) expected board points of the m marks.
+        expected_kind: (m,) kind of each mark.
+        apart_mm: matches are closer than this.
 
     Returns:
-        Numbers of detections (n,) and of their marks (n,).
+        For n matches, the index of the detection (n,) and the index of the mark (n,).
     """
     most = (len(ends) - 1) * len(expected_mm)
     seen, mark, count = np.empty(most, np.int64), np.empty(most, np.int64), 0
@@ -206,7 +209,10 @@ def match_nearest(
 def _similarities_of_pairs(
     f: Floats, g: Floats, places: FiducialCandidates, kind_f: int, kind_g: int, mm_per_unit: float
 ) -> list[tuple[Floats, tuple[int, int]]]:
-    """List every ordered pair of places at the distance of two fiducials, with the similarity that it defines."""
+    """List the ordered pairs of candidates whose distance is that of two fiducials, with the similarity of each pair.
+
+    `f` and `g` are the flat coordinates (2,) of the fiducials; `kind_f` and `kind_g` are their kinds.
+    """
     of, og = np.flatnonzero(places.kind == kind_f), np.flatnonzero(places.kind == kind_g)
     if not len(of) or not len(og):
         return []
@@ -230,7 +236,18 @@ def _score_cost(
     pair: tuple[int, int],
     chosen: tuple[int, int],
 ) -> tuple[float, tuple[int, ...]]:
-    """Add up the cost of the scores of matched places; an unmatched fiducial costs as much as a poor match."""
+    """Compute the cost of the candidates' scores under C; return it with the numbers of the matched fiducials.
+
+    An unmatched fiducial costs a fixed amount, as much as a poor match.
+
+    Args:
+        plane: plane of the board type.
+        c: parameters (a, b, x, y) of C.
+        places: candidates on the board.
+        kinds: kind of each fiducial.
+        pair: the two candidates that define C.
+        chosen: the two fiducials that belong to them.
+    """
     expected = apply_similarity(c, plane.fiducials)
     cost, used = 0.0, []
     for f, at in enumerate(expected):
@@ -250,9 +267,9 @@ def _score_cost(
 
 
 def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
-    """Compute the share of textured places off the board under this C; 0 without an outline or with fixture marks."""
+    """Compute the share of textured points off the board under C; 0 without an outline or with fixture marks."""
     board_type = plane.board_type
-    # A fixture has texture of its own beside the board.
+    # A fixture has texture beside the board, so texture there is no sign of a wrong C.
     if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
         return 0.0
     low, high = board_type.extent()
@@ -263,7 +280,7 @@ def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
 
 @compiled
 def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats) -> int:
-    """Count the board points (k, 2) outside a box in CAD coordinates; `cad_from_board` (3, 3) is affine."""
+    """Count the board points (k, 2) that the affine matrix `cad_from_board` (3, 3) maps outside a CAD box."""
     count, m = 0, cad_from_board
     for n in range(len(board_mm)):
         x = m[0, 0] * board_mm[n, 0] + m[0, 1] * board_mm[n, 1] + m[0, 2]
@@ -273,7 +290,7 @@ def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats
 
 
 def _place_score_cost(plane: BoardPlane, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
-    """Compute the cost of texture off the board, and of a board far from its expected place."""
+    """Compute the cost of texture off the board plus the cost of the board's distance from its expected position."""
     outside = outside_share(plane, c, texture_mm)
     if outside > _MOST_OUTSIDE:
         return np.inf

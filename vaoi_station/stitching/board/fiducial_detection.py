@@ -1,4 +1,4 @@
-"""Detections: places of one frame that look like a fiducial of the board type."""
+"""Detection of places in a frame that look like a fiducial or a fixture mark of the board type."""
 
 from __future__ import annotations
 
@@ -22,21 +22,24 @@ from vaoi_station.stitching.matching.scene import Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
 _SMALL = 1.12
-"""Factor by which marks may be smaller where they are searched, so that all cameras of an array reduce alike."""
+"""Factor on a mark's size before the reduction factor is chosen: cameras of similar resolution then share one."""
 
 
 def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:
-    """List the kinds of a board type's fiducials, shape and size in mm, in order of appearance."""
+    """List the kinds (shape, size in mm) of a board type's fiducials, each once, in order of appearance."""
     return tuple(dict.fromkeys(kind_of(f, board_type) for f in board_type.fiducials))
 
 
 def kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
-    """Return shape and size in mm of a fiducial."""
+    """Return the kind of a fiducial: its shape and its size in mm."""
     return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
 
 
 def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
-    """Return shape and size in mm of the fixture's marks, if any; their index follows those of `mark_kinds`."""
+    """Return the kind (shape, size in mm) of the fixture marks; None if the board type has none.
+
+    Among the kinds, that of the fixture marks has the index after the last one of `mark_kinds`.
+    """
     mark = board_type.fixture_mark
     if mark is None or not board_type.fixture_marks:
         return None
@@ -52,7 +55,16 @@ def detect_marks(
     fixture: bool = False,
     most: int = _MOST_PER_FRAME,
 ) -> Detections:
-    """Detect the places of a frame that look most like the board's fiducials, or the fixture's marks."""
+    """Detect the places of a frame that look most like fiducials of the board type.
+
+    Args:
+        task: the task to which the detections belong.
+        frame: the frame.
+        camera: camera of the frame.
+        board_type: board type whose fiducials are searched; None gives no detections.
+        fixture: whether fixture marks are searched too.
+        most: largest number of detections per kind.
+    """
     found: list[tuple[Mark, int]] = []
     kinds = list(mark_kinds(board_type)) if board_type else []
     own = fixture_kind(board_type) if board_type and fixture else None
@@ -60,7 +72,7 @@ def detect_marks(
         size_px = size_mm * camera.px_per_mm
         rough = _search_kind(frame, shape, size_px, most)
         marks: Iterable[Mark | Failure] = rough
-        # Fiducials are located precisely later, by `relocate_fiducials`; marks of the fixture are not.
+        # `relocate_fiducials` locates fiducials precisely later. Fixture marks are located precisely here.
         if kind == len(kinds):
             marks = (locate_mark(frame.grey, mark.px, shape, size_px) for mark in rough)
         found += [(mark, kind) for mark in marks if isinstance(mark, Mark)]
@@ -74,8 +86,11 @@ def detect_marks(
 
 
 def _search_kind(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> list[Mark]:
-    """Search marks of one kind where they are some 5 to 9 px wide, and locate them where they are twice as wide."""
-    # Good to some hundredths of a pixel, which is enough for a first C, at a few hundred pixels per mark.
+    """Search marks of one kind in a reduced frame, and locate them in the same frame at twice that resolution.
+
+    A mark is about 5 to 9 px wide in the frame that is searched.
+    """
+    # This is accurate to some hundredths of a pixel, enough for a first C, and reads a few hundred pixels per mark.
     coarse = reduction_factor(_SMALL * size_px)
     fine = max(coarse // 2, 1)
     places, _ = find_candidates(downsampled(frame, coarse), shape, size_px / coarse, most)
@@ -92,7 +107,7 @@ def _search_kind(frame: PreparedFrame, shape: Shape, size_px: float, most: int) 
 def detect_more_marks(
     board_type: BoardType, scene: Scene, detections: Sequence[Detections], *, fixture: bool
 ) -> list[Detections]:
-    """Search the same frames again, with room for many more look-alikes per frame."""
+    """Search the frames of these detections again, with a larger limit on the number of detections per frame."""
     return [
         detect_marks(
             s.task,
@@ -109,9 +124,10 @@ def detect_more_marks(
 def relocate_fiducials(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
 ) -> list[Detections]:
-    """Locate every fiducial that must be in a frame precisely; other detections stay.
+    """Locate precisely each fiducial that a frame must show; other detections stay as they are.
 
-    With a first C a fiducial is searched only where it must be, also in frames whose short list had no room for it.
+    The first C (`cad_matrix`) predicts where each fiducial lies in a frame, and only this place is searched. So a
+    fiducial is found even in frames whose short list of detections did not contain it.
     """
     kinds = mark_kinds(board_type)
     kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
@@ -121,7 +137,7 @@ def relocate_fiducials(
 
 
 def _in_view(board: Floats, scene: Scene, motion: Motion) -> dict[FrameKey, list[tuple[int, Floats]]]:
-    """List for each frame the board points (k, 2) that it shows, with their pixels (2,)."""
+    """List for each frame which of the board points (k, 2) it shows: index of the point, and its raw pixels (2,)."""
     out: dict[FrameKey, list[tuple[int, Floats]]] = {}
     for number, camera in enumerate(scene.cameras):
         row, point, place = points_in_box(motion.rows_from_tester, board, *camera.view_mm())
@@ -138,13 +154,21 @@ def _relocated(
     kinds: Sequence[tuple[Shape, float]],
     scene: Scene,
 ) -> Detections:
-    """Locate the fiducials expected in one frame, and replace their detections."""
+    """Locate the fiducials that are expected in one frame, and replace their detections.
+
+    Args:
+        s: detections of the frame.
+        expected: index and expected raw pixels of each fiducial in the frame.
+        kind: index of each fiducial's kind.
+        kinds: the kinds.
+        scene: cameras and frames.
+    """
     grey, px_per_mm = scene.prepared(s.task.a).grey, scene.cameras[s.task.a[0]].px_per_mm
     for n, px in expected:
         shape, size_mm = kinds[kind[n]]
         size_px = size_mm * px_per_mm
         near = np.hypot(*(s.px - px).T) < size_px / 3
-        # From the detection if there is one: C from two fiducials may be off by some pixels elsewhere.
+        # The search starts at a detection if there is one, since C from two fiducials may be off by pixels elsewhere.
         start = s.px[near][s.score[near].argmax()] if near.any() else px
         mark = locate_mark(grey, start, shape, size_px)
         if isinstance(mark, Mark):
@@ -153,7 +177,7 @@ def _relocated(
 
 
 def _with(s: Detections, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Detections:
-    """Return the detections to keep, and one more."""
+    """Return the detections for which `keep` is true, and one more made from `mark`."""
     return Detections(
         s.task,
         np.vstack([s.px[keep], mark.px]),

@@ -1,4 +1,4 @@
-"""Components on the stitched board: the one under each point, and the views of their centres in the frames."""
+"""Components on the stitched board: the component under a point, and the frames that show a component's centre."""
 
 from __future__ import annotations
 
@@ -16,19 +16,22 @@ from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 
 _BEYOND_PX = 3.0
-"""Largest distance outside the frame at which the centre of a footprint still counts as a view."""
+"""Largest distance from a frame at which a footprint's centre outside it still counts as a view."""
 
 View = tuple[int, int, float, float]
-"""Camera, row, and raw pixels."""
+"""One view of a point: camera, row, and raw pixels x and y."""
 
 
 def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
-    """Find the number of the component under each board point (k, 2); −1 for none; the smallest wins."""
+    """Return for each board point (k, 2), mm, the number of the smallest component under it, or −1 for none."""
     return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
 def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
-    """Return names and CAD places (n, 2) of the points whose views are computed: components, or the board's corners."""
+    """Return names and CAD coordinates (n, 2) of the points whose views are computed.
+
+    These are the centres of the components or, for a board type without components, two corners of the board.
+    """
     parts = plane.components
     if parts.addresses:
         return parts.addresses, parts.center
@@ -37,24 +40,32 @@ def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
 
 @dataclass(frozen=True, eq=False)
 class FootprintViews:
-    """k views of points of the board, point by point, each in the order of cameras and rows."""
+    """k views of points of the board, ordered by point, then by camera, then by row."""
 
     point: Ints
-    """(k,) number of the point."""
+    """(k,) number of the point that each view shows."""
     camera: Ints
     row: Ints
     place_mm: Floats
-    """(k, 2) place of the point on the conveyor's plane in that row."""
+    """(k, 2) position of the point in the conveyor's plane, mm in row coordinates, in the row of the view."""
     px: Floats
-    """(k, 2) raw pixels; some lie a little outside the frame."""
+    """(k, 2) raw pixels. Some lie a little outside the frame."""
 
     @staticmethod
     def of(
         cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None
     ) -> FootprintViews:
-        """Compute the views of CAD points (n, 2); `rows` (m, 3, 3) are the D_j."""
+        """Compute the views of CAD points.
+
+        Args:
+            cad: (n, 2) points in CAD coordinates.
+            cad_matrix: C, (3, 3) from CAD to tester coordinates.
+            cameras: the cameras.
+            rows: (m, 3, 3) the matrices D_j of the m rows.
+            surface: surface of the board; None for a board in the calibrated plane.
+        """
         height = surface.height_mm(cad) if surface else np.zeros(len(cad))
-        # One search over all cameras' boxes first: most pairs of point and row are out of view of every camera.
+        # The first search uses one box around all cameras' views, since in most rows no camera sees a given point.
         between = float(height.min()), float(height.max())
         boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
         row, point, place = points_in_box(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
@@ -72,7 +83,7 @@ class FootprintViews:
 
 
 def views_by_address(addresses: Sequence[str], views: FootprintViews) -> dict[str, tuple[View, ...]]:
-    """List the views of every footprint's centre: {address: ((camera, row, x, y), …)}, in raw pixels."""
+    """Return the views of each footprint's centre: {address: ((camera, row, x, y), …)}, x and y in raw pixels."""
     x, y = np.round(views.px, 4).T.tolist()
     every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))
     ends = [0, *np.cumsum(np.bincount(views.point, minlength=len(addresses))).tolist()]

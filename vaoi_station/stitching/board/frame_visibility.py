@@ -1,4 +1,4 @@
-"""The frames of a run as arrays: the frame that shows a point of the board best, and its pixel there."""
+"""The frames of a run as arrays, which give the frame that shows a board point best, and the point's pixel there."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ _MARGIN_MM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class FrameArrays:
-    """f frames of c cameras in m rows."""
+    """The poses of f frames, of c cameras in m rows, as arrays for compiled functions."""
 
     scene: Scene
     frame: Ints
-    """(f, 2) camera and row."""
+    """(f, 2) camera and row of each frame."""
     rows: Floats
-    """(m, 3, 3) D_j."""
+    """(m, 3, 3) the matrix D_j of each row."""
     image_from_row: Floats
-    """(c, 3, 3) N_i."""
+    """(c, 3, 3) the matrix N_i of each camera."""
     radial: Floats
-    """(c, r) a1, a2, … of the lenses."""
+    """(c, r) radial coefficients a1, a2, … of each lens."""
     lens: Floats
-    """(c, 5) the other parameters of the lenses, as `geometry.projection_kernels` takes them."""
+    """(c, 5) other parameters of each lens, in the form of `geometry.projection_kernels`."""
     view_mm: Floats
-    """(c, 4) lowest x and y and highest x and y of each camera's view."""
+    """(c, 4) lowest x and y, then highest x and y, of each camera's view, mm in row coordinates."""
     size_px: Floats
-    """(c, 3) width, height and margin."""
+    """(c, 3) width and height of each camera's frame, and the margin at its border."""
 
     @staticmethod
     def of(scene: Scene, motion: Motion) -> FrameArrays:
-        """Collect the arrays of a scene under a motion."""
+        """Collect the arrays of a scene, with the motion of its rows."""
         cameras = scene.cameras
-        # One array for all lenses: shorter polynomials are filled up with zeros.
+        # All lenses share one array, so shorter polynomials are filled up with zeros.
         most = max(len(c.lens.coefficients) for c in cameras)
         return FrameArrays(
             scene,
@@ -58,11 +58,14 @@ class FrameArrays:
         )
 
     def nearest(self, board_mm: Floats) -> Ints:
-        """Find for each board point (k, 2) the frame that shows it closest to its middle; −1 for none."""
+        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre, or −1."""
         return _nearest(np.ascontiguousarray(board_mm), self._poses, self.view_mm, self.size_px)
 
     def project(self, number: Ints, board_mm: Floats) -> Floats:
-        """Project board points (k, s, 2) to raw pixels of the frames of these numbers (k,); NaN where it is −1."""
+        """Project board points (k, s, 2) to raw pixels, s points each to one of k frames.
+
+        `number` (k,) holds the frames' numbers; where it is −1 the pixels are NaN.
+        """
         return _projected(np.ascontiguousarray(board_mm), number, self._poses)
 
     @property
@@ -70,11 +73,15 @@ class FrameArrays:
         return _Poses(self.frame, self.rows, self.image_from_row, self.radial, self.lens)
 
     def read_samples(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
-        """Read samples (k, samples) from the frames of these numbers (k,); NaN where it is −1.
+        """Read a line of samples for each of k places from the frame that shows it: (k, samples).
 
-        `read` takes the pixels of a frame and the positions (j,) of those k that it shows, and returns (j, samples).
+        Args:
+            number: (k,) number of the frame for each place; −1 gives NaN.
+            samples: number of samples per place.
+            read: function that takes the pixels of a frame and the indices (j,) of its places, and returns their
+                samples (j, samples).
         """
-        # Frame by frame, so that each one is fetched and prepared once.
+        # The loop goes frame by frame, so that each frame is fetched and prepared only once.
         out = np.full((len(number), samples), np.nan)
         for n in np.unique(number[number >= 0]).tolist():
             mine = np.flatnonzero(number == n)
@@ -83,7 +90,7 @@ class FrameArrays:
 
 
 class _Poses(NamedTuple):
-    """The arrays of `FrameArrays` that lead from the board to raw pixels."""
+    """The arrays of `FrameArrays` that are needed to project board points to raw pixels."""
 
     frame: Ints
     rows: Floats
@@ -108,7 +115,7 @@ def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats) 
             i, d = frame[n, 0], rows[frame[n, 1]]
             x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
             y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]
-            # A comparison of mm is cheap, and spares most frames the projection and the lens.
+            # The comparison in mm is cheap and rules out most frames before projection and lens are computed.
             if not (view_mm[i, 0] <= x <= view_mm[i, 2] and view_mm[i, 1] <= y <= view_mm[i, 3]):
                 continue
             m, last_x, last_y, margin = image_from_row[i], size_px[i, 0] - 1, size_px[i, 1] - 1, size_px[i, 2]

@@ -1,8 +1,8 @@
-"""The orientation of the board: as assumed, or turned by 180°. Two fiducials often fit both ways.
+"""The orientation of the board: as expected, or turned by 180°. Two fiducials often fit both orientations.
 
-Where fiducials alone leave it open, the pictures decide (docs/decisions/0004). The outline is a step from board to
-belt, and components have edges where the CAD data put them. Both are measured for the board as placed and for the board
-turned by 180° about the same fiducials.
+If the fiducials do not decide the orientation, the pictures do (docs/decisions/0004). The outline is a step of grey
+level between board and belt, and components have edges where the CAD data place them. The contrast of these edges is
+measured for the board as placed and for the board turned by 180° on the same fiducials.
 """
 
 from __future__ import annotations
@@ -25,18 +25,20 @@ _SAMPLES, _DEPTHS = 10, 2
 _NEAR_MM, _FAR_MM = 0.12, 0.45
 """Distances from an edge at which its two sides are compared."""
 _APART_MM = 0.4
-"""Edges of the two orientations that lie closer together are not compared."""
+"""Edges are not compared if those of the two orientations lie closer together than this."""
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
-"""Least factor and least contrast in grey levels of a decision; components are weaker evidence."""
+"""Least contrast in grey levels of a decision, and above it the least factor between the two contrasts.
+
+Components are weaker evidence than the outline, so their limits are higher."""
 _LEAST_PIECES, _MOST_PIECES = 6, 48
 _LEAST_OUTLINE = 3.0
-"""Grey levels; noise alone gives less than one."""
+"""Least contrast in grey levels of a visible outline. Noise alone gives less than one."""
 
 
 @dataclass(frozen=True)
 class Orientation:
-    """Median edge contrast in grey levels, as placed and turned, and the kind of edges it was measured on."""
+    """Median edge contrast in grey levels for both orientations, and the kind of edges on which it was measured."""
 
     evidence: str
     as_placed: float
@@ -44,12 +46,12 @@ class Orientation:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the board lies turned by 180°."""
+        """Whether the edges show that the board is turned by 180°."""
         return _stands_out(self.evidence, self.turned, self.as_placed)
 
     @property
     def confirms(self) -> bool:
-        """Whether the board lies as assumed."""
+        """Whether the edges show that the board lies as placed."""
         return _stands_out(self.evidence, self.as_placed, self.turned)
 
 
@@ -64,18 +66,18 @@ def compare_orientations(
     scene: Scene,
     motion: Motion,
 ) -> Orientation | None:
-    """Compare the board as placed with the board turned by 180°.
+    """Compare the edge contrast of the board as placed with that of the board turned by 180°.
 
     Args:
-        board_type: outline and components.
-        placed: C as found, 3×3, CAD → tester.
-        turned: C of the turned board that fits the same fiducials.
-        scene: the frames.
-        motion: of the rows.
+        board_type: board type, whose outline and components are used.
+        placed: C as found, (3, 3) from CAD to tester coordinates.
+        turned: C of the turned board on the same fiducials, (3, 3).
+        scene: the cameras and frames.
+        motion: motion of the rows.
 
     Returns:
-        The first evidence that decides, outline before components; the last one if none does; None
-        if there is nothing to compare.
+        The first evidence that decides: the outline, else the components. If neither decides, the last evidence
+        that was measured. None if there was nothing to compare.
     """
     best, frames = None, FrameArrays.of(scene, motion)
     for evidence, lines in (("outline", outline_polygons), ("components", _footprints)):
@@ -84,7 +86,7 @@ def compare_orientations(
             continue
         apart = _apart(pieces, placed, turned)
         if apart.sum() < _LEAST_PIECES:
-            # A board that is symmetric about its fiducials looks the same both ways.
+            # A board that is symmetric about its fiducials has the same edges in both orientations.
             continue
         a = _steps(pieces[apart], placed, frames)
         b = _steps(pieces[apart], turned, frames)
@@ -99,21 +101,21 @@ def compare_orientations(
 
 @dataclass(frozen=True)
 class OutlineContrast:
-    """Median contrast along the board's outline as placed, and over how many pieces."""
+    """Median contrast, in grey levels, along the board's outline as placed, and the number of measured pieces."""
 
     contrast: float
     pieces: int
 
     @property
     def visible(self) -> bool:
-        """Whether there is an edge where the board should end."""
+        """Whether the pictures show an edge where the board should end."""
         return self.contrast >= _LEAST_OUTLINE
 
 
 def measure_outline_contrast(
     board_type: BoardType, placed: Floats, scene: Scene, motion: Motion
 ) -> OutlineContrast | None:
-    """Measure the contrast along the outline where C puts it; None where too little of it is in view."""
+    """Measure the contrast along the outline where C (`placed`) puts it; None if too little is in view."""
     pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
     pieces = pieces[subsample_pieces(len(pieces))]
     steps = _steps(pieces, placed, FrameArrays.of(scene, motion)) if len(pieces) else np.zeros(0)
@@ -121,13 +123,13 @@ def measure_outline_contrast(
 
 
 def subsample_pieces(pieces: int) -> NDArray[np.int_]:
-    """Choose pieces of an outline by number, evenly spread where there are more than are needed."""
-    # 48 pieces measure the outline better than it was cut; more would only take longer.
+    """Choose pieces of an outline: return the indices of all of them or, if they are many, of an even subset."""
+    # 48 pieces measure the outline more precisely than boards are cut. More pieces would only take longer.
     return np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(np.int_))
 
 
 def outline_polygons(board_type: BoardType) -> list[Floats]:
-    """Return the outline as polygons (k, 2) in CAD units: one, or none where it is not known."""
+    """Return the outline as a list of polygons (k, 2) in CAD coordinates: one polygon, or none if it is unknown."""
     if board_type.outline is None:
         return []
     points = np.array(board_type.outline, dtype=np.float64)
@@ -142,7 +144,7 @@ def _footprints(board_type: BoardType) -> list[Floats]:
 
 
 def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
-    """Cut closed polygons into straight pieces (k, 2, 2), each a few mm long; shorter edges stay whole."""
+    """Cut closed polygons into k straight pieces of a few mm, (k, 2, 2) start and end; shorter edges are not cut."""
     if not polygons:
         return np.zeros((0, 2, 2))
     a, b = np.concatenate(polygons), np.concatenate([np.roll(p, -1, 0) for p in polygons])
@@ -153,7 +155,7 @@ def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
 
 
 def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
-    """Return (k,) which pieces lie clear of all pieces of the other orientation, across their own direction."""
+    """Return for each of k pieces whether no piece of the other orientation runs close beside it."""
     a, b = apply(placed, pieces), apply(turned, pieces)
     along = a[:, 1] - a[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
@@ -166,7 +168,7 @@ def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
 
 
 def _steps(pieces: Floats, cad_matrix: Floats, frames: FrameArrays) -> Floats:
-    """Measure the contrast across every piece that some frame shows, in grey levels."""
+    """Measure the contrast in grey levels across each piece (k, 2, 2); pieces that no frame shows are left out."""
     board = apply(cad_matrix, pieces)
     number = frames.nearest(board.mean(1))
     px = frames.project(number, _both_sides(board))
@@ -176,7 +178,11 @@ def _steps(pieces: Floats, cad_matrix: Floats, frames: FrameArrays) -> Floats:
 
 @compiled
 def _contrast(image: NDArray[np.uint8], px: Floats) -> Floats:
-    """Compute the difference (k, 1) of the means over the two halves of points (k, s, 2); NaN if one is outside."""
+    """Compute k contrasts (k, 1) from s sample points each, at raw pixels `px` (k, s, 2) of an image.
+
+    A contrast is the absolute difference between the mean grey level of the first and of the second half of the points.
+    It is NaN if one of the points lies outside the image.
+    """
     h, w = image.shape
     count = px.shape[1]
     out = np.empty((len(px), 1))
@@ -198,7 +204,7 @@ def _contrast(image: NDArray[np.uint8], px: Floats) -> Floats:
 
 
 def _both_sides(board: Floats) -> Floats:
-    """Lay sample points (k, s, 2) along straight pieces (k, 2, 2) of the board, one side after the other."""
+    """Lay s sample points along both sides of each straight piece (k, 2, 2): (k, s, 2), all of one side first."""
     along = board[:, 1] - board[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES

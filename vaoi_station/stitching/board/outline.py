@@ -1,8 +1,9 @@
-"""The measured shift of the board's outline against the place where the fiducials put it.
+"""The measured shift of the board's outline against the position that the fiducials predict.
 
-All fiducials may be wrong together: look-alikes at the right distances, CAD data of another revision. The board's edge,
-a step from board to belt, does not move with them. It is searched across each piece of the outline. The pieces vote for
-one shift of the board; around the winner the edge of each piece is measured to a fraction of a sample.
+All fiducials may be wrong together: look-alikes can have the right distances, and CAD data can be of another revision.
+The edge of the board, a step of grey level between board and belt, is independent of them. It is searched across each
+piece of the outline. A histogram over all pieces gives the shift of the board that most edges support. Near this shift
+the edge of each piece is then measured to a fraction of a sample.
 """
 
 from __future__ import annotations
@@ -24,48 +25,51 @@ from vaoi_station.stitching.matching.scene import Scene
 _STEP_MM, _REACH = 0.05, 70
 """Distance of samples across a piece of the outline, and their number on either side."""
 _ALONG = 12
-"""Samples along a piece that are averaged."""
+"""Number of samples along a piece that are averaged."""
 _GAP, _SIDE = 1, 6
 """A step is the difference of the means of `_SIDE` samples on both sides, `_GAP` samples away from the edge."""
 _MOST_STEP = 40.0
-"""Largest vote of a step, in grey levels, so that one bright pad does not outvote the edge of the board."""
+"""Largest weight of a step in the histogram, in grey levels: one bright pad must not outweigh the board's edge."""
 _LEAST_STEP = 6.0
 _VOTE_MM, _VOTES = 0.1, 30
-"""Distance of the shifts that are tried, and their number on either side."""
+"""Distance of the shifts in the histogram, and their number on either side of zero, along each axis."""
 _NEAR = 8
-"""Half width, in samples, of the search for the edge of a piece around the shift voted for."""
+"""Half width, in samples, of the search for the edge of a piece around the shift with the highest sum."""
 _LEAST_PIECES = 6
 _PRIOR = np.array([3.0, 3.0, 0.02, 0.2])
-"""Prior standard deviations: shift x and y (mm), turn (rad), outline too large all round (mm).
+"""Prior standard deviations: shift x and y (mm), turn (rad), and excess size of the outline on all sides (mm).
 
-The last is the machining. Because of it one side alone determines a shift less well than two that face each other."""
+The excess size allows for machining. So one side alone determines a shift less well than two opposite sides."""
 _PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
-"""Least scatter of a piece, and error of the whole outline against the copper (1 σ; cuts are good to 0.1 or 0.2 mm)."""
+"""Least scatter of single pieces, and error (1 σ) of the whole outline against the copper; it comes from cutting."""
 _KNEE, _ROUNDS = 2.0, 6
 _LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
-"""Limits of the shift and of the turn (at the ends of the board), and both in standard deviations.
+"""Limits of the shift, of the turn (at the ends of the board), and of both in standard deviations.
 
-A cut is rather beside its place than askew, so the limit of the turn is lower."""
+A cut is more often shifted than turned, so the limit of the turn is lower."""
 
 
 @dataclass(frozen=True, eq=False)
 class OutlineShift:
-    """Shift of the board's outline against the place where the fiducials put it."""
+    """Shift and turn of the board's outline against the position that the fiducials predict, with uncertainty."""
 
     mm: Floats
-    """(2,) in tester coordinates; 0 in a direction that no piece determines."""
+    """(2,) shift in tester coordinates; 0 in a direction that no piece determines."""
     covariance: Floats
-    """(2, 2) mm²; that of the priors in such a direction."""
+    """(2, 2) covariance of the shift, mm². In a direction that no piece determines it is that of the prior."""
     turn_rad: float
     turn_sigma_rad: float
     arm_mm: float
-    """From the middle of the pieces to the furthest."""
+    """Distance from the centre of the pieces to the furthest piece."""
     pieces: int
     """Number of pieces of the outline that were used."""
 
     @property
     def excess_mm(self) -> float:
-        """Length of the shift that neither machining nor noise explains, along the axes of the covariance."""
+        """Length of the part of the shift that neither machining nor noise explains.
+
+        The part consists of those components, along the principal axes of the covariance, that exceed the limits.
+        """
         sigma, way = np.linalg.eigh(self.covariance)
         along = np.abs(way.T @ self.mm)
         beyond = along > np.maximum(_LIMIT_MM, _LIMIT_SIGMAS * np.sqrt(sigma))
@@ -73,26 +77,26 @@ class OutlineShift:
 
     @property
     def turned_mm(self) -> float:
-        """Effect of the turn at the ends of the board, if neither machining nor noise explains it; else 0."""
+        """Displacement by the turn at the ends of the board; 0 if machining or noise explain the turn."""
         turned = abs(self.turn_rad) * self.arm_mm
         return turned if turned > max(_TURN_LIMIT_MM, _LIMIT_SIGMAS * self.turn_sigma_rad * self.arm_mm) else 0.0
 
     @property
     def sigma_mm(self) -> Floats:
-        """Standard deviations (2,) along x and y of the tester."""
+        """Standard deviations (2,) of the shift along tester x and y."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 def measure_outline_shift(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion
 ) -> OutlineShift | None:
-    """Measure the shift of the outline.
+    """Measure the shift of the outline against the position that C predicts.
 
     Args:
-        board_type: with its outline.
-        cad_matrix: C from the fiducials, 3×3, CAD → tester.
-        scene: the frames.
-        motion: of the rows.
+        board_type: board type, whose outline is used.
+        cad_matrix: C from the fiducials, (3, 3) from CAD to tester coordinates.
+        scene: the cameras and frames.
+        motion: motion of the rows.
 
     Returns:
         The shift; None where too little of the outline shows an edge.
@@ -112,16 +116,16 @@ def measure_outline_shift(
 
 
 def _outward(board: Floats) -> Floats:
-    """Compute unit normals (k, 2) of the pieces (k, 2, 2) of a closed polygon, away from the board."""
+    """Compute unit normals (k, 2), pointing away from the board, of the pieces (k, 2, 2) of a closed polygon."""
     along = board[:, 1] - board[:, 0]
     normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
-    # The sign of the area is the direction in which the polygon runs, and thus the side of the board.
+    # The sign of the area gives the direction in which the polygon runs, and so the side on which the board lies.
     area = (board[:, 0, 0] * board[:, 1, 1] - board[:, 1, 0] * board[:, 0, 1]).sum()
     return np.asarray(normal * np.sign(area))
 
 
 def _profiles(board: Floats, normal: Floats, scene: Scene, motion: Motion) -> Floats:
-    """Sample grey levels (k, samples) across every piece, averaged along it; NaN where no frame shows them."""
+    """Sample grey levels (k, samples) across each piece, averaged along the piece; NaN where no frame shows it."""
     frames = FrameArrays.of(scene, motion)
     number = frames.nearest(board.mean(1))
     reach, samples = _REACH * _STEP_MM * normal, 2 * _REACH + 1
@@ -142,7 +146,11 @@ def _sampled(
     count: int,
     samples: int,
 ) -> NDArray[np.float64]:
-    """Average `count` grey levels along each line (k, samples); NaN where one of them lies outside the image."""
+    """Sample a profile of averaged grey levels for each of k pieces: (k, samples).
+
+    Sample s of piece k is the mean over `count` points, which begin at `start[k] + s · across[k]` and are `along[k]`
+    apart (all in raw pixels). It is NaN if one of the points lies outside the image.
+    """
     out = np.empty((len(start), samples))
     height, width = image.shape
     for k in range(len(start)):
@@ -166,10 +174,10 @@ def _sampled(
 
 
 def _steps(profiles: Floats) -> Floats:
-    """Compute the height (k, samples) of the step at each sample, in grey levels; 0 where it is not known."""
+    """Compute the height of the grey-level step at each sample of k profiles, (k, samples); 0 where it is unknown."""
     samples = profiles.shape[1]
     at = np.arange(_GAP + _SIDE, samples - _GAP - _SIDE)
-    # Prefix sums: the means on both sides of every sample in one pass.
+    # Prefix sums give the means on both sides of every sample in one pass.
     sums = np.concatenate([np.zeros((len(profiles), 1)), np.cumsum(np.nan_to_num(profiles), 1)], 1)
     blind = np.concatenate([np.zeros((len(profiles), 1)), np.cumsum(np.isnan(profiles), 1)], 1)
     far, near = at + _GAP + 1 + _SIDE, at - _GAP - _SIDE
@@ -180,7 +188,7 @@ def _steps(profiles: Floats) -> Floats:
 
 
 def _voted(steps: Floats, normal: Floats) -> Floats:
-    """Find the shift (2,) mm of the board under which most pieces have an edge."""
+    """Find the shift (2,) mm of the board with the largest sum of steps over all pieces."""
     tries = np.arange(-_VOTES, _VOTES + 1) * _VOTE_MM
     votes = _vote_histogram(np.minimum(steps, _MOST_STEP), normal, np.asarray(tries, np.float64), _STEP_MM)
     i, j = np.unravel_index(int(votes.argmax()), votes.shape)
@@ -191,9 +199,16 @@ def _voted(steps: Floats, normal: Floats) -> Floats:
 def _vote_histogram(
     steps: NDArray[np.float64], normal: NDArray[np.float64], tries: NDArray[np.float64], step_mm: float
 ) -> NDArray[np.float64]:
-    """Sum the steps of all pieces under every shift, (y tries, x tries)."""
+    """Sum the steps of all pieces for every shift: (t, t), shifts along y by shifts along x.
+
+    Args:
+        steps: (k, samples) step heights across each piece, `step_mm` apart.
+        normal: (k, 2) outward normals of the pieces.
+        tries: (t,) shifts in mm that are tried along each axis.
+        step_mm: distance of samples.
+    """
     count, samples = len(tries), steps.shape[1]
-    # Padded so that no shift leads out of the line: the inner loop needs no test.
+    # The line of samples is padded so that no shift leads beyond it. The inner loop then needs no test.
     out, far = np.zeros((count, count)), int(2 * np.abs(tries).max() / step_mm) + 1
     line = np.zeros(samples + 2 * far)
     for k in range(len(steps)):
@@ -207,7 +222,14 @@ def _vote_histogram(
 
 
 def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> OutlineShift | None:
-    """Estimate shift, turn and size of the outline by robust least squares over the edges near a shift."""
+    """Estimate shift, turn and excess size of the outline by robust least squares over the edges near `shift`.
+
+    Args:
+        middle: (k, 2) centres of the pieces, mm in tester coordinates.
+        normal: (k, 2) outward normals of the pieces.
+        steps: (k, samples) step heights across each piece.
+        shift: (2,) mm, initial value of the shift.
+    """
     offset, height = _edges(steps, normal @ shift / _STEP_MM + _REACH)
     use = height >= _LEAST_STEP
     if use.sum() < _LEAST_PIECES:
@@ -222,13 +244,16 @@ def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Out
         # 1.4826: from the median absolute deviation to the standard deviation of a normal distribution.
         scatter = max(1.4826 * float(np.median(np.abs(residual))), _PIECE_SIGMA_MM)
         weight = huber_weights(residual / scatter, _KNEE)
-    # The machining of the whole outline moves all pieces together, so the fit cannot see it.
+    # An error in machining moves all pieces together, so the residuals of the fit do not show it.
     covariance, turn_sigma = inverse[:2, :2] + _MACHINED_MM**2 * np.eye(2), float(np.sqrt(inverse[2, 2]))
     return OutlineShift(solved[:2], covariance, float(solved[2]), turn_sigma, float(np.hypot(*arm.T).max()), len(n))
 
 
 def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:
-    """Locate edges (k,) in samples, by a parabola through the highest step and its neighbours; with heights (k,)."""
+    """Locate the edge of each piece near `expected` (k,), in samples; return positions (k,) and step heights (k,).
+
+    A parabola through the highest step and its two neighbours gives the position to a fraction of a sample.
+    """
     near = np.clip(np.rint(expected).astype(int)[:, None] + np.arange(-_NEAR, _NEAR + 1), 1, steps.shape[1] - 2)
     rows = np.arange(len(steps))
     at = near[rows, np.take_along_axis(steps, near, 1).argmax(1)]

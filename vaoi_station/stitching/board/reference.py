@@ -1,7 +1,8 @@
-"""A reference run (section 3.3.3): later runs of its board type are placed against it.
+"""The reference run of a board type (paper, section 3.3.3), against which later runs of the type are placed.
 
 Frame (i, j) of a run shows nearly the same part of the board as frame (i, j) of the reference. The reference was
-stitched, so points linked between the two have known CAD coordinates. Each is an observation like that of a fiducial.
+stitched, so its points have known CAD coordinates. Each link between the two frames gives an observation of a point
+with known CAD coordinates, like a fiducial.
 """
 
 from __future__ import annotations
@@ -20,30 +21,34 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 
 _SCATTER_PX = 0.03
-"""Scatter of single links beyond image noise."""
+"""Scatter of single links in addition to image noise."""
 _SHARED_PX = 0.006
-"""Error that the links of one frame share, so that it does not average out."""
+"""Error that all links of one frame share. It does not average out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A stitched run of the board type, and its good frames."""
+    """A stitched run that serves as the reference of its board type: its result, and the keys of its good frames."""
 
     stitch: Stitch
-    """Only its CAD mapping and row motion are used; the rest may be empty."""
+    """Result of the reference run. Only the CAD mapping and the row motion are used; the rest may be empty."""
     present: frozenset[FrameKey]
+    """Good frames of the reference run: (camera, row)."""
     name: str = ""
-    """Its name in results."""
+    """Name by which results refer to this reference."""
 
     def task(self, key: FrameKey) -> Task | None:
-        """Return the task that links a frame of the run to the reference; None where that lacks the frame."""
+        """Return the task that links a frame of a later run to the reference; None if the reference lacks the frame."""
         return Task("reference", key, key) if key in self.present else None
 
 
 def cad_points(
     links: Sequence[Links], cameras: Sequence[Camera], plane: BoardPlane, reference: Reference
 ) -> FiducialPoints:
-    """Convert links to observations: points seen in a row of the run, with their CAD places from the reference."""
+    """Convert links to the reference into observations of points with CAD coordinates.
+
+    The reference run gives the CAD coordinates of each linked point.
+    """
     rows, ground, lean, cad, sigma, resolution = [], [], [], [], [], []
     c = reference.stitch.cad_matrix
     assert c is not None
@@ -54,7 +59,7 @@ def cad_points(
         here = camera.ground(e.a_px)
         there = apply(np.linalg.inv(reference.stitch.row_motion[e.task.b[1]]), camera.ground(e.b_px))
         px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information), axis1=1, axis2=2) / 2, 0))
-        # n links of a frame are worth σ²/n + shared²; each of them carries its part of the shared error.
+        # The mean of a frame's n links has the variance σ²/n + shared². Each link carries a part of the shared error.
         single = np.hypot(px, _SCATTER_PX) * np.sqrt(1 + len(px) * (_SHARED_PX / _SCATTER_PX) ** 2)
         rows.append(np.full(len(here), row))
         ground.append(here)
@@ -76,7 +81,7 @@ def cad_points(
 
 
 def initial_similarity(plane: BoardPlane, reference: Reference, points: FiducialPoints, motion: Motion) -> Floats:
-    """Estimate a first C: that of the reference, shifted by the median offset of the run's points."""
+    """Estimate a first C: take C of the reference, and shift it by the median offset of the run's points."""
     c = reference.stitch.cad_matrix
     assert c is not None
     start = np.array([c[0, 0], c[1, 0], c[0, 2], c[1, 2]])

@@ -1,1 +1,1 @@
-"""Judge a stitch: component heights, uncertainty, agreement with the CAD data, and the verdict with its reasons."""
+"""Quality of a result: component heights, uncertainty, agreement with CAD data, and the verdict with its reasons."""

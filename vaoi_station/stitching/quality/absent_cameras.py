@@ -1,4 +1,4 @@
-"""Cameras that delivered no good frame of a run, and the fiducials that only they would have shown."""
+"""Cameras that delivered no good frame of a run, and the fiducials that only these cameras would have shown."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from vaoi_station.stitching.matching.scene import Scene
 def absent_camera_reasons(
     scene: Scene, plane: BoardPlane | None, expectation: Expectation, motion: Motion
 ) -> list[str]:
-    """Write a sentence for every camera without a good frame, with the fiducials that lay in its view alone.
+    """Return a reason for each camera without a good frame, naming the fiducials that only this camera would show.
 
     Args:
-        scene: cameras, and the frames that arrived whole.
-        plane: of the board type whose fiducials were searched; None if none were.
-        expectation: of the board's place. Without a place no fiducials are named.
-        motion: of the rows, from the other cameras.
+        scene: the cameras and the complete frames.
+        plane: plane of the board type whose fiducials were searched; None if none were searched.
+        expectation: expected position of the board. If the position is unknown, no fiducials are named.
+        motion: motion of the rows, from the other cameras.
     """
     delivered = {camera for camera, _ in scene.present}
     absent = [i for i in range(len(scene.cameras)) if i not in delivered]
@@ -32,7 +32,7 @@ def absent_camera_reasons(
         unknown = "" if plane is None else ": a fiducial in its view cannot be found"
         return [f"camera {i} delivered no whole frame of this board{unknown}" for i in absent]
     names = np.array([f.name for f in plane.board_type.fiducials])
-    # A fiducial in an overlap is seen by the neighbour as well; only the others are lost.
+    # The neighbouring camera also shows a fiducial in the overlap. Only the other fiducials are lost.
     shown = np.zeros(len(names), dtype=np.bool_)
     for i, row in scene.present:
         shown |= _in_frame(scene, i, row, motion, board_mm)
@@ -44,7 +44,7 @@ def absent_camera_reasons(
 
 
 def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation) -> Floats | None:
-    """Compute the places (k, 2) of the fiducials in row 0, tester mm, as expected; None without a place."""
+    """Compute the expected tester coordinates (k, 2) of the fiducials in row 0; None if no position is expected."""
     x, y = expectation.corner_mm
     if x is None or y is None:
         return None
@@ -52,13 +52,13 @@ def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation
     turn = np.array([scale * np.cos(angle), scale * np.sin(angle), 0.0, 0.0])
     low, high = plane.board_type.extent()
     corners = plane.flat(np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]))
-    # The expectation gives the lowest corner of the board as it lies, whatever its rotation.
+    # The expectation states the lowest x and y of the rotated board, for any rotation.
     shift = np.array((x, y)) - apply_similarity(turn, corners).min(0)
     return np.asarray(apply_similarity(turn, plane.fiducials) + shift)
 
 
 def _in_frame(scene: Scene, camera: int, row: int, motion: Motion, board_mm: Floats) -> np.ndarray:
-    """Return (k,) which places of the board lie in one frame."""
+    """Return for each board point (k, 2), tester mm, whether one frame shows it."""
     model = scene.cameras[camera]
     return model.sees(model.project(apply(motion.rows_from_tester[row], board_mm)))
 

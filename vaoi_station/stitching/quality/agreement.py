@@ -1,4 +1,4 @@
-"""Agreement of fiducials, CAD data, calibration and outline; where they disagree, the reasons in words and numbers."""
+"""Check that fiducials, CAD data, calibration and outline agree. A disagreement is a reason in words and numbers."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from vaoi_station.stitching.board.outline import OutlineShift
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
-"""Largest relative scale error; laminate keeps to it, and a fiducial that is off its CAD place looks the same."""
+"""Largest relative scale error. Laminate stays below it, but a fiducial off its CAD position may exceed it."""
 _SURFACE_LIMIT = 4.0
-"""Largest tilt, twist and bow, in their prior standard deviations.
+"""Largest tilt, twist and bow, in prior standard deviations.
 
-A fiducial out of its place bends the computed board rather than leave a residual."""
+A fiducial off its CAD position bends the computed surface instead of leaving a residual."""
 _LAMINATE, _ARTWORK_MM = 3e-4, 0.01
-"""Standard deviations of a board's scale (relative) and of a fiducial's place, for the search of the wrong fiducial."""
+"""Standard deviations of a board's relative scale and of a fiducial's position, in the search for a wrong fiducial."""
 _PLAINLY = 4.0
-"""Least factor by which the others fit better without the wrong fiducial than without any other one."""
+"""Least factor between the misfit without any other fiducial and the misfit without the wrong fiducial."""
 
 
 def fiducial_reasons(
     plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
 ) -> list[str]:
-    """List fiducials off their places, an impossible scale or surface, and the wrong fiducial if three or more decide.
+    """List the reasons if fiducials do not fit the CAD data: residuals, scale, surface, and the wrong fiducial.
 
     Args:
-        plane: of the board type.
-        adjusted: the adjustment of everything together.
-        points: the detections it rests on.
-        moved: the motion from links alone, on which the fiducials have no influence.
+        plane: plane of the board type.
+        adjusted: result of the common adjustment of all unknowns.
+        points: fiducial points of that adjustment.
+        moved: motion of the rows from links alone, which does not depend on the fiducials.
         px_per_mm: resolution of the station.
     """
     if adjusted.similarity is None:
@@ -49,14 +49,14 @@ def fiducial_reasons(
     if abs(scale) > _SCALE_LIMIT:
         out.append(_scale_reason(plane, scale, px_per_mm))
     out += _surface_reasons(adjusted.surface_mm)
-    # The wrong fiducial is named only after something disagrees: with sound data the search has nothing to find.
+    # The wrong fiducial is searched only if another check fails, since good data contain no wrong fiducial.
     if out:
         out += _wrong_fiducial(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
     return out
 
 
 def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit_px: float) -> str:
-    """Name the fiducials whose best detection is worse than a limit, as a clause; empty if there are none."""
+    """Return a clause that names the fiducials whose best detection is less precise than a limit; empty if none."""
     if points is None:
         return ""
     sigma_px = points.sigma_mm * points.px_per_mm
@@ -71,7 +71,7 @@ def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit
 
 
 def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
-    """List the reasons if the outline lies elsewhere than the fiducials put it."""
+    """List the reasons if the outline is shifted or turned against the position that the fiducials predict."""
     if shift is None:
         return []
     out = []
@@ -93,14 +93,15 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
 
 
 FiducialPlaces = dict[int, tuple[Floats, float]]
-"""By number of the fiducial: its place on a flat board by the motion of links alone (tester mm), and the length of its
-mean residual in the adjustment (px)."""
+"""For each number of a fiducial: its position and the mean length of its residuals in the adjustment (px).
+
+The position is in tester mm. It is computed for a flat board, with the motion of the rows from links alone."""
 
 
 def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion) -> FiducialPlaces:
     if points is None:
         return {}
-    # Only the lift of the surface: a fiducial out of its place bends the other terms, and would hide itself.
+    # Only the lift of the surface is used. A fiducial off its CAD position bends the other terms, which would hide it.
     lift = adjusted.surface_mm[0] if len(adjusted.surface_mm) else 0.0
     place = moved.board(points.row, points.ground_mm) + moved.turned(points.row, points.lean) * lift
     off_px = np.hypot(*adjusted.fiducial_px.T)
@@ -123,13 +124,13 @@ def _surface_reasons(surface_mm: Floats) -> list[str]:
 
 
 def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[str]:
-    """Name the fiducial without which the others agree with the CAD data; two alone cannot decide it."""
+    """Name the fiducial without which the others agree with the CAD data. This takes three fiducials or more."""
     if len(places) < 3:
         return []
     without = {n: _fit_without(n, plane, places) for n in places}
     costs = sorted((cost, n) for n, (cost, _) in without.items())
     (best, n), (second, _) = costs[0], costs[1]
-    # One clear culprit or none: a wrong name would send the engineer to a sound fiducial.
+    # A fiducial is named only if the result is clear: a wrong name would send the engineer to a correct fiducial.
     if second < _PLAINLY * max(best, 1.0):
         return []
     off_mm = without[n][1]
@@ -140,8 +141,8 @@ def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: flo
 
 
 def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[float, float]:
-    """Compute χ² of the other fiducials and of their scale, and the error of this fiducial then, in mm."""
-    # Flat coordinates have the tester's handedness, so the fit never mirrors.
+    """Fit all fiducials but number n; return χ² of the fit and its scale, and the error of fiducial n in mm."""
+    # Flat coordinates have the handedness of tester coordinates, so the fit never mirrors.
     others = [k for k in places if k != n]
     cad, board = plane.fiducials, np.array([places[k] for k in others])
     fit = fit_similarity(board, cad[others], System.TESTER, System.CAD, mirrored=False)

@@ -1,9 +1,10 @@
-"""Covariances of D_j and standard deviations of M_ij, in the form that results carry.
+"""Covariances of D_j and standard deviations of M_ij, in the form in which results contain them.
 
-A row's three numbers are the turn φ of D_j (rad) and the place (mm, row coordinates) to which D_j takes the point of
-the board that then lies under the pivot, a fixed point of the conveyor's plane in the middle of the array. A ground
-point at x is then off by δ(x, y) + δφ·(−(x − c)_y, (x − c)_x), c being the pivot, and an image point by N_i's slope
-times that. Row 0 has none: D_0 is the identity by definition.
+The pivot c is a fixed point of the conveyor's plane in the middle of the array. Three numbers describe the motion of a
+row: the turn φ of D_j (rad), and the position (x, y) (mm, row coordinates) to which D_j maps the board point that lies
+under the pivot in that row. With errors δφ and δ(x, y), a ground point p has the error
+δ(x, y) + δφ·(−(p − c)_y, (p − c)_x). The error of its image point is the derivative of N_i times that. Row 0 has no
+uncertainty, since D_0 is the identity by definition.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 
 
 def row_covariances(adjusted: AdjustmentResult) -> Floats:
-    """Compute the covariance of (φ, x, y) of every D_j at the pivot, (m, 3, 3) in rad and mm."""
+    """Compute the covariance of (φ, x, y) at the pivot for each of the m matrices D_j: (m, 3, 3), rad and mm."""
     motion = adjusted.motion
     m = len(motion.angle)
     c, s = np.cos(motion.angle), np.sin(motion.angle)
-    # The adjustment has the inverse, board = R(φ)·(x − c) + c + s. A shift of the board by δs is a shift of the ground
-    # point by −R(−φ)·δs, and its turn is the opposite one.
+    # The adjustment uses the inverse of D_j, board = R(φ)·(x − c) + c + s. An error δs of this shift moves the ground
+    # point by −R(−φ)·δs, and an error of the turn has the opposite sign.
     turn = np.zeros((m, 3, 3))
     turn[:, 0, 0] = -1
     turn[:, 1, 1], turn[:, 1, 2], turn[:, 2, 1], turn[:, 2, 2] = -c, -s, s, -c
@@ -31,16 +32,22 @@ def row_covariances(adjusted: AdjustmentResult) -> Floats:
 
 
 def matrix_sigmas(cameras: Sequence[Camera], pivot_mm: Floats, rows: Floats) -> Floats:
-    """Compute standard deviations (n, m, 2) px of every M_ij from the covariances (m, 3, 3) of the rows.
+    """Compute the standard deviations (n, m, 2) px of the matrices M_ij of n cameras and m rows.
 
-    They are those in the worst direction, at the middle of the frame and at its worst corner.
+    The two values are the standard deviation at the centre of the frame and that at its worst corner, each in the
+    direction where it is largest.
+
+    Args:
+        cameras: the n cameras.
+        pivot_mm: (2,) the pivot.
+        rows: (m, 3, 3) covariances of the rows' motion, from `row_covariances`.
     """
     return np.array([_sigmas(camera, pivot_mm, rows) for camera in cameras])
 
 
 def largest_sigma(covariance: Floats) -> Floats:
-    """Compute the standard deviation (…) in the worst direction, for covariances (…, 2, 2)."""
-    # The larger eigenvalue of a symmetric 2×2 matrix in closed form, for all of them at once.
+    """Compute the largest standard deviation over all directions, (…), for covariances (…, 2, 2)."""
+    # Closed form of the larger eigenvalue of a symmetric 2×2 matrix, for all matrices at once.
     a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     return np.asarray(np.sqrt(np.maximum((a + d) / 2 + np.hypot((a - d) / 2, b), 0)))
 
@@ -58,7 +65,7 @@ def _sigmas(camera: Camera, pivot_mm: Floats, rows: Floats) -> Floats:
 
 
 def _slope(camera: Camera, ground_mm: Floats) -> Floats:
-    """Compute the derivative (k, 2, 2) of undistorted pixels by ground places (k, 2), px/mm."""
+    """Compute the derivatives (k, 2, 2) of undistorted pixels by ground points (k, 2), px/mm."""
     n = camera.image_from_row.matrix
     homogeneous = np.column_stack([ground_mm, np.ones(len(ground_mm))]) @ n.T
     px = homogeneous[:, :2] / homogeneous[:, 2:]

@@ -1,4 +1,4 @@
-"""What the stitching found out about a run; the verdict, the quality numbers and the report read from it."""
+"""All findings of the stitching of a run, from which verdict, quality numbers and report are derived."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma
 
 _USED = 0.1
-"""Links with a larger weight count as used."""
+"""Weight above which a link counts as used."""
 _SAME_HEIGHT_PX = 0.5
-"""Largest difference between the heights of a component from row to row and across a seam, in px at the seam."""
+"""Largest difference, in px at the seam, between a component's height by links across the seam and by other links."""
 _SEAM_LINKS = 12
-"""Least number of links between two cameras from which their agreement is decided."""
+"""Least number of links between two cameras that show whether the cameras agree."""
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """All that was found out about a run. Derived values are computed when first read."""
+    """The inputs and solutions of the stitching of one run. Derived values are computed when first read."""
 
     plane: BoardPlane | None
     expectation: Expectation
@@ -43,38 +43,38 @@ class Findings:
     links: tuple[Links, ...]
     links_only: Problem
     moved: AdjustmentResult
-    """The motion from links alone."""
+    """The solution of the adjustment with links alone."""
     found: CadMapping | Failure
-    """The board, or the reason for which it was not found."""
+    """The CAD mapping of the board, or the reason why the board was not found."""
 
     @property
     def mapping(self) -> CadMapping | None:
-        """The board, if it was found."""
+        """The CAD mapping of the board; None if the board was not found."""
         return self.found if isinstance(self.found, CadMapping) else None
 
     @property
     def adjusted(self) -> AdjustmentResult:
-        """The final solution: the adjustment with the board, or that of the links alone."""
+        """The final solution: that of the CAD mapping if the board was found, else that of the links alone."""
         return self.found.adjusted if isinstance(self.found, CadMapping) else self.moved
 
     @property
     def problem(self) -> Problem:
-        """The problem that `adjusted` solves."""
+        """The adjustment problem of which `adjusted` is the solution."""
         return self.found.problem if isinstance(self.found, CadMapping) else self.links_only
 
     @property
     def rows(self) -> int:
-        """Number of rows, the paper's m."""
+        """Number of rows (m in the paper)."""
         return len(self.adjusted.motion.angle)
 
     @cached_property
     def sigma(self) -> PredictedSigma:
-        """Predicted standard deviations of positions."""
+        """Predicted standard deviations of component positions and rows."""
         return predict_sigma(self.scene, self.plane, self.adjusted, self.views)
 
     @cached_property
     def surface(self) -> Surface | None:
-        """The surface of the board; None where it was not estimated."""
+        """The surface of the board; None if it was not estimated."""
         if self.plane is None or self.mapping is None or not len(self.adjusted.surface_mm):
             return None
         return to_surface(self.plane.board_type, self.adjusted.surface_mm)
@@ -87,7 +87,7 @@ class Findings:
 
     @cached_property
     def views(self) -> FootprintViews | None:
-        """Views of the components, or of the board's corners where it has none; None without C."""
+        """Views of the components, or of two board corners if there are no components; None without C."""
         if self.plane is None or self.cad_matrix is None:
             return None
         rows = self.adjusted.motion.rows_from_tester
@@ -95,35 +95,35 @@ class Findings:
 
     @cached_property
     def heights(self) -> dict[str, Height]:
-        """Heights of components above the board, by address, where their links determine them."""
+        """Heights of components above the board, by address. Components without enough links are left out."""
         if self.plane is None or self.mapping is None:
             return {}
         return component_heights(self.plane, self.problem, self.adjusted)
 
     @cached_property
     def placed(self) -> tuple[bool, ...]:
-        """Whether each row has at least one good frame; a row without any has no image matrices."""
+        """For each row, whether it has at least one good frame. A row without good frames has no image matrices."""
         rows = {row for _, row in self.scene.present}
         return tuple(j in rows for j in range(self.rows))
 
     @cached_property
     def connected_groups(self) -> list[np.ndarray]:
-        """Groups of rows that links or CAD points connect, of those rows that show texture."""
+        """Groups of rows that are connected by links or CAD points. Rows without texture belong to no group."""
         o = self.problem.links
         used = (self.adjusted.weight > _USED) & (o.p != o.q)
         linked = set(np.flatnonzero(np.bincount(np.append(o.p[used], o.q[used]), minlength=self.rows)).tolist())
         if self.problem.fiducials is not None:
             linked |= set(self.problem.fiducials.row.tolist())
-        # A row of bare belt before or after the board has no links. It is no second group.
+        # A row that shows only the belt, before or after the board, has no links. It must not count as a second group.
         groups = [g for g in connected_rows(o, self.rows, used) if any(r in linked for r in g)]
         fixed = [self._fixed_by_cad(g) for g in groups]
-        # Groups that CAD points fix are connected with one another through C.
+        # Groups that CAD points fix are connected to one another through C.
         together = [r for g, by_cad in zip(groups, fixed, strict=True) if by_cad for r in g.tolist()]
         apart = [g for g, by_cad in zip(groups, fixed, strict=True) if not by_cad]
         return sorted([np.array(sorted(together)), *apart] if together else apart, key=lambda g: int(g.min()))
 
     def _fixed_by_cad(self, rows: np.ndarray) -> bool:
-        """Return whether two or more points known in CAD fix these rows without links."""
+        """Return whether at least two points with known CAD coordinates place these rows, without any links."""
         points = self.problem.fiducials
         if points is None:
             return False
@@ -131,18 +131,18 @@ class Findings:
 
     @cached_property
     def seam_of_link(self) -> np.ndarray:
-        """(k,) the left one of the two neighbouring cameras that a link joins, −1 for links from row to row."""
+        """(k,) for each link across a seam the lower number of its two cameras; −1 for links from row to row."""
         o = self.problem.links
         left = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in o.groups]
         return np.array(left, dtype=np.int_)[o.group]
 
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
-        """Median residual between neighbouring cameras of one row, on the bare board, in px.
+        """Length, px, of the median residual of links on the bare board, by pair of neighbouring cameras.
 
-        A large value means a camera that has moved, or a height that the surface model does not have.
+        A large value means that a camera has moved, or that the board has a shape outside the surface model.
         """
-        # Links on components are left out: a component has a height of its own, which is not the seam's error.
+        # Links on components are left out, since the height of a component is no error of the seam.
         bare = np.flatnonzero((self.seam_of_link >= 0) & (self.problem.component < 0))
         seam, off_px, out = self.seam_of_link[bare], self.adjusted.link_px[bare], {}
         for i in range(len(self.scene.cameras) - 1):
@@ -153,19 +153,19 @@ class Findings:
 
     @cached_property
     def _usable_seam_links(self) -> np.ndarray:
-        """(k,) whether a link can show that two cameras fit together."""
+        """(k,) whether each link can be evidence that two neighbouring cameras agree."""
         o, component = self.problem.links, self.problem.component
         rows, seam = self.adjusted.heights_mm
         if not len(rows):
             return component < 0
-        # On a component, a free height explains any residual across the seam. Such links count only where
-        # that height is the one the rows show as well.
+        # On a component, its estimated height explains any residual across the seam. Such links count only if
+        # links from row to row give the same height.
         off_px = np.abs(seam - rows)[component] * np.hypot(*(o.b_lean - o.a_lean).T) * o.px_per_mm
         return np.asarray((component < 0) | (off_px < _SAME_HEIGHT_PX))
 
     @cached_property
     def non_overlapping_pairs(self) -> dict[tuple[int, int], int]:
-        """Neighbouring cameras whose overlap shows texture that does not match, with the number of such rows."""
+        """Pairs of neighbouring cameras whose overlap has texture that does not match, with the number of such rows."""
         unmatched = Counter(e.task.a[0] for e in self.links if e.task.kind == "neighbours" and e.unmatched)
         out = {}
         for i, rows in sorted(unmatched.items()):

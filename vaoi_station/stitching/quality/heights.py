@@ -1,13 +1,14 @@
-"""Heights of components above the board, from the links on their bodies.
+"""Heights of components above the board, computed from the links on their bodies.
 
-The adjustment gives every component a height so that its links do no harm to the rest. Which of its links that height
-follows (those on the body, on leads, on the board between them) does not matter there. Here it does. With motion and
-surface as adjusted, every link on a body gives an estimate of its own:
+The adjustment estimates a height for every component, so that links on components do not disturb the other unknowns.
+For this purpose it is irrelevant whether a link lies on the body, on a lead, or on the board between leads. The height
+of the body, however, must come from links on the body. With the adjusted motion and surface, each such link gives one
+estimate h of the height, with variance σ²:
 
     h = −(l·W·r) / (l·W·l),    σ² = 1 / (l·W·l),
 
-where r is its residual on the board's surface, l the change of the residual per mm of height, and W the inverse of its
-covariance. The height of a component is that of its highest group of links that agree.
+where r is the residual that the link has on the board's surface, l the change of r per mm of height, and W the inverse
+covariance of r. The height of a component is that of its highest group of links that agree with one another.
 """
 
 from __future__ import annotations
@@ -26,72 +27,72 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.patches import PATCH_PX
 
 _CORE = 0.8
-"""Share of a footprint's width and height that counts as body; leads are at its edge."""
+"""Share of a footprint's width and height that counts as body. Leads lie at the edge of the footprint."""
 _WORST_MM = 0.5
-"""Links whose height has a larger standard deviation are left out."""
+"""Standard deviation of a height by one link from which on the link is left out."""
 _ASIDE = 3.5
-"""Links with a larger residual across the direction of height are left out, in standard deviations."""
+"""Residual, in standard deviations, in the direction that no height explains, from which on a link is left out."""
 _AGREE = 2.5
 """Largest difference between two heights that agree, in standard deviations."""
 _SCATTER_MM = 0.03
-"""Standard deviation of a body's own height: bodies are not flat."""
+"""Standard deviation of the height over one body, since bodies are not flat."""
 _LEAST_LINKS, _LEAST_SHARE = 3, 0.25
 """Least number of links in a group, and least share of the links on the body."""
 _SHARED_PX = 0.015
-"""Error that the links of one pair of frames share, so that it does not average out."""
+"""Error that all links of one pair of frames share. It does not average out."""
 _SCALE = 0.01
-"""Relative standard deviation of the working distance, which scales all heights."""
+"""Relative standard deviation of the working distance. All heights scale with the working distance."""
 
 
 class LinkArrays(NamedTuple):
-    """n links that lie on components, out of the k links of a problem."""
+    """The n links that lie on components, and values of all k links of the problem."""
 
     number: Ints
     """(n,) index of each among the k links."""
     place_mm: Floats
-    """(n, 2) on the board, tester coordinates."""
+    """(n, 2) position on the board, tester coordinates."""
     residual_mm: Floats
-    """(n, 2) as on a flat board in the calibrated plane."""
+    """(n, 2) residual that the link has on a flat board in the calibrated plane."""
     lean: Floats
     """(n, 2) change of the residual per mm of height."""
     surface_mm: Floats
-    """(k,) height of the board's surface at every link."""
+    """(k,) height of the board's surface at each link."""
     noise_mm2: Floats
-    """(k, 2, 2) covariance by image noise."""
+    """(k, 2, 2) covariance of the residual by image noise."""
     px_per_mm: Floats
-    """(k,) resolution."""
+    """(k,) resolution at each link."""
     component: Ints
-    """(k,) number of the component; −1 for none."""
+    """(k,) number of the component on which each link lies; −1 for none."""
 
 
 class FootprintArrays(NamedTuple):
-    """c footprints, in CAD units and axes."""
+    """The footprints of c components, in CAD units and axes."""
 
     center: Floats
-    """(c, 2)."""
+    """(c, 2) centres."""
     size: Floats
     """(c, 2) width and height before rotation."""
     angle_rad: Floats
-    """(c,)."""
+    """(c,) rotations."""
     mm_per_unit: float
 
 
 class LinkHeights(NamedTuple):
-    """Heights from n links."""
+    """The height of a component by each of n links, with the errors of these heights."""
 
     mm: Floats
-    """(n,)."""
+    """(n,) height above the board's surface."""
     sigma_mm: Floats
-    """(n,) standard deviation; infinite for a link that is not well within a body on which a patch fits."""
+    """(n,) standard deviation; infinite for a link off the body, or on a body smaller than a patch."""
     shared_mm: Floats
-    """(n,) part of the error that links of the same pair of frames share."""
+    """(n,) the part of the height's error that all links of the same pair of frames share."""
     aside: Floats
-    """(n,) residual in the direction that no height explains, in standard deviations."""
+    """(n,) residual that remains at this height, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class Height:
-    """Height of one component above the board's surface."""
+    """The height of one component above the board's surface, its standard deviation, and the number of links used."""
 
     mm: float
     sigma_mm: float
@@ -99,7 +100,7 @@ class Height:
 
 
 def component_heights(plane: BoardPlane, problem: Problem, adjusted: AdjustmentResult) -> dict[str, Height]:
-    """Estimate heights by address. Components on which no patch fits have none."""
+    """Estimate the heights of components, by address. Components that are smaller than a patch are left out."""
     c, addresses = adjusted.similarity, plane.components.addresses
     if problem.surface is None or c is None or not len(problem.links):
         return {}
@@ -114,7 +115,7 @@ def component_heights(plane: BoardPlane, problem: Problem, adjusted: AdjustmentR
     found = per_link_heights(links, footprints, cad_from_board, adjusted.floor_px)
     good = np.flatnonzero((found.sigma_mm < _WORST_MM) & (found.aside < _ASIDE))
     number = problem.component[near[good]]
-    # The grouping reads the links component by component; a stable sort keeps their order, and with it every sum.
+    # The grouping reads links component by component. A stable sort keeps their order, and so the value of each sum.
     good = good[np.argsort(number, kind="stable")]
     ends = np.cumsum(np.bincount(number, minlength=len(addresses)))
     groups = highest_agreeing_groups(ends, found.mm[good], found.sigma_mm[good], found.shared_mm[good])
@@ -129,10 +130,10 @@ def per_link_heights(
     """Estimate the height of a component from each link on it.
 
     Args:
-        links: on components.
-        footprints: of the components.
-        cad_from_board: (3, 3) affine, the inverse of C.
-        floor_px: scatter of single links beyond image noise.
+        links: links on components.
+        footprints: footprints of the components.
+        cad_from_board: (3, 3) affine matrix, the inverse of C.
+        floor_px: scatter of single links in addition to image noise.
     """
     number, place_mm, residual_mm, lean = links.number, links.place_mm, links.residual_mm, links.lean
     surface_mm, noise_mm2, px_per_mm, component = links.surface_mm, links.noise_mm2, links.px_per_mm, links.component
@@ -158,7 +159,7 @@ def per_link_heights(
         w, h = size[part, 0], size[part, 1]
         if abs(cos * x + sin * y) > _CORE / 2 * w or abs(cos * y - sin * x) > _CORE / 2 * h:
             continue
-        # A patch wider than the body shows the board beside it, and measures a mixture of both heights.
+        # A patch wider than the body also shows the board beside it, and would measure a mixture of both heights.
         if min(w, h) * mm_per_unit * resolution < PATCH_PX:
             continue
         lx, ly = lean[i, 0], lean[i, 1]
@@ -167,7 +168,7 @@ def per_link_heights(
         a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
         det = a * d - b * b
         ax, ay = (d * lx - b * ly) / det, (a * ly - b * lx) / det
-        # Both frames see the body under the same angle where l vanishes; its sigma then fails `_WORST_MM`.
+        # If both frames see the body under the same angle, l vanishes. The large sigma then exceeds `_WORST_MM`.
         information = max(ax * lx + ay * ly, 1e-12)
         height[i] = -(ax * rx + ay * ry) / information
         rx, ry = rx + lx * height[i], ry + ly * height[i]
@@ -184,13 +185,14 @@ def highest_agreeing_groups(
     """Find the highest group of agreeing links of every component.
 
     Args:
-        ends: (n,) end of each component's links; they stand one component after the other.
-        height: (k,) mm by each link.
-        sigma: (k,) its standard deviation.
-        shared_mm: (k,) part of the error that links of the same pair of frames share.
+        ends: (n,) for n components, the index after the last link of each. Links are ordered by component.
+        height: (k,) mm, height by each of k links.
+        sigma: (k,) mm, standard deviation of each height.
+        shared_mm: (k,) the part of its error that all links of the same pair of frames share.
 
     Returns:
-        Height (n,) in mm, its standard deviation (n,), and the number of links in the group (n,); 0 where none agree.
+        Height (n,) in mm, its standard deviation (n,), and the number of links in the group (n,). All are 0 for a
+        component without agreeing links.
     """
     mm, spread, links = np.zeros(len(ends)), np.zeros(len(ends)), np.zeros(len(ends), np.int64)
     first = 0
@@ -206,7 +208,7 @@ def highest_agreeing_groups(
                 variance = sigma[j] ** 2 + _SCATTER_MM**2
                 if abs(height[j] - height[i]) <= _AGREE * math.sqrt(variance):
                     count, weight, total = count + 1, weight + 1 / variance, total + height[j] / variance
-            # The highest group and not the largest: leads, and the board between them, may have more links.
+            # The highest group counts, not the largest: leads, and the board between them, may have more links.
             if count >= least and (links[part] == 0 or total / weight > mm[part]):
                 mm[part], spread[part], links[part] = total / weight, 1 / weight, count
         if links[part]:

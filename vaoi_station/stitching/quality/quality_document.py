@@ -13,16 +13,16 @@ from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 
 _OUTLIER = 8.5
-"""CAD points with a larger residual, in standard deviations, have no weight: 6 per axis, √2 of that in the plane."""
+"""Residual, in standard deviations, above which a CAD point has no weight: 6 per axis, so 6·√2 in the plane."""
 
 
 def quality_document(f: Findings) -> dict[str, Any]:
-    """Collect the numbers behind the verdict."""
+    """Collect the numbers behind the verdict of a run, as the `quality` entry of its result."""
     a = f.adjusted
     sigma = f.sigma
     velocity = None
     if f.connected_groups:
-        # Only rows that links connect show the belt's speed; between groups it is the nominal one.
+        # Only connected rows show the speed of the belt. Between groups of rows the nominal speed was assumed.
         group = max(f.connected_groups, key=len)
         velocity = measured_velocity(a.motion, f.problem.times_s, group)
     nominal = float(np.hypot(*f.problem.velocity_mm_s))
@@ -55,7 +55,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
             [pair if placed else None for pair, placed in zip(camera, f.placed, strict=True)]
             for camera in np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist()
         ],
-        # A board without components has views of its corners, which are no components.
+        # The views of a board without components are those of its corners, which must not be listed as components.
         "component_covariance_px2": sigma.to_json() if f.plane and f.plane.board_type.components else {},
         "surface_sigma_mm": _surface_sigma(f),
         "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
@@ -69,7 +69,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
 
 
 def _points_used(f: Findings) -> dict[str, dict[str, int]]:
-    """Count the points known in CAD by kind: those found, and those whose residual is not an outlier."""
+    """Count the points with known CAD coordinates, by kind: all of them, and those that are not outliers."""
     points = f.mapping.problem.fiducials if f.mapping else None
     which, off = np.zeros(0, dtype=np.int_), np.zeros(0)
     if points is not None:
@@ -120,7 +120,7 @@ def _component_sigma(f: Findings) -> dict[str, float]:
 
 
 def _surface_sigma(f: Findings) -> float | None:
-    """Return the largest sigma of the height, over the board's middle and corners; None without a surface."""
+    """Return the largest standard deviation of the board's height at its centre and corners; None without a surface."""
     if f.plane is None or not len(f.adjusted.surface_mm):
         return None
     low, high = f.plane.board_type.extent()
@@ -136,7 +136,7 @@ def _scale_error(f: Findings) -> float | None:
 
 
 def _significant(value: float) -> float:
-    """Round to four significant digits: variances are small, and fixed decimals would cut them to zero."""
+    """Round to four significant digits. Variances are small, and fixed decimals would round them to zero."""
     return float(f"{value:.4g}")
 
 

@@ -1,7 +1,7 @@
-"""Predicted uncertainty of positions: the covariance of the adjustment, carried to the images.
+"""Predicted uncertainty of component positions: the covariance of the adjustment, propagated to the images.
 
-A component's place in an image follows from its row, from C and from the surface. Its covariance is that of the
-residual which a detection of it would have.
+The position of a component in an image follows from the motion of the row, from C and from the surface. The covariance
+of the position is that of the residual that an exact detection of the component would have.
 """
 
 from __future__ import annotations
@@ -28,26 +28,29 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.quality.covariances import largest_sigma
 
 MODEL_PX = 0.002
-"""Standard deviation of what no residual shows: calibration, artwork, flatness."""
+"""Standard deviation of errors that no residual shows: those of calibration, artwork and flatness."""
 _DIGITS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedSigma:
-    """Standard deviations in px, in the direction where they are largest, and covariances of x and y in one image."""
+    """Predicted uncertainty of a run: the covariance of each view of a component, and the largest standard deviations.
+
+    A standard deviation is that in the direction where it is largest.
+    """
 
     rows_px: tuple[float, ...]
-    """Of each row: that of the worst component in view there, or of the motion alone where none is in view."""
+    """For each row the standard deviation of the worst component in view. Without components, that of the motion."""
     worst_px: float | None
-    """The largest of all views of components; None without C."""
+    """The largest standard deviation over all views of components; None without C."""
     names: tuple[str, ...]
     """Addresses of the components."""
     part: Ints
-    """(k,) number of the component that a view shows; component by component, each in the order of cameras and rows."""
+    """(k,) number of the component that each view shows. Views are ordered by component, then camera, then row."""
     seen_in: Ints
-    """(k, 2) camera and row of every view."""
+    """(k, 2) camera and row of each view."""
     covariance_px2: Floats
-    """(k, 2, 2) covariance of every view."""
+    """(k, 2, 2) covariance of image x and y in each view."""
 
     @cached_property
     def views(self) -> dict[str, dict[FrameKey, Floats]]:
@@ -59,16 +62,19 @@ class PredictedSigma:
 
     @cached_property
     def of_components(self) -> dict[str, float]:
-        """The largest standard deviation over the views of each component in view, by address; four decimals."""
+        """The largest standard deviation over the views of each component, by address, rounded to four decimals."""
         worst = np.zeros(len(self.names))
         np.maximum.at(worst, self.part, largest_sigma(self.covariance_px2))
         each = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
         return {name: px for name, px, seen in each if seen}
 
     def to_json(self) -> dict[str, list[list[float]]]:
-        """List [camera, row, xx, xy, yy] of every view, by address; four significant digits."""
+        """Return for each component, by address, a list of its views [camera, row, xx, xy, yy].
+
+        xx, xy and yy are the elements of the covariance, px², rounded to four significant digits.
+        """
         values = self.covariance_px2[:, (0, 0, 1), (0, 1, 1)]
-        # All views in one pass: a result has thousands.
+        # All views are rounded in one pass, since a result has thousands.
         with np.errstate(divide="ignore"):
             digits = _DIGITS - 1 - np.floor(np.log10(np.abs(values)))
         unit = 10.0 ** np.where(np.isfinite(digits), digits, 0)
@@ -84,10 +90,10 @@ def predict_sigma(
     """Predict the covariance of components' positions in every good frame that shows them.
 
     Args:
-        scene: cameras and good frames.
-        plane: of the board type.
-        adjusted: the solution.
-        views: of the plane's `landmarks`; None without C.
+        scene: the cameras and good frames.
+        plane: plane of the board type; None if the board type is unknown.
+        adjusted: the solution of the adjustment.
+        views: views of the plane's `landmarks`; None without C.
     """
     resolution = float(np.mean([camera.px_per_mm for camera in scene.cameras]))
     motion = np.hypot(largest_sigma(adjusted.covariance[:, 1:3, 1:3]) * resolution, MODEL_PX).tolist()
@@ -109,7 +115,7 @@ def predict_sigma(
         RowArrays(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
     )
     px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
-    # What no residual shows is added to every view: calibration and artwork are taken as exact by the adjustment.
+    # The adjustment takes calibration and artwork as exact, so their errors are added to every view here.
     covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
     rows = np.zeros(len(motion))
     np.maximum.at(rows, row, largest_sigma(covariance))
@@ -119,7 +125,7 @@ def predict_sigma(
 
 
 def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
-    """Compute `Camera.parallax` (k, 2) of places (k, 2), each for the camera of its number (k,)."""
+    """Compute the parallax per mm of height (k, 2) at ground points (k, 2), for the cameras numbered `camera` (k,)."""
     lean = np.empty(place.shape)
     for i in np.unique(camera).tolist():
         lean[camera == i] = cameras[i].parallax(place[camera == i])
@@ -136,20 +142,20 @@ def surface_sigma_mm(plane: BoardPlane, adjusted: AdjustmentResult, cad: Floats)
 
 
 class ViewArrays(NamedTuple):
-    """k views of points."""
+    """k views of board points, as arrays for the compiled function."""
 
     row: Ints
-    """(k,)."""
+    """(k,) row of the view."""
     point: Ints
-    """(k,) number of the point."""
+    """(k,) number of the point that the view shows."""
     place_mm: Floats
-    """(k, 2) place on the conveyor's plane in that row."""
+    """(k, 2) position of the point in the conveyor's plane in that row."""
     lean: Floats
-    """(k, 2) change of that place per mm of height."""
+    """(k, 2) change of that position per mm of height."""
 
 
 class PointArrays(NamedTuple):
-    """n points of a board."""
+    """n points of a board type, as arrays for the compiled function."""
 
     flat: Floats
     """(n, 2) flat CAD coordinates."""
@@ -158,26 +164,27 @@ class PointArrays(NamedTuple):
 
 
 class RowArrays(NamedTuple):
-    """m rows as adjusted."""
+    """The adjusted motion of m rows, with its covariance; f is the number of surface functions."""
 
     angle: Floats
-    """(m,) rad."""
+    """(m,) turn φ of each row, rad."""
     pivot: Floats
-    """(2,) mm."""
+    """(2,) pivot of the turns, mm."""
     covariance: Floats
-    """(m, u, u) of (φ, sx, sy) of each row, C and the surface; u = 7 + f."""
+    """(m, u, u) covariance of the u = 7 + f unknowns: (φ, sx, sy) of the row, (a, b, x, y) of C, and the surface."""
 
 
 @compiled
 def position_covariances(views: ViewArrays, points: PointArrays, rows: RowArrays) -> Floats:
-    """Compute the covariance (k, 2, 2) mm² of the residual that a detection of a point in a row would have."""
+    """Compute for each view the covariance (k, 2, 2) mm² of the residual that a detection of its point would have."""
     row, point, place, lean = views.row, views.point, views.place_mm, views.lean
     flat, basis = points.flat, points.basis
     angle, pivot, covariance = rows.angle, rows.pivot, rows.covariance
     f = basis.shape[1]
     u = 7 + f
     j, out = np.zeros((2, u)), np.empty((len(row), 2, 2))
-    # Columns of the Jacobian: φ, sx, sy of the row, then a, b, x, y of C, then the surface. These four never change.
+    # Columns of the Jacobian: φ, sx, sy of the row, then a, b, x, y of C, then the surface. The four entries set
+    # here are the same for all views.
     j[0, 1] = j[1, 2] = 1.0
     j[0, 5] = j[1, 6] = -1.0
     for k in range(len(row)):

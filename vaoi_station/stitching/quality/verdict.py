@@ -1,7 +1,7 @@
 """The verdict on a stitch: ok, degraded or failed, with reasons in words and numbers.
 
-ok: every position has a standard deviation of at most 0.2 px, and nothing contradicts the model.
-degraded: usable, with the reasons. failed: component positions cannot be given.
+A result is ok if every position has a standard deviation of at most 0.2 px and no check fails. It is degraded if it is
+usable but a check fails; the reasons name the check. It has failed if it contains no component positions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _OUTSIDE_LIMIT = 0.03
 
 
 class _Placed(NamedTuple):
-    """A board that was found, with what its checks read."""
+    """The inputs of the checks of a board that was found."""
 
     findings: Findings
     plane: BoardPlane
@@ -38,7 +38,7 @@ class _Placed(NamedTuple):
 
     @property
     def points(self) -> FiducialPoints | None:
-        """The points known in CAD."""
+        """The observed points with known CAD coordinates."""
         return self.mapping.problem.fiducials
 
     @property
@@ -48,12 +48,12 @@ class _Placed(NamedTuple):
 
 
 def decide_verdict(f: Findings) -> tuple[Status, tuple[str, ...]]:
-    """Decide the status and give its reasons; those of a failure begin with its cause."""
+    """Decide the status of a result and return it with its reasons. The first reasons of a failure are its cause."""
     if not f.scene.present:
         return Status.FAILED, ("no whole frame of any camera arrived: there is nothing to stitch",)
     reasons = list(_reasons(f))
     if isinstance(f.found, Failure):
-        # A camera that is switched off explains the failure better than the fiducials it would have shown.
+        # A camera that delivered no frame explains the failure better than the fiducials missing because of it.
         absent = absent_camera_reasons(f.scene, f.plane if f.method.marks else None, f.expectation, f.moved.motion)
         return Status.FAILED, (*absent, f.found.reason, *reasons)
     return (Status.DEGRADED if reasons else Status.OK), tuple(reasons)
@@ -101,7 +101,7 @@ def _non_overlapping_cameras(f: Findings) -> Iterator[str]:
 
 
 def _missing_fiducials(b: _Placed) -> Iterator[str]:
-    # A reference run or fixture marks place the board as well; then a missing fiducial is no reason.
+    # A reference run or fixture marks also place the board. A missing fiducial is then no reason.
     if not b.findings.method.marks:
         return
     which = b.points.which if b.points is not None else np.zeros(0, dtype=np.int_)
@@ -140,7 +140,7 @@ def _invisible_outline(b: _Placed) -> Iterator[str]:
 
 def _texture_off_the_board(b: _Placed) -> Iterator[str]:
     o, adjusted = b.findings.problem.links, b.findings.adjusted
-    # Only links from row to row: they move with the board, whereas a seam link may lie on the conveyor.
+    # Only links from row to row are used. Their points move with the board; those of a seam may lie on the conveyor.
     use = (adjusted.weight > 0.5) & (o.p != o.q)
     share = outside_share(b.plane, b.similarity, adjusted.motion.board(o.p[use], o.a_mm[use]))
     if share > _OUTSIDE_LIMIT:
@@ -154,7 +154,7 @@ def _uncertain_positions(b: _Placed) -> Iterator[str]:
         yield f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX}){blamed}"
 
 
-# The order is that of the reasons in a result: the run as a whole first, then the board on it.
+# A result lists the reasons in this order: checks of the run come first, then checks of the board.
 _RUN_CHECKS: tuple[Callable[[Findings], Iterable[str]], ...] = (
     _no_texture,
     _unconnected_rows,

@@ -1,1 +1,1 @@
-"""Stitch recordings on disk, and keep one as the reference of its board type."""
+"""Stitching of recordings on disk, and storage of a run as the reference of its board type."""

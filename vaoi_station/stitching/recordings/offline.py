@@ -1,4 +1,4 @@
-"""Stitching of a whole recording: the same tasks as in the station, one after the other."""
+"""Stitching of a complete recording, with the same tasks as in the station, but one after the other."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Frames = Callable[[int, int], NDArray[Any] | None]
 def stitch_frames(
     setup: StitchSetup, head: RecordingHead, frame: Frames, reference_frame: Frames | None = None
 ) -> Stitch:
-    """Stitch frames of a finished run.
+    """Stitch the frames of a finished run.
 
     Args:
-        setup: what is known before the board is filmed.
-        head: cameras, rows and times.
-        frame: gives pixels by camera and row; None where a frame never arrived.
-        reference_frame: the same for the reference, where `setup` has one.
+        setup: inputs that are known before the board is filmed.
+        head: head of the recording, with cameras, rows and times.
+        frame: function that returns the pixels of a camera and a row; None where a frame never arrived.
+        reference_frame: the same function for the frames of the reference, if `setup` has a reference.
     """
-    # A run with a lost frame is stitched from the others; only the tasks of that frame are left out.
+    # A run with missing frames is stitched from the other frames. Only the tasks of the missing frames are left out.
     lost = set(head.missing)
     present = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost]
     times_s = head.row_times_s()

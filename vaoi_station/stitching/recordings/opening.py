@@ -1,4 +1,4 @@
-"""A recording on disk, opened for stitching: with its calibration, board type and perhaps a reference."""
+"""Opening of a recording on disk for stitching, with its calibration, board type and reference, if any."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from vaoi_station.stitching.work import StitchSetup, TaskRunner
 
 @dataclass(frozen=True, eq=False)
 class OpenedRun:
-    """All inputs of the stitching of a recorded run, with the paths they were read from."""
+    """All inputs for the stitching of a recorded run, with the paths from which they were read."""
 
     recording: Recording
     calibration: Calibration
     calibration_path: Path
     board_path: Path | None
-    """None where no board type is known."""
+    """File of the board type; None if the board type is unknown."""
     reference: StoredReference | None
     setup: StitchSetup
 
     @property
     def present(self) -> tuple[FrameKey, ...]:
-        """The frames that arrived, by camera, then row."""
+        """Keys (camera, row) of the frames that arrived, ordered by camera, then by row."""
         head = self.recording.head
         lost = set(head.missing)
         keys = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
         return tuple(key for key in keys if key not in lost)
 
     def runner(self, frame: Frames | None = None) -> TaskRunner:
-        """Make a task runner that reads the frames of the run by `frame`, by default from disk."""
+        """Make a task runner for the run. It reads frames with the function `frame`, by default from disk."""
         return TaskRunner(
             self.setup, frame or self.recording.frame, self.reference.recording.frame if self.reference else None
         )
@@ -54,19 +54,20 @@ def open_run(
 
     Args:
         case: directory of the recording.
-        calibration: by default the recording's own.
-        board: board type; by default the recording's own, if it has one.
-        reference: directory made by `vaoi teach`.
-        method: names the evidence to use.
+        calibration: file of the calibration; by default that in the recording.
+        board: file of the board type; by default that in the recording, if there is one.
+        reference: directory of a reference, made by `vaoi teach`.
+        method: name of the method, which selects the evidence to use.
 
     Raises:
-        InputError: the inputs do not fit together: number of cameras, a reference without a board type.
+        InputError: the inputs do not fit together, for example by the number of cameras, or a reference is given
+            without a board type.
     """
     recording = open_recording(case)
     head = recording.head
     calibration_path = calibration or case / "calibration.json"
     known = read_calibration(calibration_path, head.cameras)
-    # Arguments come before the files of the recording: a correction is tried without changing the recording.
+    # Arguments take precedence over files of the recording, so that a correction is tried without changing these files.
     own = case / "board.json"
     board_path = board or (own if own.is_file() else None)
     setup = StitchSetup(

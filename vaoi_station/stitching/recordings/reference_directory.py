@@ -1,4 +1,4 @@
-"""A reference as a directory: a recording, its calibration and board type, and its result (`vaoi teach`)."""
+"""A reference run as a directory: the recording, calibration, board type and result (made by `vaoi teach`)."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from vaoi_station.stitching.work import StitchSetup
 
 RESULT = "result.json"
 _SAME_CALIBRATION_PX = 0.05
-"""Largest difference between two calibrations; a reference brings that difference into every position."""
+"""Largest accepted difference between the calibrations of reference and run: it adds to the error of positions."""
 _CAD_TERMS = ("unit", "y_axis", "side", "fiducials")
-"""Keys of a board type that C depends on."""
+"""Keys of a board type on which C depends."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredReference:
-    """A reference with the recording of its frames."""
+    """A reference, together with the recording that holds its frames."""
 
     reference: Reference
     recording: Recording
 
 
 def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
-    """Stitch a recording and keep it as a reference.
+    """Stitch a recording and store it as a reference in the new directory `out`.
 
     Raises:
         InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
@@ -60,7 +60,7 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
         reasons = "; ".join(stitch.reasons)
         raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
     with new_directory(out) as draft:
-        # The truth of a simulated recording stays out: nothing of the product may read it.
+        # The truth of a simulated recording is not copied, since no part of the product may read it.
         shutil.copytree(case, draft, ignore=shutil.ignore_patterns("truth.json"), dirs_exist_ok=True)
         shutil.copyfile(calibration, draft / "calibration.json")
         shutil.copyfile(board, draft / "board.json")
@@ -76,14 +76,14 @@ def write_reference(
     board_type: BoardType,
     stitch: Stitch,
 ) -> None:
-    """Write a stitched run as a reference; the directory appears complete or not at all.
+    """Write a stitched run as a reference. The directory appears complete or not at all.
 
     Args:
-        directory: must not exist.
-        head: of the run; frames that are not kept are `missing`.
-        frames: (camera, row, pixels).
-        calibration: of the stitching.
-        board_type: of the board in the run.
+        directory: directory to create; it must not exist.
+        head: head of the run, in which frames that are not kept are listed as `missing`.
+        frames: the frames to keep: camera, row and pixels of each.
+        calibration: calibration with which the run was stitched.
+        board_type: board type of the run.
         stitch: result of the run.
     """
     with new_directory(directory) as draft:
@@ -94,7 +94,7 @@ def write_reference(
 
 
 def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> StoredReference:
-    """Open a reference for runs of these cameras and this board type; stitch it if it has no result yet.
+    """Open a reference for runs of these cameras and this board type; stitch the reference if it has no result yet.
 
     Raises:
         InputError: the reference was filmed with another calibration, or shows another board type.
@@ -112,13 +112,13 @@ def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: Boa
         raise InputError(f"{directory}: the reference has no CAD mapping: {'; '.join(stitch.reasons)}.")
     lost = set(recording.head.missing)
     everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
-    # Only what linking needs: this object travels to every worker with every run.
+    # Only the fields that linking needs are kept, since this object is sent to every worker with every run.
     used = stitch.model_copy(update={"image_matrices": (), "components": None, "quality": {}})
     return StoredReference(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
 
 
 def with_reference(setup: StitchSetup, stored: StoredReference | None) -> StitchSetup:
-    """Return the setup with the reference added, if there is one."""
+    """Return the setup, with the reference added if there is one."""
     return setup if stored is None else replace(setup, reference=stored.reference)
 
 
@@ -127,8 +127,8 @@ def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardT
 
 
 def _name(head: RecordingHead, stitch: Stitch) -> str:
-    """Return the run's id where the recording has it, else a fingerprint of its matrices."""
-    # A path would change when the directory is copied, and with it the name in every later result.
+    """Return the name of a reference: the run's id if the recording has one, else a hash of the result's matrices."""
+    # The name is not a path, which would change when the directory is copied, and with it the name in later results.
     if isinstance(run := (head.model_extra or {}).get("x_run"), str):
         return run
     matrices = b"".join(m.tobytes() for m in (stitch.cad_matrix, *stitch.row_motion) if m is not None)

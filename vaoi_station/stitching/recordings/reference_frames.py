@@ -1,6 +1,6 @@
-"""The small set of frames per row that a reference keeps (section 3.3.3).
+"""Selection of the few frames per row that a reference keeps (paper, section 3.3.3).
 
-All cameras of a row share one motion, so a few frames determine it; frames far apart determine its angle best.
+All cameras of a row share one motion, so a few frames determine it. Frames far apart determine its angle best.
 """
 
 from __future__ import annotations
@@ -16,20 +16,21 @@ from vaoi_station.model import BoardType, Stitch
 from vaoi_station.stitching.matching.evidence import FrameKey
 
 MOST_PER_ROW = 4
+"""Largest number of frames that are kept per row."""
 _LEAST_SHARE = 0.05
-"""Least share of a frame that shows the board."""
+"""Least share of a frame that must show the board for the frame to be kept."""
 
 
 def select_reference_frames(
     stitch: Stitch, cameras: Sequence[Camera], board_type: BoardType, present: Collection[FrameKey]
 ) -> frozenset[FrameKey]:
-    """Select the frames that are kept as a reference: at most `MOST_PER_ROW` of each row, spread evenly.
+    """Select the frames that a reference keeps: at most `MOST_PER_ROW` of each row, spread evenly over the cameras.
 
     Args:
-        stitch: with a CAD mapping, from which the frames that show the board follow.
-        cameras: of the run.
-        board_type: of the run.
-        present: the good frames (camera, row).
+        stitch: result of the run; its CAD mapping gives the frames that show the board.
+        cameras: cameras of the run.
+        board_type: board type of the run.
+        present: keys (camera, row) of the good frames.
     """
     c = stitch.cad_matrix
     assert c is not None, "only a run with a CAD mapping can be a reference"
@@ -46,12 +47,12 @@ def select_reference_frames(
 def _spread(cameras: list[int]) -> list[int]:
     if len(cameras) <= MOST_PER_ROW:
         return cameras
-    # Both ends are among them, for the longest arm.
+    # The first and the last camera are among them, so that the angle is determined over the longest distance.
     return [cameras[k] for k in np.linspace(0, len(cameras) - 1, MOST_PER_ROW).round().astype(int)]
 
 
 def _share(camera: Camera, board_mm: Floats) -> float:
-    """Compute the share of a frame that shows the board with corners (4, 2); 0 where it is too small to be of use."""
+    """Compute the share of a camera's frame that shows the board with corners (4, 2); 0 if the share is too small."""
     w, h = camera.width_px - 1.0, camera.height_px - 1.0
     view = camera.ground(np.array([[0, 0], [w, 0], [w, h], [0, h]]))
     area, _ = cv2.intersectConvexConvex(view.astype(np.float32), board_mm.astype(np.float32))
