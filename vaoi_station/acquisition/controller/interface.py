@@ -21,10 +21,15 @@ class TriggerPlan:
     """The timing of one run after the barrier's edge; fixed while armed."""
 
     start_delay_s: float
+    """Time from the interruption of the barrier to the first pulse."""
     period_s: float
+    """Time between two pulses."""
     tail_s: float
+    """Time after the board has left the barrier during which pulses are still fired."""
     max_rows: int
+    """Count of rows after which a run ends even if the board has not left the barrier."""
     debounce_s: float
+    """Time for which the barrier must keep its new state before the change counts."""
     lights: Sequence[str] = ()
     """Names of the light patterns, used in turn. Empty: every row has the same light."""
 
@@ -122,7 +127,7 @@ class Controller(Protocol):
         """Trigger all cameras and LEDs once, now, whatever the state of the barrier: a run of one pulse.
 
         Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board. The firmware reports
-        `FIRE_ONE` as one pulse without a row; the host end turns it into these two events.
+        `FIRE_ONE` as one pulse without a row; the serial backend turns it into these two events.
 
         Raises:
             StateError: the controller is armed, or this backend fires only when a board passes.

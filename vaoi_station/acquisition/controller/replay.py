@@ -66,13 +66,13 @@ class ReplayController:
     def __init__(
         self, runs: Iterator[list[RecordedRow]], clock: DeviceClock, pause_s: float, pace: Pace | None
     ) -> None:
-        """Play `runs` in order; a `pace` replaces the clock, and `pause_s` between runs is then not used."""
+        """Play `runs` in order with pauses of `pause_s`; a `pace` replaces both the clock and the pauses."""
         self._runs, self._clock, self._pause_s, self._pace = runs, clock, pause_s, pace
         self._numbers = count()
         self._change = threading.Condition()
         self._plan: TriggerPlan | None = None
         self._episode = 0
-        """Number of the arming; a run stops when it has changed."""
+        """Number of the present arming; a run stops when this number changes."""
         self._in_run = self._closing = False
         self._pulses = 0
         self._played = 0

@@ -26,10 +26,10 @@ Edge = tuple[float, bool]
 
 
 class DrivenLine(Protocol):
-    """The simulated line as its controller drives it; every method is called from the controller's threads."""
+    """The methods of the simulated line that the controller calls, from its threads or its callers' threads."""
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
-        """Return the plan, completed by what the line adds; raise InputError to refuse it."""
+        """Return the plan, completed with the line's lights; raise InputError if the line cannot follow the plan."""
 
     def fire(self, event: PulseFired) -> None:
         """Expose all cameras for a pulse of a board."""
@@ -38,7 +38,7 @@ class DrivenLine(Protocol):
         """Expose all cameras for a pulse of `fire_one`."""
 
     def set_armed(self, armed: bool) -> None:
-        """Let boards come, or hold them back."""
+        """Let boards enter the belt if `armed`; otherwise hold them back."""
 
     def end_run(self) -> None:
         """Note that a run has ended."""
@@ -121,7 +121,7 @@ class SimulatedController:
     def _work(self) -> None:
         with self._changed:
             while not self._closing:
-                # The lock is held during the whole step, so that `disarm` never meets a half reported run.
+                # The lock is held during the whole step, so that `disarm` never interrupts the report of a run.
                 ended = self._step(self.clock.now_s())
                 if ended:
                     self._line.end_run()
@@ -144,7 +144,7 @@ class SimulatedController:
     def _report(self, events: Sequence[ControllerEvent]) -> None:
         for event in events:
             if isinstance(event, PulseFired):
-                # Cameras are triggered before the host knows of the pulse, as with the real controller.
+                # Cameras are triggered before the pulse is reported to the host, as with the real controller.
                 self._line.fire(event)
             self._runs += isinstance(event, BarrierBlocked)
             self._events.put(event)

@@ -2,7 +2,7 @@
 
 It specifies what the firmware does; `tests/hw/test_logic.py` compares the two. Times are seconds of the controller's
 clock. Pulse j of a run is due at edge + delay + j · period, always computed from the edge, so that rounding errors do
-not add up. An edge counts once the level has lasted `debounce_s`; the run is dated by the edge itself. A pulse is fired
+not add up. An edge counts once the level has lasted `debounce_s`; the run starts at the edge. A pulse is fired
 if it is due no later than the end of the tail. A board that blocks the barrier again within its tail (a cut-out in the
 board) continues the same run.
 """
@@ -32,13 +32,14 @@ class _Passage:
     """When pulse 0 is due."""
     fired: int = 0
     clear_s: float | None = None
+    """When the board left the barrier; None while it interrupts the barrier."""
 
 
 class TriggerRule:
     """The state machine of one arming: takes edges and the time, returns events in order of time."""
 
     def __init__(self, plan: TriggerPlan, numbers: count[int]) -> None:
-        """Begin with the barrier clear; `numbers` numbers the events across armings."""
+        """Begin with the barrier clear; `numbers` gives the event numbers, which continue across armings."""
         check_plan(plan)
         self.plan = plan
         self._numbers = numbers

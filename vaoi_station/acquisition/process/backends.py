@@ -31,7 +31,7 @@ def _open_hardware(config: StationConfig) -> Devices:
     from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
     from vaoi_station.acquisition.controller.serial import open_serial_controller
 
-    # The controller first: it fails at once, while an absent camera is noticed after seconds.
+    # The controller is opened first: it fails at once, while an absent camera is noticed only after seconds.
     controller = open_serial_controller(config)
     try:
         return Devices(open_aravis_cameras(config), controller)
@@ -41,7 +41,7 @@ def _open_hardware(config: StationConfig) -> Devices:
 
 
 def check_backends(config: StationConfig) -> None:
-    """Raise InputError for a scenario or recordings that do not fit: opening the devices again would not help."""
+    """Raise InputError for a scenario or recordings that do not fit the station; a new attempt would fail as well."""
     if config.controller.backend == "serial":
         return
     if config.controller.backend == "replay":

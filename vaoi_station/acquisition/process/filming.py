@@ -34,18 +34,18 @@ STOP_S = 5.0
 
 @dataclass(frozen=True)
 class FilmingHandlers:
-    """The functions that are called while runs are filmed, all from the calling thread."""
+    """The functions that filming calls with its results, always in the thread of the caller."""
 
     run_finished: Callable[[RunFinished, Ring, int], None]
-    """Called with a run, the ring and the generation of its bay; the bay is reused after it returns."""
+    """Called with a finished run, the ring and the generation of the run's bay. The bay is reused after the return."""
     notice: Callable[[str], None]
     """Called with a sentence that the operator should see."""
     frame_settled: Callable[[FrameSettled, Ring, int], None] | None = None
-    """Called with every complete frame as soon as it is assigned, the ring and the generation of its bay."""
+    """Called as soon as a complete frame is assigned, with the frame's report, the ring and the bay's generation."""
 
 
 def film(config: StationConfig, runs: int, handlers: FilmingHandlers) -> None:
-    """Film a number of boards in a process of its own; block until all are filmed.
+    """Film a number of boards in a separate acquisition process; block until all are filmed.
 
     Raises:
         InputError: the simulation or replay has fewer boards.
@@ -63,7 +63,7 @@ def film_pulses(config: StationConfig, pulses: int, rate_hz: float, handlers: Fi
         config: the station.
         pulses: count of pulses.
         rate_hz: highest rate; a pulse waits until all frames of the one before have arrived or are given up.
-        handlers: are called with the results.
+        handlers: the functions that are called with the results.
 
     Raises:
         DeviceError: a device fails, or cannot fire without a board.
@@ -81,10 +81,10 @@ class FilmingProcess:
     handlers: FilmingHandlers
     granted: int = 0
     generations: dict[int, int] = field(default_factory=dict)
-    """Bay → its generation."""
+    """Bay → its present generation."""
 
     def grant(self, bay: int) -> None:
-        """Grant memory for one more run."""
+        """Claim a bay and grant it to the acquisition process for one more run."""
         self.generations[bay] = self.ring.claim(bay)
         self.granted += 1
         self.connection.send(Grant(f"{self.granted:03d}", bay))
@@ -98,7 +98,7 @@ class FilmingProcess:
             raise DeviceError(what, action="Read its output above; then start again.") from error
 
     def dispatch(self, report: object, *, fatal: bool) -> None:
-        """Call the handler of a report; `fatal`: raise a fault instead of showing it."""
+        """Call the handler of a report; if `fatal`, raise a reported fault instead of showing it."""
         if isinstance(report, FrameSettled):
             slot = report.frame.slot
             if self.handlers.frame_settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
@@ -125,7 +125,7 @@ def _film_boards(config: StationConfig, process: FilmingProcess, runs: int) -> N
         elif isinstance(report, Armed):
             armed = True
             process.handlers.notice("Armed: waiting for a board.")
-        # A fault before the line is armed means that it will not be; later ones cost frames only.
+        # A fault before arming means that the line will not be armed. Later faults only cost frames.
         process.dispatch(report, fatal=not armed)
         if isinstance(report, RunFinished):
             done += 1
@@ -163,7 +163,7 @@ def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterat
             handlers.notice(ring.lock_note)
         process = context.Process(target=run_acquisition, args=(config, ring.path, theirs), name="acquisition")
         process.start()
-        # With our copy of its end closed, the death of the process ends the pipe instead of blocking us.
+        # Our copy of the process's end is closed, so that the pipe ends when the process dies, instead of blocking us.
         theirs.close()
         try:
             yield FilmingProcess(ring, ours, handlers)
@@ -185,7 +185,7 @@ def _stop(process: multiprocessing.process.BaseProcess, connection: Connection) 
 
 
 def _check_supply(config: StationConfig, runs: int) -> None:
-    """Raise InputError if a simulation or replay has fewer boards than are to be filmed."""
+    """Raise InputError if the simulation or replay has fewer boards than `runs`."""
     if config.simulation is not None and 0 < config.simulation.boards < runs:
         raise InputError.field("station.toml", "simulation.boards", config.simulation.boards, f"0 or at least {runs}")
     if config.replay is not None and 0 < config.replay.runs < runs:

@@ -2,7 +2,7 @@
 
 The station starts the process with `spawn` and communicates with it over one pipe. Commands, controller events,
 arrivals, clock readings and faults go through one queue, so that a single thread takes all decisions. When the pipe
-ends, the process closes its devices and exits. When a device fails, it reports the fault and continues.
+ends, the process closes its devices and exits. When a device fails, the process reports it and runs on.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import InternalError, StateError, VaoiError
 
 HEALTH_PERIOD_S = 0.5
-"""Between two heartbeats, and between two readings of all clocks."""
+"""Time between two heartbeats, and between two readings of all clocks, s."""
 FIRST_READINGS = 8
-"""Clock readings of every device before the process is ready."""
+"""Count of clock readings taken from every device before the process is ready."""
 URGENT_READING_PERIOD_S = 0.05
-"""Between two readings of all clocks while a command waits for them."""
+"""Time between two readings of all clocks while a command waits for accurate clocks, s."""
 CLOCK_TIMEOUT_S = 10.0
 """Longest time for which arming or a single pulse waits until the clocks are known well enough. On a busy computer most
-round trips are long, and one short one suffices."""
+round trips are long, but a single short one is enough."""
 
 
 def run_acquisition(
@@ -77,7 +77,7 @@ def run_acquisition(
 
 
 class _ControllerDisarmed:
-    """The marker in the inbox behind the last event of the armed controller."""
+    """A marker in the inbox; it follows the last event that the controller reported before it was disarmed."""
 
 
 @dataclass(frozen=True)
@@ -90,14 +90,14 @@ class _WaitingCommand:
 
 @dataclass(frozen=True)
 class _PolledClock:
-    """The reading of a device's clock, or why it failed; number 0 is the controller, cameras count from 1."""
+    """The reading of a device's clock, or the error instead. Number 0 is the controller; cameras count from 1."""
 
     number: int
     result: ClockReading | VaoiError
 
 
 class _MainLoop:
-    """The inbox, the session, and the threads that only wait."""
+    """The loop that passes every message of the inbox to the session, and the threads that fill the inbox."""
 
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
@@ -151,11 +151,11 @@ class _MainLoop:
                 return
             if item is not None:
                 self._try(partial(self._handle, item))
-            # After every item: a clock reading may be what the waiting command needs.
+            # Retried after every item, because the item may be the clock reading that the command waits for.
             self._try(self._retry_waiting)
 
     def _try(self, step: Callable[[float], None]) -> None:
-        """Carry out a step; report its refusal."""
+        """Carry out a step; if it raises an error, report the error to the station."""
         try:
             step(time.monotonic())
         except VaoiError as error:
@@ -173,7 +173,7 @@ class _MainLoop:
         elif isinstance(item, Disarm):
             self._waiting = None
             self._devices.controller.disarm()
-            # disarm() returns when all its events are in the inbox; the marker comes after them.
+            # When disarm() returns, all events of the controller are in the inbox; the marker comes after them.
             self._inbox.put(_ControllerDisarmed())
         elif isinstance(item, _ControllerDisarmed):
             self._session.finish_disarming(now_s)
@@ -181,7 +181,7 @@ class _MainLoop:
             self._session.camera_lost(item)
             self._send(trouble_report(item.error))
         elif isinstance(item, CameraBack):
-            # The reading first: the clock may have restarted, and the next arrival is dated by it.
+            # The reading is added first: the clock may have restarted, and it dates the next arrival.
             self._clocks[1 + item.camera].add(item.reading)
             self._session.camera_back(item)
         elif isinstance(item, DeviceFault):
@@ -194,16 +194,16 @@ class _MainLoop:
             raise InternalError(f"the acquisition process has no handler for {item!r}.")
 
     def _add_polled(self, polled: _PolledClock) -> None:
-        """Add a reading to its clock model, or report why there is none."""
+        """Add a polled reading to the model of its clock, or report the error of the attempt."""
         clock = self._clocks[polled.number]
-        # The loss of a camera was reported. A second report would end an arming that does without that camera.
+        # The loss of a camera has been reported already. A second report would end an arming that works without it.
         if isinstance(polled.result, ClockReading):
             clock.add(polled.result)
         elif not self._session.is_away(polled.number):
             self._send(trouble_report(polled.result, clock.name))
 
     def _retry_waiting(self, now_s: float) -> None:
-        """Arm or fire if the clocks are known well enough; raise ClockError when the time for that is over."""
+        """Carry out the waiting command if the clocks are accurate enough; raise ClockError after its waiting time."""
         waiting, self._waiting = self._waiting, None
         if waiting is None:
             return
@@ -238,7 +238,7 @@ class _MainLoop:
 
     def _poll_clocks(self) -> None:
         """Read all clocks twice a second, and more often while a command waits for them."""
-        # In a thread of its own: the control channel of a dead Aravis camera blocks for about 2.6 s.
+        # This runs in a separate thread: the control channel of a dead Aravis camera blocks for about 2.6 s.
         while not self._closing.wait(URGENT_READING_PERIOD_S if self._waiting else HEALTH_PERIOD_S):
             for number, source in enumerate(self._sources):
                 try:

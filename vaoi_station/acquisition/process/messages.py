@@ -18,7 +18,7 @@ from vaoi_station.model import FrameRecord, Pulse, RecordingHead
 class Grant:
     """A bay of the ring for a coming run; grants are used in the order in which they are sent.
 
-    The station claims the bay before it grants it (`Ring.claim`): a new generation, all pixels zero.
+    The station claims the bay before it grants it: `Ring.claim` starts a new generation and sets all pixels to zero.
     """
 
     run: str
@@ -39,7 +39,7 @@ class Disarm:
 
 @dataclass(frozen=True)
 class FireOne:
-    """Fire one pulse now, whatever the barrier shows: a run of one row in the next grant. Refused while armed."""
+    """Fire one pulse now, independent of the barrier: a run of one row in the next grant. Refused while armed."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ Command = Grant | Arm | Disarm | FireOne | Shutdown
 
 @dataclass(frozen=True)
 class Ready:
-    """Cameras and controller are open."""
+    """Cameras and controller are open; `cameras` is the count of cameras."""
 
     cameras: int
 
@@ -73,13 +73,13 @@ class Disarmed:
 class RunStarted:
     """The first pulse of a board was fired.
 
-    The run before it may not be finished yet, if that one still waits for late frames.
+    The previous run may be unfinished at this time, because it may still wait for late frames.
     """
 
     run: str
     bay: int
     host_time_s: float
-    """When the board interrupted the barrier; for a single pulse: when it was requested."""
+    """Time at which the board interrupted the barrier, or at which a single pulse was requested."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class FrameSettled:
 class RunFinished:
     """Every (camera, row) has its verdict; nothing of this run changes any more.
 
-    Runs finish in the order of their boards, except where one waits for late frames (one period + 0.5 s at most).
+    Runs finish in the order of their boards, unless a run waits for late frames (at most one period + 0.5 s).
     """
 
     run: str
@@ -113,7 +113,7 @@ class RunFinished:
     frames: tuple[FrameRecord, ...]
     """Ordered by camera, then row."""
     last_frame_host_s: float
-    """time.monotonic() when the last frame of the run arrived; of the last pulse, if none did."""
+    """time.monotonic() when the last frame of the run arrived; if no frame arrived, the time of the last pulse."""
     reason: str
     """Why the pulses ended: see `controller.interface.RunEnded`."""
     unassigned: int = 0

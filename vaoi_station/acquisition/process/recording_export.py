@@ -20,10 +20,10 @@ def export_run(
     """Write a finished run as the recording `directory`, which must not exist yet.
 
     Args:
-        directory: is renamed into place when it is complete.
+        directory: path of the new recording, which appears there only when it is complete.
         finished: the run; frames that are not complete are listed under `missing`, with causes under `x_verdicts`.
-        ring: holds its frames.
-        generation: of its bay.
+        ring: the ring that holds the frames of the run.
+        generation: generation of the run's bay.
         copies: name in the recording → file to copy there ("calibration.json", "board.json").
 
     Raises:

@@ -1,7 +1,7 @@
 """The state of the acquisition process between two messages: plan, grants, the run under way.
 
-One thread uses it. Every event comes in as a call with the time of day; reports go out by `send`. The order of actions
-on devices, ring and recorder keeps frames safe: the cameras hold slots before a pulse is fired.
+Only one thread uses the session. Every event is a method call with the host time; reports go out through `send`. The
+order of actions on devices, ring and recorder keeps frames safe: the cameras hold slots before a pulse is fired.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ from vaoi_station.model import Verdict
 from vaoi_station.optics.pulse_timing import spare_time_us
 
 CLOCK_LIMIT_S = 2e-3
-"""Largest bound of a clock with which the station is armed, s ..."""
+"""Arming requires that the error bound of every clock is at most this limit, s ..."""
 CLOCK_SHARE = 1 / 10
-"""... and as a share of the period: frames are assigned to pulses by time."""
+"""... and at most this share of the trigger period, because frames are assigned to pulses by time."""
 SILENCE_S = 10.0
-"""A controller that has not ended a run this long after its longest duration is given up."""
+"""Time after the longest duration of a run at which the session stops waiting for the controller to end it, s."""
 
 _STATES = {Verdict.OK: OK, Verdict.INCOMPLETE: INCOMPLETE}
 
 
 class Session:
-    """Grants, arming, and one run after another."""
+    """The decisions of the acquisition process: it uses grants, arms the controller, and films runs."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class Session:
         Args:
             config: the station.
             ring: the ring, mapped writable.
-            devices: opened and started.
+            devices: cameras and controller, opened and started.
             controller_clock: maps the controller's times to the host's clock.
             camera_clocks: map the time stamps of every camera.
             send: sends a report to the station.
@@ -88,7 +88,7 @@ class Session:
         """The run whose pulses are being fired."""
         self._silent_s = float("inf")
         self._skipped: dict[int, str] = {}
-        """Row → why it was not fired, for rows before the first pulse of a passage."""
+        """Row → why its pulse was not fired, for rows that were skipped before the first pulse of a board."""
         self._given_up = False
         """Whether a run was closed before its end was reported; later events of it are ignored."""
         self._edge_s = 0.0
@@ -123,7 +123,7 @@ class Session:
         Raises:
             InputError: the plan does not fit the ring or the cameras.
             ClockError: a clock is not known well enough yet.
-            StateError: a board is passing and the plan is another one.
+            StateError: the plan differs from the present one while a board is passing.
             DeviceError: the controller refuses the plan.
         """
         if plan.max_rows > self._ring.layout.slots_per_camera:
@@ -168,7 +168,10 @@ class Session:
         self._devices.controller.fire_one()
 
     def finish_disarming(self, now_s: float) -> None:
-        """End the run under way, then return unused memory; the controller is disarmed and all its events are read."""
+        """End the run under way, then return unused memory.
+
+        Call it when the controller is disarmed and all its events are handled.
+        """
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self._plan = None
@@ -187,7 +190,7 @@ class Session:
             # The start delay leaves time to queue slots before the first pulse.
             self._load_while_waiting()
         elif isinstance(event, PulseFired):
-            # An index that does not grow belongs to the next board: the end of the run before was lost.
+            # An index that does not grow belongs to the next board: the report of the previous run's end was lost.
             if self._run is None or event.index <= max(self._run.pulses, default=-1):
                 self._begin_run(now_s)
             pulse, outcomes = self._recorder.add_pulse(event, now_s)
@@ -203,7 +206,7 @@ class Session:
                 self._end_run(event.pulses, event.reason, now_s)
 
     def _require_clocks(self, limit_s: float) -> None:
-        """Raise ClockError while a clock is not known well enough, except those of cameras that are away."""
+        """Raise ClockError if a clock's error bound exceeds `limit_s`; cameras that are away are not checked."""
         for number, clock in enumerate(self._clocks):
             if not self.is_away(number):
                 clock.require(limit_s)
@@ -215,12 +218,12 @@ class Session:
         return late
 
     def handle_arrival(self, arrival: Arrival, now_s: float) -> None:
-        """Handle a slot that a camera has finished with."""
+        """Handle a slot that a camera has delivered."""
         self._slot_queue.mark_returned(arrival.slot)
         self._apply(self._recorder.add_arrival(arrival, now_s), now_s)
 
     def camera_lost(self, event: CameraLost) -> None:
-        """Note that a camera is away; the frames that it misses have that cause."""
+        """Note that a camera is away; this becomes the cause of its missing frames."""
         self._recorder.outages.begin(event.camera, event.since_s, event.why)
 
     def camera_back(self, event: CameraBack) -> None:
@@ -266,7 +269,7 @@ class Session:
                 self._finish(outcome, now_s)
             else:
                 frame = outcome.frame
-                # The slot table before the report: readers of the ring look the frame up as soon as it is reported.
+                # The slot table is written before the report: readers of the ring look the frame up after the report.
                 if frame.slot is not None:
                     self._ring.write_slot_record(frame.slot, _STATES[frame.verdict], frame.row, frame.frame_id)
                 self._send(FrameSettled(outcome.run, frame, now_s))
@@ -279,7 +282,7 @@ class Session:
         """Report the end of a run."""
         bay = finished.record.bay
         assert bay is not None
-        # The slots first: with the report the station may give the bay to another board.
+        # The slots are taken back first: after the report the station may give the bay to another board.
         if self._slot_queue.loaded == bay:
             self._slot_queue.unload()
         self._slot_queue.close_bay(bay)
@@ -287,13 +290,13 @@ class Session:
         self._load_next()
 
     def _load_while_waiting(self) -> None:
-        """Replace the slots of a run that still waits for late frames by those of the next grant."""
+        """Queue the slots of the next grant; take back the slots of a run that only waits for late frames."""
         if self._run is None and self._next is None and self._grants:
             self._slot_queue.unload()
             self._load()
 
     def _load_next(self) -> None:
-        """Queue the slots of the next grant while armed, unless the cameras hold those of another run."""
+        """Queue the slots of the next grant if a plan is set and the cameras hold no slots of another run."""
         if self._plan is not None and self._run is None and self._slot_queue.loaded is None and self._grants:
             self._load()
 
@@ -316,7 +319,7 @@ class Session:
 
 
 def _require_time(plan: TriggerPlan, config: StationConfig) -> None:
-    """Raise InputError for a period in which a camera cannot expose and read out."""
+    """Raise InputError if the plan's period is too short for a camera's exposure and read-out."""
     for camera in config.cameras:
         if spare_time_us(plan.period_s * 1e6, camera.exposure_us, camera.readout_us) < 0:
             needed_s = (camera.exposure_us + camera.readout_us) * 1e-6

@@ -46,13 +46,13 @@ class SlotQueue:
                 self._spare[self._ring.layout.place(slot)[0], camera].append(slot)
 
     def mark_returned(self, slot: int) -> None:
-        """Note that a camera has finished with a slot."""
+        """Note that a camera has delivered a slot."""
         self._held.discard(slot)
 
     def recycle(self, slot: int) -> None:
         """Clear the slot of an unassigned frame, and reuse it if its bay is still being filled."""
         bay, camera, _ = self._ring.layout.place(slot)
-        # Cleared, because holes of a later incomplete frame must be black. A bay of a finished run is left alone:
+        # Cleared, because holes of a later incomplete frame must be black. A bay of a finished run is not touched:
         # it may belong to the next board already.
         if bay == self._loaded:
             self._ring.clear(slot)
@@ -62,7 +62,7 @@ class SlotQueue:
             self._spare[bay, camera].append(slot)
 
     def move_to_bay(self, slot: int, bay: int, camera: int) -> int | None:
-        """Return the slot of a frame in its run's bay, copying the frame if it arrived in another; None if full.
+        """Return the frame's slot in the run's bay; copy the frame there from another bay. None if the bay is full.
 
         Only late frames arrive in another bay: they fill the slots of the next run, which the camera already holds.
         """

@@ -43,10 +43,10 @@ def ring_path(config: StationConfig) -> Path:
 
 
 class Ring:
-    """An open ring, owned by the process that used `create`, borrowed by those that use `attach`."""
+    """The open ring with its frames. The process that calls `create` owns it; those that call `attach` borrow it."""
 
     def __init__(self, path: Path, layout: RingLayout, handle: int, *, writable: bool, owner: bool) -> None:
-        """Map the open file; use `create` or `attach`."""
+        """Map the open file `handle`; callers use `create` or `attach` instead."""
         self.path = path
         self.layout = layout
         self.writable = writable
@@ -55,7 +55,7 @@ class Ring:
         self._inode = os.fstat(handle).st_ino
         self._owner_pid = os.getpid() if owner else None
         self._handle = handle if owner else None
-        """Holds the owner's lock on the file."""
+        """Descriptor that holds the owner's lock on the file; None for borrowers."""
         self._map: mmap.mmap | None = ring_file.map_file(handle, layout.file_bytes, writable)
         self._bytes: NDArray[np.uint8] = np.frombuffer(self._map, dtype=np.uint8)
         self._header = self._table(0, 1, HEADER)
@@ -71,7 +71,7 @@ class Ring:
             StateError: a living process owns the path.
             InputError: the directory is not writable.
         """
-        # Leftovers of dead owners first: they hold the memory and perhaps the very path.
+        # Rings whose owner has ended are removed first: they occupy memory and perhaps this path.
         remove_leftovers(path.parent)
         handle = ring_file.create_file(path, layout)
         try:
@@ -82,7 +82,7 @@ class Ring:
             raise
         ring.lock_note = ring_file.lock_in_ram(ring._bytes)
         ring._slots["row"] = NO_ROW
-        # Last: readers refuse the file in any other state.
+        # This comes last: readers refuse the file in any other state.
         ring._header["state"] = IN_USE
         return ring
 
@@ -125,7 +125,7 @@ class Ring:
         return self._bytes[start : start + self._shape(slot).nbytes]
 
     def frame(self, slot: int) -> NDArray[Any]:
-        """Return the picture in a slot: (h, w), or (h, w, 3) for Bayer formats; uint8 or uint16 at full scale.
+        """Return the picture in a slot: (height, width), or (height, width, 3) for Bayer; uint8 or full-scale uint16.
 
         Mono8 and Mono16 are views of the ring, writable if the ring is. Other formats are unpacked into a copy.
         """
@@ -143,14 +143,14 @@ class Ring:
         last = first + self.layout.slots_per_bay
         generation = int(self._header["generation"][0]) + 1
         self._header["generation"] = generation
-        # Before the pixels are cleared: a reader checks the generation after it has copied them.
+        # The generation changes before the pixels are cleared: a reader checks it after it has copied the pixels.
         self._bays["generation"][bay] = generation
         self._slots[first:last] = (generation, 0, NO_ROW, 0, 0)
         self._bytes[self.layout.offset(first) : self.layout.offset(last)] = 0
         return generation
 
     def generation(self, bay: int) -> int:
-        """Return the generation of a bay; 0: never used."""
+        """Return the generation of a bay; 0 if the bay was never used."""
         self.layout.slot(bay, 0, 0)  # refuses a bay out of range
         return int(self._bays["generation"][bay])
 

@@ -101,7 +101,7 @@ def create_file(path: Path, layout: RingLayout) -> int:
 
 def map_file(handle: int, nbytes: int, writable: bool) -> mmap.mmap:
     """Map the whole file."""
-    # MAP_POPULATE fills the page tables now: else the thread that receives the first frames takes the page faults.
+    # MAP_POPULATE fills the page tables now: otherwise page faults delay the first frames.
     flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
     return mmap.mmap(handle, nbytes, flags=flags, prot=mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0))
 
@@ -159,7 +159,7 @@ def _allocate(handle: int, path: Path, layout: RingLayout) -> None:
     if (available := free.f_bavail * free.f_frsize) < layout.file_bytes:
         raise _full(path, layout, f"{_mib(available)} are free")
     try:
-        # The header first: if this process dies now, the leftover names its owner and is removed.
+        # The header is written first: if this process dies now, the file names its owner and is removed later.
         os.pwrite(handle, layout.header(pid, start_ticks(pid) or 0).tobytes(), 0)
         os.posix_fallocate(handle, 0, layout.file_bytes)
         os.pwrite(handle, layout.camera_records().tobytes(), layout.camera_table)

@@ -28,7 +28,7 @@ BUILDING, IN_USE, CLOSED = 0, 1, 2
 EMPTY, OK, INCOMPLETE = 0, 1, 2
 """States of a slot in the slot table."""
 NO_ROW = 0xFFFFFFFF
-"""In place of the row of an empty slot."""
+"""Row number in the slot table for a slot that holds no frame."""
 
 # Offsets are explicit: other programs read them from ring.md, so no compiler or NumPy alignment may move a field.
 HEADER = np.dtype(
@@ -69,18 +69,18 @@ class FrameShape:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of one frame."""
+        """Size of one frame, bytes."""
         return self.format.nbytes(self.width, self.height)
 
 
 @dataclass(frozen=True)
 class RingLayout:
-    """The counts and sizes from which every offset follows."""
+    """The layout of a ring's file: counts and frame sizes, and all offsets computed from them."""
 
     bays: int
     slots_per_camera: int
     frames: tuple[FrameShape, ...]
-    """Of every camera."""
+    """Size and pixel format of every camera's frames."""
 
     def __post_init__(self) -> None:
         for key in ("bays", "slots_per_camera"):
@@ -91,53 +91,53 @@ class RingLayout:
 
     @classmethod
     def of(cls, config: StationConfig) -> RingLayout:
-        """Return the layout for a station: `ring.runs` bays for the longest board and the spare rows."""
+        """Return a station's layout: `ring.runs` bays, each with slots for the longest board and the spare rows."""
         shapes = tuple(FrameShape(c.width, c.height, c.pixel_format) for c in config.cameras)
         return cls(config.ring.runs, config.rows_per_run, shapes)
 
     @property
     def cameras(self) -> int:
-        """Count of cameras: n of the paper."""
+        """Count of cameras (n in the paper)."""
         return len(self.frames)
 
     @property
     def slots_per_bay(self) -> int:
-        """Slots of one run of all cameras."""
+        """Count of slots in one bay, for all cameras together."""
         return self.cameras * self.slots_per_camera
 
     @property
     def slots(self) -> int:
-        """Slots of the whole ring."""
+        """Count of slots in the whole ring."""
         return self.bays * self.slots_per_bay
 
     @cached_property
     def slot_bytes(self) -> int:
-        """Distance between two slots: the largest frame, rounded up to whole pages."""
+        """Distance between the starts of two slots, bytes: the size of the largest frame, rounded up to whole pages."""
         return _pages(max(f.nbytes for f in self.frames))
 
     @property
     def camera_table(self) -> int:
-        """Offset of the camera table."""
+        """Offset of the camera table in the file, bytes."""
         return PAGE_BYTES
 
     @property
     def bay_table(self) -> int:
-        """Offset of the bay table."""
+        """Offset of the bay table in the file, bytes."""
         return self.camera_table + _pages(self.cameras * CAMERA_RECORD.itemsize)
 
     @property
     def slot_table(self) -> int:
-        """Offset of the slot table."""
+        """Offset of the slot table in the file, bytes."""
         return self.bay_table + _pages(self.bays * BAY_RECORD.itemsize)
 
     @cached_property
     def first_slot(self) -> int:
-        """Offset of slot 0."""
+        """Offset of slot 0 in the file, bytes."""
         return self.slot_table + _pages(self.slots * SLOT_RECORD.itemsize)
 
     @property
     def file_bytes(self) -> int:
-        """Size of the file."""
+        """Size of the file, bytes."""
         return self.first_slot + self.slots * self.slot_bytes
 
     def slot(self, bay: int, camera: int, k: int) -> int:
@@ -149,7 +149,7 @@ class RingLayout:
         return (bay * self.cameras + camera) * self.slots_per_camera + k
 
     def place(self, slot: int) -> tuple[int, int, int]:
-        """Return bay, camera and k of a slot: the inverse of `slot`."""
+        """Return bay, camera and index k of a slot number; the inverse of the method `slot`."""
         if not 0 <= slot < self.slots:
             raise InputError.field("ring", "slot", slot, f"0 … {self.slots - 1}")
         rest, k = divmod(slot, self.slots_per_camera)

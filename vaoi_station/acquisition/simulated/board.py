@@ -1,7 +1,7 @@
 """One board of the twin, prepared for the belt: its barrier edges, its pulses and its rendered frames.
 
-The controller fires by the barrier's edges, bounces included. Its pulses are therefore predicted with the firmware's
-own rule, and frames are rendered for the times at which they will be fired.
+The controller reacts to all edges of the barrier, including bounces. The pulses are therefore predicted with the rule
+of the firmware, and the frames are rendered for the predicted times.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
 from vaoi_station.simulation import Passage
 
 FAR_S = 1e4
-"""After the end of every passage, s."""
+"""A time after the end of every passage, s."""
 
 
 class SimulatedBoard:
@@ -44,17 +44,17 @@ class SimulatedBoard:
         self._frames[camera, row] = to_bytes(image)
 
     def pixels(self, camera: int, row: int) -> NDArray[np.uint8]:
-        """Return the flat bytes of a frame; rows beyond the last (a board that is stuck) repeat it."""
+        """Return the flat bytes of a frame; if a stuck board has more rows than frames, the last frame is repeated."""
         return self._frames[camera, min(row, len(self.pulses) - 1)]
 
 
 def to_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return a frame (h, w) as the flat bytes that a camera sends."""
+    """Return a frame (height, width) as the flat bytes that a camera sends."""
     return np.ascontiguousarray(image).reshape(-1).view(np.uint8)
 
 
 def barrier_edges(passage: Passage) -> list[tuple[float, bool]]:
-    """Return (time, whether interrupted) of every change of the barrier; bounces invert its true state."""
+    """Return every change of the barrier as (time, whether it is interrupted then); bounces invert the true state."""
     toggles = [passage.blocked_s, passage.clear_s]
     for bounce in passage.faults.bounces:
         toggles += [bounce.at_s, bounce.at_s + bounce.duration_s]
@@ -64,7 +64,7 @@ def barrier_edges(passage: Passage) -> list[tuple[float, bool]]:
 
 
 def predict_pulses(edges: list[tuple[float, bool]], plan: TriggerPlan) -> list[PulseFired]:
-    """Return the pulses that the controller will fire for these edges."""
+    """Return the pulses that the controller will fire for these edges of the barrier."""
     rule = TriggerRule(plan, count())
     events: list[ControllerEvent] = []
     for time_s, blocked in edges:

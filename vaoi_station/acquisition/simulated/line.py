@@ -26,18 +26,18 @@ from vaoi_station.errors import InputError, InternalError, VaoiError
 from vaoi_station.simulation import Twin, calibration_board
 
 AHEAD = 2
-"""Boards prepared in advance."""
+"""Count of boards prepared in advance."""
 LEAD_S = 0.02
-"""From the decision to let a board pass to the start of its passage, s."""
+"""Time from the decision to let a board pass to the start of its passage, s."""
 SAME_TIME_S = 1e-6
-"""Largest difference between a fired and a predicted pulse, s."""
+"""Largest accepted difference between the times of a fired and a predicted pulse, s."""
 
 
 def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
     """Return the requested plan with the scenario's lights.
 
     Raises:
-        InputError: the plans differ, but frames are rendered for that of the scenario.
+        InputError: the requested plan differs from the scenario's plan, for which the frames are rendered.
     """
     for key in ("start_delay_s", "period_s", "tail_s", "debounce_s"):
         value, must = getattr(asked, key), getattr(expected, key)
@@ -50,7 +50,7 @@ def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
 
 
 class SimulatedLine:
-    """The belt: it drives the barrier of the controller and exposes the cameras."""
+    """The simulated conveyor: it gives barrier edges to the controller and exposes the cameras on its pulses."""
 
     def __init__(
         self,
@@ -66,10 +66,10 @@ class SimulatedLine:
         Args:
             twin: the digital twin.
             plan: the trigger plan for which frames are rendered.
-            cameras: of the station.
-            clock: the controller's.
+            cameras: the station's cameras.
+            clock: the controller's clock.
             boards: count of boards; 0: without end.
-            interval_s: from the start of one passage to that of the next, at least.
+            interval_s: shortest time from the start of one passage to the start of the next.
         """
         self._twin, self._plan, self._cameras, self._clock = twin, plan, cameras, clock
         self._boards, self._interval_s = boards, interval_s
@@ -91,11 +91,11 @@ class SimulatedLine:
         self._thread.start()
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
-        """Return the plan with the scenario's lights; raise InputError if it is not the scenario's."""
+        """Return the plan with the scenario's lights; raise InputError if it differs from the scenario's plan."""
         return accept_plan(plan, self._plan)
 
     def set_armed(self, armed: bool) -> None:
-        """Let boards come, or hold them back."""
+        """Let boards enter the belt if `armed`; otherwise hold them back."""
         with self._change:
             self._armed = armed
             self._change.notify()
@@ -150,8 +150,8 @@ class SimulatedLine:
             camera.trigger(host_s + after_s, board.pixels(n, row))
 
     def _run_freely(self, board: SimulatedBoard, n: int, host_s: float, interval_s: float) -> None:
-        """Expose a camera at its own interval from the first pulse until the last."""
-        # A third of an interval late, so that no frame coincides with a pulse by construction.
+        """Expose a camera at a fixed interval, independent of the pulses, from the first pulse until the last."""
+        # The exposures are a third of an interval late, so that they do not coincide with pulses by construction.
         passing_s = board.pulses[-1].time_s - board.pulses[0].time_s
         for k in range(math.ceil(passing_s / interval_s)):
             self._cameras[n].trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))

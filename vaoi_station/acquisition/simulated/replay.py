@@ -20,9 +20,9 @@ from vaoi_station.files import Recording, open_recording
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 CACHED_RECORDINGS = 4
-"""Recordings whose decoded frames are kept in memory."""
+"""Count of recordings whose decoded frames are kept in memory."""
 ROW_TIMEOUT_S = 2.0
-"""Longest time for which a fast replay waits until a row is taken."""
+"""Longest time for which a fast replay waits until the frames of a row are processed, s."""
 
 Pixels = dict[tuple[int, int], NDArray[np.uint8]]
 
@@ -50,7 +50,7 @@ def open_replay(config: StationConfig) -> Devices:
 
 
 class FastPace:
-    """The pace of a fast replay: a run begins when there is memory, a pulse when the last row is done."""
+    """The pace of a fast replay: a run begins when memory is available, a pulse when all earlier frames are done."""
 
     def __init__(self, feedback: Feedback) -> None:
         self._feedback = feedback
@@ -62,11 +62,11 @@ class FastPace:
         self._expected = self._feedback.frames_done()
 
     def before_pulse(self, stop: Callable[[], bool]) -> None:
-        """Wait until the frames shown by now are done, but not for long: one without a slot is never done."""
+        """Wait, at most `ROW_TIMEOUT_S`, until all delivered frames are done; a frame without a slot never is."""
         self._feedback.wait_for_frames(self._expected, stop, ROW_TIMEOUT_S)
 
     def frames_coming(self, frames: int) -> None:
-        """Count frames that will arrive."""
+        """Add `frames` to the count of frames that are to be done before the next pulse."""
         self._expected += frames
 
     def wake(self) -> None:

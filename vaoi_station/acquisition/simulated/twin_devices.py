@@ -61,7 +61,7 @@ def check_scenario(config: StationConfig) -> None:
 
 
 def _check(scenario: Scenario, config: StationConfig) -> None:
-    """Raise InputError for a scenario with another array or another line."""
+    """Raise InputError if the scenario's cameras or line differ from station.toml."""
     where = config.simulation.scenario if config.simulation else "scenario"
     array, twin = scenario.array, Twin(scenario)
     pairs: list[tuple[str, object, object]] = [("array.cameras", array.cameras, len(config.cameras))]

@@ -1,7 +1,7 @@
 """Conversion of the controller's 32-bit ticks to host time, with an error bound.
 
-The counter wraps every 35.8 minutes. The host's time, known to far better than half of that, says how often it has
-wrapped. The extended ticks are then a device clock like any other (`acquisition.clocks`).
+The counter wraps every 35.8 minutes. The host's time, known to far better than half of that, shows how often it
+has wrapped. The extended ticks are then a device clock like any other (`acquisition.clocks`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class TickClock:
 
     def add(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
         """Add a reply: its tick was read between the first sending of the request and the arrival of the reply."""
-        # The midpoint, with half the round trip as its bound: nothing is known of how the delay splits.
+        # The midpoint is used, with half the round trip as bound: the split of the delay between both ways is unknown.
         host_s = (sent_s + received_s) / 2
         reading = ClockReading(self.device_s(tick, host_s), host_s, (received_s - sent_s) / 2)
         self.model.add(reading)

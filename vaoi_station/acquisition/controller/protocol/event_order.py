@@ -27,7 +27,7 @@ class EventOrder:
         self._announced = max(self._announced, count)
 
     def missing(self) -> int | None:
-        """Return the number of the event to read again because later ones exist; None if there is none."""
+        """Return the number of the next event if it was lost and must be read again; None if no event was lost."""
         return self.next_number if self.next_number < self._announced else None
 
     def skip_to(self, number: int) -> tuple[int, list[Event]]:

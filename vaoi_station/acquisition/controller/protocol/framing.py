@@ -10,13 +10,13 @@ import binascii
 from dataclasses import dataclass
 
 PAYLOAD_LONGEST = 58
-"""Bytes; the firmware's buffers have this size (hw/firmware/logic/link/protocol.h)."""
+"""Longest payload, bytes; the firmware's buffers have this size (hw/firmware/logic/link/protocol.h)."""
 _CONTENT_LONGEST = 2 + PAYLOAD_LONGEST + 2
 
 
 @dataclass(frozen=True)
 class Message:
-    """A message of either side."""
+    """A message of the host or of the controller."""
 
     type: int
     sequence: int
@@ -71,7 +71,7 @@ def cobs(content: bytes) -> bytes:
 
 
 def uncob(frame: bytes) -> bytes | None:
-    """Decode a frame; return None if a code points beyond its end, or if it contains a zero."""
+    """Decode a frame; return None if a code points beyond the frame's end, or if the frame contains a zero."""
     parts: list[bytes] = []
     at = 0
     while at < len(frame):

@@ -28,7 +28,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
 RETRY_S = 0.1
 """Time without a reply after which a request is sent again."""
 MAX_TRIES = 10
-"""Transmissions of one request."""
+"""Largest count of transmissions of one request."""
 HEARTBEAT_S = 0.25
 """Interval of BEAT; the firmware makes itself safe after 3 s without one."""
 
@@ -53,9 +53,9 @@ class Refused:
 
 @dataclass(frozen=True)
 class Unanswered:
-    """A request whose fate is unknown: no try had a reply, or the controller was reset.
+    """A request whose outcome is unknown: no transmission had a reply, or the controller was reset.
 
-    It may also be a request of the link itself, such as BEAT: the controller is silent then, too.
+    It may also be a request that the link made itself, such as BEAT; the controller does not reply then either.
     """
 
     request: Request
@@ -181,7 +181,7 @@ class Link:
         return news
 
     def _next_request(self, now_s: float) -> _Pending | None:
-        """Take the next request; the link's own come first, but they give way once after silence."""
+        """Take the next request. The link's internal requests come first, except once after one had no reply."""
         # Giving up takes longer than the interval of the heartbeat, so the next one is always due. Without this rule a
         # silent controller would be sent nothing but BEAT, and no caller would ever get an outcome.
         own = None if self._yielding and self._queue else self._own_request(now_s)
@@ -190,13 +190,13 @@ class Link:
         if self._queue:
             self._yielding = False
             return self._queue.popleft()
-        # Acknowledgements go last: the firmware overwrites its oldest event anyway and only counts losses by them.
+        # Acknowledgements go last: the firmware overwrites its oldest event anyway and uses them only to count losses.
         if self._acknowledged < self._order.next_number:
             return _Pending(number_request(Type.ACK_EVENTS, self._order.next_number), internal=True)
         return None
 
     def _own_request(self, now_s: float) -> _Pending | None:
-        """Make the most urgent request of the link itself: heartbeat, STATUS, lost events."""
+        """Make the most urgent internal request: a heartbeat, STATUS, or READ_EVENT for a lost event."""
         # The heartbeat goes first, because the controller switches everything off without it.
         if self.heartbeat and now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_S
@@ -237,7 +237,7 @@ class Link:
         return news
 
     def _on_event(self, message: Message) -> list[Notification]:
-        """Put an event in order; its sequence number is the low byte of the boot counter."""
+        """Put an event in order; the sequence number of its message is the low byte of the boot counter."""
         try:
             event = Event.unpack(message.payload)
         except ValueError:

@@ -74,7 +74,7 @@ class Fault(IntEnum):
 
 
 class Pacing(IntEnum):
-    """The quantity by which rows are spaced."""
+    """The quantity that sets the spacing of rows: time or belt distance."""
 
     TIME = 0
     DISTANCE = 1
@@ -115,7 +115,7 @@ S = TypeVar("S", bound="_Wire")
 
 @dataclass(frozen=True)
 class _Wire:
-    """A struct of the protocol."""
+    """The base class of the protocol's structs; it converts them to bytes and back."""
 
     LAYOUT: ClassVar[Struct]
     GROWS: ClassVar[bool] = False
@@ -262,17 +262,17 @@ def set_step(index: int, step: Step) -> Request:
 
 
 def number_request(kind: Type, number: int) -> Request:
-    """Return a request with one number: CLOCK, COMMIT, READ_EVENT, ACK_EVENTS."""
+    """Return a request whose payload is one number: CLOCK, COMMIT, READ_EVENT or ACK_EVENTS."""
     return Request(kind, number.to_bytes(4, "little"))
 
 
 def arm(run: int, config_crc: int) -> Request:
-    """Return the request to watch the barrier with the configuration of this checksum, and no other."""
+    """Return the ARM request; the controller refuses it if its configuration has another checksum."""
     return Request(Type.ARM, run.to_bytes(2, "little") + config_crc.to_bytes(4, "little"))
 
 
 def fire_one(nonce: int, step: Step, trigger_width: int) -> Request:
-    """Return the request for one pulse without a row; a nonce fires once, however often it is sent."""
+    """Return the request for one pulse without a row; the controller fires only once for repeats of one nonce."""
     return Request(Type.FIRE_ONE, nonce.to_bytes(2, "little") + step.pack() + trigger_width.to_bytes(2, "little"))
 
 

@@ -25,7 +25,7 @@ _FIRST_STEP = 16
 
 
 def check_ident(payload: bytes) -> Ident:
-    """Read the reply to IDENT; DeviceError if the device is not ours or too old for this station."""
+    """Read the reply to IDENT; raise DeviceError if the device is not our controller or its firmware is too old."""
     # The first two bytes are the protocol's version in every version of the protocol; the rest may differ.
     if payload[:1] != bytes([VERSION[0]]):
         spoken = ".".join(str(number) for number in payload[:2])

@@ -36,7 +36,7 @@ class SerialController:
         self._waker = Waker()
         self._supervisor = Supervisor(config, self._waker)
         self._broken: DeviceError | None = None
-        """The failure of the connection that the last job met."""
+        """The connection failure during the last job; None if there was none."""
         self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
         self._backoff = Backoff(PACE)
         self._closing = threading.Event()
@@ -166,7 +166,7 @@ class SerialController:
         """Run a job; a failure of the connection in it also ends `_serve`."""
         try:
             return job()
-        # A refusal is an answer: the connection works.
+        # A refusal is a valid reply, so the connection works.
         except RefusalError:
             raise
         except DeviceError as error:

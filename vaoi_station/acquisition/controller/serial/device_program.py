@@ -1,7 +1,7 @@
 """Translation of a trigger plan and the lights of station.toml into the firmware's configuration.
 
 Values beyond the firmware's limits are refused here, in the units of `station.toml`. A refusal by the firmware itself
-is translated back into them.
+is translated back into these units.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import InputError
 
 DARK = Step(0, 0)
-"""A row without light."""
+"""The step of a row without light."""
 _WHERE = "station.toml"
 _PLAN = "trigger plan"
 _FIELDS = {
@@ -42,12 +42,12 @@ _FIELDS = {
 _FIRST_STEP = 16
 """Fields of a refused COMMIT from here on are steps."""
 _LARGEST = {2: 0xFFFF, 9: 0xFFFF}
-"""Largest number of fields that have 16 bits."""
+"""Index of a field → its largest value, for the fields of 16 bits."""
 
 
 @dataclass(frozen=True)
 class DeviceProgram:
-    """A configuration of the firmware, and the names of its steps."""
+    """A configuration of the firmware, and the names of the lights of its steps."""
 
     timing: Timing
     steps: tuple[Step, ...]
@@ -64,7 +64,7 @@ class DeviceProgram:
 
 
 def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
-    """Make the configuration for a plan; InputError for lights that do not exist or exceed the firmware's limits."""
+    """Make the configuration for a plan; raise InputError if a light is unknown or beyond the firmware limits."""
     lights = tuple(plan.lights) or config.light_sequence
     if len(lights) > ident.program_steps:
         limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
@@ -87,7 +87,10 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
 
 
 def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None) -> Step:
-    """Make the step of a light; InputError beyond the firmware's limits (with a period, also beyond its duty limit)."""
+    """Make the step of a light; raise InputError if it exceeds the firmware's limits.
+
+    The limit of the duty cycle is checked only if `period_s` is given.
+    """
     if name not in config.lights:
         raise InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
     light = config.lights[name]

@@ -94,7 +94,7 @@ class EventTranslator:
             self.report_fault(DeviceError(message, action=action, code="controller-safe"))
 
     def end(self, reason: str) -> bool:
-        """End the run under way, because its end will not be reported; return False if there is none."""
+        """End the run under way, because its end will not be reported; return False if no run is under way."""
         if not self._running:
             return False
         self._end(self._time_s, self._rows, reason)
@@ -107,7 +107,7 @@ class EventTranslator:
 
     def _barrier(self, event: Event, time_s: float) -> None:
         if event.detail:
-            # The end of the run before was overwritten in the firmware's ring of events.
+            # A run still under way here means that its end event was overwritten in the firmware's ring of events.
             self.end("the controller's report of its end was lost")
             self._running, self._rows = True, 0
             self._emit(BarrierBlocked(next(self._numbers), time_s))

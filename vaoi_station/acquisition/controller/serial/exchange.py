@@ -23,7 +23,7 @@ from vaoi_station.errors import DeviceError
 POLL_S = 0.05
 """Longest wait for bytes, and so the precision of heartbeats and retries."""
 IDENTIFY_S = 4.0
-"""How long IDENT is repeated: a bootloader swallows the first bytes for 1 to 2 s after a reset."""
+"""Time for which IDENT is repeated, s: a bootloader swallows the first bytes for 1 to 2 s after a reset."""
 
 
 class SilentError(DeviceError):
@@ -64,7 +64,7 @@ OnNotification = Callable[[EventReceived | EventsLost, float], None]
 
 
 class Exchange:
-    """Requests over one open port, for one thread; the link outlives the port."""
+    """Sends requests over one open port and waits for their replies; for one thread. The link outlives the port."""
 
     def __init__(self, port: Port, link: Link, on_notification: OnNotification, name: str) -> None:
         self.port, self.link, self._on_notification, self._name = port, link, on_notification, name
@@ -106,7 +106,7 @@ class Exchange:
         """Send what is due and process what arrives within `POLL_S`.
 
         Raises:
-            SilentError: a request had no reply; also a heartbeat, which is sent without a caller.
+            SilentError: a request had no reply; this may be a heartbeat, which no caller requested.
             ResetError: the controller was reset.
             PortLostError: the port has gone.
         """
@@ -134,7 +134,8 @@ class Exchange:
                     action="Nothing: it is being configured again.",
                 )
             elif isinstance(item, Unanswered):
-                # The request of the caller may still be queued. Sent later, its reply would be taken for another's.
+                # The request of the caller may still be queued. If it were sent later, its reply
+                # would be taken for the reply to another request.
                 self.link.drop_requests()
                 raise SilentError(
                     f"The controller at {self._name} does not answer.",

@@ -49,7 +49,7 @@ class Port:
     """An open serial port; OSError from any method means that the device has gone."""
 
     def __init__(self, name: str, baud: int, waker: Waker) -> None:
-        """Open a port; DeviceError gives the reason if that fails, and the action."""
+        """Open a port; if that fails, raise DeviceError with the reason and the action."""
         try:
             self._serial = serial.Serial(name, baud, exclusive=True)
             _keep_dtr(self._serial.fileno())
@@ -61,7 +61,7 @@ class Port:
         self._incoming.register(waker.handle, select.POLLIN)
         self._outgoing.register(self._serial.fileno(), select.POLLOUT)
         self.received = 0
-        """Count of bytes since it was opened."""
+        """Count of bytes received since the port was opened."""
 
     def read(self, wait_s: float) -> bytes:
         """Return the bytes that have arrived; empty after `wait_s`, or when woken."""
@@ -71,7 +71,7 @@ class Port:
         if self._serial.fileno() not in ready:
             return b""
         data = os.read(self._serial.fileno(), 4096)
-        # End of file: the bridge was unplugged. Reading on would spin.
+        # End of file: the USB bridge was unplugged. Further reads would return at once, in an endless loop.
         if not data:
             raise OSError(errno.EIO, "the device has hung up")
         self.received += len(data)

@@ -46,7 +46,7 @@ from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError, StateError
 
 CLOCK_READINGS = 8
-"""Clock readings at every connection."""
+"""Count of clock readings taken at every connection."""
 STATUS_AGE_S = 1.0
 """Age of the newest status after which it is read again."""
 _RESET_CAUSES = {
@@ -64,7 +64,7 @@ _WATCHING = (State.ARMED, State.RUNNING)
 
 @dataclass(frozen=True)
 class Arming:
-    """The wanted state while armed."""
+    """The wanted state of the controller while it is armed."""
 
     program: DeviceProgram
     number: int
@@ -86,13 +86,13 @@ class Supervisor:
         self.unavailable: DeviceError | None = None
         """Why the controller cannot be reached at present; None if it can."""
         self.guard_tripped = False
-        """Whether its guard switched an LED off; it is not armed again until a caller disarms or arms it."""
+        """Whether the controller's guard switched an LED off. It is armed again only after a caller's command."""
         self.publish_reading: Callable[[ClockReading], None] = lambda _reading: None
         """Callback for clock readings after a possible jump of the clock."""
         self.ident: Ident
         self._exchange: Exchange | None = None
         self._boots: int | None = None
-        """Boot counter of the boot that `timebase` counts from."""
+        """Value of the boot counter in the boot that `timebase` presently maps."""
         self._checked_status: Status | None = None
         self._status_s = time.monotonic()
         """When the newest status arrived."""
@@ -131,7 +131,7 @@ class Supervisor:
             exchange.port.close()
 
     def drop_arming(self) -> None:
-        """Want no arming any more and end the run; the controller is disarmed at the next chance."""
+        """Set the wanted state to disarmed and end the run; the controller itself is disarmed at the next chance."""
         self.arming = None
         self.translator.end("disarmed")
 

@@ -36,7 +36,7 @@ class Timebase:
         """Add a reply to CLOCK; return it as a reading of the common time axis."""
         # The tick was read after the whole request had arrived and before the reply began, which narrows the bound.
         earliest_s, latest_s = sent_s + self._request_s, received_s - self._reply_s
-        # Faster than this baud rate allows: a pseudo terminal or native USB, where the byte times do not apply.
+        # A reply faster than the baud rate allows shows a pseudo terminal or native USB; byte times do not apply.
         if earliest_s > latest_s:
             earliest_s, latest_s = sent_s, received_s
         reading = self._clock.add(tick, earliest_s, latest_s)
@@ -47,7 +47,7 @@ class Timebase:
         return self._at(self._clock.device_s(tick, near_host_s))
 
     def drift_ppm(self) -> float:
-        """Return the rate by which the controller's clock is slower than the host's."""
+        """Return the rate by which the controller's clock is slower than the host's, ppm."""
         return self._clock.model.drift_ppm
 
     def bound_s(self) -> float:
