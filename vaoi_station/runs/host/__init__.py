@@ -1,1 +1,1 @@
-"""What every process of the station needs from its host: set-up, logs, garbage collection, systemd, stop requests."""
+"""Services of the host for the station's processes: set-up, logs, garbage collection, systemd, stop requests."""

@@ -1,9 +1,9 @@
 """Defer full garbage collections while a board is processed.
 
-A full collection scans every tracked object. In a station that had filmed boards of 3000 components it took 60 to 95
-ms, during which no Python thread ran, and it mostly came while a result was unpacked. So objects that exist at the
-start are excluded for good, and full collections run while no board is processed. Collections of young objects stay
-automatic; they take less than a millisecond.
+A full collection scans every object that the garbage collector tracks. In a station that had filmed boards of 3000
+components it took 60 to 95 ms, and mostly came while a result was unpacked. No Python thread runs during that time.
+So objects that exist at the start are excluded permanently, and full collections run while no board is processed.
+Collections of young objects stay automatic; they take less than a millisecond.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ IDLE_S = 10.0
 """Time between full collections while no board is processed."""
 LONGEST_S = 60.0
 """Time after which a full collection runs even while boards are processed."""
-# gc has no switch for generation 2 alone; a threshold that is never reached stands for one.
+# The module `gc` has no switch for generation 2 alone. A threshold that is never reached has the same effect.
 _NEVER = 1_000_000_000
 
 
 class GcPolicy:
-    """Full garbage collections at chosen times; used by one thread."""
+    """Runs full garbage collections at chosen times, in place of the interpreter. Used by one thread."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -29,22 +29,22 @@ class GcPolicy:
         self._before: tuple[int, int, int] | None = None
 
     def start(self) -> None:
-        """Take over full collections, and exclude all present objects from them."""
+        """Turn automatic full collections off, and exclude all present objects from later collections."""
         if self._before is None:
             self._before = gc.get_threshold()
             gc.set_threshold(*self._before[:2], _NEVER)
-            # Collect first: freezing would otherwise keep present garbage for ever.
+            # Collect first: `freeze` would otherwise keep present garbage for ever.
             self._collect()
             gc.freeze()
 
     def tick(self, busy: bool) -> None:
-        """Run a full collection if one is due; `busy`: a board is processed."""
-        # A line without pauses is collected as well: uncollected cycles would grow without a limit.
+        """Run a full collection if one is due. `busy` states whether a board is processed."""
+        # Collections also run on a line without pauses: otherwise memory in reference cycles would grow without limit.
         if self._before is not None and self._clock() - self._last_s >= (LONGEST_S if busy else IDLE_S):
             self._collect()
 
     def stop(self) -> None:
-        """Restore the interpreter's settings."""
+        """Restore the interpreter's own garbage collection."""
         if self._before is not None:
             gc.set_threshold(*self._before)
             gc.unfreeze()

@@ -1,4 +1,4 @@
-"""Logging to standard output, one line per record, as text or JSON; the same in every process."""
+"""Logging to standard output, as text or as one JSON object per line. All processes of the station log in this way."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import os
 import sys
 
 JSON_VARIABLE = "VAOI_LOG_JSON"
-"""Environment variable that selects JSON; child processes inherit it."""
+"""Environment variable that selects JSON if it is not empty; child processes inherit it."""
 
 
 class JsonLines(logging.Formatter):
-    """Formatter that writes a record as one JSON object."""
+    """Formatter that writes each log record as one JSON object on one line."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the record as JSON: time, level, logger, process, message, exception."""
+        """Return the record as a JSON object with time, level, logger, process, message and, if present, exception."""
         entry = {
             "time": self.formatTime(record, "%Y-%m-%dT%H:%M:%S") + f".{int(record.msecs):03d}",
             "level": record.levelname.lower(),
@@ -29,7 +29,7 @@ class JsonLines(logging.Formatter):
 
 
 def configure_logging(as_json: bool | None = None) -> None:
-    """Log to standard output; None takes the format of the process that started this one."""
+    """Configure logging to standard output, as JSON or as text. None selects the format of the parent process."""
     if as_json is not None:
         os.environ[JSON_VARIABLE] = "1" if as_json else ""
     # Standard output, not a file: systemd and containers collect and rotate it.

@@ -11,14 +11,19 @@ from vaoi_station.runs.host.logs import configure_logging
 
 _TUNABLES = "GLIBC_TUNABLES"
 _MEMORY = {"hugetlb": 1, "trim_threshold": 512 << 20, "mmap_threshold": 32 << 20}
-"""Tunables of the GNU C library's malloc: use large pages, keep 512 MiB, allocate arrays below 32 MiB there."""
+"""Settings of malloc in the GNU C library.
+
+It uses large pages, keeps up to 512 MiB of freed memory, and allocates arrays below 32 MiB from the memory it keeps.
+"""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables that set the number of threads of numerical libraries."""
 
 
 def set_up_process(one_thread: bool) -> None:
-    """Ignore SIGINT and SIGTERM, limit numerical libraries to one thread if asked, and start the log.
+    """Set up a child process: ignore SIGINT and SIGTERM, and configure its log.
 
-    A child ends by a message from the station, or when its pipe ends because the station has died.
+    With `one_thread`, numerical libraries use one thread. A child process ends when the station sends it a message to
+    end, or when its pipe closes because the station has died.
     """
     # A terminal sends Ctrl-C, and systemd SIGTERM, to every process of a group. Only the station acts on them, because
     # it ends its processes in order.
@@ -31,13 +36,13 @@ def set_up_process(one_thread: bool) -> None:
 
 @contextmanager
 def keep_freed_memory() -> Iterator[None]:
-    """Let processes that start inside the context keep freed memory, in large pages, for the next board.
+    """Let processes that start inside the context keep freed memory, in large pages, and reuse it for the next board.
 
-    Only the GNU C library reads the setting; others ignore it.
+    Only the GNU C library reads the setting; other C libraries ignore it.
     """
-    # Memory returned to the system is mapped again page by page and cleared. That, and address translation through
-    # small pages, took some ten milliseconds between the last frame and the matrices.
-    # The library reads the variable once, at process start, so it must be set in the parent.
+    # When memory was returned to the system, the system maps and clears it again page by page at the next use. This,
+    # and address translation through small pages, took some ten milliseconds between the last frame and the matrices.
+    # The C library reads the variable once, when a process starts, so it must be set in the parent process.
     before = os.environ.get(_TUNABLES)
     ours = ":".join(f"glibc.malloc.{key}={value}" for key, value in _MEMORY.items())
     os.environ[_TUNABLES] = f"{before}:{ours}" if before else ours

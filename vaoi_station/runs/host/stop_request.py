@@ -1,4 +1,4 @@
-"""A request to stop the service, from a signal or a thread, awaited by the main thread."""
+"""A request to stop the service. It comes from a signal or from any thread; the main thread waits for it."""
 
 from __future__ import annotations
 
@@ -9,36 +9,37 @@ from types import FrameType
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _BY_ITSELF = b"\0"
+"""Byte that `request` sends in place of a signal number; no signal has the number 0."""
 
 
 class StopRequest:
-    """A context manager of the main thread: SIGTERM, SIGINT or `request` end `wait`.
+    """Context manager for the main thread, in which `wait` returns after SIGTERM, SIGINT or a call of `request`.
 
-    On exit the previous signal handlers are restored.
+    On exit it restores the previous signal handlers.
     """
 
     # A `threading.Event` set by a signal handler can deadlock: the handler runs in the waiting main thread, possibly
-    # while `wait` holds the event's lock. Other locks have a gap between the last check and the wait, in which a
-    # signal is lost. Therefore the interpreter writes each signal number into a socket (`signal.set_wakeup_fd`), and
-    # `wait` reads from it.
+    # while `wait` holds the event's lock. A flag that is checked before each wait can miss a signal that comes between
+    # the check and the wait. Therefore the interpreter writes each signal number into a socket
+    # (`signal.set_wakeup_fd`), and `wait` reads from this socket.
 
     def __init__(self) -> None:
         self._here, self._there = socket.socketpair()
         self._there.setblocking(False)
 
     def request(self) -> None:
-        """Request the end, from any thread, at any time."""
-        # A full socket already holds requests; a closed one belongs to a service that has ended.
+        """Request the stop of the service; may be called from any thread, at any time."""
+        # An error is harmless: a full socket already holds requests, and a closed one means that the service has ended.
         with contextlib.suppress(OSError):
             self._there.send(_BY_ITSELF)
 
     def wait(self) -> str:
-        """Wait for the first request; return the signal's name, or "" for a call of `request`."""
+        """Wait for a request to stop; return the name of the signal, or "" after a call of `request`."""
         while True:
             number = self._here.recv(1)[0]
             if number == _BY_ITSELF[0]:
                 return ""
-            # Other signals with a Python handler are written to the socket as well.
+            # The interpreter also writes the numbers of other signals that have a Python handler: ignore them.
             if number in _SIGNALS:
                 return signal.Signals(number).name
 
@@ -56,4 +57,7 @@ class StopRequest:
 
 
 def _ignore_signal(_number: int, _frame: FrameType | None) -> None:
-    """Replace the default action, which would end the process; the socket holds the number already."""
+    """Do nothing. This handler replaces the default action, which would end the process.
+
+    The interpreter has already written the signal number into the socket.
+    """

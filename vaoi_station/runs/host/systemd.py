@@ -1,4 +1,7 @@
-"""Messages to systemd for a unit of `Type=notify`: ready, watchdog, stopping; without NOTIFY_SOCKET nothing is sent."""
+"""Messages to systemd for a unit with `Type=notify`: ready, watchdog, stopping.
+
+Outside of systemd, the environment variable NOTIFY_SOCKET is not set, and no message is sent.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import socket
 
 
 def notify(state: str) -> bool:
-    """Send one message, such as `READY=1` (sd_notify(3)); return False if it cannot be delivered."""
+    """Send a message such as `READY=1` to systemd (sd_notify(3)); return False if it was not delivered."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return False
@@ -24,5 +27,5 @@ def notify(state: str) -> bool:
 
 
 def notify_watchdog() -> None:
-    """Send the watchdog's sign of life."""
+    """Report to systemd's watchdog that the station is alive."""
     notify("WATCHDOG=1")

@@ -1,1 +1,1 @@
-"""Follow one board: its order, its progress, its memory in the ring, and its documents for callers."""
+"""The parts of one run: its order, its progress, its memory in the ring, and its documents for callers."""

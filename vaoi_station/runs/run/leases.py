@@ -1,4 +1,4 @@
-"""Leases: the right of a holder to a run's frames for a limited time; leased memory is not evicted."""
+"""Leases: a lease gives a holder the right to the frames of a run for a limited time. Leased memory is not evicted."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from vaoi_station.errors import BusyError
 
 MAX_HOLDERS = 32
-"""Holders of one run; more mean that a caller uses a new name for every call."""
+"""Largest number of holders of one run. More holders mean that a caller uses a new name for every call."""
 OWN = "rest "
-"""Prefix of the holders' names of the station's own short leases, which are not counted."""
+"""Prefix of the holder's name in short leases of the station itself, which do not count for `MAX_HOLDERS`."""
 
 
 @dataclass(frozen=True)
 class Lease:
-    """One holder's right to one run; `expires_s` by time.monotonic()."""
+    """The right of one holder to the frames of one run, until `expires_s` by time.monotonic()."""
 
     run: str
     holder: str
@@ -25,7 +25,7 @@ class Lease:
 
 
 class Leases:
-    """The leases in force; one that is not renewed expires, so that a crashed holder cannot block the line."""
+    """The leases of all runs. A lease that is not renewed expires, so that a crashed holder cannot block the line."""
 
     def __init__(self, lease_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.lease_s = lease_s
@@ -33,7 +33,7 @@ class Leases:
         self._leases: dict[tuple[str, str], Lease] = {}
 
     def take(self, run: str, holder: str, purpose: str) -> Lease:
-        """Begin or renew a lease; `BusyError` when a run has too many holders."""
+        """Begin or renew a lease; `BusyError` if the run has `MAX_HOLDERS` other holders."""
         others = [lease.holder for lease in self.of(run) if lease.holder != holder and not lease.holder.startswith(OWN)]
         if len(others) >= MAX_HOLDERS and not holder.startswith(OWN):
             raise BusyError(
@@ -42,12 +42,12 @@ class Leases:
                 code="too-many-holders",
             )
         lease = Lease(run, holder, purpose, self._clock() + self.lease_s)
-        # The same holder's earlier lease is replaced: a renewal extends, it does not add.
+        # An earlier lease of the same holder is replaced: a renewal does not add a second lease.
         self._leases[run, holder] = lease
         return lease
 
     def end(self, run: str, holder: str) -> None:
-        """End a lease; harmless if there is none."""
+        """End the lease of a holder. Nothing happens if there is no such lease."""
         self._leases.pop((run, holder), None)
 
     def end_all(self, run: str) -> None:
@@ -59,19 +59,19 @@ class Leases:
         return tuple(lease for lease in self.all() if lease.run == run)
 
     def all(self) -> tuple[Lease, ...]:
-        """All leases that have not expired, oldest run first."""
+        """Return all leases that have not expired, sorted by the age of their runs, oldest first."""
         now = self._clock()
         return tuple(sorted((le for le in self._leases.values() if le.expires_s > now), key=lambda le: le.run))
 
     def expire(self) -> tuple[Lease, ...]:
-        """Remove the leases whose time is over, and return them."""
+        """Remove the leases that have expired, and return them."""
         now = self._clock()
-        # Expired leases count as ended at once (`all` skips them); this only removes and reports them.
+        # An expired lease has no effect even before this call, because `all` skips it.
         over = tuple(lease for lease in self._leases.values() if lease.expires_s <= now)
         for lease in over:
             del self._leases[lease.run, lease.holder]
         return over
 
     def remaining_s(self, lease: Lease) -> float:
-        """Time until a lease expires; 0 if it has."""
+        """Return the time until a lease expires; 0 if it has expired."""
         return max(0.0, lease.expires_s - self._clock())

@@ -1,7 +1,7 @@
-"""Assignment of the ring's bays to runs, and eviction.
+"""Assignment of the ring's bays to runs, and eviction of finished runs.
 
-The next board gets a free bay, else that of the oldest finished run without a lease. The bay of a run that is filmed or
-stitched is never evicted.
+The next board gets a free bay. If no bay is free, the run without a lease that finished first is evicted. A run that is
+filmed or stitched is never evicted.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ Use = Literal["free", "granted", "filming", "stitching", "finished"]
 
 
 class BayRing(Protocol):
-    """The ring, as far as bays are assigned in it."""
+    """The method of the ring that the assignment of bays uses."""
 
     def claim(self, bay: int) -> int:
-        """Zero a bay's pixels and return its new generation."""
+        """Set all pixels of a bay to zero, and return the bay's new generation."""
 
 
 @dataclass(frozen=True)
 class Bay:
-    """Memory for one run, and its present use."""
+    """Memory for the frames of one run, and its present use."""
 
     number: int
     use: Use = "free"
     run: str | None = None
     generation: int = 0
     finished: int = 0
-    """Rank in the order of finishing; the lowest finished first."""
+    """Rank of the run in the order in which runs finished; the run with the lowest rank finished first."""
 
 
 @dataclass(frozen=True)
 class GrantedBay:
-    """A bay granted to a coming run, and the run that was evicted for it."""
+    """A bay that was granted to a coming run, and the id of the run that was evicted for it (None: it was free)."""
 
     bay: Bay
     evicted: str | None
 
 
 class Memory:
-    """The bays of the ring and their runs; confined to the coordinator's thread."""
+    """The bays of the ring and the runs that use them. Used by the coordinator's thread only."""
 
     def __init__(self, ring: BayRing, bays: int, leases: Leases) -> None:
         self._ring = ring
@@ -53,7 +53,7 @@ class Memory:
         self._finished = 0
 
     def grant(self, run: str) -> GrantedBay:
-        """Grant a bay to a coming run; `BusyError` names the holders of the memory if there is none."""
+        """Grant a bay to a coming run; `BusyError`, which names the use of every bay, if none is available."""
         bay = self._next_bay()
         if bay is None:
             raise BusyError(
@@ -63,14 +63,14 @@ class Memory:
                 else "Wait until a run is stitched; increase [ring] runs or workers to avoid this.",
                 code="ring-full",
             )
-        # The claim raises the generation: readers of the evicted run's slots notice that their pixels are gone.
+        # The claim raises the bay's generation, by which readers of the evicted run detect that its pixels are gone.
         evicted = bay.run
         granted = Bay(bay.number, "granted", run, self._ring.claim(bay.number))
         self._bays[bay.number] = granted
         return GrantedBay(granted, evicted)
 
     def use(self, run: str, use: Use) -> Bay:
-        """Change the use of a run's bay."""
+        """Change the use of a run's bay, and return the bay; `GoneError` if the run has no bay."""
         bay = self.bay(run)
         if use == "finished":
             self._finished += 1
@@ -78,14 +78,14 @@ class Memory:
         return self._bays[bay.number]
 
     def free(self, run: str) -> None:
-        """Free a run's bay and end its leases; harmless if it has none."""
+        """Free the bay of a run and end the leases of the run. Nothing happens if the run has no bay."""
         for bay in self._bays:
             if bay.run == run:
                 self._bays[bay.number] = Bay(bay.number, generation=bay.generation)
                 self._leases.end_all(run)
 
     def bay(self, run: str) -> Bay:
-        """Return the bay of a run; `GoneError` if its memory was given to a later board."""
+        """Return the bay of a run; `GoneError` if the run has no bay any more."""
         for bay in self._bays:
             if bay.run == run:
                 return bay
@@ -96,19 +96,19 @@ class Memory:
         )
 
     def has(self, run: str) -> bool:
-        """Whether a run has a bay."""
+        """Return whether a run has a bay."""
         return any(bay.run == run for bay in self._bays)
 
     def held(self) -> bool:
-        """Whether a finished run is held: its memory does not become free when a stitch ends."""
+        """Return whether a lease holds a finished run, so that its memory is not available for the next board."""
         return any(bay.use == "finished" and bay.run and self._leases.of(bay.run) for bay in self._bays)
 
     def bays(self) -> tuple[BayStatus, ...]:
-        """All bays, as a status page shows them."""
+        """Return all bays for the status page."""
         return tuple(BayStatus(bay=b.number, use=b.use, run=b.run) for b in self._bays)
 
     def holders(self) -> str:
-        """Return a sentence part that names the run and the use of every bay."""
+        """Return a phrase for messages that names the run and the use of every bay."""
         parts = []
         for bay in self._bays:
             leases = self._leases.of(bay.run) if bay.run else ()
@@ -120,7 +120,7 @@ class Memory:
         free = [bay for bay in self._bays if bay.use == "free"]
         if free:
             return free[0]
-        # Finished first, not begun first: a run that waited for late frames is still the younger result.
+        # The order of finishing counts, not that of beginning: a run that waited for late frames has the newer result.
         idle = [b for b in self._bays if b.use == "finished" and b.run and not self._leases.of(b.run)]
         return min(idle, key=lambda bay: bay.finished, default=None)
 

@@ -1,4 +1,4 @@
-"""Orders: board type and caller's ids for the boards to come; a board keeps its order from the barrier on."""
+"""Orders: board type and caller's ids for the next boards. A board keeps the order in force when it met the barrier."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vaoi_station.store import Store
 
 @dataclass(frozen=True)
 class Order:
-    """One checked request to arm."""
+    """One checked request to arm: what is needed to film and stitch its boards."""
 
     board_type: BoardType
     board_id: str | None
@@ -27,7 +27,7 @@ class Order:
     board_type_digest: str
     calibration_digest: str
     reference: StoredReference | None = None
-    """The run against which this order's boards are placed."""
+    """The reference against which boards of this order are placed; None: no reference is used."""
     notes: tuple[Reason, ...] = ()
     """Limitations that do not prevent filming; every run of the order reports them."""
     despite_lost_cameras: bool = False
@@ -47,7 +47,11 @@ class Order:
 
 @dataclass
 class Orders:
-    """The order in force, and the one before: a board that was at the barrier first keeps the old one."""
+    """The order in force, and the previous one, which applies to boards that interrupted the barrier before the change.
+
+    `runs_left` is the number of boards still to be filmed (None: no limit). `since_s` is the time since which the order
+    is in force, by time.monotonic().
+    """
 
     order: Order | None = None
     runs_left: int | None = None
@@ -55,42 +59,42 @@ class Orders:
     _before: Order | None = None
 
     def accept(self, order: Order, runs: int | None, now_s: float) -> None:
-        """Put an order in force for the boards that come from now on."""
+        """Put an order in force for the boards that interrupt the barrier after `now_s`; `runs` limits their number."""
         self._before, self.order = self.order, order
         self.runs_left, self.since_s = runs, now_s
 
     def take(self, barrier_s: float) -> Order | None:
-        """Return the order for a board that interrupted the barrier at `barrier_s`, and count the board."""
-        # Compared by time, not by arrival: the report of a board may arrive after the next order was accepted.
+        """Return the order of a board that interrupted the barrier at `barrier_s`, and count the board."""
+        # The time at the barrier decides: the report of an earlier board may arrive after a new order was accepted.
         if self.order is None or (barrier_s < self.since_s and self._before is not None):
             return self._before
-        # Boards of the earlier order are not counted: the number of runs is that of the present one.
+        # Only boards of the present order are counted, because `runs_left` belongs to it.
         if self.runs_left is not None:
             self.runs_left = max(self.runs_left - 1, 0)
         return self.order
 
     def cancel(self, now_s: float) -> None:
-        """End the order; a board already at the barrier keeps it."""
+        """End the order in force. A board that interrupted the barrier before `now_s` keeps the order."""
         if self.order is not None:
             self._before, self.order, self.runs_left, self.since_s = self.order, None, None, now_s
 
     @property
     def references(self) -> set[str]:
-        """Runs against which boards may still be placed."""
+        """Ids of the reference runs against which boards may still be placed."""
         return {order.reference.run for order in (self.order, self._before) if order and order.reference}
 
     @property
     def wants_more(self) -> bool:
-        """Whether another board is to be filmed."""
+        """Whether another board is to be filmed for the order in force."""
         return self.order is not None and self.runs_left != 0
 
     def shown(self) -> ArmedWith | None:
-        """Return the order in force as the status page shows it; None if there is none."""
+        """Return the order in force as the status page shows it; None if no order is in force."""
         return None if self.order is None else self.order.shown(self.runs_left)
 
 
 class OrderFactory:
-    """Makes orders, and refuses what is wrong with a board type on this line before a board comes."""
+    """Makes orders. Board types that cannot be stitched on this line are refused here, before a board comes."""
 
     def __init__(
         self,
@@ -101,22 +105,22 @@ class OrderFactory:
         references: ReferenceStore,
         method: MethodName = "auto",
     ) -> None:
-        """Prepare what all orders of a station share.
+        """Prepare the parts that all orders of a station share.
 
         Args:
             line: geometry and speed of the line.
-            calibration: in force.
-            heads: format of every camera.
+            calibration: the calibration in force.
+            heads: image format of every camera.
             store: keeps the documents that runs refer to.
-            references: of the board types.
-            method: for board types without one of their own.
+            references: references and methods of the board types.
+            method: the station's method, which applies to board types for which no method was set.
         """
         self._line, self._store, self._references, self._method = line, store, references, method
         self._cameras = calibration.cameras(heads)
         self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
 
     def __call__(self, board_type: BoardType, board_id: str | None, job_id: str | None) -> Order:
-        """Make the order for a board type; `StateError` if its method needs a reference that is missing or unusable."""
+        """Make the order for a board type; `StateError` if the method needs a reference that is missing or unusable."""
         method = self._references.method(board_type.name) or self._method
         reference, notes = self._reference(board_type, method)
         setup = StitchSetup(
@@ -128,14 +132,18 @@ class OrderFactory:
             method=method,
             reference=reference.reference if reference else None,
         )
-        # Runs name their documents by digest: a board type that changes later does not change old results.
+        # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
         return Order(board_type, board_id, job_id, setup, digest, self._calibration_digest, reference, notes)
 
     def _reference(
         self, board_type: BoardType, method: MethodName
     ) -> tuple[StoredReference | None, tuple[Reason, ...]]:
-        """Return the reference for a board type, or a note with the cause if it has one that does not fit."""
+        """Return the reference of a board type and notes for its runs.
+
+        Without a usable reference, the first value is None. If a reference exists but is unusable, a note gives the
+        cause. If the method needs a reference, both cases raise `StateError` instead.
+        """
         if not METHODS[method].reference:
             return None, ()
         try:

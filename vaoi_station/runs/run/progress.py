@@ -1,6 +1,6 @@
-"""The progress of one run from the barrier to its result: frames, tasks, evidence, result.
+"""The progress of one run from the barrier to its result: its frames, tasks, evidence and result.
 
-It has no access to processes: it returns the jobs that have become possible and takes their replies.
+This module does not communicate with workers. It returns the jobs that have become possible, and processes the replies.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from vaoi_station.stitching.work import all_tasks, possible_tasks
 
 @dataclass
 class Progress:
-    """A run that is filmed or stitched; host times are time.monotonic()."""
+    """The data of a run that is filmed or stitched. Times in s are host times by time.monotonic()."""
 
     order: Order
     opening: OpenRun
@@ -33,41 +33,42 @@ class Progress:
     frames: dict[FrameKey, FrameRecord] = field(default_factory=dict)
     settled_s: dict[FrameKey, float] = field(default_factory=dict)
     linkable: set[FrameKey] = field(default_factory=set)
-    """Whole frames of pulses that were reported."""
+    """Complete frames whose pulse was reported, so that they can be linked."""
     requested_s: dict[Task, float] = field(default_factory=dict)
-    """Tasks given to the workers, and when the last of their frames was settled."""
+    """Tasks for which a job was made; for each task, the time at which the last of its frames was settled."""
     linked: dict[Task, Linked] = field(default_factory=dict)
-    """Evidence by task."""
+    """Evidence that the workers found, by task."""
     pending: set[Task] = field(default_factory=set)
-    """Tasks without a reply."""
+    """Requested tasks whose reply has not arrived."""
     canonical_tasks: tuple[Task, ...] = ()
-    """The tasks whose evidence counts, once all frames are settled."""
+    """The tasks whose evidence the result uses; empty until all frames are settled."""
     pending_canonical: set[Task] = field(default_factory=set)
-    """Those of them without a reply."""
+    """Canonical tasks whose reply has not arrived."""
     timings: list[TaskTiming] = field(default_factory=list)
     recorded: RunFinished | None = None
     """The final report of the acquisition process; None while filming."""
     faults: list[Reason] = field(default_factory=list)
-    """Faults besides the verdicts of frames."""
+    """Reasons why the run is degraded or failed, other than missing or incomplete frames."""
     unstitchable: bool = False
-    """A job without which there is no result has failed."""
+    """Whether no result is possible, because a job that is necessary for the result has failed."""
     result: Concluded | None = None
     concluding: bool = False
+    """Whether the conclude job was made."""
     done: bool = False
-    """Waits only for earlier runs to end."""
+    """Whether the run waits only for earlier runs to end."""
     conclude_ms: float = 0.0
     ready_s: float | None = None
 
     @classmethod
     def begin(cls, report: RunStarted, bay: Bay, order: Order) -> Progress:
-        """Begin the run of a board that has interrupted the barrier."""
+        """Begin the run of a board that has interrupted the barrier; its frames go into `bay`."""
         reference = order.reference.directory if order.reference else None
         context = RunContext(report.run, bay.number, bay.generation)
         return cls(order, OpenRun(context, order.setup, reference), report.host_time_s)
 
     @property
     def context(self) -> RunContext:
-        """Bay and generation of its frames."""
+        """Id of the run, with the bay and the generation of its frames."""
         return self.opening.context
 
     @property
@@ -77,36 +78,36 @@ class Progress:
 
     @property
     def head(self) -> RecordingHead | None:
-        """Head of its recording; None while filming."""
+        """Head of the run's recording; None while the board is filmed."""
         return self.recorded.head if self.recorded else None
 
     @property
     def present(self) -> tuple[FrameKey, ...]:
-        """Frames that arrived whole, in the order of their keys."""
+        """Keys (camera, row) of the complete frames, sorted."""
         return tuple(sorted(key for key, frame in self.frames.items() if frame.verdict is Verdict.OK))
 
     @property
     def stitch(self) -> Stitch | None:
-        """The result without its tables of components; None while there is none."""
+        """The result without its tables of components; None while there is no result."""
         return self.result.without_components if self.result else None
 
     def advance(self, event: RunStep) -> None:
-        """Follow the table of run states; `StateError` if the event is illegal."""
+        """Change to the state that follows the event in the table `RUN`; `StateError` if the event is illegal."""
         self.state = RUN.next(self.state, event)
 
     def settle(self, report: FrameSettled) -> list[LinkJob]:
-        """Record a frame's verdict; returns the jobs that it makes possible."""
+        """Record the verdict of a frame, and return the jobs that have become possible with this frame."""
         key = (report.frame.camera, report.frame.row)
         self.frames[key] = report.frame
         self.settled_s[key] = report.host_time_s
         if report.frame.verdict is not Verdict.OK or key[1] not in self.pulses:
             return []
-        # A frame whose pulse was not reported has no time, so it cannot be linked before the run is finished.
+        # A frame without a reported pulse has no time before the final report, so `settle` has returned for it above.
         self.linkable.add(key)
         return self._jobs_for(key[0], possible_tasks(key, self.linkable, self._times_s(), self.order.setup))
 
     def filmed(self, report: RunFinished) -> list[LinkJob]:
-        """Record the final report; returns jobs for the canonical tasks that were not requested yet."""
+        """Record the final report of the acquisition process; return jobs for canonical tasks not requested so far."""
         self.advance(RunStep.FILMED)
         self.recorded = report
         self.frames = {(f.camera, f.row): f for f in report.frames}
@@ -117,21 +118,24 @@ class Progress:
         return jobs
 
     def _times_s(self) -> dict[int, float]:
-        """Row times after the first reported pulse, rounded to a nanosecond as in the head of the recording."""
+        """Return the time of each row after the first reported pulse, rounded to 1 ns as in the recording's head."""
         first_s = self.pulses[min(self.pulses)].time_s
         return {row: round(pulse.time_s - first_s, 9) for row, pulse in self.pulses.items()}
 
     def _select_canonical_tasks(self, times_s: dict[int, float]) -> tuple[Task, ...]:
-        """All tasks of the run: those requested while filming, unless a frame or a pulse was lost."""
-        # The requested tasks depend on the order of arrival only if frames are missing; then they are computed anew, so
-        # that a run gives the same result as its recording.
+        """Return the tasks whose evidence the result uses, given the final row times.
+
+        These are the tasks requested while filming, unless a frame or a pulse is missing or a row time differs.
+        """
+        # If frames are missing, the requested tasks depend on the order in which frames arrived. Then the tasks are
+        # selected anew from all frames, so that the run gives the same result as its recording.
         whole = len(self.linkable) == len(self.frames) == len(self.order.setup.cameras) * len(times_s)
         if whole and self._times_s() == times_s:
             return tuple(self.requested_s)
         return all_tasks(self.present, times_s, self.order.setup)
 
     def add_evidence(self, job: LinkJob, reply: Reply, at_s: float) -> None:
-        """Add the evidence of a job, or its failure."""
+        """Add the evidence in the reply to a link job, or the error in it. `at_s` is the time of arrival."""
         self.pending.difference_update(job.tasks)
         self.pending_canonical.difference_update(job.tasks)
         if reply.error is not None:
@@ -154,17 +158,21 @@ class Progress:
         )
 
     def conclude_job(self) -> ConcludeJob | None:
-        """Return the last job, once all evidence is there; None before, after, and if there can be no result."""
+        """Return the conclude job as soon as all evidence has arrived; it is returned once.
+
+        Return None before that, at later calls, and if no result is possible.
+        """
         if self.recorded is None or self.concluding or self.unstitchable or self.pending_canonical:
             return None
         self.concluding = True
-        # Tasks still pending are excluded too: their evidence may reach the concluding worker directly.
+        # All requested tasks that are not canonical are excluded, even pending ones: the concluding worker may hold
+        # their evidence by then.
         excluded = frozenset(self.requested_s).difference(self.canonical_tasks)
         slots = self._slots(self.present)
         return ConcludeJob(self.context, self.recorded.head, slots, self.canonical_evidence, excluded, self._check())
 
     def _check(self) -> CheckJob | None:
-        """Return the calibration check to perform with the result; None for a single camera."""
+        """Return the calibration check that follows the conclusion; None for a station with a single camera."""
         # A single camera has no neighbour that could show its displacement.
         if len(self.order.setup.cameras) < 2:
             return None
@@ -172,11 +180,11 @@ class Progress:
 
     @property
     def canonical_evidence(self) -> dict[Task, Linked]:
-        """Evidence of the canonical tasks."""
+        """The evidence of the canonical tasks that has arrived."""
         return {task: self.linked[task] for task in self.canonical_tasks if task in self.linked}
 
     def add_result(self, reply: Reply, at_s: float) -> None:
-        """Add the result, or the failure of the conclusion."""
+        """Add the result in the reply to the conclude job, or the error in it. `at_s` is the time of arrival."""
         self.conclude_ms = reply.worker_s * 1e3
         if reply.error is not None:
             self._add_error(reply.error)
@@ -185,17 +193,21 @@ class Progress:
             self.result, self.ready_s = reply.value, at_s
 
     def add_fault(self, reason: Reason) -> None:
-        """Add a fault once; the run's reasons show it."""
+        """Add a fault to the reasons of the run, unless the same fault is present already."""
         if reason not in self.faults:
             self.faults.append(reason)
 
     def _add_error(self, error: VaoiError) -> None:
         self.add_fault(Reason.of(error))
-        # A failed task costs one link. One that killed its workers ends the run: the conclusion reads the same frames.
+        # A task that fails only loses its evidence. A task that killed its workers makes the run unstitchable, because
+        # the conclusion reads the same frames and would kill workers too.
         self.unstitchable = self.unstitchable or error.code == "worker-lost"
 
     def _jobs_for(self, camera: int, tasks: Iterable[Task]) -> list[LinkJob]:
-        """One job for those of the tasks that were not requested yet; none if there are none."""
+        """Return one job for all given tasks that were not requested yet; an empty list if all were requested.
+
+        `camera` is the camera of the new frame, by which a worker is chosen.
+        """
         new = tuple(task for task in tasks if task not in self.requested_s)
         for task in new:
             self.requested_s[task] = max(self.settled_s.get(key, self.barrier_s) for key in _frames_of(task))
@@ -208,5 +220,8 @@ class Progress:
 
 
 def _frames_of(task: Task) -> list[FrameKey]:
-    """Return the frames of this run that a task reads; `b` of a reference task is a frame of the reference."""
+    """Return the keys of this run's frames that a task reads.
+
+    In a task of kind "reference", `b` is a frame of the reference, not of this run.
+    """
     return [task.a] if task.b is None or task.kind == "reference" else [task.a, task.b]

@@ -1,7 +1,7 @@
-"""The references of the board types: directories as `vaoi teach` makes them, and a row of the database for each.
+"""The store of references: one directory per reference, in the format of `vaoi teach`, and one row in the database.
 
-A directory is named by its run and never changes; the database assigns it to a board type. Directories that it does not
-name are removed when no order and no run uses them.
+The name of a directory is the id of its run, and its content never changes. The database assigns directories to board
+types. A directory that is not assigned is removed when no order and no run uses it any more.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _METHOD: TypeAdapter[MethodName] = TypeAdapter(MethodName)
 
 @dataclass(frozen=True, eq=False)
 class StoredReference:
-    """A reference that is ready for placing boards."""
+    """A reference that was read from its directory, against which boards can be placed."""
 
     run: str
     directory: Path
@@ -35,40 +35,41 @@ class StoredReference:
 
 
 class ReferenceStore:
-    """Methods and references of the board types of one station; usable from any thread."""
+    """The references and the stitching methods of one station's board types. Usable from any thread."""
 
     def __init__(self, directory: Path, store: Store, cameras: tuple[Camera, ...]) -> None:
-        """Open the references in `directory`, for cameras as they are calibrated now."""
+        """Open the store of references in `directory`. `cameras` are the cameras of the calibration in force."""
         self._directory, self._cameras = directory, cameras
         self._kept = store.stitching
         self._lock = threading.Lock()
         self._opened: dict[str, tuple[BoardType, StoredReference]] = {}
-        """The reference opened last, by board type: arming does not wait for the disk."""
+        """Cache of the references that were opened last, by board type, so that arming does not wait for the disk."""
 
     def method(self, board_type: str) -> MethodName | None:
-        """Return the board type's own method; None if that of the station applies."""
+        """Return the method that was set for a board type; None if the station's method applies."""
         method = self._kept.method(board_type)
         return None if method is None else _METHOD.validate_python(method)
 
     def set_method(self, board_type: str, method: MethodName | None) -> None:
-        """Give a board type a method of its own; None removes it."""
+        """Set the method of a board type; with None, the station's method applies."""
         kept = self._kept
         (kept.drop_method(board_type) if method is None else kept.keep_method(board_type, method)).result()
 
     def path_of(self, run: str) -> Path:
-        """Directory of a run that is kept as a reference."""
+        """Return the directory of a run that is kept as a reference, whether or not it exists."""
         return self._directory / run
 
     def record(self, board_type: str) -> ReferenceRecord | None:
-        """Return the record of a board type's reference; None if it has none."""
+        """Return the record of a board type's reference; None if the board type has no reference."""
         document = self._kept.reference(board_type)
         return None if document is None else ReferenceRecord.model_validate_json(document)
 
     def open(self, board_type: BoardType) -> StoredReference | None:
-        """Return the reference of a board type; None if it has none.
+        """Return the reference of a board type, read from disk if necessary; None if there is no reference.
 
         Raises:
-            VaoiError: it was filmed with another calibration, or the board type has changed, or files are gone.
+            VaoiError: the reference is unusable: it was filmed with another calibration, the board type has changed
+                since, or files are missing.
         """
         record = self.record(board_type.name)
         if record is None:
@@ -82,20 +83,23 @@ class ReferenceStore:
             return known[1]
 
     def load(self, run: str, board_type: BoardType) -> StoredReference:
-        """Read a run that is kept as a reference, whether or not a board type names it; raises as `open` does."""
+        """Read the reference directory of a run, even if it is not assigned to a board type; raises as `open` does."""
         taught = open_reference(self.path_of(run), self._cameras, board_type)
         return StoredReference(run, taught.recording.directory, taught.reference)
 
     def keep(self, board_type: str, record: ReferenceRecord) -> None:
-        """Set the reference of a board type, in place of an earlier one."""
+        """Assign a reference to a board type; it replaces an earlier one."""
         self._kept.keep_reference(board_type, record.model_dump_json()).result()
 
     def drop(self, board_type: str) -> None:
-        """Remove the reference of a board type; harmless if it has none."""
+        """Remove the assignment of a reference to a board type, if there is one. The directory stays until `sweep`."""
         self._kept.drop_reference(board_type).result()
 
     def sweep(self, in_use: Collection[str] = ()) -> None:
-        """Remove directories that no board type names, that are not open, and that no run has `in_use`."""
+        """Remove the directories that are neither assigned to a board type, nor open, nor `in_use`.
+
+        `in_use` contains the ids of reference runs that orders and runs still use.
+        """
         with self._lock:
             named = {ReferenceRecord.model_validate_json(document).run for document in self._kept.references()}
             opened = {stored.run for _, stored in self._opened.values()}

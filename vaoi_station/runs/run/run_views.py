@@ -1,4 +1,4 @@
-"""Documents of a run for callers: summary, detail, timeline; pure functions of its progress."""
+"""Documents of a run for callers: summary, detail and timeline, built from the progress of the run."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from vaoi_station.version import __version__
 
 @cache
 def versions() -> Versions:
-    """Versions of the software that computes the results."""
+    """Return the versions of the software that computes the results."""
     return Versions(station=__version__, opencv=cv2.__version__, python=platform.python_version())
 
 
 def detail_of(progress: Progress) -> RunDetail:
-    """Build the document of a run: everything except its matrices."""
+    """Build the document of a run, which contains everything except its matrices."""
     order, recorded = progress.order, progress.recorded
     frames = tuple(progress.frames[key] for key in sorted(progress.frames))
     verdicts = [frame.verdict for frame in frames]
@@ -71,12 +71,12 @@ def detail_of(progress: Progress) -> RunDetail:
 
 
 def summary_of(detail: RunDetail) -> RunSummary:
-    """Reduce a run's document to the fields of its summary."""
+    """Return the summary of a run: a part of the fields of its document."""
     return RunSummary(**{key: getattr(detail, key) for key in RunSummary.model_fields})
 
 
 def timeline_of(progress: Progress) -> Timeline:
-    """Build the timeline of a run; seconds since the barrier's edge."""
+    """Build the timeline of a run. Its times are in seconds since the board interrupted the barrier."""
     zero = progress.barrier_s
     return Timeline(
         frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.settled_s.items())),
@@ -87,7 +87,10 @@ def timeline_of(progress: Progress) -> Timeline:
 
 
 def reasons_of(progress: Progress) -> tuple[Reason, ...]:
-    """Collect the reasons of a run: those of the stitch, frames that are not whole, trigger findings, faults, notes."""
+    """Collect the reasons of a run from its result, its missing and incomplete frames, its trigger proof and faults.
+
+    Notes of the order come last.
+    """
     stitch = progress.stitch
     words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in stitch.reasons] if stitch else []
     bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
@@ -100,7 +103,7 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
 
 
 def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
-    """Reasons from findings of the trigger proof; missing frames have reasons of their own."""
+    """Yield a reason for each finding of the trigger proof, except for missing frames, which `reasons_of` reports."""
     for f in proof.findings if proof else ():
         where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
         if f.kind in QUESTIONING_KINDS:
@@ -115,9 +118,16 @@ def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
 
 
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:
-    """Fit a constant velocity to the row-by-row positions of the board's point that was at `about_mm` in row 0."""
+    """Estimate the belt speed: fit a constant velocity to the positions of one point of the board, one per row.
+
+    Args:
+        stitch: result with the row motions.
+        times_s: times of the rows, (rows,).
+        nominal_mm_s: nominal velocity of the belt.
+        about_mm: position of the point in row 0, (2,), tester coordinates.
+    """
     positions_mm = np.array([apply(m, about_mm) for m in stitch.row_motion])
-    # Centred times make the slope of the line independent of its offset: two sums in place of a solver.
+    # With centred times, the slope of the fitted line does not depend on its offset: two sums replace a solver.
     centred_s = times_s - times_s.mean()
     vx, vy = centred_s @ positions_mm / (centred_s @ centred_s)
     ratio = float(np.hypot(vx, vy) / np.hypot(*nominal_mm_s))
@@ -125,11 +135,11 @@ def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float
 
 
 def _belt(progress: Progress) -> BeltSpeed | None:
-    """Belt speed at the board's centre; None without a result of at least two rows."""
+    """Return the belt speed at the board's centre; None without a result of at least two rows."""
     stitch, recorded = progress.stitch, progress.recorded
     if stitch is None or recorded is None or len(stitch.row_motion) < 2:
         return None
-    # At the centre a rotation of the rows adds no apparent motion; at the tester's origin it would.
+    # A rotation between rows adds no apparent motion at the board's centre; at the tester's origin it would.
     setup, from_cad = progress.order.setup, stitch.tester_from_cad
     if from_cad is None:
         about_mm = np.mean([c.row_from_image(c.center_px) for c in setup.cameras], axis=0)

@@ -1,4 +1,4 @@
-"""Runs that ended early: their reason, and what can be stitched if the acquisition process has ended."""
+"""Runs that ended early: the reason, and the report of a run whose acquisition process has ended."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 
 _AS_PLANNED = frozenset({"clear", "max-rows", "single"})
-"""Regular ends of the pulses; see controller.RunEnded."""
+"""Reasons of `controller.RunEnded` for a regular end of the pulses."""
 CAUSE = "the acquisition process ended before it arrived"
+"""Cause that the records of missing frames give."""
 
 
 def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
@@ -19,7 +20,7 @@ def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
 
 
 def early_end_reason(report: RunFinished) -> Reason | None:
-    """Return the reason for a run whose pulses ended while the board may have been passing; None for a regular end."""
+    """Return the reason for a run whose pulses ended although the board may not have left; None for a regular end."""
     if report.reason in _AS_PLANNED:
         return None
     return Reason(
@@ -30,12 +31,13 @@ def early_end_reason(report: RunFinished) -> Reason | None:
 
 
 def salvage_recording(progress: Progress, config: StationConfig) -> RunFinished | None:
-    """Build the report of a run from the pulses and frames reported so far; None without a single row.
+    """Build the final report of a run from the pulses and frames that were reported so far; None if there is no row.
 
-    Frames that were not reported are missing.
+    The acquisition process has ended and can no longer send this report. Frames that were not reported get the verdict
+    MISSING.
     """
     rows = 0
-    # Rows after a gap in the pulses have no certain time: they are left out.
+    # Only rows before the first missing pulse are used: later rows have no certain time.
     while rows in progress.pulses:
         rows += 1
     if not rows:
@@ -45,7 +47,8 @@ def salvage_recording(progress: Progress, config: StationConfig) -> RunFinished 
         progress.frames.get(key) or FrameRecord(camera=key[0], row=key[1], verdict=Verdict.MISSING, cause=CAUSE)
         for key in keys
     )
-    # Times count from the first pulse, to a nanosecond, exactly as the acquisition process writes them: the same tasks.
+    # Times are relative to the first pulse and rounded to 1 ns, as the acquisition process does it. So the tasks that
+    # were requested while filming remain valid.
     first_s = progress.pulses[0].time_s
     head = RecordingHead(
         format="vaoi-recording",

@@ -1,1 +1,1 @@
-"""Define the states of station and run, and the documents that describe them to callers."""
+"""The states of the station and of runs, and the schemas of the documents that describe both to callers."""

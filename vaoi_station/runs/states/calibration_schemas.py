@@ -1,7 +1,7 @@
-"""Documents about the calibration: frozen schemas, dumped to JSON unchanged.
+"""Schemas of the documents about the calibration. The documents are immutable and become JSON without conversion.
 
-Displacements are in px of the camera's own frame, relative to the calibration in force: (x, y) of the frame's centre,
-and turn, the displacement of a corner by rotation.
+Displacements are in pixels of the camera's frame, relative to the calibration in force: x and y are the displacement of
+the frame's centre, and `turn` is the displacement of a corner of the frame by rotation.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ class CameraDrift(Schema):
     """Displacement of a camera since its calibration."""
 
     size_px: float
-    """Root mean square over the frame."""
+    """Root mean square of the displacement over all pixels of the frame."""
     x_px: float
     y_px: float
     turn_px: float
     since_run: str
-    """The first run that shows it."""
+    """Id of the first run that shows the displacement."""
     since: str
     runs: int
-    """Runs that show it."""
+    """Number of runs that show the displacement."""
     instead: tuple[int, ...] = ()
-    """Cameras that may have moved instead; pictures of boards cannot distinguish them."""
+    """Indices of cameras that may have moved instead of this one; pictures of boards cannot show which has moved."""
 
 
 class CameraMoment(Schema):
-    """One camera in one run."""
+    """Displacement of one camera, as estimated from one run."""
 
     run: str
     time: str
@@ -37,31 +37,31 @@ class CameraMoment(Schema):
     y_px: float
     turn_px: float
     sigma_px: float
-    """The largest standard deviation of the three."""
+    """The largest of the standard deviations of x, y and turn."""
     rms_px: float | None = None
-    """Residuals of links to its neighbours and of fiducials; None without any."""
+    """Root mean square residual of the camera's links to its neighbours and of its fiducials; None without both."""
     links: int
     fiducials: int
 
 
 class CameraCalibration(Schema):
-    """State of one camera relative to its calibration."""
+    """State of one camera since its calibration, and its displacement in the latest runs."""
 
     camera: int
     name: str
     state: Literal["steady", "drifted", "unseen", "unknown"]
-    """"unseen": the latest runs give no evidence of it; "unknown": no run has been checked yet."""
+    """"unseen": the latest runs give no evidence of the camera's position; "unknown": no run has been checked yet."""
     drift: CameraDrift | None = None
     history: tuple[CameraMoment, ...] = ()
-    """The latest runs, oldest first."""
+    """The camera in each of the latest runs, oldest first."""
 
 
 class CalibrationStatus(Schema):
     """The calibration in force, and the state of every camera."""
 
     digest: str
-    """Digest of its content, as in the documents of runs."""
+    """Digest of the calibration's content; the documents of runs refer to the calibration by it."""
     created: str | None = None
     runs: int
-    """Number of runs checked since it is in force."""
+    """Number of runs that were checked against this calibration."""
     cameras: tuple[CameraCalibration, ...]

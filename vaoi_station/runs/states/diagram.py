@@ -1,4 +1,4 @@
-"""Draw the state diagrams of `docs/internals/runs.md` from the state tables.
+"""Draw the state diagrams in `docs/internals/runs.md` from the state tables. To update the file, run:
 
 python -m vaoi_station.runs.states.diagram docs/internals/runs.md
 """
@@ -16,7 +16,7 @@ TABLES: dict[str, Table[Any, Any]] = {"station": STATION, "run": RUN}
 
 
 def mermaid(table: Table[Any, Any]) -> str:
-    """Draw a table as a Mermaid state diagram; events between the same two states share an arrow."""
+    """Return a state table as a Mermaid state diagram. Events that lead from one state to another share an arrow."""
     arrows: dict[tuple[str, str], list[str]] = {}
     for (state, event), target in table.steps.items():
         arrows.setdefault((state, target), []).append(event)
@@ -26,7 +26,7 @@ def mermaid(table: Table[Any, Any]) -> str:
 
 
 def redrawn(document: str) -> str:
-    """Return a document in which the diagram after every `<!-- drawn: NAME -->` is current."""
+    """Return the document with a new diagram after each comment `<!-- drawn: NAME -->`; NAME is a key of `TABLES`."""
 
     def draw(found: re.Match[str]) -> str:
         return f"<!-- drawn: {found[1]} -->\n```mermaid\n{mermaid(TABLES[found[1]])}\n```"
@@ -35,7 +35,7 @@ def redrawn(document: str) -> str:
 
 
 def main(path: Path) -> None:
-    """Redraw the diagrams of a file in place."""
+    """Redraw all diagrams of a Markdown file, and write the file."""
     path.write_text(redrawn(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 

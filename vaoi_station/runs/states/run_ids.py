@@ -1,4 +1,4 @@
-"""Run ids, which sort by time and are unique, and times as RFC 3339 in UTC."""
+"""Run ids, which are unique and sort by time, and the format of times: RFC 3339 in UTC."""
 
 from __future__ import annotations
 
@@ -7,35 +7,35 @@ import time
 from datetime import UTC, datetime, timedelta
 
 _DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
-"""Crockford's base 32, in ASCII order: no i, l, o, u."""
+"""The digits of Crockford's base 32, in ASCII order. The letters i, l, o and u are not used."""
 _TIME_DIGITS, _RANDOM_DIGITS = 10, 6
 
 
 def utc(moment: datetime | None = None) -> str:
-    """Format a moment (now, if None) as RFC 3339 with milliseconds."""
+    """Format a time in UTC as RFC 3339 with milliseconds; None formats the present time."""
     return (moment or datetime.now(UTC)).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def utc_of_host(host_s: float) -> str:
-    """Format a recent time.monotonic() as RFC 3339."""
-    # The clocks are compared at this moment only: an old moment would include every step of the wall clock since.
+    """Format a recent host time, a value of time.monotonic(), as RFC 3339 in UTC."""
+    # The two clocks are compared now. If the wall clock was set since `host_s`, the result is wrong by that step.
     return utc(datetime.now(UTC) - timedelta(seconds=time.monotonic() - host_s))
 
 
 class RunIds:
-    """Generator of run ids: milliseconds since 1970 and a random part, in base 32; each is above the one before.
+    """Generator of run ids. An id is the time in milliseconds since 1970, then a random part, both in base 32.
 
-    An id is assigned when memory is granted, which may be long before the board comes; the order of the ids is the
-    order of the boards.
+    Each id sorts after the one before. An id is assigned when memory is granted, which may be long before the board
+    comes, so its time is not that of the board. The order of the ids is the order of the boards.
     """
 
     def __init__(self, last: str | None = None) -> None:
         self._last_ms = _number(last.partition("-")[0]) if last else 0
 
     def next(self) -> str:
-        """Return a new id, above the last one even if the clock was set back."""
+        """Return a new id, which sorts after the previous one even if the clock was set back."""
         self._last_ms = max(self._last_ms + 1, time.time_ns() // 1_000_000)
-        # The random part separates the ids of two stations, or of one whose database was replaced.
+        # The random part makes ids unique across stations, and after the database of a station was replaced.
         chance = _text(secrets.randbelow(32**_RANDOM_DIGITS), _RANDOM_DIGITS)
         return f"{_text(self._last_ms, _TIME_DIGITS)}-{chance}"
 

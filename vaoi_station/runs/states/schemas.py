@@ -1,7 +1,7 @@
-"""Documents about station and runs: frozen schemas, dumped to JSON unchanged.
+"""Schemas of the documents about the station and its runs. The documents are immutable and become JSON as they are.
 
-Times are RFC 3339 in UTC where they name a moment and seconds or milliseconds where they name a
-span; cameras and rows count from 0.
+Points in time are strings, RFC 3339 in UTC. Durations are numbers, in seconds (`_s`) or milliseconds (`_ms`). Cameras
+and rows count from 0.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 
 
 class Schema(BaseModel):
-    """Base of all documents: frozen, without unknown keys."""
+    """Base class of all documents: immutable; unknown keys are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Reason(Schema):
-    """Explanation of a state or verdict, and what to do about it."""
+    """Explanation of a state or verdict, with the action that the user can take."""
 
     code: str
     message: str
@@ -34,7 +34,7 @@ class Reason(Schema):
 
     @staticmethod
     def of(error: VaoiError) -> Reason:
-        """Return the reason that an error stands for."""
+        """Return a reason with the code, message and action of an error."""
         return Reason(code=error.code, message=error.message, action=error.action)
 
 
@@ -45,10 +45,10 @@ class ArmedWith(Schema):
     board_id: str | None
     job_id: str | None
     runs_left: int | None
-    """Runs until the station disarms automatically; None: it stays armed."""
+    """Number of runs until the station disarms automatically; None: the station stays armed."""
     method: MethodName = "auto"
     reference: str | None = None
-    """The run against which boards are placed; None: no reference is used."""
+    """Id of the run against which boards are placed; None: no reference is used."""
 
 
 class CameraStatus(Schema):
@@ -62,35 +62,35 @@ class CameraStatus(Schema):
     delivered: int = 0
     incomplete: int = 0
     last_frame_age_s: float | None = None
-    """Time since its last whole frame, at the last heartbeat; None before the first."""
+    """Time from the camera's last complete frame to the last heartbeat; None before the first complete frame."""
     next_try: str | None = None
-    """Time of the next attempt to open it; None while it is connected or being opened."""
+    """Time of the next attempt to open the camera; None while the camera is connected or being opened."""
     counters: dict[str, int] = {}
-    """Counters of its driver, by the driver's names, for diagnosis."""
+    """Counters of the camera's driver for diagnosis, with the names that the driver uses."""
 
 
 STARTING = "starting"
-"""`doing` of a process before its first message."""
+"""Value of `ProcessStatus.doing` for a process before its first message."""
 WAITING = "waiting for the workers"
-"""`doing` of the acquisition process before its first start."""
+"""Value of `ProcessStatus.doing` for the acquisition process before its first start."""
 
 
 class ProcessStatus(Schema):
-    """State of one process of the station: "acquisition", "worker 0", …"""
+    """State of one process of the station. Its name is "acquisition", "worker 0", "worker 1", …"""
 
     name: str
     pid: int | None
     alive: bool
     restarts: int
     heartbeat_age_s: float | None
-    """Time since its last message; None before the first."""
+    """Time since the last message of the process; None before the first message."""
     doing: str = ""
     next_try: str | None = None
-    """Time of the next start; None while it runs or is being started."""
+    """Time of the next start of the process; None while the process runs or is being started."""
 
 
 class LeaseStatus(Schema):
-    """A holder's time-limited right to a run's frames; they are not evicted meanwhile."""
+    """A holder's time-limited right to the frames of a run. The frames are not evicted during this time."""
 
     run: str
     holder: str
@@ -99,7 +99,7 @@ class LeaseStatus(Schema):
 
 
 class BayStatus(Schema):
-    """Memory for the frames of one run."""
+    """Memory for the frames of one run, and its present use."""
 
     bay: int
     use: Literal["free", "granted", "filming", "stitching", "finished"]
@@ -107,7 +107,7 @@ class BayStatus(Schema):
 
 
 class RingStatus(Schema):
-    """The shared memory for frames: path, size, use."""
+    """The shared memory for frames: its path, its size, and its use by runs."""
 
     path: str
     size_bytes: int
@@ -116,10 +116,10 @@ class RingStatus(Schema):
 
 
 class Retention(Schema):
-    """What is kept, and for how long."""
+    """Which data the station keeps, and for how long."""
 
     runs_in_memory: int
-    """Bays of the ring; one of them is filmed into, one is ready for the next board."""
+    """Number of bays of the ring. One bay receives the frames of the present board, one is kept for the next board."""
     lease_s: float
     frames: str
     results: str
@@ -141,24 +141,24 @@ class StationSnapshot(Schema):
     state: StationState
     since: str
     reasons: tuple[Reason, ...]
-    """Reasons for this state."""
+    """Reasons for the present state."""
     warnings: tuple[Reason, ...] = ()
     """Conditions that do not prevent filming but need attention."""
     armed_with: ArmedWith | None
     cameras: tuple[CameraStatus, ...]
     all_cameras_ready: bool
-    """False: the next board would be filmed with gaps, if at all."""
+    """Whether all cameras are connected. If False, the next board is filmed with gaps or not at all."""
     controller: str
     processes: tuple[ProcessStatus, ...]
     ring: RingStatus
     versions: Versions
     retention: Retention
     last_run: str | None
-    """The run that finished last; None before the first."""
+    """Id of the run that finished last; None if no run has finished yet."""
     filming: str | None
-    """The run being filmed."""
+    """Id of the run that is being filmed; None if no board is passing."""
     last_event: int
-    """Number of the newest event; 0 before the first."""
+    """Number of the newest event; 0 if there is no event yet."""
     boards_missed: int
 
 
@@ -179,31 +179,31 @@ class ReferenceRecord(Schema):
     run: str
     taught: str
     calibration: str
-    """Digest of the calibration it was filmed with."""
+    """Digest of the calibration with which the run was filmed."""
     cameras: int
     rows: int
     frames: int
-    """Number of frames kept: a small set of each row."""
+    """Number of frames that are kept: a small set from each row."""
     size_bytes: int
     cad_sigma_px: float | None
-    """Standard deviation of its CAD positions at the worst corner of the board."""
+    """Standard deviation of positions by the run's CAD mapping, at the board's worst corner; None if unknown."""
 
 
 class ReferenceStatus(ReferenceRecord):
-    """A reference, and whether boards can be placed against it now."""
+    """The reference of a board type, and whether boards can be placed against it now."""
 
     board_type: str
     usable: bool
     fault: Reason | None = None
-    """Reason why it is not usable."""
+    """Reason why the reference is not usable; None if it is usable."""
 
 
 class StitchingMethod(Schema):
-    """Method by which runs of a board type are stitched."""
+    """The method by which runs of a board type are stitched."""
 
     method: MethodName
     chosen: Literal["board-type", "station"]
-    """Whether it is the board type's own method or that of the station."""
+    """Origin of the method: it was set for the board type, or it is the station's method."""
 
 
 class VerdictCounts(Schema):
@@ -215,28 +215,29 @@ class VerdictCounts(Schema):
 
 
 class BeltSpeed(Schema):
-    """Belt speed measured from this board, in tester coordinates."""
+    """Belt velocity (x, y) in tester coordinates: nominal, and as measured from this board."""
 
     nominal_mm_s: tuple[float, float]
     measured_mm_s: tuple[float, float]
     ratio: float
-    """Measured over nominal speed."""
+    """Measured speed divided by nominal speed."""
 
 
 class Timings(Schema):
-    """Durations of the steps of a run; host clock."""
+    """Durations of the steps of a run, by the host's clock."""
 
     filming_s: float
-    """From the barrier to the last frame."""
+    """Time from the board's arrival at the barrier to the arrival of the last frame."""
     ready_after_last_frame_ms: float | None
-    """From the last frame's arrival to the finished matrices."""
+    """Time from the arrival of the last frame to the finished matrices; None without matrices."""
     links_ms: float
-    """Sum of the workers' time for links."""
+    """Total time that the workers took for the tasks of the run."""
     conclude_ms: float
-    """Worker's time for the adjustment and the CAD mapping."""
+    """Time that a worker took for the adjustment and the CAD mapping."""
     links: int
+    """Number of tasks that the workers performed for the run."""
     links_while_filming: int
-    """Links that were computed before the last frame arrived."""
+    """Number of these tasks that were done before the last frame arrived."""
 
 
 class RunSummary(Schema):
@@ -248,7 +249,7 @@ class RunSummary(Schema):
     job_id: str | None
     state: RunState
     verdict: Status | None
-    """Verdict of the stitch; None while there is none. Kept when the frames are gone."""
+    """Verdict of the result; None while there is no result. It stays when the frames are gone."""
     started: str
     finished: str | None
     rows: int
@@ -261,22 +262,22 @@ class RunSummary(Schema):
 
 
 class RunDetail(RunSummary):
-    """One run with the verdict of every (camera, row)."""
+    """One run, with the verdict of every frame (camera, row)."""
 
     frames: tuple[FrameRecord, ...]
     ended: str
-    """Cause of the end of the pulses: "clear" (the board left), "max-rows", …; "" while filming."""
+    """Why the trigger pulses ended: "clear" (the board has left), "max-rows", …; "" while filming."""
     strays: int
-    """Number of frames that belong to no pulse."""
+    """Number of frames that could not be assigned to a pulse."""
     proof: TriggerProof | None = None
-    """Evidence that every frame belongs to its pulse, with findings against it; None while filming."""
+    """Check that every frame belongs to its pulse, with its evidence and its findings; None while filming."""
     software: Versions
     calibration: str
-    """Digest of the calibration with which it was stitched."""
+    """Digest of the calibration with which the run was stitched."""
 
 
 class TaskTiming(Schema):
-    """One task of a run; seconds since the barrier's edge, host clock."""
+    """Times of one task of a run, in seconds since the board interrupted the barrier, by the host's clock."""
 
     kind: str
     camera: int
@@ -284,16 +285,16 @@ class TaskTiming(Schema):
     other_camera: int | None
     other_row: int | None
     ready_s: float
-    """When its last frame was settled."""
+    """Time at which the last of the task's frames was settled."""
     done_s: float
     worker_ms: float
 
 
 class Timeline(Schema):
-    """Times of the steps of a run; seconds since the barrier's edge, host clock."""
+    """Times of the steps of a run, in seconds since the board interrupted the barrier, by the host's clock."""
 
     frames_settled_s: tuple[tuple[int, int, float], ...]
-    """(camera, row, time)."""
+    """(camera, row, time) of every settled frame."""
     tasks: tuple[TaskTiming, ...]
     last_frame_s: float
     ready_s: float | None
@@ -306,23 +307,23 @@ class ComponentSummary(Schema):
     ref: str
     panel: str | int | None
     center_mm: tuple[float, float]
-    """CAD position in mm."""
+    """CAD position of the component's centre in mm."""
     width_mm: float
     height_mm: float
     rotation_deg: float
     tester_mm: tuple[float, float] | None
-    """Position at the first row in tester coordinates; None without a CAD mapping."""
+    """Position of the component's centre at row 0, in tester coordinates; None without a CAD mapping."""
     views: int
-    """Number of frames that show at least half of it."""
+    """Number of frames that show at least half of the component."""
 
 
 class EventRecord(Schema):
-    """One entry of the event log, numbered from 1 without gaps; kept over restarts."""
+    """One entry of the event log. Events are numbered from 1 without gaps, also across restarts of the station."""
 
     number: int
     time: str
     kind: str
-    """"station" and "run" (a new `state`), "armed", "board-missed", "trouble", "process", "board-type", …"""
+    """Kind of the event: "station" or "run" (for a new `state`), "armed", "board-missed", "trouble", "process", …"""
     state: str = ""
     run: str | None = None
     code: str = ""

@@ -1,7 +1,7 @@
-"""Two state tables, states × events: the station, and one board's run.
+"""The two state machines, as tables: one for the station, one for a run.
 
-A table maps (state, event) to the next state; an event that is not in the table is illegal, raises `StateError` and
-changes nothing. The diagrams of `docs/internals/runs.md` are drawn from these tables.
+A table maps (state, event) to the next state. A pair that is not in the table is illegal: it raises `StateError` and
+does not change the state. The diagrams in `docs/internals/runs.md` are drawn from these tables.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ class StationStep(StrEnum):
 
 
 class RunState(StrEnum):
-    """State of a run. Its verdict (ok, degraded, failed) stays valid in the last two states."""
+    """State of a run. In the states RELEASED and GONE, the verdict (ok, degraded, failed) of the run stays valid."""
 
     FILMING = "filming"
-    """Pulses are fired, frames arrive, links are computed."""
+    """The board is passing: trigger pulses are sent, frames arrive, links are computed."""
     STITCHING = "stitching"
     """Every frame is settled; the matrices are being computed."""
     READY = "ready"
     """The matrices are available and sound; frames are in memory."""
     DEGRADED = "degraded"
-    """The matrices are available with reservations; see the reasons. Frames are in memory."""
+    """The matrices are available but less reliable; the reasons explain it. Frames are in memory."""
     FAILED = "failed"
     """There are no usable matrices; frames are in memory."""
     RELEASED = "released"
@@ -87,21 +87,21 @@ E = TypeVar("E", bound=StrEnum)
 
 @dataclass(frozen=True)
 class Table(Generic[S, E]):
-    """A state machine as data."""
+    """A state machine: its name in messages, its first state, and the next state for each legal (state, event)."""
 
     what: str
     start: S
     steps: Mapping[tuple[S, E], S]
 
     def next(self, state: S, event: E, action: str = "") -> S:
-        """Return the state after an event; `StateError` names both if the event is illegal."""
+        """Return the state that follows an event; `StateError`, with the given action, if the event is illegal."""
         try:
             return self.steps[state, event]
         except KeyError:
             raise StateError(f"The {self.what} is {state}; {event!s} is not possible now.", action=action) from None
 
     def allows(self, state: S, event: E) -> bool:
-        """Whether an event is legal in a state."""
+        """Return whether an event is legal in a state."""
         return (state, event) in self.steps
 
 
@@ -128,7 +128,7 @@ STATION: Table[StationState, StationStep] = Table(
         (_S.ARMED, _E.DISARMED): _S.IDLE,
         (_S.ARMED, _E.FAULT): _S.FAULTED,
         (_S.ARMED, _E.STOP): _S.STOPPING,
-        # Boards may follow closely: the next one arrives while late frames of the last are awaited.
+        # Boards may follow closely: the next board may arrive while late frames of the previous one are awaited.
         (_S.FILMING, _E.BOARD_ARRIVED): _S.FILMING,
         (_S.FILMING, _E.BOARD_FILMED): _S.ARMED,
         (_S.FILMING, _E.DISARMED): _S.IDLE,
@@ -152,7 +152,7 @@ ADVICE = {
     _S.FAULTED: "Check the station's reasons; it retries automatically.",
     _S.STOPPING: "Start the station again.",
 }
-"""Action for the caller when a request is not possible in a state."""
+"""Action that a refusal advises to the caller, by the state in which the request is not possible."""
 
 _R, _H = RunState, RunStep
 
@@ -172,13 +172,13 @@ RUN: Table[RunState, RunStep] = Table(
         (_R.DEGRADED, _H.MEMORY_TAKEN): _R.GONE,
         (_R.FAILED, _H.RELEASE): _R.RELEASED,
         (_R.FAILED, _H.MEMORY_TAKEN): _R.GONE,
-        # Releasing twice is harmless, so that a caller may retry after a lost answer.
+        # A second release is legal, so that a caller may retry after a lost reply.
         (_R.RELEASED, _H.RELEASE): _R.RELEASED,
         (_R.GONE, _H.RELEASE): _R.GONE,
     },
 )
 
 FINISHED = frozenset({_R.READY, _R.DEGRADED, _R.FAILED, _R.RELEASED, _R.GONE})
-"""States in which only the memory of a run can still change."""
+"""States of a run that has ended. Only the availability of its frames can still change."""
 IN_MEMORY = frozenset({_R.READY, _R.DEGRADED, _R.FAILED})
-"""Finished states in which the frames are available."""
+"""States of a run that has ended, in which its frames are still in memory."""

@@ -1,1 +1,1 @@
-"""Worker processes: job queues, the pool that supervises them, and the code that runs inside each worker."""
+"""Worker processes: the job queues, the pool that supervises the processes, and the code that runs in each of them."""

@@ -1,4 +1,4 @@
-"""Messages between the station and its workers: jobs, replies and run set-up; all frozen and picklable."""
+"""Messages between the station and its workers: jobs, replies and the set-up of runs. All can be pickled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vaoi_station.stitching.work import StitchSetup
 
 
 class Priority(IntEnum):
-    """Order in which jobs are given out, lowest first: results before pictures, an ending run before the next one."""
+    """Order in which jobs are given to workers, lowest value first: results come before pictures and checks."""
 
     CONCLUDE = 0
     LINK = 1
@@ -29,7 +29,7 @@ class Priority(IntEnum):
 
 @dataclass(frozen=True)
 class RunContext:
-    """A run and the bay of the ring that holds its frames."""
+    """A run, with the number and the generation of the bay that holds its frames."""
 
     run: str
     bay: int
@@ -38,9 +38,9 @@ class RunContext:
 
 @dataclass(frozen=True)
 class LinkJob:
-    """Stitching tasks that one new frame makes possible, in one job so that the frame is prepared once.
+    """Perform all stitching tasks that one new frame makes possible; in one job, so that the frame is prepared once.
 
-    The reply's value is a tuple with one `Linked` per task, in their order.
+    The reply's value is a tuple with one `Linked` per task, in the order of `tasks`.
     """
 
     context: RunContext
@@ -48,6 +48,7 @@ class LinkJob:
     """Camera of the new frame."""
     tasks: tuple[Task, ...]
     slots: Mapping[FrameKey, int]
+    """Slots of the frames that the tasks read."""
 
     priority = Priority.LINK
 
@@ -58,7 +59,10 @@ class LinkJob:
 
     @property
     def affinity(self) -> int | None:
-        """The camera: neighbouring cameras go to one worker, which has their frames prepared already."""
+        """Key by which the queues choose the worker: the camera.
+
+        Neighbouring cameras share a worker, which holds their prepared frames.
+        """
         return self.camera
 
     def __str__(self) -> str:
@@ -68,7 +72,7 @@ class LinkJob:
 
 @dataclass(frozen=True)
 class GatherJob:
-    """Evidence from another worker, sent ahead to the worker that will conclude the run."""
+    """Take over evidence that another worker found; sent in advance to the worker that will conclude the run."""
 
     context: RunContext
     linked: Mapping[Task, Linked]
@@ -87,9 +91,9 @@ class GatherJob:
 
 @dataclass(frozen=True)
 class ConcludeJob:
-    """Compute the result of a run from its evidence; frames are needed to measure the fiducials again.
+    """Compute the result of a run from its evidence, and from its frames, in which the fiducials are measured again.
 
-    The reply's value is a `Concluded`. With `check`, a second reply follows, whose value is a `RunCheck`.
+    The reply's value is a `Concluded`. If `check` is given, a second reply follows, whose value is a `RunCheck`.
     """
 
     context: RunContext
@@ -97,11 +101,11 @@ class ConcludeJob:
     slots: Mapping[FrameKey, int]
     """Slots of the complete frames."""
     linked: Mapping[Task, Linked]
-    """All evidence; see `without` for what the worker holds already."""
+    """Evidence of all tasks; the pool sends the job `without` the evidence that the worker holds already."""
     excluded: Set[Task] = frozenset()
-    """Tasks performed while filming that the result must not use, because a row was lost and others replace them."""
+    """Tasks that the result must not use: other tasks replaced them because frames or pulses were missing."""
     check: CheckJob | None = None
-    """The calibration check to perform with the same evidence, after the result was sent."""
+    """The calibration check that the worker performs with the same evidence after it has sent the result; or None."""
 
     priority = Priority.CONCLUDE
     affinity: int | None = None
@@ -112,7 +116,7 @@ class ConcludeJob:
         return self.context.run
 
     def without(self, there: Collection[Task]) -> ConcludeJob:
-        """Return the job for a worker that holds the evidence of some tasks already."""
+        """Return a copy of the job without the evidence of the tasks in `there`, which the worker holds already."""
         return replace(self, linked={task: linked for task, linked in self.linked.items() if task not in there})
 
     def __str__(self) -> str:
@@ -130,7 +134,7 @@ class RenderJob:
     view: View
     format: ImageFormat
     request: int = 0
-    """Number of the caller's request; it identifies the answer."""
+    """Number of the caller's request, by which the reply is passed to this caller."""
 
     priority = Priority.RENDER
     affinity: int | None = None
@@ -141,16 +145,16 @@ class RenderJob:
 
 @dataclass(frozen=True)
 class CheckJob:
-    """The calibration check of a concluded run, performed by the worker that holds its evidence.
+    """Check the calibration with the evidence of a concluded run, in the worker that holds this evidence.
 
-    It is never queued: it travels inside its `ConcludeJob`. The reply's value is a `RunCheck`.
+    This job is never queued: it is sent as a part of the run's `ConcludeJob`. The reply's value is a `RunCheck`.
     """
 
     run: str
     time: str
-    """Time of the run's conclusion (UTC), stored with the check."""
+    """Time at which the conclusion was requested (UTC), stored with the check."""
     board_type: str
-    """Digest."""
+    """Digest of the run's board type."""
     calibration: str
     """Digest of the calibration that the run was stitched with."""
 
@@ -166,12 +170,12 @@ Job = LinkJob | GatherJob | ConcludeJob | RenderJob | CheckJob
 
 @dataclass(frozen=True)
 class OpenRun:
-    """Announce a run and the set-up that all its tasks need; sent to a worker once."""
+    """Announce a run to a worker, with the set-up that all tasks of the run need; sent once to each worker."""
 
     context: RunContext
     setup: StitchSetup
     reference: Path | None = None
-    """Directory of the reference that `setup` names; None without one."""
+    """Directory of the reference that `setup` uses; None if it uses no reference."""
 
 
 @dataclass(frozen=True)
@@ -183,12 +187,12 @@ class CloseRun:
 
 @dataclass(frozen=True)
 class Ping:
-    """Ask an idle worker for a sign of life."""
+    """Ask an idle worker to reply with `WorkerReady`, as a check of its liveness."""
 
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """Report that the worker is ready: sent after its warm-up, and in reply to each `Ping`."""
+    """Report that a worker is ready; sent after the worker's warm-up, and in reply to each `Ping`."""
 
     pid: int
 
@@ -202,23 +206,23 @@ class Linked:
 
     packed: bytes
     worker_s: float
-    """Time the worker took."""
+    """Time that the worker took for the task."""
 
     @classmethod
     def of(cls, evidence: Evidence, worker_s: float) -> Linked:
-        """Pack the evidence of a task."""
+        """Pickle the evidence of a task; `worker_s` is the time that the worker took."""
         return cls(pickle.dumps(evidence, pickle.HIGHEST_PROTOCOL), worker_s)
 
     @property
     def evidence(self) -> Evidence:
-        """The evidence; each access unpacks it again."""
+        """The evidence. Each access unpickles it again."""
         found: Evidence = pickle.loads(self.packed)
         return found
 
 
 @dataclass(frozen=True)
 class Concluded:
-    """The result of a run: its JSON document, and the part that the station itself uses."""
+    """The result of a run: the complete JSON document, and the part without components, which the station uses."""
 
     without_components: Stitch
     document: str
@@ -231,4 +235,4 @@ class Reply:
     value: Any
     error: VaoiError | None
     worker_s: float
-    """Time the worker took."""
+    """Time that the worker took for the job."""

@@ -1,8 +1,9 @@
 """The worker pool: it gives jobs to worker processes, and restarts processes that die or hang.
 
-Jobs wait in the pool, not in the workers' pipes. A worker has one job, and while frames arrive a second one, so that it
-does not idle between two. The end of a worker is noticed at once by its sentinel. Its jobs go to another worker, and
-the process is restarted. A job is given up with an error after `MAX_ATTEMPTS`.
+Jobs wait in the pool, not in the pipes to the workers. A worker has one job at a time. A worker that performs a link
+job may get a second link job, so that it need not wait for the pool in between. The pool detects the end of a worker at
+once by the sentinel of its process. The worker's jobs then go to another worker, and the process is restarted. A job
+whose workers died `MAX_ATTEMPTS` times is given up with an error.
 """
 
 from __future__ import annotations
@@ -41,17 +42,20 @@ from vaoi_station.runs.workers.worker_process import run_worker
 _log = logging.getLogger(__name__)
 
 JOB_LIMIT_S = 30.0
-"""Longest time for one job; after it a worker counts as hung and is killed."""
+"""Longest time for one job. After this time, the worker counts as hung and is killed."""
 START_LIMIT_S = 600.0
-"""Longest start of a worker: after an installation the first start compiles, under load for minutes."""
+"""Longest time for the start of a worker. The first start after an installation compiles, which takes minutes."""
 PING_INTERVAL_S = 1.0
 """Time without a message after which an idle worker is pinged."""
 MAX_ATTEMPTS = 2
-"""Attempts at a job whose worker dies; a job that kills two workers would kill every further one."""
+"""Largest number of attempts at a job whose worker dies: a job that has killed two workers would kill a third too."""
 
 
 class WorkerPool:
-    """The worker processes; methods may be called from any thread, events come from the pool's own thread."""
+    """The worker processes of the station. Its methods may be called from any thread.
+
+    Events are mostly reported in the pool's own thread.
+    """
 
     def __init__(self, count: int, ring_path: Path) -> None:
         self._ring_path = ring_path
@@ -65,14 +69,15 @@ class WorkerPool:
         self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
 
     def start(self, events: WorkerEvents) -> None:
-        """Start the processes and report to `events`; jobs may be submitted before the workers are ready."""
+        """Start the workers, and report events to `events`. Jobs may be submitted before the workers are ready."""
         self._events = events
-        # Workers ignore SIGTERM and SIGINT. Without this call they would survive a station that exits by an exception.
+        # Workers ignore SIGTERM and SIGINT. Without this exit handler they would survive a station that exits by an
+        # exception.
         atexit.register(self.stop, 0.0)
         self._thread.start()
 
     def all_ready(self) -> bool:
-        """Return whether every worker has finished its warm-up; jobs need not wait for that."""
+        """Return whether every worker has finished its warm-up."""
         with self._lock:
             return all(w.ready for w in self._workers)
 
@@ -86,12 +91,12 @@ class WorkerPool:
         self._report(job, _refused(StateError("The station is stopping; its workers take no more jobs.")))
 
     def open_run(self, opening: OpenRun) -> None:
-        """Announce a run, before its first job is submitted."""
+        """Announce a run to the pool, before its first job is submitted."""
         with self._lock:
             self._queues.runs[opening.context.run] = opening
 
     def close_run(self, run: str) -> None:
-        """Close a run: drop its waiting link jobs, and have the workers forget it."""
+        """Close a run: drop its waiting link and gather jobs, and have the workers discard its data."""
         with self._lock:
             self._queues.forget(run)
             for worker in self._workers:
@@ -118,7 +123,10 @@ class WorkerPool:
             )
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """End all workers and report every unfinished job with an error; no process is left behind."""
+        """End all worker processes, and report an error for every unfinished job. A second call does nothing.
+
+        Workers that have not ended after `timeout_s` are killed.
+        """
         with self._lock:
             if self._stopping:
                 return
@@ -127,7 +135,7 @@ class WorkerPool:
         self._wake_there.send_bytes(b"stop")
         if self._thread.ident is not None:
             self._thread.join()
-        # All are asked before any is awaited, so that they end at the same time.
+        # All workers are asked to end before the first one is awaited, so that they end in parallel.
         deadline = time.monotonic() + timeout_s
         for worker in self._workers:
             if worker.connection is not None:
@@ -142,7 +150,7 @@ class WorkerPool:
         self._wake_there.close()
 
     def _run(self) -> None:
-        """Start workers, receive their messages and reap the dead until stopped."""
+        """Start workers, receive their messages, and reap workers that have died, until the pool is stopped."""
         while not self._stopping:
             for worker in self._workers:
                 if worker.process is None and not worker.backoff.remaining_s():
@@ -151,7 +159,7 @@ class WorkerPool:
             for worker in self._workers:
                 if worker.process is not None:
                     sources[worker.connection] = sources[worker.process.sentinel] = worker
-            # Bounded by 0.5 s for the liveness checks below, and by the earliest restart.
+            # The wait ends after 0.5 s at the latest, for the liveness checks below, and at the earliest restart.
             pauses_s = [w.backoff.remaining_s() for w in self._workers if w.process is None]
             for source in wait([self._wake_here, *sources], timeout=min([0.5, *pauses_s])):
                 if source is self._wake_here:
@@ -169,7 +177,8 @@ class WorkerPool:
         )
         with keep_freed_memory():
             process.start()
-        # The child holds a copy. If this end stayed open, the child's death would not close the pipe for `recv`.
+        # The child process has a copy of this end. If the parent kept it open, `recv` would not notice the child's
+        # death.
         there.close()
         with self._lock:
             worker.process, worker.connection, worker.since_s = process, here, time.monotonic()
@@ -180,7 +189,7 @@ class WorkerPool:
         try:
             message = worker.connection.recv()
         except (EOFError, ConnectionResetError):
-            # Without its pipe a worker is of no use; its sentinel then leads to `_reap`.
+            # A worker without its pipe is useless. After it was killed, `_supervise` reaps it.
             _kill(worker.process)
             return
         worker.seen_s, worker.pinged_s = time.monotonic(), None
@@ -190,10 +199,10 @@ class WorkerPool:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
                 self._queues.share_evidence(worker, queued.job, message)
                 if (check := _check_that_follows(queued.job, message)) is not None:
-                    # The worker performs it already. As its job it keeps other jobs away until the second reply, so
-                    # that they go to free workers, and it is bounded by JOB_LIMIT_S. There is at most one per worker.
+                    # The worker performs the check already. It is entered as the job under way, so that other jobs go
+                    # to free workers until the check's reply, and JOB_LIMIT_S limits its time.
                     worker.jobs.appendleft(Queued(check))
-            # Later ones are replies to pings.
+            # The first WorkerReady ends the warm-up; later ones are replies to pings.
             if isinstance(message, WorkerReady) and not worker.ready:
                 worker.ready = True
                 worker.backoff.record_success()
@@ -206,19 +215,19 @@ class WorkerPool:
             self._report(queued.job, message)
 
     def _report(self, job: Job, reply: Reply) -> None:
-        """Report the outcome of a job; gathering is internal to the pool and is not reported."""
+        """Report the outcome of a job as an event, except for gather jobs, which only the pool itself submits."""
         if self._events is not None and not isinstance(job, GatherJob):
             self._events.worker_reply(job, reply)
 
     def _supervise(self, worker: Worker) -> None:
-        """Reap a dead worker; kill one that hangs."""
+        """Reap a worker that has died; kill a worker that hangs."""
         if worker.process is None:
             return
         if worker.process.is_alive():
             self._check_liveness(worker)
             return
         while worker.connection is not None and worker.job is not None and worker.connection.poll():
-            # It may have sent a reply before it died; a finished job must not be repeated.
+            # The worker may have sent a reply before it died. A finished job must not be repeated.
             before = worker.job
             self._receive(worker)
             if worker.job is before:
@@ -226,7 +235,7 @@ class WorkerPool:
         self._reap(worker)
 
     def _check_liveness(self, worker: Worker) -> None:
-        """Ping an idle worker; kill one that exceeds its time limit."""
+        """Ping an idle worker, and kill a worker that exceeds its time limit."""
         now = time.monotonic()
         busy = worker.job is not None or not worker.ready
         since_s = worker.since_s if busy else worker.pinged_s
@@ -240,12 +249,12 @@ class WorkerPool:
                 _send(worker.connection, Ping())
 
     def _reap(self, worker: Worker) -> None:
-        """Collect a dead worker, put its jobs back, and schedule its restart."""
+        """Collect a worker process that has died, put its jobs back into the queues, and schedule its restart."""
         assert worker.process is not None
         process, code = worker.process, worker.process.exitcode
         with self._lock:
             queued = worker.job
-            # Only the job under way can be the cause of death; the second one is put back without a mark.
+            # Only the job under way can have caused the death, so the attempts of the second job are not counted.
             for waiting in reversed([*worker.jobs][1:]):
                 self._queues.put_back(waiting)
             worker.jobs.clear()
@@ -268,16 +277,16 @@ class WorkerPool:
             self._report(queued.job, _refused(InternalError(fault, code="worker-lost")))
 
     def _retry(self, queued: Queued) -> bool:
-        """Put a dead worker's job at the front of its queue; return False if it must be given up."""
+        """Put the job of a worker that has died at the front of its queue; return False if the job must be given up."""
         queued.deaths += 1
-        # The evidence for a check died with the worker; the next run's check replaces it.
+        # A check cannot be repeated: its evidence was lost with the worker. The next run is checked again.
         if queued.deaths >= MAX_ATTEMPTS or isinstance(queued.job, CheckJob):
             return False
         self._queues.put_back(queued)
         return True
 
     def _dispatch(self) -> None:
-        """Give each idle worker a job, and a worker that performs links possibly a second one."""
+        """Give each idle worker a job if one waits, and each worker that performs a link job a second link job."""
         for worker in self._workers:
             if worker.idle and (queued := self._queues.choose(worker)) is not None:
                 self._give(worker, queued)
@@ -291,7 +300,7 @@ class WorkerPool:
         worker.jobs.append(queued)
         job = queued.job
         if isinstance(job, LinkJob | GatherJob | ConcludeJob):
-            # The set-up travels in the same pipe before the first job of its run, so that it is always there.
+            # The set-up of a run is sent in the same pipe before the run's first job, so that it arrives first.
             if job.run not in worker.opened:
                 worker.opened.add(job.run)
                 _send(worker.connection, self._queues.runs[job.run])
@@ -299,7 +308,7 @@ class WorkerPool:
             if isinstance(job, GatherJob):
                 there.update(job.linked)
             if isinstance(job, ConcludeJob):
-                # The conclusion carries all evidence that the worker lacks; gathering the rest would be repeated work.
+                # The conclude job contains all evidence that the worker lacks, so waiting gather jobs are not needed.
                 self._queues.drop(Priority.GATHER, job.run)
                 job = job.without(there)
         _send(worker.connection, job)
@@ -313,7 +322,7 @@ class WorkerPool:
 
 
 def _check_that_follows(job: Job, reply: Reply) -> CheckJob | None:
-    """Return the check whose reply comes next from the same worker; see `WorkerRuntime.replies`."""
+    """Return the check that the worker performs after this reply; None if there is none (`WorkerRuntime.replies`)."""
     return job.check if isinstance(job, ConcludeJob) and reply.error is None else None
 
 
@@ -325,7 +334,7 @@ def _send(connection: Connection[Any, Any], message: object) -> None:
     try:
         connection.send(message)
     except (BrokenPipeError, ConnectionResetError):
-        # The worker has died. `_reap` follows in a moment and gives its job to another worker.
+        # The worker has died. The pool's thread reaps it in a moment and gives its job to another worker.
         return
 
 

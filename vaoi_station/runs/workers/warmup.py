@@ -1,7 +1,7 @@
-"""Warm-up of a worker: stitch a small synthetic board before the worker reports that it is ready.
+"""Warm-up of a worker: it stitches a small synthetic board before it reports that it is ready.
 
-Functions that are compiled on first use are compiled now and libraries are loaded, so that the first real frame takes
-no longer than later ones.
+The warm-up loads libraries and compiles functions that are compiled at their first use. So the first real frame takes
+no longer than later frames.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SUBPIXEL_BITS = 4
 
 
 def warm_up() -> Stitch:
-    """Stitch the synthetic board and return its result, which serves tests only."""
+    """Stitch the synthetic board, and return its result. Only tests use the result."""
     setup, times_s = _setup(), np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
     present = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
     runner = TaskRunner(setup, partial(_frame, _picture()))
@@ -34,7 +34,7 @@ def warm_up() -> Stitch:
 
 
 def _setup() -> StitchSetup:
-    # A distorted lens and a full board type, so that no branch of the stitching stays uncompiled.
+    # The lens has distortion and the board type has all kinds of elements, so that all compiled functions are called.
     lens = Lens(((_WIDTH_PX - 1) / 2, (_HEIGHT_PX - 1) / 2), float(np.hypot(_WIDTH_PX, _HEIGHT_PX)) / 2, (-1e-4,))
     matrices = (
         np.array([[_PX_PER_MM, 0, -_PX_PER_MM * _PITCH_MM * i], [0, _PX_PER_MM, 0], [0, 0, 1]]) for i in range(_CAMERAS)
@@ -54,7 +54,7 @@ def _board_type() -> BoardType:
 
 
 def _picture() -> NDArray[np.uint8]:
-    """Draw belt and board, (h, w), from the start of the last row to the end of the first."""
+    """Draw belt and board as one grey image (h, w), out of which `_frame` cuts the frames of all cameras and rows."""
     g = np.random.default_rng(0)
     height, width = (round(mm * _PX_PER_MM) for mm in (_SIZE_MM[1] + _STEP_MM * (_ROWS - 1), _SIZE_MM[0]))
     # Blurred noise has corners everywhere, so that every kind of link finds something to refine.
@@ -71,6 +71,6 @@ def _picture() -> NDArray[np.uint8]:
 
 
 def _frame(picture: NDArray[np.uint8], camera: int, row: int) -> NDArray[np.uint8]:
-    # The board moves up in the picture by one step per row, as the conveyor carries it.
+    # The conveyor moves the board by `_STEP_MM` per row, so the cut-out moves up in the picture by this step.
     x, y = round(_PITCH_MM * camera * _PX_PER_MM), round(_STEP_MM * (_ROWS - 1 - row) * _PX_PER_MM)
     return picture[y : y + _HEIGHT_PX, x : x + _WIDTH_PX]

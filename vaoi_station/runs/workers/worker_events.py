@@ -1,4 +1,4 @@
-"""The events that the worker pool reports."""
+"""The interface by which the worker pool reports events."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from vaoi_station.runs.workers.jobs import Job, Reply
 
 
 class WorkerEvents(Protocol):
-    """Receiver of the pool's events: every method returns at once and may be called from any thread."""
+    """Receiver of the pool's events. Every method returns at once and may be called from any thread."""
 
     def worker_reply(self, job: Job, answer: Reply) -> None:
-        """Report the outcome of a job; called once for each submitted job.
+        """Report the outcome of a job. The pool calls this method once for each submitted job.
 
-        After a successful `ConcludeJob` with a check it is called once more, with the `CheckJob`.
+        After a successful `ConcludeJob` with a check, the pool calls it once more, with the `CheckJob`.
         """
 
     def worker_ended(self, description: str) -> None:
-        """Report that a worker process has ended unexpectedly; the pool restarts it."""
+        """Report that a worker process has ended unexpectedly. The pool restarts it."""
 
     def workers_ready(self) -> None:
-        """Report that the last worker has become ready; repeated after every restart."""
+        """Report that all workers are ready; reported again when a restarted worker has become ready."""

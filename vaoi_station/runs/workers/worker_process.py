@@ -1,4 +1,4 @@
-"""The main loop of a worker process: receive a message, send its replies, until the pipe ends."""
+"""The main loop of a worker process: it receives messages and sends their replies until the station closes the pipe."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from vaoi_station.runs.host.process_setup import set_up_process
 def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
     """Perform jobs until the station sends None or closes the pipe."""
     set_up_process(one_thread=True)
-    # Imported only now: OpenBLAS and OpenMP read the number of threads from the environment when they are loaded.
+    # These imports come after the set-up: OpenBLAS and OpenMP read the number of threads from the environment when they
+    # are loaded.
     from vaoi_station.runs.workers.jobs import CloseRun, Ping
     from vaoi_station.runs.workers.warmup import warm_up
     from vaoi_station.runs.workers.worker_runtime import WorkerRuntime
@@ -20,14 +21,15 @@ def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
     with connection, WorkerRuntime(ring_path) as runtime:
         try:
             warm_up()
-            # Imported and compiled objects stay for ever: frozen, they are not scanned again. Automatic collections
-            # are off, because a full one would delay a result; they run after a run is closed and while idle.
+            # Imported and compiled objects are never freed: `freeze` excludes them from collections. Automatic
+            # collections are off, because a full collection would delay a result. Collections run below, after a run
+            # was closed and while the worker is idle.
             gc.collect()
             gc.freeze()
             gc.disable()
             connection.send(runtime.ready())
             while (message := connection.recv()) is not None:
-                # Each reply is sent before the next one is computed: a result does not wait for the check behind it.
+                # Each reply is sent before the next one is computed, so a result does not wait for its check.
                 for reply in runtime.replies(message):
                     connection.send(reply)
                 if isinstance(message, CloseRun | Ping):

@@ -1,4 +1,4 @@
-"""Where a worker does its jobs: a read-only ring, and a task runner per run."""
+"""Execution of jobs in a worker process, with read-only access to the ring and one task runner per run."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ class _OpenedRun:
     runner: TaskRunner
     slots: dict[FrameKey, int] = field(default_factory=dict)
     evidence: dict[Task, Evidence] = field(default_factory=dict)
-    """Evidence found here or gathered from other workers."""
+    """Evidence that this worker found or received from other workers, by task."""
 
 
 class WorkerRuntime:
-    """Everything one worker needs for its jobs; single-threaded, because each core has a worker."""
+    """Performs the jobs of one worker. It uses a single thread, because there is one worker per core."""
 
     def __init__(self, ring_path: str) -> None:
-        # OpenCV would start one thread per core in every worker; k workers with k threads each slow one another down.
+        # OpenCV starts one thread per core in every worker by default. These threads would slow one another down.
         cv2.setNumThreads(1)
         self._ring = Ring.attach(Path(ring_path))
         self._runs: dict[str, _OpenedRun] = {}
@@ -71,19 +71,19 @@ class WorkerRuntime:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # Runs hold views of the ring's memory, which cannot be unmapped while they exist.
+        # Runs hold arrays in the ring's memory. The memory cannot be unmapped while these arrays exist.
         self._runs.clear()
         self._ring.close()
 
     def ready(self) -> WorkerReady:
-        """Return the message that reports this worker as ready."""
+        """Return the message by which this worker reports that it is ready."""
         return WorkerReady(os.getpid())
 
     def replies(self, message: OpenRun | CloseRun | Ping | Job) -> Iterator[Reply | WorkerReady]:
-        """Carry out one message; yield each reply as soon as it exists.
+        """Process one message of the station, and yield each reply as soon as it is available.
 
-        A job has one reply; a `ConcludeJob` with a check has a second one unless it fails. The check uses the evidence
-        of the conclusion, so it runs here and now, and takes the time between the two replies.
+        `Ping` and each job have one reply, `OpenRun` and `CloseRun` have none. A successful `ConcludeJob` with a check
+        has a second reply: the check uses the evidence of the conclusion, so it is performed directly after it.
         """
         match message:
             case Ping():
@@ -110,14 +110,14 @@ class WorkerRuntime:
         self._runs[opening.context.run] = _OpenedRun(opening.setup, runner, slots)
 
     def _reference_of(self, opening: OpenRun) -> Callable[[int, int], NDArray[Any] | None] | None:
-        """Return a reader of the reference's frames; None without a reference."""
+        """Return a function that reads a frame (camera, row) of the run's reference; None without a reference."""
         if opening.reference is None:
             return None
 
         directory = opening.reference
 
         def frame(camera: int, row: int) -> NDArray[Any] | None:
-            # Kept open over runs: successive boards usually share a reference, whose files are in the page cache then.
+            # The reference stays open across runs: successive boards usually use the same reference.
             if self._reference is None or self._reference.directory != directory:
                 self._reference = open_recording(directory)
             return self._reference.frame(camera, row)
@@ -143,7 +143,7 @@ class WorkerRuntime:
         found = self._guarded(
             job.context.bay, job.context.generation, lambda: [_timed(opened.runner, task) for task in job.tasks]
         )
-        # Kept here as well: the worker that concludes the run need not receive its own evidence again.
+        # The evidence is kept here too, so that it need not be sent back if this worker concludes the run.
         opened.evidence.update((task, evidence) for task, (evidence, _) in zip(job.tasks, found, strict=True))
         return tuple(Linked.of(evidence, worker_s) for evidence, worker_s in found)
 
@@ -179,10 +179,10 @@ class WorkerRuntime:
         return encode(crop, job.format)
 
     def _guarded(self, bay: int, generation: int, work: Callable[[], T]) -> T:
-        """Run `work` on the frames of a bay; raise GoneError if the bay belongs to a later run, before or after.
+        """Call `work`, which reads frames of a bay, and return its value; `GoneError` if the bay has a later run.
 
-        A frame is read without a copy or a lock. The second check refuses a result from frames that were overwritten
-        meanwhile.
+        Frames are read without a copy and without a lock. Therefore the generation of the bay is checked before and
+        after: a value from frames that were overwritten meanwhile is discarded.
         """
         self._ring.check_generation(bay, generation)
         value = work()
@@ -191,13 +191,13 @@ class WorkerRuntime:
 
 
 def _reply_of(job: Job, work: Callable[[], Any]) -> Reply:
-    """Run a job's work and time it; every fault becomes a reply with an error."""
+    """Call the function that performs a job, and return the reply, with the time taken. Errors become replies too."""
     began_s = time.monotonic()
     try:
         value, error = work(), None
     except VaoiError as refusal:
         value, error = None, refusal
-    except Exception as fault:  # noqa: BLE001  a fault in one job must not end the worker's other runs
+    except Exception as fault:  # noqa: BLE001  an error in one job must not end the worker, which serves other runs too
         _log.exception("%s failed", job)
         value, error = None, InternalError(f"{job} failed: {type(fault).__name__}: {fault}.")
     return Reply(value, error, time.monotonic() - began_s)
@@ -209,7 +209,7 @@ def _timed(runner: TaskRunner, task: Task) -> tuple[Evidence, float]:
 
 
 def encode(image: NDArray[Any], format: ImageFormat) -> bytes:
-    """Encode a picture as the bytes of a file."""
+    """Encode an image, and return the content of the image file."""
     match format:
         case "png":
             return encode_png(image)
