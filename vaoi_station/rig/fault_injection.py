@@ -1,4 +1,4 @@
-"""Inject faults into devices and processes when the board and row they name are fired, and record what may be lost."""
+"""Inject faults into devices and processes at the pulse of a board and row; record which frames may be lost."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from vaoi_station.rig.line.virtual_line import FrameFaults
 from vaoi_station.rig.scoring.score import Outage
 
 OPEN_END_NS = 2**63
-"""End of an outage that lasts until `close_outage` is called."""
+"""End time of an outage whose end is not known yet; `close_outage` replaces it."""
 
 
 _ROW_FAULTS = ("kill", "stall", "reset")
 
 
 def frame_faults_of(faults: Sequence[Fault]) -> FrameFaults:
-    """Return the faults that the virtual line injects by itself."""
+    """Return the faults of frames, which the virtual line injects: packet loss and ignored pulses."""
     return FrameFaults(
         loss=max((f.share for f in faults if f.kind == "loss"), default=0.0),
         ignored=frozenset((f.board, f.row, f.camera) for f in faults if f.kind == "ignored"),
@@ -33,18 +33,19 @@ def frame_faults_of(faults: Sequence[Fault]) -> FrameFaults:
 
 @dataclass(frozen=True)
 class DeviceRecovery:
-    """The moment at which a device works again after a fault."""
+    """The recovery of a device or process from a fault: it works again, but the station may still need time."""
 
     fault: Fault
     began_ns: int
-    """CLOCK_MONOTONIC of the fault; identifies its outage."""
+    """Time of the fault, ns of CLOCK_MONOTONIC. It identifies the outage that the fault has caused."""
     recovered_ns: int
 
 
 class FaultInjector:
-    """Inject faults by row; a context manager that resumes stopped processes and restarts no device after its end.
+    """Inject each fault at the pulse of its board and row. A context manager.
 
-    `on_row` runs in the chip's thread; whatever takes time runs in threads of its own.
+    At the end of the context, stopped processes are resumed at once, and killed cameras are not started again. `on_row`
+    runs in the chip's thread, so everything that takes time runs in separate threads.
     """
 
     def __init__(self, faults: Sequence[Fault]) -> None:
@@ -63,21 +64,21 @@ class FaultInjector:
         self._processes = processes
 
     def attach(self, devices: Devices) -> None:
-        """Set the devices, and start the noise on the serial line."""
+        """Set the devices that faults act on, and start the noise on the serial port if it is one of the faults."""
         self._devices = devices
         for fault in self._faults:
             if fault.kind == "noise":
                 devices.chip.send(f"noise {fault.share} {fault.share}")
 
     def on_row(self, board: int, row: int) -> None:
-        """Inject the faults of a row; called when its pulse has been fired, before the cameras are triggered."""
+        """Inject the faults of a row. Called after the pulse of the row and before the cameras are triggered."""
         for fault in [f for f in self._faults if f.kind in _ROW_FAULTS and f.at(board, row)]:
-            # Removed first: a fault happens once, even where a pulse of the row is fired again.
+            # The fault is removed first, so that it happens only once even if the row is fired again.
             self._faults.remove(fault)
             {"kill": self._kill, "stall": self._stall, "reset": self._reset}[fault.kind](fault)
 
     def finish(self) -> None:
-        """Wait for the faults under way, and record those that never happened."""
+        """Wait until the injected faults are over, and record the faults that never happened in `failed`."""
         for thread in self._threads:
             thread.join()
         for fault in self._faults:
@@ -99,7 +100,7 @@ class FaultInjector:
         self._add_outage(Outage(began_ns, OPEN_END_NS, fault.camera, "the camera was dead"))
 
         def restart() -> None:
-            # When the rig is taken down in the meantime, the camera stays dead: no board follows.
+            # If the rig is stopped meanwhile, the camera is not started again, because no board follows.
             if self._closing.wait(fault.for_s):
                 return
             camera.start()
@@ -116,7 +117,7 @@ class FaultInjector:
         name = "worker 0" if fault.who == "worker" else fault.who
         pid = self._processes().get(name)
         if pid is None:
-            # The station may have fewer workers; the run fails, because the fault was not tested.
+            # The station may have fewer workers than the fault names. The rig run then fails: the fault was not tested.
             self.failed.append(f"the station has no process {name!r} to stop")
             return
         began_ns = time.monotonic_ns()
@@ -126,7 +127,7 @@ class FaultInjector:
             self._closing.wait(fault.for_s)
             with contextlib.suppress(ProcessLookupError):  # the station has restarted it in the meantime
                 os.kill(pid, signal.SIGCONT)
-            # Only the acquisition process receives frames: a stopped station or worker is no reason to lose one.
+            # Only the acquisition process receives frames: a stopped station or worker must not lose any.
             if name == "acquisition":
                 self._add_outage(Outage(began_ns, OPEN_END_NS, None, "the acquisition process was stopped"))
             self._add_recovery(fault, began_ns)
@@ -140,7 +141,7 @@ class FaultInjector:
         self._add_recovery(fault, began_ns)
 
     def close_outage(self, recovery: DeviceRecovery, ready_ns: int) -> None:
-        """End the outage of a fault: the station has been ready since `ready_ns`, and may lose nothing by it later."""
+        """End the outage of a recovered fault at `ready_ns`, the time since which the station has been ready again."""
         with self._change:
             self.outages = [
                 replace(t, until_ns=ready_ns) if (t.from_ns, t.until_ns) == (recovery.began_ns, OPEN_END_NS) else t

@@ -1,4 +1,4 @@
-"""`vaoi rig run`: start rig and service, let boards pass, score each of them, stop everything."""
+"""`vaoi rig run`: start the rig and the service, let boards pass, score each board, stop everything."""
 
 from __future__ import annotations
 
@@ -34,33 +34,36 @@ from vaoi_station.simulation import Scenario, Twin
 
 POLL_S = 0.5
 NEXT_RUN_TIMEOUT_S = 30.0
-"""Time to wait for the next result after the last board has passed, if none is being stitched."""
+"""Time to wait for the next run after the last board has passed, if no run is being filmed or stitched."""
 CONCLUDE_TIMEOUT_S = 300.0
-"""The same while a run is being stitched: after an installation workers compile, on a busy machine for minutes."""
+"""Time to wait for the next run after the last board has passed, if one is being stitched. After an installation the
+workers compile first, which takes minutes on a busy machine.
+"""
 READY_TIMEOUT_S = 30.0
-"""Time after a fault within which the station must become ready again; then it counts as not recovered."""
+"""Time in which the station must become ready again after a fault. After it, the station counts as not recovered."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a rig run does."""
+    """The settings of one rig run: scenario, number of boards, faults, workers."""
 
     scenario: Scenario
     name: str
-    """Name of the scenario, for the report."""
+    """Name of the scenario, which the report shows."""
     boards: int
     faults: tuple[Fault, ...] = ()
     fault_texts: tuple[str, ...] = ()
-    """The faults as they were given."""
+    """The texts of the faults as given on the command line."""
     cache: Path | None = None
     """Folder in which rendered boards are kept; None: a temporary folder."""
     different: int = 3
+    """Number of different rendered boards, which pass in turn."""
     workers: int = 2
 
 
 @dataclass
 class _Record:
-    """What was observed during the run."""
+    """Everything that is collected from the station during a rig run, for the score. Dictionaries go by run id."""
 
     began_ns: int = field(default_factory=time.monotonic_ns)
     runs: list[dict[str, Any]] = field(default_factory=list)
@@ -71,10 +74,10 @@ class _Record:
 
 
 def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
-    """Let boards pass, and return how each of them was recorded and stitched.
+    """Perform a rig run, and return the report: how each board was recorded and stitched, and what failed.
 
     Raises:
-        DeviceError: rig or service do not start.
+        DeviceError: the rig or the service does not start.
     """
     scenario = with_belt_faults(plan.scenario, plan.faults)
     began_s = time.monotonic()
@@ -92,7 +95,7 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
             )
             progress("Starting the service.")
             with Service(config) as service, injector:
-                # Read before the boards pass: a camera that waits for a disk would look like a slow network.
+                # Read before the boards pass: a camera that had to wait for a disk would look like a slow network.
                 for board in set(rendered):
                     board.load_into_cache()
                 record, passages, recoveries = _run_boards(plan, service, devices, rendered, injector, progress)
@@ -109,7 +112,7 @@ def _run_boards(
     injector: FaultInjector,
     progress: Callable[[str], None],
 ) -> tuple[_Record, list[Any], tuple[Recovery, ...]]:
-    """Arm the station, let all boards pass and collect everything that the score needs."""
+    """Arm the station, let all boards pass, and return the collected data, the passages and the recoveries."""
     client, record = Client(service.address), _Record()
     wait_until_idle(client)
     with StatusWatch(Client(service.address)) as watch:
@@ -133,13 +136,13 @@ def _run_boards(
 def _collect_runs(
     plan: Plan, client: Client, feeder: BoardFeeder, record: _Record, progress: Callable[[str], None]
 ) -> None:
-    """Collect every run, until there is one for each board or no more come."""
+    """Collect ended runs into `record`, until there is one run for each board or no more runs can be expected."""
     after, finished_s, busy_s = None, math.inf, 0.0
     while len(record.runs) < plan.boards:
-        # The time limits start when no more boards come; until then a run may take any time.
+        # The time limits start when all boards have passed. Until then a run may take any time.
         if feeder.finished.is_set() and math.isinf(finished_s):
             finished_s = time.monotonic()
-        # Before the request for a run: a run that ends between the two must not look like one that never comes.
+        # The ring is checked before the next run is requested: a run that ends between the two must not be overlooked.
         if _check_ring(client, feeder, record):
             busy_s = time.monotonic()
         run = client.get("/runs/next", after=after, timeout=POLL_S) or (_latest_run(client) if after is None else None)
@@ -153,15 +156,15 @@ def _collect_runs(
         now_s = time.monotonic()
         if now_s > min(finished_s + CONCLUDE_TIMEOUT_S, max(finished_s, busy_s) + NEXT_RUN_TIMEOUT_S):
             break
-    # The last run may have ended after the last check.
+    # The last run may have ended after the last check of the ring.
     _check_ring(client, feeder, record)
 
 
 def _check_ring(client: Client, feeder: BoardFeeder, record: _Record) -> bool:
-    """Check the pixels of every run whose frames are all there, before its bay goes to another board.
+    """Compare the pixels of every run whose frames are all in the ring, before its bay is given to another board.
 
     Returns:
-        Whether a run is still being filmed or stitched.
+        True if a run is still being filmed or stitched.
     """
     station = client.get("/station")
     for run, bay in bays_to_check(station).items():
@@ -178,7 +181,7 @@ def _check_ring(client: Client, feeder: BoardFeeder, record: _Record) -> bool:
 def _score_boards(
     scenario: Scenario, passages: Sequence[Any], record: _Record, injector: FaultInjector
 ) -> tuple[BoardScore, ...]:
-    """Score each passage with the run that belongs to it."""
+    """Score each passage, using the run of the station that belongs to it."""
     resolution = [camera.px_per_mm for camera in Twin(scenario).cameras]
     started_s = {run["id"]: _to_monotonic_s(run["started"]) for run in record.runs}
     by_id = {run["id"]: run for run in record.runs}
@@ -197,7 +200,7 @@ def _score_boards(
 
 
 def _recoveries(injector: FaultInjector, watch: StatusWatch, began_ns: int) -> tuple[Recovery, ...]:
-    """Measure how long the station took after each recovered device."""
+    """Measure, for each recovered device, the time until the station was ready; end the outage of its fault there."""
     result = []
     for recovery in injector.recoveries:
         watch.wait_ready(READY_TIMEOUT_S)
@@ -246,20 +249,20 @@ def _report(
 
 
 def _processes(service: Service, station: dict[str, Any]) -> dict[str, int]:
-    """Return name → pid of the station and its child processes."""
+    """Return process name → pid, for the station and its child processes."""
     children = {p["name"]: p["pid"] for p in station.get("processes", ()) if p["pid"] is not None}
     return {"station": service.pid, **children}
 
 
 def _measured_processes(service: Service, station: dict[str, Any], devices: Devices) -> dict[str, int | None]:
-    """Return the processes whose CPU time is measured, by the names of `Load`."""
+    """Return name → pid of all processes whose CPU time is measured, with the names that `CpuLoadMeter` expects."""
     renamed = {name.replace("worker ", "workers "): pid for name, pid in _processes(service, station).items()}
     cameras = {f"cameras {n}": camera.pid for n, camera in enumerate(devices.cameras)}
     return {**renamed, **cameras, "chip": devices.chip.pid, "rig": os.getpid()}
 
 
 def _latest_run(client: Client) -> Any:
-    """Return a first run that ended before the request for it; None: there is none."""
+    """Return the latest ended run, for a first run that ended before `_collect_runs` asked; None: no run has ended."""
     try:
         return client.get("/runs/latest")
     except NotFoundError:
@@ -267,13 +270,13 @@ def _latest_run(client: Client) -> Any:
 
 
 def _matrices(client: Client, run: str) -> dict[str, Any]:
-    """Return the result of a run; empty if it failed before it had one."""
+    """Return the JSON of a run's result; empty if the run failed before it had a result."""
     try:
         return dict(client.get(f"/runs/{run}/matrices"))
-    except NotFoundError:  # the run has failed before there were any
+    except NotFoundError:  # a run that failed early has no result
         return {}
 
 
 def _to_monotonic_s(utc: str) -> float:
-    """Return CLOCK_MONOTONIC of a recent time of day."""
+    """Convert a recent UTC time (ISO 8601) to seconds of CLOCK_MONOTONIC."""
     return datetime.fromisoformat(utc).timestamp() - time.time() + time.monotonic()

@@ -1,4 +1,4 @@
-"""Write the files of a station for the rig: the station.toml of a real line with the rig's addresses."""
+"""Write the files of a station on the rig: station.toml with the rig's addresses, calibration, board type."""
 
 from __future__ import annotations
 
@@ -26,7 +26,17 @@ def build_site(
     port: Path,
     workers: int,
 ) -> Path:
-    """Write calibration, board type and station.toml into an empty folder, which also takes the station's data."""
+    """Write calibration, board type and station.toml into an empty folder; return the path of station.toml.
+
+    Args:
+        scenario: scenario of the twin.
+        rendered: a rendered board, which has the calibration and the board type.
+        folder: an empty folder; the station also stores its data there.
+        name: name of the station.
+        addresses: address of each camera.
+        port: path of the controller's serial port.
+        workers: number of worker processes.
+    """
     write_calibration(folder / "calibration.json", rendered.calibration)
     write_board_type(folder / "board-types" / f"{rendered.board_type.name}.json", rendered.board_type)
     lighting = lighting_of(scenario)
@@ -42,7 +52,7 @@ def build_site(
             backend="serial",
             port=str(port),
             lights={
-                # LEDs stay on for the longest exposure; cameras with a shorter one see part of it.
+                # LEDs stay on for the longest exposure; cameras with a shorter exposure use a part of this time.
                 light: LightConfig(channels=channels, on_us=max(lighting.exposures_us))
                 for light, channels in lighting.channels.items()
             },

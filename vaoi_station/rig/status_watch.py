@@ -1,4 +1,4 @@
-"""Poll the station's status four times a second."""
+"""Poll the station's status four times a second, and wait for conditions on it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _READY = ("armed", "filming")
 
 
 class StatusWatch:
-    """A polling thread; a context manager."""
+    """Watch of the station's status, as a context manager: a thread polls `GET station` and keeps the replies."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
         self._closing = threading.Event()
         self._change = threading.Condition()
         self._states: list[tuple[int, bool]] = []
-        """CLOCK_MONOTONIC of each reply, and whether the station was ready with all its cameras."""
+        """(time, ready) of each reply: ns of CLOCK_MONOTONIC, and whether the station was ready with all cameras."""
         self._requested_ns = 0
         self.last: dict[str, Any] = {}
         """JSON of the last reply to `GET station`."""
@@ -37,21 +37,21 @@ class StatusWatch:
         self._thread.join()
 
     def wait(self, condition: Callable[[dict[str, Any]], bool], timeout_s: float) -> bool:
-        """Wait until a status that is requested after this call meets a condition; False after the timeout."""
+        """Wait until a status requested after this call meets a condition. Return False after the timeout."""
         now_ns = time.monotonic_ns()
         with self._change:
-            # An older reply may describe the state before the fault whose end is awaited.
+            # Older replies do not count: they may describe the state before the fault whose end is awaited.
             return self._change.wait_for(lambda: self._requested_ns >= now_ns and condition(self.last), timeout_s)
 
     def wait_ready(self, timeout_s: float) -> bool:
-        """Wait until the station is armed with all its cameras; False after the timeout."""
+        """Wait until the station is armed and all its cameras are connected. Return False after the timeout."""
         return self.wait(lambda station: station["state"] == "armed" and all_connected(station), timeout_s)
 
     def ready_since(self, after_ns: int) -> int | None:
-        """Return CLOCK_MONOTONIC since when the station has been ready without a break; None if it is not ready now.
+        """Return the time since which the station has been ready without a break; None if it is not ready now.
 
         Args:
-            after_ns: replies before this time do not count.
+            after_ns: time before which replies do not count. Both times are ns of CLOCK_MONOTONIC.
         """
         with self._change:
             states = [(when, ready) for when, ready in self._states if when >= after_ns]
@@ -67,8 +67,8 @@ class StatusWatch:
             requested_ns = time.monotonic_ns()
             try:
                 station = self._client.get("/station")
-            # The service may be stopped, or ending: a missing reply is no state.
-            except DeviceError:  # it is being stopped, or has been
+            # A stopped or ending service does not reply. A missing reply gives no state.
+            except DeviceError:  # the service is stopped or ending
                 continue
             ready = station["state"] in _READY and all_connected(station)
             with self._change:
@@ -79,5 +79,5 @@ class StatusWatch:
 
 
 def all_connected(station: dict[str, Any]) -> bool:
-    """Whether all cameras are connected."""
+    """Whether all cameras are connected; `station` is the JSON of `GET station`."""
     return all(camera["connected"] for camera in station["cameras"])

@@ -1,4 +1,4 @@
-"""`vaoi rig up`: run devices for a station that the user starts beside them; boards pass until Ctrl-C."""
+"""`vaoi rig up`: run the devices of a rig for a station that the user starts. Boards pass until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -30,16 +30,20 @@ def run_until_interrupted(
     *,
     still: bool = False,
 ) -> NoReturn:
-    """Run the devices until KeyboardInterrupt, or DeviceError if the emulator ends; only the folder remains.
+    """Run the devices until Ctrl-C. At the end all processes are stopped, and only the files in `folder` are left.
 
     Args:
-        scenario: the twin's.
-        faults: those of a row are injected once, those of the belt recur with their board, the others last.
-        folder: new or empty; takes station.toml, the controller's port and the station's data.
-        cache: where rendered boards are kept.
-        different: number of boards that are rendered; they pass in turn.
-        progress: takes one line of text.
-        still: no board passes; the calibration board lies under the cameras.
+        scenario: scenario of the twin.
+        faults: a fault of a row is injected once; a fault of the belt recurs with its board; other faults last.
+        folder: a new or empty folder for station.toml, the controller's serial port and the station's data.
+        cache: folder in which rendered boards are kept.
+        different: number of different boards, which pass in turn.
+        progress: called with one line of text.
+        still: whether no board passes, so that the cameras show the calibration board.
+
+    Raises:
+        KeyboardInterrupt: the user has pressed Ctrl-C.
+        DeviceError: the emulator of the chip has ended.
     """
     faulty = with_belt_faults(scenario, faults)
     boards = prepare_boards(faulty, faults, different, different, cache, progress)
@@ -47,7 +51,7 @@ def run_until_interrupted(
     with Devices(faulty, folder, frame_faults_of(faults), injector.on_row) as devices, injector:
         injector.attach(devices)
         progress("Rendering the calibration board.")
-        # Its first frames are rendered now: a station that starts at once must not wait for them.
+        # The frames of the calibration board are rendered now, so that a station that starts at once need not wait.
         devices.lay_calibration_board()
         config = build_site(
             faulty, boards[0], folder, name="rig", addresses=devices.addresses, port=devices.terminal, workers=2
@@ -69,7 +73,7 @@ def _wait_without_boards(devices: Devices) -> NoReturn:
 
 def _feed_forever(devices: Devices, boards: Sequence[RenderedBoard], interval_s: float) -> NoReturn:
     while True:
-        # The line counts boards over all rounds, so a fault of one row happens once.
+        # The line counts boards over all rounds of this loop, so a fault of one row happens only once.
         with BoardFeeder(devices.line, boards, interval_s) as feeder:
             while not feeder.finished.wait(1.0):
                 pass

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 DARK = -1
-"""Picture number of a frame without light."""
+"""Picture number that stands for a black frame, which is in no file."""
 
 
 @dataclass(frozen=True)
@@ -13,9 +13,9 @@ class TriggerCommand:
     """One rising edge of the trigger line, and what the camera delivers for it."""
 
     picture: int
-    """Index in the file of frames; DARK: a black frame."""
+    """Index of the picture in the selected file of frames; DARK: a black frame."""
     timestamp_ns: int = 0
-    """Start of the exposure in the camera's clock; 0: the time at which the frame is sent."""
+    """Start of the exposure, ns in the camera's clock; 0: use the time at which the frame is sent."""
     brightness: float = 1.0
     """Factor on the grey values above the black level."""
     lost_share: float = 0.0

@@ -1,8 +1,9 @@
 """Change the GenICam description of Aravis' fake camera so that the fake waits for a hardware trigger on Line0.
 
-The fake fires only while its trigger source register holds the number of the entry *Software*; a program fires it by
-writing a register. So the numbers of the entries *Line0* and *Software* are exchanged. A client that selects Line0 and
-reads Line0 back has then selected the source that the rig fires, and a client that fires by software fires nothing.
+The fake accepts a trigger only while its trigger source register holds the number of the entry *Software*; a program
+then triggers it by writing a register. This module exchanges the numbers of the entries *Line0* and *Software*. A
+client that selects Line0, and reads Line0 back, has then selected the source that the rig triggers. A client that
+triggers by software has no effect.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ _TEMPERATURE = """
 
 
 def with_line0_trigger(description: str, celsius: float = 41.5) -> str:
-    """Return the fake's GenICam description with Line0 as the working trigger source, and with a temperature.
+    """Return the fake's GenICam description with Line0 as the working trigger source, and with a temperature feature.
 
     Raises:
         InternalError: this version of Aravis describes its fake camera differently.
     """
     head, source, rest = _split(description)
     line, software = (_number(source, name) for name in ("Line0", "Software"))
-    # The new numbers are distinct only after both replacements; each is found by its entry's name.
+    # Between the two replacements both entries have the same number, so each entry is found by its name.
     source = _with_number(_with_number(source, "Line0", software), "Software", line)
     end = rest.rindex("</RegisterDescription>")
     return head + source + rest[:end] + _TEMPERATURE.format(celsius=celsius) + rest[end:]
@@ -45,7 +46,7 @@ def _split(description: str) -> tuple[str, str, str]:
 
 
 def _number(source: str, name: str) -> int:
-    """Return the number of one trigger source."""
+    """Return the number of the trigger source `name` in the enumeration `source`."""
     found = re.search(_ENTRY.format(name), source, re.DOTALL)
     if found is None:
         raise InternalError(f"Aravis' fake camera has no trigger source {name}.")
@@ -53,5 +54,5 @@ def _number(source: str, name: str) -> int:
 
 
 def _with_number(source: str, name: str, number: int) -> str:
-    """Return the enumeration with another number for one trigger source."""
+    """Return the enumeration `source` with another number for the trigger source `name`."""
     return re.sub(_ENTRY.format(name), rf"\g<1>{number}\g<3>", source, count=1, flags=re.DOTALL)

@@ -1,4 +1,4 @@
-"""The process of one virtual camera: start and stop it, send trigger commands, receive its reports."""
+"""Start and stop the process of one virtual camera, send it trigger commands and receive its reports."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from vaoi_station.rig.devices.camera_commands import TriggerCommand
 from vaoi_station.rig.devices.processes import raise_priority, stop_process
 
 READY_TIMEOUT_S = 30.0
-"""Time for a camera to serve GVCP; half a second is enough on an idle computer."""
+"""Longest wait until a new camera process serves GVCP; on an idle computer it needs half a second."""
 STOP_TIMEOUT_S = 10.0
 ReportHandler = Callable[[str, int, int], None]
-"""Called with `sent` or `ignored`, the picture number and the frame id (0: no frame)."""
+"""Function that is called with `sent` or `ignored`, the picture number and the frame id (0: no frame)."""
 
 
 class CameraProcess:
-    """One camera process; a context manager. A thread passes its reports on."""
+    """The process of one virtual camera, as a context manager. A thread passes its reports to a function."""
 
     def __init__(self, address: str, serial: str, on_report: ReportHandler = lambda _word, _picture, _id: None) -> None:
         self.address, self.serial = address, serial
@@ -42,8 +42,8 @@ class CameraProcess:
     def start(self) -> None:
         """Start the process without waiting for it."""
         command = [sys.executable, "-m", "vaoi_station.rig.devices.virtual_camera", self.address, self.serial]
-        # A session of its own keeps Ctrl-C away from the camera: the rig stops its processes in order.
-        # One OpenBLAS thread, as a camera computes no matrices and twelve of them share the cores.
+        # In a separate session the camera does not get Ctrl-C: the rig stops its processes in order.
+        # One OpenBLAS thread is enough: a camera computes no matrices, and twelve cameras share the cores.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1,
             start_new_session=True, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
@@ -53,7 +53,7 @@ class CameraProcess:
         assert self._process.stdout is not None
         self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), name=f"camera {self.address}")
         self._reader.start()
-        # After a kill the new process must show the frames that the old one had.
+        # After a kill the new process must use the same file of frames as the old process.
         if self._frames is not None:
             self.select_frames(self._frames)
 
@@ -61,7 +61,7 @@ class CameraProcess:
         """Wait until the camera serves its address.
 
         Raises:
-            DeviceError: the camera does not start; the message has the end of its standard error.
+            DeviceError: the camera does not start; the message has the end of the process's standard error.
         """
         try:
             ready = self._ready.get(timeout=READY_TIMEOUT_S)
@@ -72,24 +72,24 @@ class CameraProcess:
             raise DeviceError(f"the virtual camera at {self.address} does not start. {tail}".strip())
 
     def select_frames(self, path: Path) -> None:
-        """Take the frames of coming triggers from this file."""
+        """Select the file of frames from which the camera takes the pictures of the triggers that follow."""
         self._frames = path
         self._send(f"film {path}")
 
     def trigger(self, command: TriggerCommand, frames: Path | None = None) -> bool:
-        """Trigger the camera once; False if its process does not run.
+        """Trigger the camera once; return False if its process does not run.
 
         Args:
-            command: picture, time, brightness, loss.
-            frames: the file of this one picture, if it is not the selected one.
+            command: picture, time stamp, brightness and packet loss of the frame.
+            frames: file of frames for this trigger only; None: the file given to `select_frames`.
         """
         if frames is None:
             return self._send(command.to_line())
-        # The three lines are written together, so that no other thread's trigger reads the temporary file.
+        # The three lines are written together, so that a trigger of another thread does not use the file `frames`.
         return self._send(f"film {frames}", command.to_line(), *([f"film {self._frames}"] if self._frames else []))
 
     def kill(self) -> None:
-        """Kill the process, as if the camera lost its power."""
+        """Kill the process at once, which simulates a camera that loses its power."""
         if self._process is not None:
             self._process.kill()
             self._reap()
@@ -140,7 +140,7 @@ class CameraProcess:
         process = self._process
         if process is None or process.stderr is None:
             return ""
-        # Reading the pipe to its end would block while the process still holds the other side open.
+        # Reading the pipe to its end blocks as long as the process holds the other side open, so it is killed first.
         process.kill()
         process.wait()
         return process.stderr.read().strip()[-500:]

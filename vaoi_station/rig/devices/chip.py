@@ -1,7 +1,7 @@
-"""Run the firmware on the emulated chip: pass on the edges of its pins, and send it commands.
+"""Run the firmware on the emulated chip, report the edges of the chip's pins, and send commands to the emulator.
 
-`hw/virtual_rig/README.md` lists the emulator's commands and lines. The emulator keeps pace with CLOCK_MONOTONIC, so
-every cycle has a time of this computer, however late its line arrives.
+`hw/virtual_rig/README.md` lists the emulator's commands and its lines of output. The emulator keeps pace with
+CLOCK_MONOTONIC. So every cycle of the chip has an exact host time, even if the line that reports it arrives late.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ class Edge:
     pin: str
     level: bool
     host_ns: int
-    """CLOCK_MONOTONIC of the cycle."""
+    """Time of the cycle, ns of CLOCK_MONOTONIC."""
 
 
 class Chip:
-    """The running emulator; a context manager. A thread passes edges and resets on."""
+    """The running emulator of the chip, as a context manager. A thread calls functions on edges and resets."""
 
     def __init__(
         self, built: Path, terminal: Path, on_edge: Callable[[Edge], None], on_reset: Callable[[], None] = lambda: None
@@ -43,9 +43,9 @@ class Chip:
         """Prepare the emulator; it starts when the context is entered.
 
         Args:
-            built: the folder with `firmware.elf` and `emulator`.
-            terminal: path of the link that a station opens as the controller's serial port.
-            on_edge: called with each edge, in the order of cycles.
+            built: the folder with `firmware.elf` and `emulator`, see `firmware.build`.
+            terminal: path of the link that a station opens as the controller's serial port; the emulator creates it.
+            on_edge: called with each edge, in the order of the chip's cycles.
             on_reset: called after each reset of the chip.
         """
         self.terminal = terminal
@@ -68,17 +68,17 @@ class Chip:
         return self._process is not None and self._process.poll() is None
 
     def cycle_at(self, host_ns: int) -> int:
-        """Return the chip's cycle at a time of CLOCK_MONOTONIC."""
+        """Return the chip's cycle at a time in ns of CLOCK_MONOTONIC."""
         cycle, ns = self._origin
         return cycle + round((host_ns - ns) / NS_PER_CYCLE)
 
     def host_ns(self, cycle: int) -> int:
-        """Return CLOCK_MONOTONIC of a cycle."""
+        """Return the time of a cycle in ns of CLOCK_MONOTONIC."""
         first, ns = self._origin
         return ns + round((cycle - first) * NS_PER_CYCLE)
 
     def send(self, command: str) -> None:
-        """Send one command.
+        """Send one command line to the emulator.
 
         Raises:
             DeviceError: the emulator has ended.
@@ -93,7 +93,7 @@ class Chip:
 
     def __enter__(self) -> Chip:
         self._process = subprocess.Popen(
-            # In a session of its own the emulator does not get Ctrl-C: the rig stops its processes in order.
+            # In a separate session the emulator does not get Ctrl-C: the rig stops its processes in order.
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -127,7 +127,7 @@ class Chip:
             for line in lines:
                 word, *rest = line.split()
                 if word == "clock":
-                    # The emulator repeats this line after a reset, when it starts its clock again.
+                    # This line comes at the start and after each reset, when the emulator starts its clock again.
                     self._origin = (int(rest[0]), int(rest[1]))
                     self._ready.put(True)
                 elif word == "edge":

@@ -1,6 +1,6 @@
 """Build the controller's firmware and the emulator from their C sources.
 
-The sources are `hw/firmware` and `hw/virtual_rig` of a checkout; the wheel has a copy of them beside this package.
+The sources are in `hw/firmware` and `hw/virtual_rig` of a checkout; the wheel contains a copy of these folders.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from vaoi_station.version import __version__
 
 _HERE = Path(__file__).resolve()
 PACKAGED = _HERE.parents[1] / "hardware" / "firmware"
-"""Where the wheel puts the sources; see `force-include` in pyproject.toml."""
+"""Folder of the firmware's sources in an installed package; see `force-include` in pyproject.toml."""
 CHECKOUT = _HERE.parents[3] / "hw" / "firmware"
 _TOOLS = {"make": "make", "gcc": "gcc", "avr-gcc": "gcc-avr avr-libc"}
-"""Program → the distribution's packages that contain it."""
+"""Build tool → the packages of the Linux distribution that contain it."""
 
 
 def find_sources() -> Path:
-    """Return the folder of the firmware's Makefile.
+    """Return the folder with the firmware's Makefile, in the installed package or in the checkout.
 
     Raises:
-        NotFoundError: there are no sources, neither in the package nor in a checkout.
+        NotFoundError: neither has the sources.
     """
-    # The package comes first: beside an installed package a folder `hw` would belong to another project.
+    # PACKAGED comes first: for an installed package, the folder at CHECKOUT may belong to another project.
     for folder in (PACKAGED, CHECKOUT):
         if (folder / "Makefile").is_file():
             return folder
@@ -37,7 +37,7 @@ def find_sources() -> Path:
 
 
 def check_sources() -> None:
-    """Check that the firmware can be built here, before minutes are spent on rendering boards.
+    """Check that this computer can build the firmware. Called first, because rendering boards takes minutes.
 
     Raises:
         NotFoundError: the sources are missing.
@@ -50,19 +50,20 @@ def check_sources() -> None:
 
 
 def build(folder: Path) -> Path:
-    """Build firmware and emulator into a folder; the sources' own folder is only read.
+    """Build the firmware and the emulator into a folder. The folder of the sources is not written.
 
     Returns:
-        The folder, with `firmware.elf` and `emulator`.
+        The given folder, which then contains `firmware.elf` and `emulator`.
 
     Raises:
-        NotFoundError, DeviceError: see `check_sources`; or the build fails, and the message has the compiler's output.
+        NotFoundError: the sources are missing.
+        DeviceError: a build tool is missing, or the build fails; the message has the compiler's output.
     """
     check_sources()
     sources = find_sources()
     command = ["make", "-C", str(sources), f"BUILD={folder.resolve()}", "all", "emulator"]
     if sources == PACKAGED:
-        # The Makefile asks git for the commit. In site-packages git might answer with that of an unrelated repository.
+        # The Makefile asks git for the commit. For a package inside another repository, git would give a wrong commit.
         command.append("COMMIT=")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

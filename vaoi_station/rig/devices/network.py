@@ -1,7 +1,7 @@
-"""Give virtual cameras addresses on loopback, in a network namespace of their own where the kernel allows it.
+"""Give each virtual camera an address on loopback, in a separate network namespace if the kernel allows one.
 
-GigE Vision has one fixed UDP port (3956). Two cameras therefore need two addresses, and two rigs need different
-addresses or different namespaces. A namespace disappears with its last process, so nothing is left behind.
+GigE Vision uses one fixed UDP port (3956). Two cameras therefore need two addresses, and two rigs need different
+addresses or different namespaces. The kernel removes a namespace when its last process ends, with its addresses.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from vaoi_station.errors import DeviceError, InputError
 
 FIRST_ADDRESS = (127, 0, 0, 2)
 MAX_CAMERAS = 200
-"""Largest number of cameras of one rig: the last byte of the address must stay below 255."""
+"""Largest number of cameras of one rig, so that the last byte of the last address stays below 255."""
 NAMESPACE_VARIABLE = "VAOI_RIG_NETWORK"
-"""Environment variable that is set inside the rig's namespace; `user` if a user namespace belongs to it."""
+"""Environment variable set inside the rig's network namespace: `user` if it has a user namespace, else `net`."""
 
 
 def addresses(count: int) -> tuple[str, ...]:
-    """Return one address for each camera.
+    """Return loopback addresses for `count` cameras.
 
     Raises:
         InputError: `count` is not from 1 to MAX_CAMERAS.
@@ -34,9 +34,10 @@ def addresses(count: int) -> tuple[str, ...]:
 
 
 def isolation_command() -> list[str]:
-    """Return the words that start a command in a new network namespace; empty if the kernel allows none.
+    """Return the words to put before a command so that it runs in a new network namespace; empty: not possible.
 
-    Root keeps its rights. Any other user becomes root of a new user namespace, if user namespaces are enabled.
+    For root, only a network namespace is made. Any other user also becomes root of a new user namespace, if the kernel
+    allows user namespaces.
     """
     ways = (["unshare", "--net"], ["unshare", "--map-root-user", "--net"])
     return next((way for way in ways if _works([*way, "true"])), [])
@@ -45,7 +46,7 @@ def isolation_command() -> list[str]:
 def enter_namespace() -> None:
     """Replace this process by the same command in a new network namespace.
 
-    Returns only if the process is in one already, or if the kernel allows none.
+    The function returns only if the process is already in the rig's namespace, or if the kernel allows no namespace.
     """
     if os.environ.get(NAMESPACE_VARIABLE) or not (before := isolation_command()):
         return
@@ -60,17 +61,17 @@ def may_add_addresses() -> bool:
 
 
 def entry_command() -> list[str]:
-    """Return the words that start a command in the rig's namespace; empty if the rig uses the machine's own network."""
+    """Return the words to put before a command so that it runs in the rig's namespace; empty: the rig has none."""
     kind = os.environ.get(NAMESPACE_VARIABLE)
     if not kind:
         return []
-    # Without the user namespace that owns it, an ordinary user may not enter the network namespace.
+    # An ordinary user may enter the network namespace only together with the user namespace that owns it.
     user = ["--user", "--preserve-credentials"] if kind == "user" else []
     return ["nsenter", "-t", str(os.getpid()), "--net", *user]
 
 
 class LoopbackAddresses:
-    """Addresses on `lo`, as a context manager; it removes those that it has added."""
+    """Addresses on the interface `lo`, as a context manager: it adds missing addresses and removes these at its end."""
 
     def __init__(self, wanted: Sequence[str]) -> None:
         self._wanted = tuple(wanted)
@@ -78,7 +79,7 @@ class LoopbackAddresses:
 
     def __enter__(self) -> LoopbackAddresses:
         _ip("link", "set", "lo", "up")
-        # An address that exists already belongs to the machine's administrator: it is used, and not removed.
+        # An address that exists already was added by another program or a person: it is used, but not removed.
         there = _ip("-oneline", "-4", "addr", "show", "dev", "lo").split()
         try:
             for address in self._wanted:

@@ -1,4 +1,4 @@
-"""Priority and end of the processes that stand in for devices."""
+"""Set the priority of processes that emulate devices, and stop such processes."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import os
 import subprocess
 
 DEVICE_NICENESS = -10
-"""Niceness of device processes; only root may go below 0."""
+"""Niceness (scheduling priority) of device processes. Only root may set a value below 0."""
 
 
 def raise_priority(pid: int) -> None:
-    """Let a process run before those of the station; without the right to do so, leave its priority as it is."""
-    # Real devices do not wait for the computer they are connected to.
+    """Give a process priority over the station's processes. Without the right to do so, change nothing."""
+    # Real devices do not wait for the CPU of the station, so emulated devices should wait as little as possible.
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, pid, DEVICE_NICENESS)
 
 
 def stop_process(process: subprocess.Popen[str], timeout_s: float) -> None:
-    """Close the standard input of a process and wait for its end; after the timeout, kill it."""
+    """Close the standard input of a process and wait for its end. Kill the process after the timeout."""
     assert process.stdin is not None
-    with contextlib.suppress(BrokenPipeError):  # it had ended by itself
+    with contextlib.suppress(BrokenPipeError):  # the process has ended by itself
         process.stdin.close()
     try:
         process.wait(timeout_s)

@@ -1,6 +1,7 @@
-"""Decode the edges of the chip's pins into pulses: a trigger, and the LED strobe that belongs to it. No I/O.
+"""Decode the edges of the chip's pins into pulses. A pulse is a trigger with its LED strobe. No I/O.
 
-A pulse is complete when its light is off: at the falling edge of the LED gate, or without light at that of the trigger.
+A pulse with light is complete at the falling edge of the LED gate; a pulse without light is complete at the falling
+edge of the trigger.
 """
 
 from __future__ import annotations
@@ -21,25 +22,25 @@ class Pulse:
     cycle: int
     """Cycle of the trigger's rising edge."""
     host_ns: int
-    """CLOCK_MONOTONIC of that cycle."""
+    """Time of that cycle, ns of CLOCK_MONOTONIC."""
     channels: tuple[int, ...]
-    """LED channels that were on; empty: no light."""
+    """Indices of the LED channels that were on; empty: no light."""
     on_us: float
-    """Time for which they were on after the trigger's rising edge."""
+    """Time, µs, for which the LED channels were on after the trigger's rising edge."""
 
 
 class PulseDecoder:
-    """The state of the pins between two edges."""
+    """Decoder that takes edges one by one and returns pulses. It keeps the state of the pins between the edges."""
 
     def __init__(self) -> None:
         self._high: dict[str, Edge] = {}
         self._trigger: Edge | None = None
-        """Rising edge of the trigger whose pulse is not complete."""
+        """Rising edge of the trigger whose pulse is not complete; None: no pulse has begun."""
         self._gate: Edge | None = None
         self._lit: tuple[int, ...] = ()
 
     def process(self, edge: Edge) -> Pulse | None:
-        """Take the next edge, in the order of cycles; return a pulse if this edge completes one."""
+        """Process the next edge, in the order of cycles. Return a pulse if this edge completes one."""
         if edge.level:
             self._high[edge.pin] = edge
         else:
@@ -63,7 +64,7 @@ class PulseDecoder:
         gate, self._gate = self._gate, None
         if gate is None or self._trigger is None:
             return None
-        # Light before the trigger is not counted: the exposure starts with the trigger.
+        # Light before the trigger's rising edge is not counted, because the exposure starts at this edge.
         return self._pulse((edge.cycle - max(gate.cycle, self._trigger.cycle)) / CYCLES_PER_US)
 
     def _pulse(self, on_us: float) -> Pulse | None:

@@ -1,18 +1,18 @@
-"""A virtual GigE Vision camera: Aravis' fake camera on one local address, with a trigger, given frames and packet loss.
+"""A virtual GigE Vision camera: Aravis' fake camera, extended by a hardware trigger, given frames and packet loss.
 
     python -m vaoi_station.rig.devices.virtual_camera 127.0.0.2 SERIAL
 
-GVCP and GVSP are real and use the standard's port, so there is one camera per address. Standard input takes one
-command per line:
+The camera uses the real protocols GVCP and GVSP on the standard's UDP port, so each camera needs a local address.
+Standard input takes one command per line:
 
     film PATH                          raw frames in one file, each as large as the client's payload;
                                        used by the triggers that follow
     fire PICTURE STAMP LIGHT LOST      a rising edge of the trigger line: send this picture of the file (-1: black)
 
-STAMP is the start of the exposure in the camera's clock in ns (CLOCK_REALTIME, as in the fake; 0: now). LIGHT is a
-factor on the brightness. LOST is the share of this frame's packets that are not sent. Standard output has the line
-`ready ADDRESS`, then `sent PICTURE ID` for every frame, and `ignored PICTURE` for a trigger that came while the camera
-was not armed for it. The program ends at the end of its standard input.
+STAMP is the start of the exposure in the camera's clock in ns (CLOCK_REALTIME, as in Aravis' fake camera; 0: now).
+LIGHT is a factor on the brightness. LOST is the share of this frame's packets that are not sent. Standard output has
+the line `ready ADDRESS`, then `sent PICTURE ID` for every frame, and `ignored PICTURE` for a trigger that came while no
+client had armed the camera. The program ends at the end of its standard input.
 """
 
 from __future__ import annotations
@@ -35,17 +35,19 @@ from vaoi_station.rig.devices.camera_commands import DARK, TriggerCommand
 from vaoi_station.rig.devices.camera_description import with_line0_trigger
 
 POLL_HZ = 50.0
-"""Frequency at which the fake polls its trigger. It spins through the last millisecond of each interval."""
+"""Frequency at which Aravis' fake camera polls its trigger register. A higher frequency costs CPU time, because the
+fake waits in a busy loop during the last millisecond of each interval.
+"""
 BLACK_LEVEL = 2
-"""Grey value without light, of 255."""
+"""Grey value of a pixel without light, on a scale of 0 to 255."""
 _MONO_16 = 0x01100007
 
 
 class VirtualCamera:
-    """One camera at one local address; it lives until the process ends."""
+    """One virtual camera at one local address. It serves its clients until the process ends."""
 
     def __init__(self, address: str, serial: str, output: TextIO) -> None:
-        """Start to serve.
+        """Start to serve GVCP and GVSP at the address, and write the line `ready` to `output`.
 
         Raises:
             DeviceError: this machine does not have the address, or another program serves GVCP there.
@@ -57,13 +59,13 @@ class VirtualCamera:
         self._server = self._serve(address, serial)
         self._fake = self._server.get_fake_camera()
         self._fake.set_trigger_frequency(POLL_HZ)
-        # The C library keeps no reference: without this attribute the callback would be collected.
+        # The C library keeps no reference to the callback. Without this attribute Python would free it.
         self._fill = _FILL(self._fill_buffer)
         self._library.arv_fake_camera_set_fill_pattern(hash(self._fake), self._fill, None)
         self.report(f"ready {address}")
 
     def execute(self, line: str) -> None:
-        """Execute one command."""
+        """Execute one command line; see the module's description."""
         word, *rest = line.split(maxsplit=1)
         if word == "film":
             self._frames = _FrameFile(Path(rest[0].rstrip("\n")))
@@ -81,7 +83,7 @@ class VirtualCamera:
     def _serve(self, address: str, serial: str) -> Any:
         plain = self._aravis.FakeCamera.new(serial).get_genicam_xml()
         text = plain[0] if isinstance(plain, tuple) else plain
-        # The fake reads the file once, in its constructor; afterwards it may be deleted.
+        # The fake camera reads this file once, in its constructor. Afterwards the file may be deleted.
         with tempfile.NamedTemporaryFile("w", suffix=".xml") as file:
             file.write(with_line0_trigger(text))
             file.flush()
@@ -106,7 +108,8 @@ class VirtualCamera:
     def _armed(self) -> bool:
         """Whether a client has armed the camera for the hardware trigger.
 
-        A real camera ignores an edge before AcquisitionStart; the fake would keep it and send a frame later.
+        A real camera ignores a trigger edge before AcquisitionStart. Aravis' fake camera would keep the edge and send a
+        frame later.
         """
         return bool(
             self._fake.get_control_channel_privilege()
@@ -118,10 +121,10 @@ class VirtualCamera:
         self._fake.write_register(getattr(self._aravis, f"FAKE_CAMERA_REGISTER_{register}"), value)
 
     def _fill_buffer(self, buffer: int, _: Any, _exposure_us: int, _gain: int, pixel_format: int) -> None:
-        """Fill a frame; the server's thread calls this before it sends the first packet."""
-        # Without a command the client lets the camera run freely: it gets black frames.
+        """Fill the buffer of a frame. The server's thread calls this method before it sends the first packet."""
+        # A frame without a command means that the client lets the camera run freely; such frames are black.
         command, frames = self._commands.popleft() if self._commands else (TriggerCommand(DARK), self._frames)
-        # Before the frame is sent its received size is still 0; the payload is the true size.
+        # `arv_buffer_get_data` reports a size of 0 before the frame is sent, so the payload gives the size.
         unused = ctypes.c_size_t()
         address = self._library.arv_buffer_get_data(buffer, ctypes.byref(unused))
         size = self._fake.get_payload()
@@ -130,14 +133,14 @@ class VirtualCamera:
         self._server.set_property("gvsp-lost-ratio", command.lost_share)
         if command.timestamp_ns:
             self._library.arv_buffer_set_timestamp(buffer, command.timestamp_ns)
-        # Two edges within one poll of the register set it only once: the second frame is fired from here.
+        # Two edges between two polls set the trigger register only once, so the second frame is fired from here.
         if self._commands:
             self._fire()
         self.report(f"sent {command.picture} {self._library.arv_buffer_get_frame_id(buffer)}")
 
 
 class _FrameFile:
-    """Frames in a memory-mapped file; without a file all frames are black."""
+    """Frames in a memory-mapped file, one after the other. Without a file all frames are black."""
 
     def __init__(self, path: Path | None = None) -> None:
         self._bytes: NDArray[np.uint8] = np.zeros(0, np.uint8)
@@ -146,7 +149,7 @@ class _FrameFile:
                 self._bytes = np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
 
     def picture(self, number: int, brightness: float, size: int, pixel_format: int) -> NDArray[np.uint8]:
-        """Return the bytes of a frame, (size,), with its brightness scaled."""
+        """Return the bytes of a frame, (size,), with scaled brightness; black if the file has no such picture."""
         first = number * size
         if number < 0 or first + size > len(self._bytes):
             return apply_brightness(np.zeros(size, np.uint8), 0.0, pixel_format)
@@ -154,19 +157,19 @@ class _FrameFile:
 
 
 def apply_brightness(pixels: NDArray[np.uint8], brightness: float, pixel_format: int) -> NDArray[np.uint8]:
-    """Scale what is above the black level, round and clip.
+    """Return pixels whose grey values above the black level are scaled, rounded and clipped.
 
     Args:
-        pixels: flat bytes, Mono8 or little-endian Mono16.
-        brightness: 1 returns the pixels unchanged, 0 gives black.
-        pixel_format: GenICam's number.
+        pixels: flat bytes of a frame, Mono8 or little-endian Mono16.
+        brightness: factor; 1 returns the pixels unchanged, 0 gives black.
+        pixel_format: number of the pixel format (PFNC).
     """
     if brightness == 1:
         return pixels
     scale = 256 if pixel_format == _MONO_16 else 1
     values = np.arange(256 * scale, dtype=np.float32)
     black = np.float32(BLACK_LEVEL * scale)
-    # A table is faster than arithmetic on every pixel, and all cameras share the cores with the station.
+    # A lookup table is faster than arithmetic on every pixel, and cameras share the CPU cores with the station.
     table = np.clip(np.rint(black + (values - black) * np.float32(brightness)), 0, 256 * scale - 1)
     kind = np.dtype("<u2") if scale > 1 else np.dtype("u1")
     return np.asarray(table.astype(kind)[pixels.view(kind)]).view(np.uint8)
@@ -190,8 +193,8 @@ def _aravis() -> tuple[Any, ctypes.CDLL]:
 
 
 def main(address: str, serial: str) -> int:
-    """Serve until the end of standard input; return the exit code."""
-    # The camera writes its refusal to standard error, where CameraProcess reads it.
+    """Serve a camera until the end of standard input; return the exit code of the process."""
+    # CameraProcess reads the message from standard error and shows it to the user.
     try:
         camera = VirtualCamera(address, serial, sys.stdout)
     except VaoiError as error:

@@ -1,1 +1,1 @@
-"""Let rendered boards pass: the virtual line, its faults, and the frames that were not rendered beforehand."""
+"""Let rendered boards pass the cameras: the virtual line, its faults, and frames that are rendered on demand."""

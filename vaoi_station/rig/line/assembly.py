@@ -1,4 +1,4 @@
-"""Start all devices of a rig: cameras on their addresses, the chip behind its terminal, the line between them."""
+"""Start all devices of a rig: the camera processes, the emulated chip, and the virtual line that connects them."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from vaoi_station.rig.line.virtual_line import FrameFaults, VirtualLine
 from vaoi_station.simulation import Scenario
 
 TERMINAL = "trigger"
-"""Name of the link in the rig's folder that is the controller's serial port."""
+"""Name of the link in the rig's folder that a station opens as the controller's serial port."""
 
 
 class Devices:
-    """All devices of a rig; a context manager. At its end no process and no added address is left.
+    """All devices of a rig, as a context manager. Its end stops all processes and removes the added addresses.
 
     Attributes:
         cameras: the camera processes, in the order of the array.
-        chip: the controller.
-        line: lets boards pass.
+        chip: the emulated controller.
+        line: the virtual line, which lets boards pass.
     """
 
     cameras: tuple[CameraProcess, ...]
@@ -45,10 +45,10 @@ class Devices:
         """Prepare the devices; they start when the context is entered.
 
         Args:
-            scenario: the twin's, with the faults of the belt.
-            folder: an empty folder for firmware, terminal and frames.
-            frame_faults: what the line does wrong with frames.
-            on_row: called with board and row before the cameras are triggered.
+            scenario: scenario of the twin, including the faults of the belt.
+            folder: an empty folder for the firmware, the serial port and frames that are rendered on demand.
+            frame_faults: faults that the line injects into frames.
+            on_row: called with board and row at each pulse, before the cameras are triggered.
         """
         self._scenario, self._folder, self._on_row = scenario, folder, on_row
         self._frame_faults = frame_faults or FrameFaults()
@@ -68,7 +68,7 @@ class Devices:
                 resources.callback(camera.stop)
                 camera.start()
             for camera in self.cameras:
-                # All cameras have been started before the first is waited for: each takes half a second.
+                # All cameras are started before the first wait, because each takes half a second to start.
                 camera.wait_ready()
             self._renderer = FrameRenderer(self._scenario, self._folder / "late")
             resources.callback(self._renderer.close)
@@ -76,7 +76,7 @@ class Devices:
             self.line = VirtualLine(self.cameras, lighting, self._frame_faults, self._on_row, self._renderer.render)
             self.chip = resources.enter_context(Chip(built, self.terminal, self.line.on_edge, self.line.on_chip_reset))
             self.line.attach_chip(self.chip)
-            # Only now nothing can fail any more: before, the local stack ends what has been started.
+            # Until here a failure unwinds the local stack, which stops all devices that have been started.
             self._resources = resources.pop_all()
         return self
 
@@ -84,7 +84,7 @@ class Devices:
         self._resources.close()
 
     def lay_calibration_board(self) -> None:
-        """Render the calibration board, which is under the cameras between boards, so that its frames come in time."""
+        """Render the frames of the calibration board, which pulses between boards show, before the first such pulse."""
         self._renderer.render(FrameRequest(None))
 
     def _on_camera_report(self, camera: int, word: str, picture: int, _: int) -> None:
@@ -99,9 +99,17 @@ def prepare_boards(
     folder: Path,
     progress: Callable[[str], None],
 ) -> tuple[RenderedBoard, ...]:
-    """Return the rendered board of every passage; `different` boards are used in turn.
+    """Return the rendered board of every passage, and render those that are missing.
 
-    A board that a fault of the belt names is rendered on its own: its motion differs.
+    A board with a fault of the belt is rendered separately, because its motion differs from that of other boards.
+
+    Args:
+        scenario: scenario of the twin, including the faults of the belt.
+        faults: all faults of the rig run.
+        boards: number of passages.
+        different: number of different boards, which are used in turn.
+        folder: where rendered boards are kept.
+        progress: called with one line of text.
     """
     affected = {fault.board for fault in faults if fault.kind in ("stuck", "bounce")}
     numbers = [board if board in affected else board % different for board in range(boards)]

@@ -1,7 +1,7 @@
-"""Render frames that were not rendered beforehand: at another time, under another light, or while no board passes.
+"""Render frames on demand: for a pulse at an unexpected time, under an unexpected light, or while no board passes.
 
-A process of its own draws the twin at the first request and renders while the station waits. Such frames arrive late,
-but they show what is under the cameras.
+A separate process draws the twin at the first request and renders while the station waits. Such frames arrive late, but
+they show the scene that is under the cameras.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from vaoi_station.simulation import Scenario, Twin, calibration_board
 
 @dataclass(frozen=True)
 class FrameRequest:
-    """What all cameras see at one time."""
+    """A request for one frame of every camera at one time."""
 
     board: int | None
     """Number of the board; None: the calibration board, which lies under the cameras while no board passes."""
@@ -35,14 +35,14 @@ class FrameRequest:
     """Time since the start of the passage."""
     light: str = ""
     noise: int = 0
-    """Key of the random numbers."""
+    """Seed of the frames' noise; another number gives other noise."""
 
 
 class FrameRenderer:
-    """Renders frames on demand in one process, one request at a time."""
+    """Renderer of frames on demand. It runs in one separate process and serves one request at a time."""
 
     def __init__(self, scenario: Scenario, folder: Path) -> None:
-        """Prepare the renderer; the process starts at the first request. `folder` takes the frames, and is created."""
+        """Prepare the renderer, which creates `folder` for its frames. The process starts at the first request."""
         self._scenario, self._folder = scenario, folder
         self._numbers = count()
         self._calibration_board: Path | None = None
@@ -51,7 +51,7 @@ class FrameRenderer:
         self._rendering = threading.Lock()
 
     def render(self, request: FrameRequest) -> Path:
-        """Return a file with the flat bytes of every camera's frame, one after the other.
+        """Render one frame per camera; return the file with the flat bytes of all frames, in the order of the cameras.
 
         Raises:
             InternalError: the process has ended.
@@ -72,7 +72,7 @@ class FrameRenderer:
             return path
 
     def close(self) -> None:
-        """End the process."""
+        """End the process, if it runs."""
         if self._connection is not None:
             self._connection.close()
         if self._process is not None:
@@ -92,7 +92,7 @@ class FrameRenderer:
 
 
 def render_worker(scenario: Scenario, connection: Connection[Any, Any]) -> None:
-    """Render until the pipe ends: receive a request and a path, return the path."""
+    """Serve requests until the pipe is closed: receive a request and a path, write the frames, return the path."""
     twin = Twin(scenario)
     with contextlib.suppress(EOFError, ConnectionResetError, BrokenPipeError, KeyboardInterrupt), connection:
         while True:

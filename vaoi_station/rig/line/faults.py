@@ -1,4 +1,4 @@
-"""Faults of the rig, as given on the command line: `--fault NAME` or `--fault NAME:KEY=VALUE,…`."""
+"""Parse and check the faults of the rig on the command line: `--fault NAME` or `--fault NAME:KEY=VALUE,…`."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from vaoi_station.simulation.scenario import Bounce, StuckBoard
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault; `kind` decides which of the other fields have a meaning."""
+    """One fault of the rig. `kind` is a name from `KINDS`, which lists the other fields that this kind uses."""
 
     kind: str
     board: int = 1
-    """Board, counted from 0; rows count from 0 too."""
+    """Number of the board, counted from 0, at which the fault happens. Rows and cameras count from 0 as well."""
     row: int = 2
     camera: int = 0
     share: float = 0.0
@@ -26,7 +26,7 @@ class Fault:
     who: str = "station"
 
     def at(self, board: int, row: int) -> bool:
-        """Whether the fault begins with the pulse of this row."""
+        """Whether the fault begins with the pulse of this row of this board."""
         return (self.board, self.row) == (board, row)
 
 
@@ -52,14 +52,14 @@ KINDS: dict[str, tuple[Fault, tuple[str, ...], str]] = {
         "the barrier shows the opposite for a moment",
     ),
 }
-"""Name → the fault with its default values, the keys it takes, a description."""
+"""Name of a fault → the fault with its default values, the keys that the command line may set, a description."""
 
 
 def parse_fault(text: str) -> Fault:
     """Parse one fault as written on the command line.
 
     Raises:
-        InputError: an unknown name or key, or a value that is no number.
+        InputError: the name or a key is unknown, or a value is not a number or outside its range.
     """
     name, _, rest = text.partition(":")
     if name not in KINDS:
@@ -71,7 +71,7 @@ def parse_fault(text: str) -> Fault:
         key, _, value = part.partition("=")
         if key not in keys:
             raise InputError.field("vaoi rig", f"--fault {name}", part, f"KEY=VALUE, KEY one of {', '.join(keys)}")
-        # The second value would silently replace the first.
+        # Without this check the second value of a key would silently replace the first one.
         if key in changes:
             raise InputError.field("vaoi rig", f"--fault {name}", text, f"written with {key} once; give --fault twice")
         try:
@@ -85,7 +85,7 @@ def parse_fault(text: str) -> Fault:
 
 
 def check_faults(faults: Sequence[Fault], cameras: int, boards: int) -> None:
-    """Raise InputError for a fault of a board or a camera that does not exist."""
+    """Raise InputError if a fault names a board or a camera that does not exist in this rig run."""
     for fault in faults:
         _, keys, _ = KINDS[fault.kind]
         for key, count in (("camera", cameras), ("board", boards)):
@@ -95,7 +95,7 @@ def check_faults(faults: Sequence[Fault], cameras: int, boards: int) -> None:
 
 
 def with_belt_faults(scenario: Scenario, faults: Sequence[Fault]) -> Scenario:
-    """Return the scenario with the faults of the belt and the barrier added: the twin simulates these."""
+    """Return the scenario with the faults of the belt and the light barrier added, which the twin simulates."""
     known = scenario.faults
     stuck = tuple(StuckBoard(board=f.board, row=f.row) for f in faults if f.kind == "stuck")
     bounces = tuple(
@@ -113,7 +113,7 @@ def _check(fault: Fault) -> None:
         raise InputError.field("vaoi rig", f"{where}: for_s", fault.for_s, "above 0, at most 60 s")
     if fault.row < 0:
         raise InputError.field("vaoi rig", f"{where}: row", fault.row, "at least 0")
-    # Written as a range, so that nan is refused too.
+    # The range is tested with `not`, so that nan is refused as well.
     if "at_s" in KINDS[fault.kind][1] and not 0 <= fault.at_s <= 60:
         raise InputError.field("vaoi rig", f"{where}: at_s", fault.at_s, "from 0 to 60 s")
     if not re.fullmatch(r"station|acquisition|worker( \d+)?", fault.who):

@@ -1,4 +1,4 @@
-"""Feed the line: let one board after another pass, each when the station is ready for it."""
+"""Feed the line: let one board after another pass, each one when the station is ready to record it."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from vaoi_station.rig.line.rendered_boards import RenderedBoard
 from vaoi_station.rig.line.virtual_line import BoardPassage, VirtualLine
 
 READY_TIMEOUT_S = 30.0
-"""Longest wait for a station that is not ready; then the next board passes nevertheless."""
+"""Longest wait until the station is ready for a board. After it the board passes nevertheless."""
 END_MARGIN_S = 1.0
-"""Time from the last pulse of a passage to its end."""
+"""Time to wait after the last pulse or barrier edge of a board, until its passage counts as ended."""
 
 
 class BoardFeeder:
-    """A thread that feeds boards; a context manager that waits for the last one.
+    """A thread that feeds boards, as a context manager. The end of the context ends the feeding.
 
-    If the chip ends, its DeviceError is raised at the end of the context.
+    If the chip ends unexpectedly, the end of the context raises the thread's DeviceError.
     """
 
     def __init__(
@@ -32,17 +32,17 @@ class BoardFeeder:
         """Prepare the feeder.
 
         Args:
-            line: lets a board pass.
-            boards: those that pass, in order.
-            interval_s: time between the starts of two passages.
-            wait_ready: called with a timeout in seconds; waits until the station takes boards.
+            line: the virtual line, which lets a board pass.
+            boards: the boards that pass, in order.
+            interval_s: shortest time between the starts of two passages.
+            wait_ready: called with a timeout in seconds; waits until the station is ready to record a board.
         """
         self._line, self._boards, self._interval_s, self._wait_ready = line, boards, interval_s, wait_ready
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="feeder")
         self.passages: list[BoardPassage] = []
         self.finished = threading.Event()
-        """Set when all boards have passed, or when no more can."""
+        """Event that is set when all boards have passed, or when feeding has ended early."""
         self._failure: DeviceError | None = None
 
     def __enter__(self) -> BoardFeeder:
@@ -59,7 +59,7 @@ class BoardFeeder:
         try:
             self._feed()
         except DeviceError as error:
-            # The exception must not end in this thread, where only a message would remain; __exit__ raises it.
+            # An exception that leaves a thread is only printed. So it is kept here, and __exit__ raises it.
             self._failure = error
         self.finished.set()
 

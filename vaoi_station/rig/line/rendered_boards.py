@@ -1,7 +1,8 @@
 """Render boards before they pass: frames for the exact times at which the firmware will fire, and the truth.
 
-The motion of the twin's boards follows from their scenario, and the firmware's rule is known. So the times of all
-pulses, bounces included, are known to a fraction of a microsecond, and nothing is rendered while a board passes.
+The scenario fixes the motion of a board in the twin, and the firmware's rule for pulses is known. So the times of all
+pulses can be computed beforehand to a fraction of a microsecond, even with bounces of the barrier. Nothing needs to be
+rendered while the board passes.
 """
 
 from __future__ import annotations
@@ -37,51 +38,51 @@ from vaoi_station.simulation.truth import views
 
 _FRAMES, _METADATA, _CALIBRATION, _BOARD_TYPE = "frames.raw", "film.json", "calibration.json", "board.json"
 _FORMAT = 1
-"""Version of a board's directory; boards of another version are rendered again."""
+"""Version of the files in a rendered board's directory; boards of another version are rendered again."""
 
 
 class BoardMetadata(Strict):
-    """Times, lights and truth of a rendered board; times are seconds since the start of the passage."""
+    """Times, lights and truth of a rendered board. All times are seconds since the start of the passage."""
 
     board: int
     cameras: int
     frame_bytes: int
     edges: tuple[tuple[float, bool], ...]
-    """Times at which the light barrier changes, and whether it is interrupted from then on."""
+    """(time, interrupted) of each change of the light barrier; `interrupted` is its state after the change."""
     pulses_s: tuple[float, ...]
     lights: tuple[str, ...]
-    """Light of every pulse."""
+    """Name of the light of every pulse."""
     lost: tuple[tuple[int, int], ...]
-    """(camera, row) that the scenario keeps from arriving."""
+    """(camera, row) of frames that the scenario lets get lost."""
     views: dict[str, tuple[tuple[float, float, float, float], ...]]
-    """The truth: camera, row, x, y of the centre of every component's footprint, in raw pixels."""
+    """The truth: component → (camera, row, x, y) of the centre of its footprint in each view, x and y in raw pixels."""
 
 
 @dataclass(frozen=True)
 class RenderedBoard:
-    """One rendered board in a directory; frame number row · cameras + camera."""
+    """One rendered board in a directory. In its file, the frame of (camera, row) has index row · cameras + camera."""
 
     directory: Path
 
     @property
     def frames_path(self) -> Path:
-        """The file with all frames, one after the other."""
+        """The file with the bytes of all frames, one frame after the other."""
         return self.directory / _FRAMES
 
     @cached_property
     def metadata(self) -> BoardMetadata:
-        """Times, lights and truth."""
+        """Times, lights and truth of the board, read from its directory."""
         path = self.directory / _METADATA
         return parse(BoardMetadata, read_json(path), path)
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration of the array."""
+        """The calibration of the twin's cameras, read from the directory."""
         return read_calibration(self.directory / _CALIBRATION)
 
     @property
     def board_type(self) -> BoardType:
-        """The board type of the board."""
+        """The board type of the board, read from the directory."""
         return read_board_type(self.directory / _BOARD_TYPE)
 
     @property
@@ -91,23 +92,23 @@ class RenderedBoard:
 
     @property
     def complete(self) -> bool:
-        """Whether the board was rendered to its end."""
+        """Whether the directory is complete. The metadata is written last, so its presence shows this."""
         return (self.directory / _METADATA).is_file()
 
     @property
     def duration_s(self) -> float:
-        """Time from the start of the passage to its last pulse or change of the barrier."""
+        """Time from the start of the passage to the last pulse or the last change of the barrier."""
         return max(self.metadata.pulses_s[-1:] + tuple(t for t, _ in self.metadata.edges))
 
     def load_into_cache(self) -> None:
-        """Read all frames once, so that no camera waits for a disk."""
+        """Read the file of frames once into the page cache, so that no camera has to wait for a disk."""
         chunk = bytearray(1 << 22)
         with self.frames_path.open("rb", buffering=0) as file:
             while file.readinto(chunk):
                 pass
 
     def map_frames(self) -> NDArray[np.uint8]:
-        """Map the flat bytes of all frames, (rows, cameras, bytes), read-only and without a copy."""
+        """Return the flat bytes of all frames, (rows, cameras, bytes), as a read-only memory map."""
         with self.frames_path.open("rb") as file:
             memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         return np.frombuffer(memory, np.uint8).reshape(self.rows, self.metadata.cameras, self.metadata.frame_bytes)
@@ -116,13 +117,20 @@ class RenderedBoard:
 def render_boards(
     scenario: Scenario, boards: Sequence[int], directory: Path, progress: Callable[[str], None]
 ) -> tuple[RenderedBoard, ...]:
-    """Return boards of a scenario by their numbers, each in a directory of its own; render those that are missing.
+    """Return rendered boards of a scenario, each in a separate directory; render those that are not there yet.
 
-    A process of its own draws and renders: a drawn board may take gigabytes, which the process returns at its end.
+    A separate process draws and renders, because a drawn board may need gigabytes of memory; they are free again when
+    the process ends.
+
+    Args:
+        scenario: scenario of the twin.
+        boards: numbers of the boards in the scenario.
+        directory: folder with one directory per rendered board.
+        progress: called with one line of text before boards are rendered.
 
     Raises:
         DeviceError: the directory cannot be written, or the disk is full.
-        InternalError: the process failed.
+        InternalError: the rendering process failed.
     """
     rendered = tuple(RenderedBoard(directory / _directory_name(scenario, board)) for board in boards)
     missing = [n for n, board in enumerate(rendered) if not board.complete]
@@ -147,7 +155,7 @@ def _render_in_process(scenario: Scenario, boards: Sequence[int], directories: S
             reason = here.recv()
     except EOFError:
         reason = ""
-    except BaseException:  # Ctrl-C above all: the caller no longer needs the boards
+    except BaseException:  # mainly Ctrl-C: the caller no longer needs the boards
         if process.is_alive():
             process.terminate()
         raise
@@ -164,7 +172,7 @@ def _render_in_process(scenario: Scenario, boards: Sequence[int], directories: S
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C from their first instruction on; the parent handles it."""
+    """Block SIGINT inside a `with` block. A process started there inherits this, so only the parent gets Ctrl-C."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -175,10 +183,10 @@ def _sigint_blocked() -> Iterator[None]:
 def render_worker(
     scenario: Scenario, boards: Sequence[int], directories: Sequence[Path], connection: Connection[Any, Any]
 ) -> None:
-    """Render boards into directories; the metadata of a board is written last.
+    """Render each board into its directory. This function is the main function of the rendering process.
 
-    A refusal of the system is sent over the connection; otherwise the connection is closed without a message. The
-    process ends with its parent.
+    If a file cannot be written, the reason is sent over the connection. On success the connection is closed without a
+    message. The process ends when its parent ends.
     """
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     twin = Twin(scenario)
@@ -194,11 +202,11 @@ def render_worker(
 
 
 def _exit_with_parent() -> None:
-    """End this process when its parent has ended."""
+    """Wait until the parent process has ended, then end this process."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
-    os._exit(1)  # nothing half-written counts: without its metadata a board is incomplete
+    os._exit(1)  # half-written files do no harm: without its metadata a board is incomplete
 
 
 def _render_board(passage: Passage, directory: Path) -> None:
@@ -208,15 +216,15 @@ def _render_board(passage: Passage, directory: Path) -> None:
     array = twin.scenario.array
     frame_bytes = array.width_px * array.height_px * array.bits // 8
     directory.mkdir(parents=True, exist_ok=True)
-    # Cached properties are computed here once; the threads below would each compute them.
-    _ = twin.scene, passage.placements  # drawn once, before threads ask for them
+    # These cached properties are computed once here, because the threads below would each compute them.
+    _ = twin.scene, passage.placements
     frames = _allocate_frames(directory / _FRAMES, (len(pulses), cameras, frame_bytes))
 
     def render(row: int) -> None:
         for camera in range(cameras):
             frames[row, camera] = to_bytes(passage.frame_at(camera, pulses[row].time_s, pulses[row].light, row))
 
-    # Threads are enough: OpenCV and numpy release the GIL in the expensive parts.
+    # Threads use all cores here, because OpenCV and numpy release the GIL in the expensive parts.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(render, range(len(pulses))))
     write_calibration(directory / _CALIBRATION, twin.calibration)
@@ -236,11 +244,11 @@ def _render_board(passage: Passage, directory: Path) -> None:
 
 
 def _allocate_frames(path: Path, shape: tuple[int, int, int]) -> NDArray[Any]:
-    """Create the file of frames with all its blocks."""
+    """Create the file of frames, with all its disk blocks allocated, and return it as a writable memory map."""
     size_bytes = math.prod(shape)
     with path.open("wb") as file:
         try:
-            # A write into a hole of a mapped file on a full disk would end the process by SIGBUS.
+            # Without allocated blocks, a write to the memory map on a full disk would end the process by SIGBUS.
             os.posix_fallocate(file.fileno(), 0, size_bytes)
         except OSError as error:
             path.unlink()
@@ -250,7 +258,7 @@ def _allocate_frames(path: Path, shape: tuple[int, int, int]) -> NDArray[Any]:
 
 
 def _directory_name(scenario: Scenario, board: int) -> str:
-    """Return a name for one board of a scenario; it depends on the board's own faults, not on those of other boards."""
+    """Return the directory name of one board of a scenario. Faults of other boards do not change this name."""
     own_faults = {
         name: [fault.model_dump(mode="json") for fault in faults if getattr(fault, "board", None) in (None, board)]
         for name, faults in scenario.faults

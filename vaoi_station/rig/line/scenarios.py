@@ -1,4 +1,4 @@
-"""Derive from a scenario: a larger array, LED channels for its lights, the shortest interval between boards."""
+"""Adapt a scenario to the rig: number of cameras, LED channels of its lights, shortest interval between boards."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SIMULATED_CAMERA_FAULTS = (
 
 
 def with_cameras(scenario: Scenario, count: int | None) -> Scenario:
-    """Return the scenario with another number of cameras, and a board that is wider or narrower accordingly."""
+    """Return the scenario with `count` cameras and a board as wide as they can see; unchanged if `count` is None."""
     array = scenario.array
     if count is None or count == array.cameras:
         return scenario
@@ -30,7 +30,7 @@ def with_cameras(scenario: Scenario, count: int | None) -> Scenario:
 
 
 def check_supported(scenario: Scenario) -> None:
-    """Raise InputError for a scenario whose cameras have faults: on the rig `--fault` asks for these."""
+    """Raise InputError if the scenario contains camera faults; on the rig, `--fault` injects such faults."""
     for name in _SIMULATED_CAMERA_FAULTS:
         if getattr(scenario.faults, name):
             action = f"Take them out, and ask for {', '.join(KINDS)} by --fault."
@@ -38,10 +38,10 @@ def check_supported(scenario: Scenario) -> None:
 
 
 def lighting_of(scenario: Scenario) -> Lighting:
-    """Assign a channel to each light of the scenario; every LED is on for the longest exposure.
+    """Assign one LED channel to each light of the scenario.
 
     Raises:
-        InputError: more lights than channels.
+        InputError: the scenario has more lights than the controller has channels.
     """
     names = tuple(dict.fromkeys(scenario.line.lights))
     if len(names) > len(CHANNELS):
@@ -51,6 +51,6 @@ def lighting_of(scenario: Scenario) -> Lighting:
 
 
 def min_interval_s(scenario: Scenario, boards: Sequence[RenderedBoard]) -> float:
-    """Return the shortest interval between boards: one must have passed and left its bay before the next."""
-    # 0.8 s for the result and for the release of the bay; rounded up to a tenth of a second.
+    """Return the shortest interval between boards: each must have passed and released its bay before the next."""
+    # 0.8 s are for the result and the release of the bay. The sum is rounded up to a tenth of a second.
     return max(scenario.line.interval_s, math.ceil(10 * (max(b.duration_s for b in boards) + 0.8)) / 10)

@@ -1,9 +1,9 @@
-"""The line under the cameras: boards pass the barrier, the chip fires, the cameras show the twin at that time.
+"""The virtual line: boards pass the barrier, the chip fires pulses, and the cameras send the twin's frames.
 
     belt ──barrier edges──▶ chip ──edges of its pins──▶ pulses ──rendered frames──▶ cameras
 
 All times are cycles of the chip: the edges of the barrier are planned in cycles, and the cycle of a trigger decides
-where the board is in its frame. Every pulse and what happened to its frames is recorded for the score.
+at which position the frame shows the board. For the score, every pulse is recorded with the outcome of its frames.
 """
 
 from __future__ import annotations
@@ -26,38 +26,42 @@ from vaoi_station.rig.line.extra_frames import FrameRequest
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
 
 LEAD_S = 0.05
-"""Time from `start_passage` to the start of the passage, within which the emulator must receive the edges."""
+"""Time from `start_passage` to the start of the passage. The emulator must receive the planned edges in this time."""
 PULSE_TOLERANCE_S = 5e-6
-"""Largest difference between a pulse and its rendered time; 0.02 px at 100 mm/s and 40 px/mm."""
+"""Largest difference between a pulse and its rendered time. It moves a board by 0.02 px at 100 mm/s and 40 px/mm."""
 BRIGHTNESS_TOLERANCE = 0.005
-"""Relative difference up to which the brightness counts as the rendered one: LED on-times are exact to 0.2 us."""
+"""Relative difference up to which a brightness counts as the rendered one. LED on-times are exact to 0.2 µs."""
 LOST_PACKET_SHARE = 0.05
-"""Share of packets that a frame with packet loss loses; of a hundred packets, one frame in two hundred loses none."""
+"""Share of packets that a frame with packet loss loses. With 100 packets, one such frame in 200 loses none."""
 
 _MIN_READINGS, _MAX_READINGS, _NARROW_NS = 3, 100, 20_000
 END_MARGIN_S = 0.5
-"""Time after the end of a rendered board from which a pulse no longer belongs to it."""
+"""Time after the end of a rendered board. A later pulse no longer belongs to the board."""
 
 FrameOutcome = Literal["sent", "ignored", "hit", "lost", "dead", "late", "unarmed"]
-"""What happened to a camera's frame: sent whole; trigger ignored; packets missing; all packets missing; camera dead;
-rendered on demand; no frame, because no client had armed the camera.
+"""What happened to a camera's frame.
+
+sent: all packets were sent. ignored: the camera ignored the trigger. hit: some packets are missing. lost: all packets
+are missing. dead: the camera process did not run. late: rendered on demand. unarmed: no frame, because no client had
+armed the camera.
 """
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """The station's light configuration: LED channels by the name of the light."""
+    """The lights of the station: which LED channels belong to each light, and the exposures of the cameras."""
 
     channels: dict[str, tuple[int, ...]]
+    """Name of the light → its LED channels."""
     exposures_us: tuple[float, ...]
-    """Exposure of every camera; LEDs have no effect outside it."""
+    """Exposure of every camera. LEDs have no effect on a frame outside the exposure."""
 
     def light_of(self, pulse: Pulse) -> str | None:
-        """Return the name of the light that was on; None: no light, or LEDs that belong to no single light."""
+        """Return the name of the light that was on; None: no LED was on, or the LEDs do not form one light."""
         return next((name for name, channels in self.channels.items() if channels == pulse.channels), None)
 
     def brightness(self, pulse: Pulse, camera: int) -> float:
-        """Return the brightness relative to a light that is on for the camera's whole exposure."""
+        """Return the brightness of a camera's frame, relative to a light that is on for its whole exposure."""
         if self.light_of(pulse) is None:
             return 0.0
         share = min(pulse.on_us / self.exposures_us[camera], 1.0)
@@ -66,38 +70,38 @@ class Lighting:
 
 @dataclass
 class FiredPulse:
-    """One pulse, and what happened to its frames."""
+    """One pulse during a passage, and what happened to its frames."""
 
     row: int | None
-    """Row of the rendered board; None: the pulse came at a time that was not rendered."""
+    """Row of the rendered board; None: no frame was rendered for the time of this pulse."""
     pulse: Pulse
     offset_us: float
-    """Time of the pulse minus the rendered time."""
+    """Time of the pulse minus the nearest time for which frames were rendered, µs."""
     outcomes: list[FrameOutcome]
-    """One for each camera."""
+    """Outcome of each camera's frame."""
     brightness: list[float]
-    """Brightness for each camera, relative to the rendered one."""
+    """Brightness of each camera's frame, relative to the rendered frame."""
     note: str = ""
-    """Difference from what was rendered; empty: none."""
+    """Text that describes how the pulse differs from what was rendered; empty: it does not."""
     sent_ms: dict[int, float] = field(default_factory=dict)
-    """Camera → time from the pulse to the first packet of its frame."""
+    """Camera → time, ms, from the pulse to the first packet of the camera's frame."""
 
 
 @dataclass
 class BoardPassage:
-    """One board's passage."""
+    """The passage of one board over the virtual line, with all pulses that were fired for it."""
 
     board: int
     rendered: RenderedBoard
     start_cycle: int
     blocked_ns: int
-    """CLOCK_MONOTONIC at which the board interrupts the barrier."""
+    """Time at which the board interrupts the barrier, ns of CLOCK_MONOTONIC."""
     fired: list[FiredPulse] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class FrameFaults:
-    """Faults that the line itself injects into frames."""
+    """Faults that the virtual line injects into frames."""
 
     loss: float = 0.0
     """Share of the frames that lose packets."""
@@ -106,7 +110,7 @@ class FrameFaults:
 
 
 class VirtualLine:
-    """Lets boards pass; it uses the chip and the cameras, which start before it and end after it."""
+    """The virtual line: to let a board pass, it sends barrier edges to the chip and triggers cameras at its pulses."""
 
     def __init__(
         self,
@@ -120,12 +124,12 @@ class VirtualLine:
         """Prepare the line; no board passes yet.
 
         Args:
-            cameras: one process for each camera.
-            lighting: LED channels of each light.
-            frame_faults: faults to inject.
-            on_row: called with board and row before the cameras are triggered, in the chip's thread.
-            render_on_demand: renders what was not rendered beforehand; None: a black frame.
-            seed: decides which frames lose packets.
+            cameras: the camera processes, in the order of the array.
+            lighting: the lights of the station.
+            frame_faults: faults to inject into frames.
+            on_row: called with board and row at each pulse, in the chip's thread, before the cameras are triggered.
+            render_on_demand: renders frames for unexpected pulses into a file; if it returns None, frames are black.
+            seed: seed of the random choice of frames that lose packets.
         """
         self._cameras, self._lighting, self._frame_faults = cameras, lighting, frame_faults or FrameFaults()
         self._render_on_demand = render_on_demand
@@ -138,24 +142,24 @@ class VirtualLine:
         self._boards = 0
         self._end_ns = 0
         self.unexpected_pulses: list[Pulse] = []
-        """Pulses while no board passed."""
+        """Pulses that were fired while no board passed."""
 
     def attach_chip(self, chip: Chip) -> None:
         """Set the chip whose edges `on_edge` receives."""
         self._chip = chip
 
     def on_edge(self, edge: Edge) -> None:
-        """Handle a change of one of the chip's outputs."""
+        """Handle an edge of one of the chip's outputs: if it completes a pulse, trigger the cameras."""
         pulse = self._decoder.process(edge)
         if pulse is not None:
             with self._change:
                 self._handle_pulse(pulse)
 
     def on_camera_report(self, camera: int, word: str, picture: int) -> None:
-        """Record what a camera has done with a trigger.
+        """Record a camera's report: a frame was sent, or a trigger was ignored because no client had armed it.
 
-        Called in the camera's thread, without a lock: `_handle_pulse` holds the lock while it writes to cameras, and
-        must not wait for a thread that waits for it.
+        Called in the thread that reads the camera's reports. It takes no lock: `_handle_pulse` holds the lock while it
+        writes to cameras, so a wait for the lock here could become a deadlock.
         """
         now_ns, passage = time.monotonic_ns(), self._passage
         if passage is None or picture < 0:
@@ -168,7 +172,7 @@ class VirtualLine:
                     fired.sent_ms[camera] = (now_ns - fired.pulse.host_ns) * 1e-6
 
     def start_passage(self, rendered: RenderedBoard) -> BoardPassage:
-        """Let a board pass; the one before must have passed."""
+        """Start the passage of a board. The passage of the board before it must have ended."""
         assert self._chip is not None
         for camera in self._cameras:
             camera.select_frames(rendered.frames_path)
@@ -182,7 +186,7 @@ class VirtualLine:
         return passage
 
     def on_chip_reset(self) -> None:
-        """Handle a reset of the chip: its outputs are low, and it has lost the planned edges of the barrier."""
+        """Handle a reset of the chip: outputs are low and planned edges are lost, so plan the later edges again."""
         assert self._chip is not None
         self._decoder = PulseDecoder()
         if self._passage is not None:
@@ -208,8 +212,8 @@ class VirtualLine:
         brightness = [self._lighting.brightness(pulse, n) for n in range(count)]
         fired = FiredPulse(row, pulse, offset_s * 1e6, ["late"] * count, brightness, note)
         # Recorded before the cameras are triggered, because they may report at once.
-        passage.fired.append(fired)  # before the cameras can answer
-        # The frames are triggered here, in the chip's thread: no queue adds latency.
+        passage.fired.append(fired)
+        # The cameras are triggered here, in the chip's thread, because a queue between threads would add latency.
         if row is not None and not note:
             timestamp_ns = wall_clock_ns(pulse.host_ns)
             for n in range(count):
@@ -220,7 +224,7 @@ class VirtualLine:
             self._render_late(FrameRequest(passage.rendered.metadata.board, t, light_name, len(passage.fired)), pulse)
 
     def _mismatch(self, passage: BoardPassage, row: int | None, pulse: Pulse) -> str:
-        """Describe how the pulse differs from what was rendered; empty if it does not."""
+        """Return a text that describes how the pulse differs from what was rendered; empty if it does not."""
         if row is None:
             return "fired at a time for which no frame was rendered"
         light = passage.rendered.metadata.lights[row]
@@ -242,20 +246,20 @@ class VirtualLine:
             fired.outcomes[camera] = "dead"
 
     def _outcome(self, passage: BoardPassage, row: int, camera: int) -> tuple[FrameOutcome, float]:
-        """Decide what happens to a frame, and which share of its packets is lost."""
+        """Decide the outcome of a frame; return it with the share of the frame's packets that is lost, 0 to 1."""
         if (camera, row) in passage.rendered.metadata.lost:
             return "lost", 1.0
         return ("hit", LOST_PACKET_SHARE) if self._random.random() < self._frame_faults.loss else ("sent", 0.0)
 
     def _render_late(self, request: FrameRequest, pulse: Pulse) -> None:
-        """Render in a thread of its own, then trigger the cameras with the pulse's time."""
+        """Render frames on demand in a separate thread, then trigger the cameras with the time stamp of the pulse."""
 
         def send() -> None:
-            with contextlib.suppress(InternalError):  # the rig is being taken down
+            with contextlib.suppress(InternalError):  # the rig is being stopped
                 frames = self._render_on_demand(request)
                 self._trigger_all(frames, pulse)
 
-        # Rendering takes longer than a period; in the chip's thread it would delay the pulses that follow.
+        # Rendering takes longer than a trigger period. In the chip's thread it would delay the pulses that follow.
         threading.Thread(target=send, name="late frames", daemon=True).start()
 
     def _trigger_all(self, frames: Path | None, pulse: Pulse) -> None:
@@ -266,10 +270,10 @@ class VirtualLine:
 
 
 def wall_clock_ns(host_ns: int) -> int:
-    """Return CLOCK_REALTIME at a time of CLOCK_MONOTONIC: the cameras' clock.
+    """Convert a time of CLOCK_MONOTONIC to CLOCK_REALTIME, the clock of the virtual cameras. Both are in ns.
 
-    An interruption between the readings of the two clocks falsifies their difference, so the narrowest of several
-    readings counts.
+    The two clocks are read one after the other, and an interruption between the readings makes their difference wrong.
+    So several pairs of readings are taken, and the pair that took the shortest time counts.
     """
     readings: list[tuple[int, int]] = []
     while len(readings) < _MIN_READINGS or (min(readings)[0] > _NARROW_NS and len(readings) < _MAX_READINGS):
@@ -279,12 +283,12 @@ def wall_clock_ns(host_ns: int) -> int:
 
 
 def _rendered_row(passage: BoardPassage, pulse: Pulse) -> tuple[int | None, float]:
-    """Return the rendered row of a pulse and its distance in s; row None: none was rendered for that time."""
+    """Return the row whose rendered time is nearest to a pulse (None: too far away), and the difference in s."""
     t = (pulse.cycle - passage.start_cycle) / HZ
     pulses = passage.rendered.metadata.pulses_s
     if not pulses:
         return None, 0.0
-    # The nearest row by time, not by count: after a reset or a bounce the count may be another.
+    # The row is found by time, not by counting pulses: after a reset or a bounce the count may be wrong.
     row = min(range(len(pulses)), key=lambda j: abs(pulses[j] - t))
     offset_s = t - pulses[row]
     return (row if abs(offset_s) <= PULSE_TOLERANCE_S else None), offset_s

@@ -1,4 +1,4 @@
-"""CPU time of all processes of a rig run."""
+"""Measure the CPU time of all processes of a rig run."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from vaoi_station.rig.scoring.rig_report import Load
 
 
 class CpuLoadMeter:
-    """Measures CPU time from its construction on; processes that end in the meantime are left out."""
+    """Meter of CPU time from its construction on. A process that ends before `read` is left out."""
 
     def __init__(self, pids: Mapping[str, int | None]) -> None:
-        """Start to measure; `pids` has the names of `Load`, with a number where there are several: `cameras 3`."""
+        """Start to measure. `pids`: name → process id. Names are fields of `Load`, some with a number: `cameras 3`."""
         self._pids = {name: pid for name, pid in pids.items() if pid is not None}
         self._before = {name: spent for name, pid in self._pids.items() if (spent := _spent(pid)) is not None}
         self._since_s = time.monotonic()
 
     def read(self, frames: int) -> Load:
-        """Return the average number of cores in use."""
+        """Return the average number of CPU cores in use since the construction. `frames`: number of good frames."""
         over_s = time.monotonic() - self._since_s
         spent = dict.fromkeys(("station", "acquisition", "workers", "cameras", "chip", "rig"), 0.0)
         for name, before in self._before.items():
             now = _spent(self._pids[name])
-            # A process that has ended has taken its counters with it; its share is unknown, not negative.
+            # The counters of a process that has ended are gone, so its CPU time is unknown.
             if now is not None:
                 spent[name.split()[0]] += now - before
         cores = {name: round(value / over_s, 3) for name, value in spent.items()}

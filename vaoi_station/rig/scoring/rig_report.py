@@ -1,4 +1,4 @@
-"""The report of `vaoi rig run`: one document for programs, shown to people as tables."""
+"""The report of `vaoi rig run`: a JSON document for programs. `tables` formats it as text for people."""
 
 from __future__ import annotations
 
@@ -6,101 +6,104 @@ from vaoi_station.demo.truth_comparison import Deviation
 from vaoi_station.model import Strict
 
 LIMIT_PX = 0.10
-"""Limit of the component positions, rms over all boards whose runs are ok; other runs state their own uncertainty."""
+"""Limit of the rms position error of components over all boards with the verdict ok. Runs with another verdict do not
+count: their results state a larger uncertainty.
+"""
 LATE_MS = 300.0
-"""A frame that leaves its virtual camera later than this after its pulse may arrive too late for the station."""
+"""Delay from a pulse to the first packet of a frame above which the frame may arrive too late for the station."""
 READY_LIMIT_S = 12.0
-"""Longest time from a recovered device to a ready station."""
+"""Longest accepted time from the recovery of a device until the station is ready again."""
 
 
 class AffectedFrame(Strict):
-    """A frame that is not whole: the station's verdict and cause, and the fault that the rig injected."""
+    """A frame that the station reports as incomplete or missing, with the fault that the rig injected."""
 
     camera: int
     row: int
     verdict: str
+    """`incomplete` or `missing`, as the station reports it."""
     cause: str
-    """The station's."""
+    """Cause that the station reports."""
     done: str
-    """The rig's; empty: none."""
+    """Fault that the rig injected; empty: none."""
 
 
 class BoardScore(Strict):
-    """One board compared with the truth and the rendered frames."""
+    """The score of one board: its run compared with the truth, the rendered frames and the injected faults."""
 
     board: int
     run: str | None
-    """None: the station has no run of this board."""
+    """Id of the station's run of this board; None: there is none."""
     state: str | None
     status: str | None
     reasons: tuple[str, ...]
     cameras: int
     rows: int
-    """Pulses that were fired."""
+    """Number of pulses that were fired."""
     rows_due: int
-    """Pulses that the board needs."""
+    """Number of pulses that the board needs."""
     ok: int
     incomplete: int
     missing: int
     proven: int | None
-    """Whole frames whose pixels all equal the frame rendered for their camera and row; None: not checked."""
+    """Number of complete frames whose pixels all equal the frame rendered for that camera and row; None: unchecked."""
     wrong: tuple[str, ...]
-    """Frames with other pixels."""
+    """Descriptions of frames whose pixels differ from the rendered frame."""
     affected: tuple[AffectedFrame, ...]
     innocent: tuple[tuple[int, int], ...]
-    """(camera, row) that are not whole although no fault was injected."""
+    """(camera, row) of incomplete or missing frames without an injected fault."""
     unnamed: tuple[tuple[int, int], ...]
-    """(camera, row) that are not whole and have no cause."""
+    """(camera, row) of incomplete or missing frames for which the station reports no cause."""
     unfilmed: int
-    """Frames that were fired and that the station's run does not list."""
+    """Number of frames that were fired but that the station's run does not list."""
     pulse_off_us: float
     """Largest difference between a pulse and the time for which its frames were rendered."""
     sent_late_ms: float | None
-    """Longest time from a pulse to the first packet of a frame; None: a frame never left its camera."""
+    """Longest time from a pulse to the first packet of a frame; None: at least one frame never left its camera."""
     notes: tuple[str, ...]
     deviation: Deviation
     ready_after_last_frame_ms: float | None
     links_open: int | None
-    """Tasks of the stitch that were not done when the last frame had come; those of the last row never can be."""
+    """Number of stitching tasks not done when the last frame arrived. Tasks of the last row can only begin then."""
 
     @property
     def sound(self) -> bool:
-        """Whether no frame is in a wrong row, none is lost without a fault, and every loss has a cause."""
+        """Whether no frame is in a wrong row, no frame is lost without a fault, and every loss has a cause."""
         proven = self.proven is None or self.proven == self.ok
         return proven and not (self.wrong or self.innocent or self.unnamed or self.notes)
 
     @property
     def faultless(self) -> bool:
-        """Whether all frames arrived and were stitched with the verdict ok."""
+        """Whether the score is sound, all frames arrived, and the run has the verdict ok."""
         return self.sound and self.status == "ok" and self.ok == self.rows_due * self.cameras
 
 
 class Recovery(Strict):
-    """How long the station took after a fault."""
+    """Recovery of the station from one fault: when the device worked again, and when the station was ready again."""
 
     fault: str
     back_s: float
     """Time since the start of the rig at which the device worked again."""
     ready_after_s: float | None
-    """Time until the station was ready again with all its cameras; None: it was not."""
+    """Time from the recovery of the device until the station was ready with all cameras; None: it was not."""
 
 
 class Load(Strict):
-    """CPU time divided by the time from the first board to the last result, in cores."""
+    """Average number of CPU cores in use, for each kind of process: CPU time divided by the measured time `over_s`."""
 
     over_s: float
     station: float
     acquisition: float
     workers: float
     cameras: float
-    """The virtual cameras, which stand for cameras and network card."""
+    """Cores used by the virtual cameras, which replace real cameras and a network card."""
     chip: float
     rig: float
     acquisition_ms_per_frame: float
 
 
 class RigReport(Strict):
-    """The document of `vaoi rig run --json`."""
+    """The document that `vaoi rig run --json` writes."""
 
     format: str = "vaoi-rig"
     version: int = 1
@@ -110,13 +113,13 @@ class RigReport(Strict):
     width_px: int
     height_px: int
     frames_per_s: float
-    """Of each camera, while a board passes."""
+    """Frame rate of each camera while a board passes."""
     faults: tuple[str, ...]
     boards: tuple[BoardScore, ...]
     boards_missed: int
     stray_pulses: int
     rms_px: float
-    """Over all views of components of all boards that are ok."""
+    """Rms position error over all views of components, of all boards with the verdict ok."""
     max_px: float
     recoveries: tuple[Recovery, ...]
     load: Load | None
@@ -124,4 +127,4 @@ class RigReport(Strict):
     """Load average of the machine over the last minute, at the end."""
     took_s: float
     failings: tuple[str, ...]
-    """The reasons why it is not ok."""
+    """The reasons why `ok` is false, one sentence each."""

@@ -1,6 +1,6 @@
-"""Compare every pixel in the ring after a run with the rendered frames.
+"""Compare every pixel that a run has in the ring with the rendered frames.
 
-The ring is mapped read-only, as tester software would map it, while its memory still belongs to the run.
+The ring is mapped read-only, as the software of a tester would map it, while the bay still belongs to the run.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ MONO_8, MONO_16 = 0x01080001, 0x01100007
 
 @dataclass(frozen=True)
 class RingCheck:
-    """(camera, row) of a bay, by the content of their memory."""
+    """Result of the check of one bay: its frames, as (camera, row), sorted by what their memory contains."""
 
     proven: frozenset[tuple[int, int]]
-    """Whole, and every pixel equals the frame rendered for this camera and row."""
+    """Complete frames of which every pixel equals the frame rendered for that camera and row."""
     partial: frozenset[tuple[int, int]]
-    """Incomplete; every pixel that is not black equals the rendered one."""
+    """Incomplete frames of which every pixel is black or equals the rendered pixel."""
     wrong: dict[tuple[int, int], str]
-    """Anything else, with a description."""
+    """All other frames, with a description of the difference."""
     valid: bool = True
-    """Whether the memory still belonged to the run after the comparison."""
+    """Whether the bay still belonged to the run after the comparison; if not, the result means nothing."""
 
 
 def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:
     """Compare one bay of the ring with the rendered frames of the board that was recorded into it.
 
     Args:
-        ring: the station's.
-        bay: that of the run.
-        passage: the board, and the brightness of its rows.
+        ring: the station's ring.
+        bay: index of the run's bay.
+        passage: the passage of the board, with its rendered frames and the brightness of each row.
     """
     frames = passage.rendered.map_frames()
     brightness = {fired.row: fired.brightness for fired in passage.fired if fired.row is not None}
@@ -64,20 +64,20 @@ def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:
                 wrong[cell] = difference
             else:
                 (proven if state == WHOLE else partial).add(cell)
-    # The station may give the bay to the next board during the comparison; then the result means nothing.
+    # The generation of a bay changes when the station gives the bay to the next board, even during this comparison.
     valid = ring.generation(bay) == generation
     return RingCheck(frozenset(proven), frozenset(partial), wrong, valid)
 
 
 def bays_to_check(station: Mapping[str, Any]) -> dict[str, int]:
-    """Return run → bay, from the JSON of `GET station`, of the runs whose frames are all there."""
+    """Return run id → bay, for runs whose frames have all arrived. `station` is the JSON of `GET station`."""
     return {
         str(bay["run"]): int(bay["bay"]) for bay in station["ring"]["bays"] if bay["use"] in ("stitching", "finished")
     }
 
 
 def attach(station: Mapping[str, Any]) -> Ring:
-    """Map the ring whose path `GET station` reports."""
+    """Map the station's ring read-only; `station` is the JSON of `GET station`, which has the path of the ring."""
     return Ring.attach(Path(station["ring"]["path"]))
 
 
@@ -101,7 +101,7 @@ def _compare(
 
 
 def _identify(pixels: NDArray[np.uint8], frames: NDArray[np.uint8], camera: int, row: int) -> str:
-    """Describe which rendered frame this is, if any."""
+    """Return a text that states which rendered frame of the board has these pixels, if any."""
     for other, of_row in enumerate(frames):
         for place, frame in enumerate(of_row):
             if np.array_equal(pixels, frame):

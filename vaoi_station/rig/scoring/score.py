@@ -13,11 +13,11 @@ from vaoi_station.rig.scoring.rig_report import LATE_MS, AffectedFrame, BoardSco
 from vaoi_station.rig.scoring.ring_check import RingCheck
 
 Cell = tuple[int, int]
-"""Camera, row."""
+"""A frame, as (camera, row)."""
 RUN_MATCH_S = 0.5
-"""Largest difference between the barrier edges of a run and a passage that belong together."""
+"""Largest difference between the barrier edge of a run and that of a passage, if the run is of that passage."""
 IN_FLIGHT_S = 0.2
-"""Longest time from a pulse to the last packet of its frames."""
+"""Longest time from a pulse to the last packet of its frames. An outage can still hit a frame in this time."""
 _OUTCOME_TEXTS: dict[FrameOutcome, str] = {
     "ignored": "the camera ignored the pulse",
     "hit": "packets were lost",
@@ -28,34 +28,35 @@ _OUTCOME_TEXTS: dict[FrameOutcome, str] = {
 
 @dataclass(frozen=True)
 class Outage:
-    """A period in which frames of a camera (None: of all) may be lost for a reason outside their pulses."""
+    """A period in which frames of one camera, or of all cameras, may be lost because of an injected fault."""
 
     from_ns: int
     until_ns: int
     camera: int | None
+    """Number of the camera; None: all cameras."""
     reason: str
 
     def covers(self, fired_ns: int, camera: int) -> bool:
-        """Whether a frame fired at a time of CLOCK_MONOTONIC may be lost by this outage."""
+        """Whether a frame of a camera, fired at `fired_ns` of CLOCK_MONOTONIC, may be lost by this outage."""
         flight_ns = round(IN_FLIGHT_S * 1e9)
         return self.camera in (None, camera) and self.from_ns - flight_ns <= fired_ns <= self.until_ns
 
 
 @dataclass(frozen=True)
 class BoardEvidence:
-    """Everything that is known of one board."""
+    """Everything that the score of one board needs: its passage on the rig, and the station's run of it."""
 
     passage: BoardPassage
     run: dict[str, Any] | None
-    """JSON of `runs/{id}`; None: there is no run of it."""
+    """JSON of `runs/{id}`; None: the station has no run of the board."""
     matrices: dict[str, Any]
     ring_check: RingCheck | None
-    """None: its memory was not compared."""
+    """Comparison of the ring with the rendered frames; None: not done."""
     px_per_mm: Sequence[float]
 
 
 def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
-    """Score one board."""
+    """Compare the run of one board with the truth, the rendered frames and the injected faults; return the score."""
     passage, run, check = evidence.passage, evidence.run, evidence.ring_check
     verdicts = _station_verdicts(run)
     reasons = _reasons(passage, outages)
@@ -97,12 +98,12 @@ def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
 
 
 def run_of(passage: BoardPassage, runs: Sequence[Mapping[str, Any]], started_s: Mapping[str, float]) -> str | None:
-    """Return the id of the run of a passage: the one whose barrier edge is the passage's; None: there is none.
+    """Return the id of the run whose barrier edge is nearest to that of a passage; None: none is near enough.
 
     Args:
-        passage: the board.
+        passage: the passage of one board.
         runs: JSON of all runs.
-        started_s: run → CLOCK_MONOTONIC of its barrier edge.
+        started_s: run id → time of the run's barrier edge, s of CLOCK_MONOTONIC.
     """
     blocked_s = passage.blocked_ns * 1e-9
     near = [(abs(started_s[run["id"]] - blocked_s), run["id"]) for run in runs]
@@ -111,19 +112,19 @@ def run_of(passage: BoardPassage, runs: Sequence[Mapping[str, Any]], started_s: 
 
 
 def _station_verdicts(run: Mapping[str, Any] | None) -> dict[Cell, tuple[str, str]]:
-    """Return (camera, row) → verdict and cause of the station."""
+    """Return (camera, row) → (verdict, cause), as the station reports them for each frame of a run."""
     frames = run["frames"] if run else ()
     return {(f["camera"], f["row"]): (f["verdict"], f.get("cause") or "") for f in frames}
 
 
 def _reasons(passage: BoardPassage, outages: Sequence[Outage]) -> dict[Cell, str]:
-    """Return (camera, row) → the injected fault by which the frame may be lost."""
+    """Return (camera, row) → text of the injected fault that may have caused the loss of this frame."""
     reasons = {}
     for row, fired in enumerate(passage.fired):
         for camera, outcome in enumerate(fired.outcomes):
             causes = [t.reason for t in outages if t.covers(fired.pulse.host_ns, camera)]
             sent_ms = fired.sent_ms.get(camera, math.inf)
-            # The frame's own fault comes before an outage: it is the more specific reason.
+            # A fault of this frame comes before an outage, because it is the more specific reason.
             if outcome in _OUTCOME_TEXTS:
                 reasons[camera, row] = _OUTCOME_TEXTS[outcome]
             elif causes:
@@ -136,7 +137,7 @@ def _reasons(passage: BoardPassage, outages: Sequence[Outage]) -> dict[Cell, str
 
 
 def _sent_late_ms(passage: BoardPassage) -> float | None:
-    """Return the longest delay of a frame that was sent whole; None: one of them never left its camera."""
+    """Return the longest delay, ms, of frames without packet loss; None: at least one never left its camera."""
     late = [
         fired.sent_ms.get(n) for fired in passage.fired for n, outcome in enumerate(fired.outcomes) if outcome == "sent"
     ]

@@ -1,4 +1,4 @@
-"""Format a rig run as text."""
+"""Format the report of a rig run as text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _HEAD = (
 )
 _FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>9s}{:>8s}{:>8s}{:>6s}{:>10s}"
 MOST = 40
-"""Largest number of lines about frames that are not whole."""
+"""Largest number of lines about incomplete and missing frames."""
 
 
 def as_text(report: RigReport) -> str:
@@ -77,7 +77,7 @@ def _row(board: BoardScore) -> tuple[str, ...]:
 
 
 def _reasons(report: RigReport) -> Iterator[str]:
-    """Yield the reasons of every run, without those that only list frames: `_affected` yields these."""
+    """Yield the reasons of every run. Reasons that only list frames are left out, because `_affected` yields them."""
     for board in report.boards:
         text = [reason for reason in board.reasons if not reason.startswith("Frames (camera, row)")]
         if text:
@@ -98,7 +98,7 @@ def _affected(report: RigReport) -> Iterator[str]:
 
 
 def _ranges(rows: list[int]) -> str:
-    """Join row numbers: 1, 2, 3, 7 → "1–3, 7"."""
+    """Return row numbers as text with ranges: [1, 2, 3, 7] gives "1–3, 7"."""
     spans: list[list[int]] = []
     for row in sorted(rows):
         if spans and row == spans[-1][1] + 1:

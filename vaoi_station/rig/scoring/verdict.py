@@ -1,4 +1,4 @@
-"""Decide whether a rig run is as expected, and state what is not. No I/O."""
+"""Decide whether a rig run went as expected, and describe each deviation in a sentence. No I/O."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from vaoi_station.rig.scoring.rig_report import LATE_MS, LIMIT_PX, READY_LIMIT_S
 
 
 def failings(report: RigReport, faults: Sequence[Fault], boards: int) -> tuple[str, ...]:
-    """Return one sentence for each failing; empty: everything is as expected."""
+    """Return one sentence for each failing of a rig run of `boards` boards; empty: everything is as expected."""
     return tuple(_failings(report, faults, boards))
 
 
 def _failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterator[str]:
     if len(report.boards) < boards:
         yield f"only {len(report.boards)} of {boards} boards passed"
-    # These faults cut a board short, so its missing rows and its verdict are expected.
+    # After these faults a board has fewer rows, so its missing rows and its verdict are expected.
     hurt = {f.board for f in faults if f.kind in ("stuck", "reset") or f.who == "acquisition"}
     for board in report.boards:
         yield from _board_failings(board, hurt)
@@ -55,7 +55,7 @@ def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
 
 
 def _result_failings(board: BoardScore, hurt: bool) -> Iterator[str]:
-    """Yield what is wrong with verdict and reasons; a board that a fault has cut short only needs a reason."""
+    """Yield failings of verdict and reasons. `hurt`: a fault has cost the board rows, so it only needs a reason."""
     where = f"board {board.board}"
     if board.rows < board.rows_due and not board.reasons:
         yield f"{where}: only {board.rows} of {board.rows_due} rows were fired, and the station reports no reason"
