@@ -1,1 +1,1 @@
-"""Benchmarks behind `vaoi bench`: speed in memory here, a station in real time in `station`, errors in `accuracy`."""
+"""Benchmarks of `vaoi bench`: stitching speed here, a whole station in real time in `station`, errors in `accuracy`."""

@@ -24,7 +24,7 @@ class BenchmarkBoard:
         calibration: camera matrices N_i and lenses.
         board_type: CAD data.
         frames: pixels by (camera, row); missing frames are absent.
-        truth: exact values of the twin; None for a recording.
+        truth: exact positions from the twin; None for a recording.
     """
 
     name: str
@@ -36,7 +36,7 @@ class BenchmarkBoard:
 
     @property
     def setup(self) -> StitchSetup:
-        """What the station knows before the first frame."""
+        """The data that stitching has before the first frame: cameras, belt velocity, trigger period and board type."""
         return StitchSetup(
             self.calibration.cameras(self.head.cameras),
             self.head.conveyor_mm_s,
@@ -46,7 +46,7 @@ class BenchmarkBoard:
 
 
 def board_from_twin(scenario: str = "demo", board: int = 0) -> BenchmarkBoard:
-    """Render a board of a shipped scenario."""
+    """Render all frames of a board of a scenario that the package contains."""
     twin = Twin(read_scenario(scenario_path(scenario)))
     passage = twin.passage(board)
     frames = passage.render_all()
@@ -54,7 +54,7 @@ def board_from_twin(scenario: str = "demo", board: int = 0) -> BenchmarkBoard:
 
 
 def board_from_recording(directory: Path) -> BenchmarkBoard:
-    """Read a recording with its calibration and board type."""
+    """Read all frames of a recording, with its calibration and board type."""
     recording = open_recording(directory)
     head = recording.head
     calibration = read_calibration(directory / "calibration.json", head.cameras)

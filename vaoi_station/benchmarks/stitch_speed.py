@@ -1,4 +1,7 @@
-"""Measure stitching and rendering in memory, in one thread, beside the paper's method; medians of repetitions count."""
+"""Measure the speed of stitching and rendering in one thread, with frames in memory; compare with the paper's method.
+
+Each figure is the median of several repetitions.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from vaoi_station.stitching.work import TaskRunner, all_tasks
 
 @dataclass(frozen=True)
 class SpeedFigures:
-    """Figures of one benchmark; times are CPU time of one thread unless a field states otherwise."""
+    """Figures of the benchmark on one board. Times are CPU time of one thread unless a field states otherwise."""
 
     material: str
     """Name of the measured board."""
@@ -34,20 +37,20 @@ class SpeedFigures:
     frame_px: tuple[int, int]
     repetitions: int
     stitch_ms_per_frame: float
-    """Time from the frames to all matrices, fiducials and C included."""
+    """Time to compute all matrices from the frames, including fiducials and C, per frame."""
     stitch_spread_ms: tuple[float, float]
-    """Smallest and largest of the repetitions, per frame."""
+    """Smallest and largest value of `stitch_ms_per_frame` among the repetitions."""
     paper_ms_per_frame: float
     ratio_to_paper_method: float
-    """Time of the paper's method over ours."""
+    """Time of the paper's method divided by the time of our method."""
     paper_failed: str
     """Reason for which the paper's method found no chain; empty if it did."""
     ready_after_last_frame_ms: float
     """Wall time of the tasks of the last row and of the adjustment, when all earlier tasks are done."""
     images_per_s: float
-    """Component images per second, with the computation of their views."""
+    """Component images that are rendered per second, including the computation of their views."""
     render_ratio_to_warp: float
-    """Time of `cv2.warpPerspective` alone, on the same crops, over ours."""
+    """Time of `cv2.warpPerspective` alone, for the same images, divided by the time of our rendering."""
     status: str
     cad_sigma_px: float | None
     opencv: str
@@ -58,7 +61,7 @@ class SpeedFigures:
 
 
 def measure_stitching(board: BenchmarkBoard, repetitions: int = 5) -> SpeedFigures:
-    """Measure everything on one board."""
+    """Measure stitching, the paper's method and rendering on one board."""
     # Ratios compare algorithms, so neither side may use more than one thread.
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -69,7 +72,7 @@ def measure_stitching(board: BenchmarkBoard, repetitions: int = 5) -> SpeedFigur
 
 
 def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
-    # The first run also compiles and is not timed.
+    # The first run also compiles functions, so it is not timed.
     stitch = _stitch(board)
     frames = len(board.frames)
     ours, theirs = [], []
@@ -121,7 +124,7 @@ def _paper(board: BenchmarkBoard) -> Any:
 
 
 def _ready_ms(board: BenchmarkBoard) -> float:
-    """Return the wall time from the last frame to the result; all tasks of earlier rows are done before."""
+    """Return the wall time, ms, from the last frame to the result, when all tasks of earlier rows are already done."""
     times_s = board.head.row_times_s()
     runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
     present = list(board.frames)
@@ -136,7 +139,7 @@ def _ready_ms(board: BenchmarkBoard) -> float:
 
 
 def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple[float, float]:
-    """Return component images per second, and the time of bare warps of the same crops over ours."""
+    """Return component images per second, and the time of `cv2.warpPerspective` alone divided by our time."""
     cameras = board.setup.cameras
     if stitch.cad_matrix is None:
         return 0.0, 0.0
@@ -158,7 +161,7 @@ def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple
 
     count = ours()
     bare()
-    # Alternating, so that a change of the clock rate of the CPU affects both sides.
+    # Both sides are measured alternately, so that a change of the CPU's clock rate affects both.
     pairs = [(_cpu_ms(ours), _cpu_ms(bare)) for _ in range(repetitions)]
     ours_ms = statistics.median(a for a, _ in pairs)
     return count / ours_ms * 1e3, statistics.median(b / a for a, b in pairs)

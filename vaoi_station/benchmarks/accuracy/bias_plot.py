@@ -1,4 +1,4 @@
-"""Draw bias over the sub-pixel fraction (S-curve of digital image correlation) as SVG."""
+"""Draw the bias of a measured position over the sub-pixel fraction of the true position, as SVG."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from vaoi_station.reporting.drawing.svg import drawing, polyline, tag, text
 
 _WIDTH, _PANEL, _LEFT, _TOP, _GAP = 640.0, 120.0, 64.0, 34.0, 26.0
 _RANGE_PX = 0.02
-"""Largest error inside a panel, to both sides; larger errors are drawn at its edge."""
+"""Largest error on the axis of a panel, in both directions; larger errors are drawn at the panel's edge."""
 _OURS, _THEIRS, _AXIS, _INK = "#0b6e4f", "#c0392b", "#bbbbbb", "#222222"
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Our curve and that of another method, px over fractions of a pixel.
+    """One panel of the plot: the errors of our method and of another method over the sub-pixel fraction.
 
     Attributes:
-        name: caption.
-        fraction: −0.5 … 0.5.
-        ours_px: our errors; NaN where nothing was found.
-        theirs_px: errors of the other method; None where nothing was found.
+        name: caption of the panel.
+        fraction: sub-pixel fractions of the true position, −0.5 … 0.5.
+        ours_px: error of our method at each fraction; NaN where it found nothing.
+        theirs_px: error of the other method at each fraction; None where it found nothing.
     """
 
     name: str
@@ -32,10 +32,10 @@ class Panel:
 
 
 def draw_bias_panels(panels: Sequence[Panel], title: str, methods: tuple[str, str]) -> str:
-    """Draw panels one below the other: our curve in green, the other one in red.
+    """Draw panels one below the other, with our curve in green and that of the other method in red; return the SVG.
 
     Args:
-        panels: the curves.
+        panels: the panels, from top to bottom.
         title: one line above the panels.
         methods: names of our method and of the other one.
     """
@@ -66,7 +66,7 @@ def _panel(panel: Panel, top: float) -> list[str]:
         y = at(0, error)[1] + 4
         out.append(tag("text", text(f"{error:+.2f}"), x=_LEFT - 6, y=y, font_size=11, text_anchor="end", fill=_INK))
     out.append(tag("text", text(panel.name), x=_LEFT + 6, y=top + 15, font_size=12, fill=_INK))
-    # Points that were not found are left out; the polyline joins their neighbours.
+    # Fractions at which a method found nothing are left out; the polyline joins their neighbours.
     theirs = [at(f, e) for f, e in zip(panel.fraction, panel.theirs_px, strict=True) if e is not None]
     ours = [at(f, e) for f, e in zip(panel.fraction, panel.ours_px, strict=True) if math.isfinite(e)]
     out.append(polyline(theirs, stroke=_THEIRS, stroke_width=1.2, stroke_dasharray="4 3"))

@@ -3,7 +3,7 @@
 The measure is the normalised squared error of each view of a component: for an error e (px) with predicted covariance
 Σ it is eᵀ·Σ⁻¹·e / 2. Its mean is 1 if Σ is right, below 1 if Σ is too large, above 1 if Σ is too small. Positions of
 components in frames do not depend on the gauge. The errors of one run are correlated, because all its views share C;
-therefore each run contributes one value, its mean.
+therefore each run contributes one value: the mean over its views.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class RunErrors:
     name: str
     status: str
     error_px: Floats
-    """(k, 2) error of each view of a component."""
+    """(k, 2) error of each of the k views of components, px."""
     covariance_px2: Floats
-    """(k, 2, 2) predicted covariances of these errors."""
+    """(k, 2, 2) predicted covariance of each error, px²."""
     surface_error_mm: Floats
-    """(k,) error of the surface height under each component; empty if the true surface is not known."""
+    """Error of the surface height under each component, one value per component; empty if the truth is not known."""
     surface_sigma_mm: Floats
-    """(k,) predicted standard deviations of these errors."""
+    """Predicted standard deviation of each error of the surface height."""
 
     @property
     def distance(self) -> Floats:
@@ -52,36 +52,36 @@ class RunErrors:
 
     @property
     def normalised(self) -> float:
-        """Mean normalised squared error of the run."""
+        """Mean of the normalised squared errors of all views of the run."""
         # Two degrees of freedom: x and y.
         return float((self.distance**2).mean() / 2)
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length of the errors."""
+        """Root mean square of the lengths of the errors."""
         return float(np.sqrt((self.error_px**2).sum(1).mean()))
 
     @property
     def predicted_rms_px(self) -> float:
-        """Root mean square length that the covariances predict."""
+        """Root mean square length of the errors as the covariances predict it."""
         return float(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2).mean()))
 
     @property
     def summary(self) -> str:
-        """One line of text, to show progress."""
+        """One line of text with real and predicted errors, to show progress."""
         figures = f"{self.rms_px:.4f} px, predicted {self.predicted_rms_px:.4f}" if len(self.error_px) else "no C"
         return f"{self.name:24s} {self.status:9s} {figures}"
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Summary of several runs.
+    """Summary of the real and predicted errors of several runs.
 
     Attributes:
         runs: number of runs with a CAD matrix C.
-        failed: number of runs without one; they count nowhere else.
-        normalised_mean: mean over the runs of the normalised squared error.
-        normalised_median: its median.
+        failed: number of runs without a CAD matrix; they are not part of the other figures.
+        normalised_mean: mean over the runs of `RunErrors.normalised`.
+        normalised_median: median over the runs of `RunErrors.normalised`.
     """
 
     runs: int
@@ -91,17 +91,17 @@ class Consistency:
     beyond_three: float
     """Share of views with an error above 3 standard deviations: exp(−9/2) = 1.1 % for normal errors in the plane."""
     worst: float
-    """Longest error, in standard deviations."""
+    """Longest error of all views, in standard deviations."""
     surface_normalised: float | None
-    """Mean normalised squared error of the surface height; None if no true surface is known."""
+    """Mean of the squared errors of the surface height over their variances; None if no true surface is known."""
 
     def document(self) -> dict[str, Any]:
-        """Return the figures for JSON, rounded."""
+        """Return the rounded figures as a dictionary for JSON."""
         return {k: round(v, 3) if isinstance(v, float) else v for k, v in vars(self).items()}
 
 
 def summarise_runs(runs: Sequence[RunErrors]) -> Consistency:
-    """Summarise several runs.
+    """Summarise the real and predicted errors of several runs.
 
     Raises:
         InputError: no run has a CAD matrix, so there is nothing to compare.
@@ -124,18 +124,18 @@ def summarise_runs(runs: Sequence[RunErrors]) -> Consistency:
 
 
 def _ignore(line: str) -> None:
-    """Discard a line of progress."""
+    """Discard a line of progress. This is the default of the `report` arguments."""
 
 
 def twin_runs(
     count: int, first_seed: int = FIRST_SEED, report: Callable[[str], object] = _ignore
 ) -> Iterable[RunErrors]:
-    """Render and stitch boards of the twin; array, board, belt, light and noise differ from board to board.
+    """Render and stitch boards of the twin, each with random array, board, belt, light and noise; yield their errors.
 
     Args:
         count: number of boards.
         first_seed: seed of the first board; the next boards have the next seeds.
-        report: called with a line of text per board.
+        report: called with one line of text for each board.
     """
     for seed in range(first_seed, first_seed + count):
         twin = Twin(random_scenario(seed))
@@ -151,12 +151,12 @@ def twin_runs(
 
 
 def recordings_with_truth(directory: Path) -> list[Path]:
-    """Find the recordings of a directory that have a board type and a truth, sorted by name."""
+    """Return the recordings in a directory that have both a board type and a truth file, sorted by name."""
     return sorted(p.parent for p in directory.glob("*/truth.json") if (p.parent / "board.json").is_file())
 
 
 def recorded_runs(recordings: Iterable[Path], report: Callable[[str], object] = _ignore) -> Iterable[RunErrors]:
-    """Stitch recordings and compare them with their truth files."""
+    """Stitch recordings, compare each with its truth file, and yield the errors."""
     for case in recordings:
         # A truth file holds no true surface, so only positions are compared.
         truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
@@ -166,11 +166,11 @@ def recorded_runs(recordings: Iterable[Path], report: Callable[[str], object] = 
 
 
 def compare_with_truth(board: BenchmarkBoard, surface_mm: dict[str, float] | None = None) -> RunErrors:
-    """Stitch one board and compare its component positions with the truth.
+    """Stitch one board and return the errors of its component positions and surface heights.
 
     Args:
-        board: the frames, with their truth.
-        surface_mm: true surface height under each component, by address; None if it is not known.
+        board: the frames of a board, with their truth.
+        surface_mm: component address → true surface height under the component; None if it is not known.
     """
     assert board.truth is not None
     runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
@@ -182,7 +182,7 @@ def compare_with_truth(board: BenchmarkBoard, surface_mm: dict[str, float] | Non
     for ref, views in board.truth["views"].items():
         for i, j, x, y in views:
             covariance = findings.sigma.views.get(ref, {}).get((i, j))
-            # The run has no such view: the frame has no matrix, or C was not found.
+            # Without a covariance the run has no such view: the frame has no matrix, or C was not found.
             if covariance is not None:
                 errors.append(np.subtract(found[ref, i, j], (x, y)))
                 covariances.append(covariance)
@@ -198,7 +198,7 @@ def compare_with_truth(board: BenchmarkBoard, surface_mm: dict[str, float] | Non
 
 
 def _surface(findings: Findings, true_mm: dict[str, float]) -> tuple[Floats, Floats]:
-    """Return errors and standard deviations (k,), mm, of the surface height under the components."""
+    """Return the errors of the surface height under k components, (k,), mm, and their predicted standard deviations."""
     plane, adjusted = findings.plane, findings.adjusted
     if plane is None or not len(adjusted.surface_mm) or not true_mm:
         return np.zeros(0), np.zeros(0)
@@ -211,10 +211,10 @@ def _surface(findings: Findings, true_mm: dict[str, float]) -> tuple[Floats, Flo
 def random_scenario(seed: int) -> Scenario:
     """Return a scenario of small frames whose parameters are drawn at random from realistic ranges.
 
-    They are noise, exposure, focus, vignetting, lens, mounting; speed, slip, sway and yaw of the belt; lift, tilt and
-    bow of the board; direction and shadows of the light.
+    The random parameters are: noise, exposure, focus, vignetting, lens and mounting of the cameras; speed, slip, sway
+    and yaw of the belt; lift, tilt and bow of the board; direction and shadows of the light.
     """
-    # The second number keeps these draws apart from those that the twin derives from its seeds.
+    # The second number makes these random numbers independent of those that the twin derives from the same seed.
     g = np.random.default_rng([seed, 9001])
 
     def between(low: float, high: float) -> float:

@@ -1,4 +1,4 @@
-"""Draw real errors over predicted ones as SVG: one point per run, and the distribution of normalised lengths."""
+"""Draw real errors over predicted errors as SVG: one point per run, and the distribution of normalised lengths."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _frame(left: float) -> list[str]:
 
 
 def _log_position(px: float) -> float:
-    """Return the position 0 … 1 of a length on the logarithmic axes; beyond their ends, the end."""
+    """Return the position of a length on the logarithmic axes, from 0 to 1; longer or shorter lengths are clipped."""
     low, high = math.log(_TICKS_PX[0]), math.log(_TICKS_PX[-1])
     return min(max((math.log(max(px, 1e-9)) - low) / (high - low), 0.0), 1.0)
 

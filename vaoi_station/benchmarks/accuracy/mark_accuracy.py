@@ -1,4 +1,4 @@
-"""Measure accuracy and speed of the detection of marks, beside the paper's method and the Cramér-Rao bound."""
+"""Measure accuracy and speed of the detection of marks; compare with the paper's method and the Cramér-Rao bound."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZES_PX = (12.0, 16.0, 20.0, 24.0, 32.0, 40.0)
 _OFF_SHARE = 0.15
-"""Largest error of the predicted centre along each axis, in sizes of the mark."""
+"""Largest error of the predicted centre along each axis, as a share of the mark's size."""
 _S_CURVE_PX = 16.0
 """Size of the marks of the S-curves."""
 
 
 @dataclass(frozen=True)
 class MarkErrors:
-    """Errors of one kind of mark under one condition; rms and bias are per axis.
+    """Errors of one kind of mark (shape, light or dark, size) under one imaging condition; rms and bias are per axis.
 
     Attributes:
         shape: shape of the mark.
-        light: whether it is lighter than its ground.
-        size_px: its size.
+        light: whether the mark is lighter than its ground.
+        size_px: size of the mark.
         condition: name of the imaging condition.
         found: number of marks that were found.
         of: number of marks that were rendered.
@@ -61,22 +61,22 @@ class MarkErrors:
     bias_px: tuple[float, float]
     largest_px: float
     claimed_px: float
-    """Standard deviation that the detector reports, rms; `said_px` in JSON."""
+    """Standard deviation that the detector reports, rms over all marks. Its key in JSON is `said_px`."""
     bound_px: float
-    """Cramér-Rao bound, median."""
+    """Cramér-Rao bound of the error per axis, median over all marks."""
     paper_rms_px: float | None
     """Rms error of the paper's method; None if it found no mark."""
     ms: float
-    """CPU time per mark in its predicted area, median."""
+    """CPU time to locate one mark near its predicted centre, median."""
 
 
 _NAMES = {"circle": "disc"}
-"""Names in tables and plots where they differ from the shape's."""
+"""Shape → its name in tables and plots, if that differs from the shape's own name."""
 
 
 @dataclass(frozen=True)
 class MarkCurve:
-    """Error along x over the fraction of a pixel, px, of light marks of one size without noise."""
+    """Error along x over the sub-pixel fraction of the true centre, for light marks of one size without noise."""
 
     shape: str
     size_px: float
@@ -92,12 +92,12 @@ class MarkFigures:
     rows: tuple[MarkErrors, ...]
     curves: tuple[MarkCurve, ...]
     material: str
-    """Name of the board for the search of whole frames."""
+    """Name of the board whose whole frames were searched."""
     whole_frame_ms: float
-    """CPU time of the search of a whole frame, median over a board, without the reduction to a quarter of its size."""
+    """CPU time to search a whole frame for marks, without the reduction to quarter size; median over a board."""
 
     def document(self) -> dict[str, Any]:
-        """Return the figures for JSON."""
+        """Return the figures as a dictionary for JSON."""
         document = asdict(self)
         # "said_px" is the key of the JSON file, which programs outside may read.
         document["rows"] = [_renamed(row, "claimed_px", "said_px") for row in document["rows"]]
@@ -126,11 +126,11 @@ class MarkFigures:
 def measure_marks(
     positions: int = 24, board: BenchmarkBoard | None = None, sizes_px: Sequence[float] = SIZES_PX
 ) -> MarkFigures:
-    """Measure marks of all kinds at random sub-pixel positions, the same at each call.
+    """Measure marks of all kinds at random sub-pixel positions, which are the same at each call.
 
     Args:
         positions: number of marks of each kind and condition.
-        board: the board for the search of whole frames; by default one of the twin.
+        board: the board whose whole frames are searched; None: a board of the twin.
         sizes_px: sizes of the marks.
     """
     threads = cv2.getNumThreads()
@@ -146,7 +146,7 @@ def measure_marks(
 
 
 def measure_mark_kind(shape: Shape, light: bool, size_px: float, positions: int) -> Iterator[MarkErrors]:
-    """Measure one kind of mark under each condition."""
+    """Measure one kind of mark at `positions` random positions; yield its errors under each imaging condition."""
     g, side = np.random.default_rng(7), 2 * round(1.5 * size_px + 12) + 1
     truths = (side - 1) / 2 + g.uniform(-0.5, 0.5, (positions, 2))
     plain = [render_mark(shape, light, size_px, at, side, False) for at in truths]
@@ -202,7 +202,7 @@ def measure_s_curve(shape: Shape, steps: int = 20) -> MarkCurve:
     ours: list[float] = []
     theirs: list[float | None] = []
     for fraction in fractions:
-        # Off the pixel centre along y as well: there a mark's samples would be symmetric, which is a special case.
+        # The mark is off the pixel centre along y as well: at the centre its symmetric samples are a special case.
         truth = np.array([(side - 1) / 2 + fraction, (side - 1) / 2 + 0.2])
         image, _ = apply_condition(render_mark(shape, True, _S_CURVE_PX, truth, side, False), "clean", g)
         mark = locate_mark(image, truth, shape, _S_CURVE_PX)
@@ -226,7 +226,7 @@ def _whole_frame_ms(board: BenchmarkBoard) -> float:
 
 
 def _renamed(row: dict[str, Any], name: str, key: str) -> dict[str, Any]:
-    """Return a row with one entry under another name, at the same place."""
+    """Return a copy of `row` in which the entry `name` has the name `key`. The order of the entries is kept."""
     return {key if k == name else k: v for k, v in row.items()}
 
 

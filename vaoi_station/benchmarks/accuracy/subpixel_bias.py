@@ -2,8 +2,8 @@
 
 On a conveyor the fraction is the same everywhere in an image. The bias therefore does not average out over the links
 of two frames, and a chain of rows adds it up. Digital image correlation calls its graph the S-curve. The images are
-sums of sinusoids, rendered exactly at any shift, rounded to whole grey levels, with noise. Lucas-Kanade of OpenCV is
-measured beside our refinement.
+sums of sinusoids, which can be rendered exactly at any shift; noise is added and grey levels are rounded. OpenCV's
+Lucas-Kanade method is measured for comparison with our refinement.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _SIDE_PX, _STEP_PX, _BORDER_PX = 420, 26, 40
 _FINEST_PX, _COARSEST_PX, _WAVES = 4.5, 60.0, 120
 _CONTRAST = 30.0
 _WHOLE_PX = (3.0, -2.0)
-"""Shift in whole pixels, to which the fractions are added."""
+"""Whole-pixel part (x, y) of the shift between the two images; each fraction is added to it."""
 FRACTIONS = tuple(round(-0.5 + 0.05 * n, 2) for n in range(21))
 
 
 @dataclass(frozen=True)
 class BiasCurve:
-    """Mean errors of many patches along the motion, px, over the fraction of a pixel.
+    """Mean error of many patches along the direction of motion, over the fraction of a pixel by which the image moves.
 
     Attributes:
         axis: direction of the motion, "x" or "y".
@@ -69,7 +69,7 @@ class BiasFigures:
         return draw_bias_panels(panels, title, ("ours", "Lucas-Kanade"))
 
     def lines(self) -> Iterator[str]:
-        """Yield one line of text per axis and noise."""
+        """Yield one line of text for each axis and each noise."""
         for p in self.curves:
             theirs = max(abs(e) for e in p.lucas_kanade_px)
             yield (
@@ -79,7 +79,7 @@ class BiasFigures:
 
 
 def measure_subpixel_bias(noises: tuple[float, ...] = (0.0, 2.0), seed: int = 11) -> BiasFigures:
-    """Measure the bias along x and y, without and with noise."""
+    """Measure the bias along x and y for each standard deviation of the noise, in grey levels."""
     return BiasFigures(tuple(_bias_curve(axis, noise, seed) for noise in noises for axis in ("x", "y")))
 
 
@@ -95,7 +95,7 @@ def _bias_curve(axis: str, noise: float, seed: int) -> BiasCurve:
         shift = np.array(_WHOLE_PX)
         shift[along] += fraction
         b = _image(texture, (float(shift[0]), float(shift[1])), noise, g)
-        # The whole part of the shift is given, as the coarse search finds it; only the fraction is measured.
+        # The refinement starts at the whole-pixel shift, as after the coarse search. So only the fraction is measured.
         start = patch_centres(pixels) + np.round(shift)
         found = match_patches(a, b, pixels, start)
         ours.append(float((found.b_px - patch_centres(pixels) - shift)[found.found, along].mean()))
@@ -119,7 +119,7 @@ def _image(texture: Texture, shift: tuple[float, float], noise: float, g: np.ran
 
 
 class Texture:
-    """Sum of sinusoids in random directions about grey 128; the shortest wave is one that a lens still resolves."""
+    """Texture as a sum of sinusoids in random directions about grey 128. A lens still resolves the shortest wave."""
 
     def __init__(self, g: np.random.Generator) -> None:
         direction = g.uniform(0, 2 * math.pi, _WAVES)
@@ -128,7 +128,7 @@ class Texture:
         self._phase = g.uniform(0, 2 * math.pi, _WAVES)
 
     def render(self, shift: tuple[float, float]) -> Floats:
-        """Render (420, 420) grey levels with the origin of the texture at pixel `shift`."""
+        """Render the texture as (420, 420) grey levels, with its origin at the pixel position `shift` (x, y)."""
         # Separable: a sum over waves of a row factor times a column factor, so one matrix product gives the image.
         at = np.arange(_SIDE_PX)
         across = np.exp(2j * math.pi * self._x[:, None] * (at - shift[0]))

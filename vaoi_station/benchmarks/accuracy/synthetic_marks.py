@@ -20,7 +20,7 @@ CONDITIONS: dict[Condition, str] = {
     "copper": "clean, with a track as bright as the mark 0.3 sizes from its edge, on one side",
 }
 _FINE = 5
-"""Samples per axis in a pixel."""
+"""Number of samples per pixel along each axis, from which a pixel's grey level is averaged."""
 _LIGHT, _DARK = 200.0, 50.0
 """Grey levels of mark and ground, or of ground and mark."""
 _SHOT, _READ = 0.03, 1.5
@@ -29,13 +29,13 @@ _VIGNETTE, _FRAME_PX = 0.25, (1392, 1040)
 
 
 def render_mark(shape: Shape, light: bool, size_px: float, at: Floats, side: int, copper: bool) -> Floats:
-    """Render a mark, blurred by 0.6 px.
+    """Render a mark on a ground, blurred by 0.6 px.
 
     Args:
-        shape: its shape.
+        shape: shape of the mark.
         light: whether the mark is lighter than its ground.
-        size_px: its size.
-        at: (2,) its centre, px.
+        size_px: size of the mark.
+        at: (2,) centre of the mark, px.
         side: width and height of the image.
         copper: whether a track runs beside the mark.
 
@@ -54,7 +54,7 @@ def render_mark(shape: Shape, light: bool, size_px: float, at: Floats, side: int
 
 
 def apply_condition(image: Floats, condition: Condition, g: np.random.Generator) -> tuple[NDArray[np.uint8], Floats]:
-    """Return an image taken under a condition, and the variance of the noise of each pixel."""
+    """Return the image as a camera takes it under an imaging condition, and the noise variance of each pixel."""
     side = len(image)
     at = np.arange(side) - (side - 1) / 2
     if condition == "slope":
@@ -72,9 +72,14 @@ def apply_condition(image: Floats, condition: Condition, g: np.random.Generator)
 
 
 def cramer_rao_px(image: Floats, variance: Floats) -> float:
-    """Return the Cramér-Rao bound of the centre, px per axis, if nothing but the centre is unknown."""
+    """Return the Cramér-Rao bound of a mark's centre, px per axis, assuming that only the centre is unknown.
+
+    Args:
+        image: grey levels of the mark without noise.
+        variance: noise variance of each pixel.
+    """
     waves = 2j * np.pi * np.fft.fftfreq(len(image))
-    # Derivatives by Fourier transform: differences of neighbouring pixels would make edges softer than they are.
+    # Derivatives come from the Fourier transform: differences of neighbouring pixels would make edges softer.
     spectrum = np.fft.fft2(image)
     gx, gy = (np.fft.ifft2(spectrum * way).real for way in (waves[None], waves[:, None]))
     information = np.array([[(a * b / variance).sum() for b in (gx, gy)] for a in (gx, gy)])
@@ -82,7 +87,7 @@ def cramer_rao_px(image: Floats, variance: Floats) -> float:
 
 
 def _covered(shape: Shape, x: Floats, y: Floats, size: float) -> Floats:
-    """Return the share of each sample that a shape at the origin covers."""
+    """Return the share of each sample at (x, y), px, that a shape at the origin covers."""
     x, y, r = np.abs(x), np.abs(y), size / 2
     if shape == "circle":
         return _within(np.hypot(x, y) - r)
@@ -94,12 +99,12 @@ def _covered(shape: Shape, x: Floats, y: Floats, size: float) -> Floats:
 
 
 def _within_diagonal(cells: Floats) -> Floats:
-    """Return the share of a sample inside an outline at 45°, from the distance along an axis in samples."""
+    """Return the share of a sample inside an outline at 45°. `cells`: distance to it along an axis, in samples."""
     # Integral of the triangular width of a unit square along its diagonal.
     t = np.clip(cells, -1, 1)
     return np.asarray(np.where(t < 0, 1 - (1 + t) ** 2 / 2, (1 - t) ** 2 / 2))
 
 
 def _within(beyond: Floats) -> Floats:
-    """Return the share of a sample inside an outline; its centre lies `beyond` px outside."""
+    """Return the share of a sample inside an outline. The sample's centre lies `beyond` px outside the outline."""
     return np.asarray(np.clip(0.5 - beyond * _FINE, 0, 1))

@@ -1,4 +1,4 @@
-"""The sender process: it copies prerendered frames into slots of the ring, in place of cameras and network cards.
+"""The sender process, which replaces cameras and network cards: it copies prerendered frames into slots of the ring.
 
 Real frames arrive by DMA and receive threads. A separate process keeps the time of this copying out of the CPU time
 of the station.
@@ -21,7 +21,7 @@ from vaoi_station.runs.host.process_setup import set_up_process
 
 @dataclass(frozen=True)
 class FillRequest:
-    """A request to copy one prerendered frame into a slot; the sender returns it when the slot is filled."""
+    """A request to copy one prerendered frame into a slot. The sender returns the request when the slot is filled."""
 
     camera: int
     row: int
@@ -38,7 +38,7 @@ class FrameSender:
 
 @contextlib.contextmanager
 def run_frame_sender(run: PrerenderedRun) -> Iterator[FrameSender]:
-    """Start the sender process; it ends when this end of the pipe is closed."""
+    """Run the sender process inside a `with` block. The end of the block closes the pipe, and the process ends."""
     spawn = multiprocessing.get_context("spawn")
     here, there = spawn.Pipe()
     process = spawn.Process(target=fill_slots, args=(run, there), name="vaoi-bench-sender", daemon=True)
@@ -55,7 +55,7 @@ def run_frame_sender(run: PrerenderedRun) -> Iterator[FrameSender]:
 
 
 def fill_slots(run: PrerenderedRun, connection: Connection[Any, Any]) -> None:
-    """Fill slots until the pipe ends: receive the path of the ring, then requests; return each request when done."""
+    """Fill slots until the pipe is closed: receive the path of the ring, then requests; send each back when done."""
     set_up_process(one_thread=True)
     frames = run.map()
     with (
@@ -66,5 +66,5 @@ def fill_slots(run: PrerenderedRun, connection: Connection[Any, Any]) -> None:
         while True:
             request: FillRequest = connection.recv()
             ring.memory(request.slot)[:] = frames[request.row, request.camera].reshape(-1)
-            # Only after the copy: the acquisition process takes the returned request as the arrival of the frame.
+            # Sent only after the copy: the acquisition process takes the returned request as the arrival of the frame.
             connection.send(request)

@@ -25,9 +25,9 @@ _FRAMES, _HEAD, _LINE, _DIGEST = "frames.raw", "recording.json", "line.json", "s
 
 @dataclass(frozen=True)
 class PrerenderedRun:
-    """A directory with the frames of one passage, (rows, cameras, h, w) uint8, and all that a station needs with them.
+    """A directory with the frames of one passage and the documents that a station needs to stitch them.
 
-    It holds only a path, so that it can be sent to other processes.
+    The object holds only the path of the directory, so that it can be sent to other processes.
     """
 
     directory: Path
@@ -53,7 +53,7 @@ class PrerenderedRun:
         return parse(Line, read_json(self.directory / _LINE), self.directory / _LINE)
 
     def map(self) -> NDArray[np.uint8]:
-        """Map all frames, (rows, cameras, h, w), read-only and without a copy."""
+        """Return all frames, (rows, cameras, height, width) uint8, as a read-only memory map."""
         with (self.directory / _FRAMES).open("rb") as file:
             # The array keeps the mapping open after the file is closed; processes share its pages in the page cache.
             memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -61,7 +61,7 @@ class PrerenderedRun:
 
 
 def prerender(scenario: Scenario, directory: Path, report: Callable[[str], None] = lambda _: None) -> PrerenderedRun:
-    """Render the first board of a scenario on all cores; reuse the directory if it holds the same scenario.
+    """Render the first board of a scenario on all cores, unless the directory already holds the same scenario.
 
     Args:
         scenario: the board and the line.
@@ -75,10 +75,10 @@ def prerender(scenario: Scenario, directory: Path, report: Callable[[str], None]
     passage = Twin(scenario).passage(0)
     head = passage.head()
     report(f"Drawing a board of {scenario.board.width_mm:.0f} × {scenario.board.length_mm:.0f} mm.")
-    # Cached properties: computed here once, before threads would compute them at the same time.
+    # These cached properties are computed once here, because the threads below would each compute them.
     _ = passage.twin.scene, passage.placements
     directory.mkdir(parents=True, exist_ok=True)
-    # The digest goes first and comes last: an interrupted rendering must not pass for a complete one.
+    # The digest is deleted first and written last, so that an interrupted rendering does not count as complete.
     note.unlink(missing_ok=True)
     report(f"Rendering {head.rows} rows of {len(head.cameras)} cameras.")
     _render(passage, head, directory / _FRAMES)

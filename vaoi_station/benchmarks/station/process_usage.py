@@ -1,4 +1,4 @@
-"""CPU time and private memory of processes, from /proc (proc(5))."""
+"""Read the CPU time and the private memory of processes from /proc (manual page proc(5))."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _UTIME, _STIME = 11, 12
-"""Indices of the fields of /proc/PID/stat after the name of the process."""
+"""Indices of user and system time among the fields of /proc/PID/stat that follow the name of the process."""
 
 
 def cpu_s(pid: int) -> float:
     """Return the CPU time of a process and all its threads, user and system, in steps of one clock tick (10 ms)."""
-    # The name stands in parentheses and may contain spaces and parentheses, so fields count from the last one.
+    # The name in parentheses may itself contain spaces and parentheses, so fields count from the last parenthesis.
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[_UTIME]) + int(fields[_STIME])) / _TICKS_PER_S
 
 
 def private_memory_bytes(pid: int | str = "self") -> int:
-    """Return the anonymous resident memory of a process: without mapped files and shared memory such as the ring."""
+    """Return the anonymous resident memory of a process. It excludes mapped files and shared memory like the ring."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("RssAnon:"):
             return int(line.split()[1]) * 1024
@@ -27,13 +27,13 @@ def private_memory_bytes(pid: int | str = "self") -> int:
 
 
 class CpuMeter:
-    """CPU time that processes have spent since the meter was created."""
+    """Meter of the CPU time that processes spend after its creation."""
 
     def __init__(self, pids: Mapping[str, int]) -> None:
-        """Start to measure the processes, given by name."""
+        """Start to measure; `pids` maps the names of the processes to their ids."""
         self._pids = pids
         self._before = {name: cpu_s(pid) for name, pid in pids.items()}
 
     def read(self) -> dict[str, float]:
-        """Return seconds by name."""
+        """Return process name → CPU time in seconds."""
         return {name: cpu_s(pid) - self._before[name] for name, pid in self._pids.items()}

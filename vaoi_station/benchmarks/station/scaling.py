@@ -1,4 +1,4 @@
-"""Measure CPU time and memory of stitching over the length of the board, each length in a new process."""
+"""Measure how CPU time and memory of stitching grow with the length of the board. Each length runs in a new process."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from vaoi_station.runs.host.process_setup import set_up_process
 from vaoi_station.simulation import Scenario
 
 ROWS = (4, 10, 33, 100, 333)
-"""Rows of the boards; with three cameras 12 to 999 frames."""
+"""Number of rows of each board. With three cameras the boards have 12 to 999 frames."""
 _CAMERAS, _BOARD_WIDTH_MM = 3, 90.0
 _OVERLAP = 1.15
-"""Width of the view over the pitch of the cameras; neighbours overlap despite their mounting errors."""
+"""Width of a camera's view divided by the pitch of the cameras, so that neighbours overlap despite mounting errors."""
 _SAMPLE_S = 0.005
-"""Period of the memory samples."""
+"""Interval between two samples of the memory."""
 
 
 @dataclass(frozen=True)
 class ScalingFigures:
-    """Figures of one board; times are CPU time of one thread after compilation."""
+    """Figures of stitching one board. Times are CPU time of one thread, without compilation."""
 
     frames: int
     rows: int
@@ -39,7 +39,7 @@ class ScalingFigures:
     links_ms_per_frame: float
     conclude_ms_per_frame: float
     own_memory_mb: float
-    """Peak of the private memory during stitching above its value before; frames are mapped and not counted."""
+    """Increase of the private memory during stitching, at its peak. Frames are mapped files and do not count."""
     frames_mb: float
     """Size of all frames."""
     status: str
@@ -58,7 +58,7 @@ def measure_scaling(
     Args:
         scenario: boards, belt and cameras.
         folder: where the frames of the boards are kept.
-        rows: numbers of rows.
+        rows: number of rows of each board.
         report: called with a sentence before each long step.
     """
     found = []
@@ -84,7 +84,7 @@ def long_board(scenario: Scenario, rows: int) -> Scenario:
 
 
 def _stitch_in_new_process(board: PrerenderedRun) -> ScalingFigures:
-    # A new process per board: the allocator keeps freed memory, so a peak would hide the smaller one after it.
+    # Each board needs a new process: the allocator keeps freed memory, so a large peak would hide a later smaller one.
     spawn = multiprocessing.get_context("spawn")
     here, there = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_stitch, args=(board, there), name="vaoi-bench-growth", daemon=True)
@@ -104,7 +104,7 @@ def _stitch_in_new_process(board: PrerenderedRun) -> ScalingFigures:
 
 def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
     set_up_process(one_thread=True)
-    # After `set_up_process`: numeric libraries read their number of threads when they are imported.
+    # Imported after `set_up_process`, because numeric libraries read their number of threads at import.
     import cv2
 
     from vaoi_station.runs.workers.warmup import warm_up
@@ -119,7 +119,7 @@ def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
     times_s = head.row_times_s()
     present = [(camera, row) for row in range(head.rows) for camera in range(len(cameras))]
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
-    # Compiled functions are loaded beforehand; short boards would pay for that in every figure.
+    # Compiled functions are loaded before the measurement, because loading would dominate the figures of short boards.
     warm_up()
     with _PeakMemory() as peak:
         runner = TaskRunner(setup, lambda i, j: frames[j, i])

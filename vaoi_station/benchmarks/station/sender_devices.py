@@ -1,4 +1,4 @@
-"""Cameras and controller for an acquisition process whose frames come from the sender process."""
+"""Camera and controller devices for an acquisition process whose frames come from the sender process."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Playback:
 
     Attributes:
         run: the frames and their trigger times.
-        rate: multiple of the run's own trigger rate.
+        rate: factor on the trigger rate of the prerendered run.
         pause_s: pause between two passes.
     """
 
@@ -47,24 +47,24 @@ class Playback:
 
 
 class SenderConnection:
-    """The acquisition process's end of the pipe to the sender: requests go out, filled slots become arrivals."""
+    """Connection from the acquisition process to the sender: it sends requests and turns replies into arrivals."""
 
     def __init__(self, connection: Pipe) -> None:
         self._connection = connection
         self._pending: dict[int, tuple[int, float]] = {}
-        """Frame id and time stamp by slot."""
+        """Slot → frame id and time stamp of its arrival, for requests without a reply."""
         self._sending = threading.Lock()
         self._arrivals: SimpleQueue[CameraEvent] | None = None
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
-        """Start to put arrivals into a queue; each camera calls this, and only the first call has an effect."""
+        """Start to put arrivals into a queue. Each camera calls this method; only the first call has an effect."""
         if self._arrivals is None:
             self._arrivals = arrivals
             threading.Thread(target=self._receive, name="sender-replies", daemon=True).start()
 
     def request(self, request: FillRequest, frame_id: int, time_s: float) -> None:
-        """Request that a slot is filled; its arrival will carry this frame id and time stamp."""
-        # Before the request is sent, as the reply may arrive on the other thread before `send` returns.
+        """Request that the sender fills a slot. The arrival of the frame will have the given id and time stamp."""
+        # Stored before the request is sent: the other thread may receive the reply before `send` returns.
         self._pending[request.slot] = frame_id, time_s
         with self._sending:
             self._connection.send(request)
@@ -96,8 +96,8 @@ class SenderCamera:
         self._sender.start(arrivals)
 
     def trigger(self, row: int, time_s: float) -> None:
-        """Deliver the frame of a row into the next queued slot; without a slot, the frame is dropped."""
-        # A dropped frame takes an id as well: the counter of a real camera also runs on when memory is lacking.
+        """Deliver the frame of a row into the next queued slot; drop the frame if no slot is queued."""
+        # A dropped frame uses up an id as well: a real camera also counts frames for which there is no memory.
         frame_id = next(self._ids)
         try:
             slot = self._slots.popleft()
@@ -118,7 +118,7 @@ class SenderCamera:
         return numbers
 
     def read_clock(self) -> ClockReading:
-        """Read the clock, which is the controller's."""
+        """Read the camera's clock, which is the same as the controller's clock."""
         return self._clock.read_exactly()
 
     def health(self) -> CameraHealth:
@@ -131,7 +131,7 @@ class SenderCamera:
 
 
 def sender_devices(playback: Playback, sender: Pipe, _: StationConfig) -> Devices:
-    """Build cameras, and a controller that repeats the run at the requested rate without end."""
+    """Return the cameras, and a controller that repeats the run of `playback` at its rate without end."""
     clock, connection, head = DeviceClock(), SenderConnection(sender), playback.run.head
     cameras = tuple(SenderCamera(n, clock, connection) for n in range(len(head.cameras)))
 
@@ -156,7 +156,7 @@ def sender_devices(playback: Playback, sender: Pipe, _: StationConfig) -> Device
 
 
 def acquisition_launcher(config: StationConfig, ring: Path, playback: Playback, sender: Pipe) -> Launch:
-    """Return a function that starts the acquisition process with these devices."""
+    """Return a function that starts an acquisition process with the devices of `sender_devices`."""
 
     def launch() -> tuple[Process, Pipe]:
         spawn = multiprocessing.get_context("spawn")

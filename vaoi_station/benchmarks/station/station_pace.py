@@ -1,4 +1,4 @@
-"""Measure a whole station in real time: frames arrive at the rate of a line, and figures show whether it keeps up."""
+"""Measure a whole station in real time: frames arrive as on a line, and figures show whether the station keeps up."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from vaoi_station.runs.states.schemas import RunDetail, Timeline
 from vaoi_station.station import Station
 
 PAUSE_S = 1.0
-"""Pause between two boards at the run's own rate; it shrinks in proportion at higher rates."""
+"""Pause between two boards at rate 1. At a higher rate the pause is divided by the rate."""
 READY_S = 120.0
 """Time limit until the station is ready: processes start, workers compile and warm up."""
 RUN_LIMIT_S = 180.0
-"""Time limit for one run to end; after it the benchmark stops waiting."""
+"""Time limit for one run to end; after it the benchmark does not wait for further runs."""
 
 
 @dataclass(frozen=True)
 class BoardFigures:
-    """Figures of one run."""
+    """Figures of the run of one board."""
 
     state: str
     status: str
@@ -48,15 +48,15 @@ class BoardFigures:
     lag_first_half_ms: float
     """Time from the arrival of the later of two frames to their link, median over the rows of the first half."""
     lag_second_half_ms: float
-    """The same over the rows of the second half; growth shows that the station falls behind."""
+    """Median of the same time over the rows of the second half. If it is larger, the station falls behind."""
 
 
 @dataclass(frozen=True)
 class RateFigures:
-    """Figures of all boards at one rate; times are wall time unless the name says CPU."""
+    """Figures of all boards at one rate. Times are wall time unless the name contains `cpu`."""
 
     rate: float
-    """Multiple of the run's own trigger rate."""
+    """Factor on the trigger rate of the prerendered run."""
     frames_per_s: float
     """Frame rate of each camera."""
     mbit_per_s: float
@@ -73,11 +73,11 @@ class RateFigures:
     lag_second_half_ms: float
     links_open_at_last_frame: float
     cpu_ms_per_frame: dict[str, float]
-    """By process; `sender` replaces cameras and network cards and is not part of the station."""
+    """Process name → CPU time per frame. `sender` replaces cameras and network cards and is not part of the station."""
     cores: float
     """CPU time of the station's processes over the time in which boards pass, without the gaps between them."""
     sender_cores: float
-    """The same for the sender."""
+    """CPU time of the sender process over the time in which boards pass."""
     memory_mb: dict[str, float]
     """Private memory of each process after the last board; the ring is not counted."""
     statuses: dict[str, int]
@@ -92,7 +92,7 @@ class RateFigures:
 
 
 class StationUsage(NamedTuple):
-    """Use of the machine while the boards passed; mappings go by the name of the process."""
+    """Use of the machine while the boards passed. The keys of the mappings are process names."""
 
     load_before: float
     boards_missed: int
@@ -107,11 +107,11 @@ def measure_station_pace(
 
     Args:
         run: the board, its array and its line.
-        rate: at 2, the line is twice as fast and triggers twice as often, so that the frames are the same.
+        rate: factor on belt velocity and trigger rate. Both grow together, so that the frames stay the same.
         boards: number of boards that pass.
         workers: number of worker processes.
-        folder: for the station's data, which stay there.
-        ring: directory for the ring.
+        folder: folder for the station's files, which are not deleted.
+        ring: directory for the file of the ring.
     """
     config, load = _config(run, rate, workers, folder, ring), os.getloadavg()[0]
     playback = Playback(run, rate, PAUSE_S / rate)
@@ -176,7 +176,7 @@ def _all_ready(coordinator: StationCoordinator) -> bool:
 
 
 def _wait_until(coordinator: StationCoordinator, holds: Callable[[], bool], limit_s: float) -> None:
-    """Wait until a condition holds; raise a StateError after the limit."""
+    """Wait until the function `holds` returns True; raise StateError after `limit_s` seconds."""
     deadline, seen = time.monotonic() + limit_s, 0
     while not holds():
         if time.monotonic() > deadline:
@@ -200,7 +200,7 @@ def _follow(coordinator: StationCoordinator, boards: int) -> list[RunDetail]:
 
 
 def _next(coordinator: StationCoordinator, after: str | None) -> RunDetail | None:
-    """Return the run that ends next after a run, or first of all; None after the time limit."""
+    """Return the run that ends next after the run `after` (None: the first run); None after the time limit."""
     if after is not None:
         return coordinator.next_run(after, RUN_LIMIT_S)
     deadline, seen = time.monotonic() + RUN_LIMIT_S, 0
@@ -240,7 +240,7 @@ def rate_figures(head: RecordingHead, rate: float, each: tuple[BoardFigures, ...
     per_s = rate / head.trigger_period_s
     # Each frame is linked with its predecessor and at most one neighbour.
     links_of_a_row = 2 * len(head.cameras)
-    # Derived from the frames instead of a clock: pauses between boards would make the load look smaller than it is.
+    # Computed from the number of frames, because a clock would include the pauses between boards, with little load.
     passing_s = frames / (per_s * len(head.cameras))
     station_cpu_s = sum(s for name, s in usage.cpu_s.items() if name != "sender")
     return RateFigures(
@@ -274,5 +274,5 @@ def rate_figures(head: RecordingHead, rate: float, each: tuple[BoardFigures, ...
 
 
 def _ms(value: Any) -> float:
-    # A run without a result has no times; infinity keeps it in medians as the slowest.
+    # A run without a result has no times. With infinity it counts as the slowest run in medians.
     return round(float(value), 2) if value is not None else float("inf")

@@ -1,4 +1,4 @@
-"""Format figures of the station and of scaling as Markdown tables, for the terminal and the documentation."""
+"""Format the figures of `station_pace` and `scaling` as Markdown tables, for the terminal and the documentation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vaoi_station.benchmarks.station.station_pace import RateFigures
 
 
 def station_table(figures: Sequence[RateFigures]) -> str:
-    """Return a table with one row per rate."""
+    """Return a table of the station's figures, with one row per rate."""
     head = (
         "rate", "frames/s", "Mbit/s", "boards", "missed", "frames lost", "kept up", "ready ms (median, p99)",
         "conclude ms", "link lag ms", "links open", "cores", "sender cores", "load",
@@ -27,7 +27,7 @@ def process_table(figures: Sequence[RateFigures]) -> str:
 
 
 def scaling_table(figures: Sequence[ScalingFigures]) -> str:
-    """Return a table with one row per board."""
+    """Return a table of the scaling figures, with one row per board."""
     head = ("frames", "rows", "board mm", "components", "links ms/frame", "conclude ms/frame", "own MB", "frames MB")
     return _table(head, [_scaling_row(f) for f in figures])
 
