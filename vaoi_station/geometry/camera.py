@@ -26,7 +26,7 @@ _FOOT_ITERATIONS = 5
 
 @dataclass(frozen=True)
 class Camera:
-    """A calibrated camera; `image_from_row` is the paper's N_i (row 0: tester coordinates)."""
+    """A calibrated camera over the conveyor. Its homography `image_from_row` is the paper's N_i."""
 
     width_px: int
     height_px: int
@@ -37,7 +37,7 @@ class Camera:
 
     @cached_property
     def row_from_image(self) -> Projective:
-        """Undistorted pixels to mm in the calibrated plane."""
+        """The inverse of N_i: homography from undistorted pixels to mm in the calibrated plane."""
         return self.image_from_row.inverse()
 
     @cached_property
@@ -54,8 +54,8 @@ class Camera:
     def foot_mm(self) -> Floats:
         """The point of the calibrated plane vertically below the camera centre, (2,) mm.
 
-        It follows from N_i = K [r1 r2 t], with the focal length for which the camera is at the working distance.
-        If the working distance is unknown, it is the centre of the view, as for a camera without tilt.
+        It is computed from N_i = K [r1 r2 t], with the focal length that puts the camera at the working distance. If
+        the working distance is unknown, the centre of the view is returned, which is exact for a camera without tilt.
         """
         if self.working_distance_mm is None:
             return self.row_from_image(self.center_px)
@@ -72,9 +72,13 @@ class Camera:
         return out
 
     def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
-        """Return the corners of a box, mm, that contains all points visible inside a margin, between two heights.
+        """Return the lowest and the highest corner, mm, of a box that contains all points visible in a frame.
 
         The box is slightly too large, because the border of the frame is sampled and a lens bends it between samples.
+
+        Args:
+            margin_px: width of the strip along the border of the frame that is left out.
+            heights_mm: the lowest and the highest considered height above the calibrated plane.
         """
         # Most callers need the whole frame at height 0, so that box is cached.
         if margin_px == 0 and heights_mm == (0.0, 0.0):
@@ -95,9 +99,10 @@ class Camera:
         return np.asarray(seen.min(0) - extra), np.asarray(seen.max(0) + extra)
 
     def parallax(self, ground_mm: ArrayLike) -> Floats:
-        """Return the offset (..., 2) from ground position (..., 2) to the real position, mm per mm of height.
+        """Return the offset (..., 2) from the ground position of a raised point to its real position, per mm of height.
 
-        Zero if the working distance is unknown.
+        The ground position (..., 2) is where the ray through the point meets the calibrated plane. The offset is 0 if
+        the working distance is unknown.
         """
         ground = np.asarray(ground_mm, dtype=np.float64)
         if self.working_distance_mm is None:
@@ -123,7 +128,7 @@ class Camera:
         return float(x), float(y), 0.0 if self.working_distance_mm is None else 1 / self.working_distance_mm
 
     def image_from_row_at(self, height_mm: float) -> Projective:
-        """Return the homography of the plane at a height: points of that plane to undistorted pixels."""
+        """Return the homography from the plane at a height above the calibrated plane to undistorted pixels."""
         if self.working_distance_mm is None or height_mm == 0:
             return self.image_from_row
         k = height_mm / self.working_distance_mm
@@ -132,7 +137,7 @@ class Camera:
         return Projective(self.image_from_row.matrix @ ground_from_place, System.IMAGE, System.ROW)
 
     def sees(self, raw_px: ArrayLike, margin_px: float = 0.0) -> np.ndarray:
-        """Return whether raw pixels (..., 2) lie inside the frame and off its border by a margin; equation 22."""
+        """Return whether raw pixels (..., 2) lie in the frame, at least `margin_px` off its border; equation 22."""
         # Comparisons with NaN are false: a pixel that cannot be computed counts as outside.
         p = np.asarray(raw_px, dtype=np.float64)
         x, y, low = p[..., 0], p[..., 1], margin_px
@@ -140,7 +145,11 @@ class Camera:
 
 
 def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Return points as (k, 2), heights as (k,) or (1,) for all, and an empty output in the shape of the points."""
+    """Prepare points and heights for the compiled kernels.
+
+    Returns points (k, 2), heights (k,) or one height (1,) for all points, and an uninitialised output array in the
+    shape of the points.
+    """
     p, h = np.asarray(points, dtype=np.float64), np.asarray(height, dtype=np.float64)
     if h.ndim and h.shape != p.shape[:-1]:
         shape = np.broadcast_shapes(p.shape[:-1], h.shape)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from vaoi_station.geometry.transforms import Floats
 
 _NEGLIGIBLE = 1e-12
-"""1 / ρ² of a turning point a million radii out; no point is ever projected there."""
+"""Value of 1 / ρ² below which a turning point is ignored: it lies a million radii away, where no point is projected."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,10 @@ class Lens:
 
     @cached_property
     def shape(self) -> tuple[float, float, float, float, float]:
-        """The centre, the radius, and the raw and the undistorted ρ of the turning point (or ∞)."""
+        """The lens as (x0, y0, R, edge, furthest), in the form that `geometry.projection_kernels` takes.
+
+        It contains the centre, the radius R, and the raw and the undistorted ρ of the turning point (∞ without one).
+        """
         edge = furthest = self.turning_point
         if math.isfinite(edge):
             furthest = edge * (1 + sum(a * edge ** (2 * k) for k, a in enumerate(self.radial, start=1)))
@@ -73,7 +76,7 @@ class Lens:
 
     @cached_property
     def turning_point(self) -> float:
-        """The smallest ρ at which the polynomial stops growing; infinite if it always grows."""
+        """The smallest raw ρ at which the undistorted ρ stops growing; infinite if it always grows."""
         # The derivative of ρ·(1 + a1·ρ² + …) is a polynomial in ρ². Its roots are computed in 1 / ρ², so that a
         # vanishing last coefficient gives a root at 0 and not a division by zero.
         inverse = np.roots([(2 * k + 1) * a for k, a in enumerate((1.0, *self.radial))])

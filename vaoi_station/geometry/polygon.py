@@ -62,6 +62,6 @@ def find_crossing_edges(outline: Sequence[tuple[float, float]]) -> tuple[int, in
 
 
 def _side(a: ArrayLike, b: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
-    """Return -1, 0 or 1: the side of the line from a to b on which a point lies."""
+    """Return the side of the line from a to b on which the point p lies: −1, 0 (on the line) or 1."""
     along, to = np.subtract(b, a), np.subtract(p, a)
     return np.asarray(np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]))

@@ -30,9 +30,16 @@ def ground_to_image(
     lens: LensShape,
     out: Floats,
 ) -> None:
-    """Project points (k, 2) in mm at heights (k,) to raw pixels (k, 2); n is N_i.
+    """Project points to raw pixels, which are written to `out` (k, 2).
 
-    Heights of shape (1,) apply to all points.
+    Args:
+        place: points (k, 2), mm in row coordinates.
+        height: heights (k,) of the points above the calibrated plane, mm, or one height (1,) for all points.
+        viewpoint: foot of the camera and inverse working distance.
+        n: N_i (3, 3).
+        radial: coefficients of the distortion.
+        lens: shape of the distortion.
+        out: raw pixels (k, 2).
     """
     x0, y0, inverse = viewpoint
     for i in range(len(place)):
@@ -54,9 +61,16 @@ def image_to_ground(
     lens: LensShape,
     out: Floats,
 ) -> None:
-    """Project raw pixels (k, 2) to points (k, 2) in mm at heights (k,); n is N_i⁻¹.
+    """Project raw pixels to points at known heights, which are written to `out` (k, 2).
 
-    Heights of shape (1,) apply to all points.
+    Args:
+        raw: raw pixels (k, 2).
+        height: heights (k,) of the points above the calibrated plane, mm, or one height (1,) for all points.
+        viewpoint: foot of the camera and inverse working distance.
+        n: inverse of N_i (3, 3).
+        radial: coefficients of the distortion.
+        lens: shape of the distortion.
+        out: points (k, 2), mm in row coordinates.
     """
     x0, y0, inverse = viewpoint
     for i in range(len(raw)):
@@ -78,9 +92,10 @@ def transfer_points(
     radial_b: Floats,
     lens_b: LensShape,
 ) -> Floats:
-    """Transfer raw pixels (k, 2) of camera a to raw pixels of camera b, through points of the plane.
+    """Return the raw pixels (k, 2) of camera b that show the same points of the calibrated plane as those of camera a.
 
-    The points are shifted by `shift_mm` (2,) between the two exposures.
+    The points move by `shift_mm` (2,) between the exposures of the two cameras. `ground_from_a` is the inverse of N_a,
+    and `b_from_ground` is N_b.
     """
     out, m, n = np.empty((len(raw), 2)), ground_from_a, b_from_ground
     for i in range(len(raw)):
@@ -96,21 +111,21 @@ def transfer_points(
 
 @compiled
 def undistort_points(raw: Floats, radial: Floats, lens: LensShape, out: Floats) -> None:
-    """Convert raw pixels (k, 2) to undistorted pixels."""
+    """Convert raw pixels (k, 2) to undistorted pixels, which are written to `out` (k, 2)."""
     for i in range(len(raw)):
         out[i, 0], out[i, 1] = undistort_point(raw[i, 0], raw[i, 1], radial, lens)
 
 
 @compiled
 def distort_points(points: Floats, radial: Floats, lens: LensShape, out: Floats) -> None:
-    """Convert undistorted pixels (k, 2) to raw pixels."""
+    """Convert undistorted pixels (k, 2) to raw pixels, which are written to `out` (k, 2)."""
     for i in range(len(points)):
         out[i, 0], out[i, 1] = distort_point(points[i, 0], points[i, 1], radial, lens)
 
 
 @inlined
 def _evaluate_polynomial(radial: Floats, rho2: float) -> tuple[float, float]:
-    """Return the factor 1 + a1·ρ² + … and the derivative of ρ·factor, for ρ² in units of R²."""
+    """Return the distortion factor 1 + a1·ρ² + … and the derivative of ρ·factor by ρ, for a given ρ² (`rho2`)."""
     factor, slope, power = 1.0, 1.0, 1.0
     for k in range(len(radial)):
         power *= rho2
@@ -121,7 +136,7 @@ def _evaluate_polynomial(radial: Floats, rho2: float) -> tuple[float, float]:
 
 @inlined
 def undistort_point(u: float, v: float, radial: Floats, lens: LensShape) -> tuple[float, float]:
-    """Convert one raw pixel to an undistorted pixel; for compiled functions."""
+    """Convert one raw pixel (u, v) to an undistorted pixel. Only compiled functions call this function."""
     if len(radial) == 0:
         return u, v
     x0, y0, radius, _, _ = lens
@@ -132,7 +147,7 @@ def undistort_point(u: float, v: float, radial: Floats, lens: LensShape) -> tupl
 
 @inlined
 def distort_point(u: float, v: float, radial: Floats, lens: LensShape) -> tuple[float, float]:
-    """Convert one undistorted pixel to a raw pixel by Newton's method; for compiled functions."""
+    """Convert one undistorted pixel (u, v) to a raw pixel by Newton's method. Only compiled functions call it."""
     if len(radial) == 0:
         return u, v
     x0, y0, radius, edge, furthest = lens

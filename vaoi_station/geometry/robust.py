@@ -1,4 +1,4 @@
-"""Estimates that can fail: they return a value or a `Failure` with the reason.
+"""Robust estimation, and estimates that can fail: these return a value or a `Failure` with the reason.
 
 A failed estimate is a value and not an exception, because the caller decides what it means for the run.
 """
@@ -15,9 +15,9 @@ from vaoi_station.errors import InternalError
 from vaoi_station.geometry.transforms import Floats, Similarity, System
 
 _ROUNDING = 1e-12
-"""Relative difference below which points coincide."""
+"""Largest distance of points that count as coincident, relative to their coordinates: rounding only."""
 _UNRELATED = 1e-12
-"""Share of the target's spread below which a fit explains nothing."""
+"""A fit that explains less than this share of the squared spread of the target points is a failure."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ def fit_similarity(
     """Fit a least-squares similarity of given handedness (four parameters; equation 21 for two points).
 
     Args:
-        target_points: (k, 2).
-        source_points: (k, 2), k ≥ 2, at least two of them different.
+        target_points: (k, 2) points, each the image of the source point with the same index.
+        source_points: (k, 2) points, k ≥ 2, at least two of them different.
         target: system of `target_points`.
         source: system of `source_points`.
         mirrored: whether the mapping changes handedness; it is known and never estimated from the data.
@@ -66,17 +66,30 @@ def fit_similarity(
 
 
 def _coincide(offsets: NDArray[np.complex128], points: Floats) -> bool:
-    """Return whether points differ by rounding errors only."""
+    """Return whether points differ only by rounding errors.
+
+    Args:
+        offsets: (k,) offsets of the points from their mean, as complex numbers.
+        points: (k, 2) the points.
+    """
     return float(np.abs(offsets).max()) <= _ROUNDING * float(np.abs(points).max(initial=0.0))
 
 
 def huber_weights(normalized: Floats, knee: float) -> Floats:
-    """Compute the weights of Huber's M-estimator for residuals in units of their standard deviation."""
+    """Compute the weights of Huber's M-estimator.
+
+    Args:
+        normalized: residuals divided by their standard deviations.
+        knee: absolute value above which a residual loses weight.
+    """
     size = np.abs(normalized)
     return np.asarray(np.where(size <= knee, 1.0, knee / np.maximum(size, 1e-12)))
 
 
 def median_sigma(residuals: ArrayLike) -> float:
-    """Estimate a standard deviation as 1.4826 · median |r| (zero-mean normal data); NaN without data."""
+    """Estimate the standard deviation of residuals r as 1.4826 · median |r|. It is NaN without data.
+
+    The factor is right for normally distributed residuals with mean 0.
+    """
     r = np.asarray(residuals, dtype=np.float64)
     return 1.4826 * float(np.median(np.abs(r))) if r.size else math.nan

@@ -1,4 +1,4 @@
-"""Plane transforms with their source and target coordinate systems; section 3.1 of the paper.
+"""Transforms of the plane that carry their source and target coordinate systems; section 3.1 of the paper.
 
 A transform is named `target_from_source`. A product is valid only if the inner systems are equal, as in
 `image_from_tester @ tester_from_cad`. Matrices are 3×3, act on homogeneous column vectors and are read-only.
@@ -18,7 +18,7 @@ from vaoi_station.errors import InternalError
 
 Floats = NDArray[np.float64]
 _KIND_TOLERANCE = 1e-6
-"""Accepted relative deviation of a matrix from its kind: it covers rounding in products and in files."""
+"""Largest accepted relative deviation of a matrix from a similarity or rigid motion: it covers rounding only."""
 
 
 class System(StrEnum):
@@ -27,13 +27,13 @@ class System(StrEnum):
     CAD = "cad"
     """Coordinates of the CAD data, in the unit of the board type."""
     TESTER = "tester"
-    """mm in the conveyor's plane, fixed to the board; equal to ROW at row 0."""
+    """mm in the conveyor's plane, fixed to the board. In row 0 they are equal to ROW coordinates."""
     ROW = "row"
-    """mm in the conveyor's plane, fixed to the cameras; the board moves through it from row to row."""
+    """mm in the conveyor's plane, fixed to the cameras. The board moves in these coordinates from row to row."""
     IMAGE = "image"
     """Undistorted pixels of one frame; the centre of the top-left pixel is (0, 0)."""
     CROP = "crop"
-    """Pixels of a temporary image; same convention as IMAGE."""
+    """Pixels of a temporary image. The centre of the top-left pixel is (0, 0), as in IMAGE."""
 
 
 def apply(matrix: ArrayLike, points: ArrayLike) -> Floats:
@@ -82,7 +82,7 @@ class Projective:
         return kind(np.asarray(self.matrix @ other.matrix, np.float64), self.target, other.source)
 
     def inverse(self) -> Self:
-        """Return the inverse transform, of the same kind."""
+        """Return the inverse transform. It has the same class as this transform."""
         try:
             inverted = np.asarray(np.linalg.inv(self.matrix), np.float64)
         except np.linalg.LinAlgError as error:
@@ -90,11 +90,11 @@ class Projective:
         return type(self)(inverted, self.source, self.target)
 
     def __call__(self, points: ArrayLike) -> Floats:
-        """Map points of shape (..., 2)."""
+        """Map points (..., 2) from the source system to the target system."""
         return apply(self.matrix, points)
 
     def scale_at(self, point: ArrayLike) -> float:
-        """Return the target units per source unit at a source point: the square root of the area ratio."""
+        """Return the local scale at a source point: target per source units (square root of the area ratio)."""
         p = np.asarray(point, dtype=np.float64)
         w = float(self.matrix[2, :2] @ p + self.matrix[2, 2])
         return math.sqrt(abs(float(np.linalg.det(self.matrix)) / w**3))
@@ -119,12 +119,12 @@ class Similarity(Projective):
 
     @property
     def scale(self) -> float:
-        """Target units per source unit."""
+        """Scale of the similarity: target units per source unit."""
         return math.sqrt(abs(float(np.linalg.det(self.matrix[:2, :2]))))
 
     @property
     def angle_rad(self) -> float:
-        """Direction of the image of the source's x axis."""
+        """Angle of the source's x axis in the target system, from target x towards target y."""
         return math.atan2(self.matrix[1, 0], self.matrix[0, 0])
 
     @classmethod
@@ -158,7 +158,7 @@ class Euclidean(Similarity):
 
 
 def _more_general(a: type[Any], b: type[Any]) -> type[Projective]:
-    """Return the more general of two kinds of transform, which is the kind of their product."""
+    """Return the more general of two classes of transform. It is the class of their product."""
     for kind in (Projective, Similarity, Euclidean):
         if kind in (a, b):
             return kind

@@ -1,7 +1,7 @@
-"""Asymmetry of a mark, as a bound of the error by covers, smudges or glare; compiled.
+"""Asymmetry of a mark: it bounds the error of the centre if a cover, a smudge or glare disturbs the mark.
 
-Each mark and the bare rim around it are point symmetric. If they differ from themselves rotated by 180° about the
-fitted centre by more than vignetting explains, the centre may be displaced by more than its noise.
+A mark and the bare rim around it are point symmetric: a rotation by 180° about the centre does not change them. If the
+image is less symmetric than vignetting explains, the error of the fitted centre may exceed its noise.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 
 _SECTORS = 4
-"""Octants of the upper half; each is compared with the opposite octant."""
+"""Number of octants in the upper half of the mark. Each is compared with the opposite octant."""
 _EDGE_PX = 2.0
 """Distance outside a mark's edge at which its blur ends."""
 _RIM_PX, _RIM = 3.0, 0.25
 """Width of the compared rim in px, and its upper limit as a share of the radius."""
 _NORMAL_SHIFT, _NORMAL_SHIFT_NOISE = 0.01, 3.0
-"""Asymmetry of undisturbed marks: in sizes, and in standard deviations of the centre."""
+"""Largest normal asymmetry of a mark: as a share of its size, and in standard deviations of its centre."""
 _NORMAL_LIGHT, _NORMAL_LIGHT_NOISE = 0.03, 2.0
-"""Asymmetry of the rim of undisturbed marks: in contrasts, and in contrasts per px of the centre's sigma."""
+"""Largest normal asymmetry of a rim: as a share of the contrast, and the same per px of the centre's sigma."""
 _SHIFT_PER_LIGHT = 0.2
-"""Displacement of the centre, in radii, if the light on the rim differs by the whole contrast; measured with light
-spots beside marks."""
+"""Displacement of the centre, as a share of the radius, if the asymmetry of the rim equals the contrast. The value was
+measured with light spots beside marks."""
 _COMMON_FACTOR = 2.0
-"""A cover or glare affects all detections of a fiducial alike and does not average out, but the adjustment takes
-detections as independent."""
+"""Factor that makes up for correlated errors. A cover or glare displaces all detections of a fiducial alike, but the
+adjustment treats detections as independent."""
 
 
 def asymmetry_sigma_px(
     image: NDArray[np.uint8], px: tuple[float, float], size_px: float, contrast: float, sigma_px: float
 ) -> float:
-    """Estimate the standard deviation of a centre per axis (px) by covers and glare; 0 for an undisturbed mark.
+    """Estimate the standard deviation per axis (px) that covers and glare add to a centre; 0 for an undisturbed mark.
 
     Args:
         image: (h, w); the mark and some pixels around it should lie inside.
@@ -45,7 +45,7 @@ def asymmetry_sigma_px(
     """
     radius = size_px / 2
     odd, light = measure_asymmetry(image, *px, radius, radius + _EDGE_PX + min(_RIM_PX, _RIM * radius), contrast)
-    # Only the part beyond that of undisturbed marks counts: the noise is already in `sigma_px`.
+    # Only the asymmetry beyond that of undisturbed marks counts, because `sigma_px` already contains the noise.
     covered = max(odd - _NORMAL_SHIFT * size_px - _NORMAL_SHIFT_NOISE * sigma_px, 0.0)
     glare = _SHIFT_PER_LIGHT * radius * max(light - _NORMAL_LIGHT - _NORMAL_LIGHT_NOISE * sigma_px, 0.0)
     return _COMMON_FACTOR * math.hypot(covered, glare)
@@ -55,11 +55,11 @@ def asymmetry_sigma_px(
 def measure_asymmetry(
     image: NDArray[np.uint8], x: float, y: float, radius: float, reach: float, contrast: float
 ) -> tuple[float, float]:
-    """Measure the asymmetry of a mark as a shift of its centre in px, and that of its rim in contrasts.
+    """Measure the asymmetry of a mark, as a shift of its centre in px, and of its rim, as a share of the contrast.
 
     In each sector, the excess of light over the opposite sector, divided by the contrast and the arc length, is a
-    displacement of the edge. A shift t of the whole mark gives t·cos θ in a sector at θ, which is t/√2 in the root mean
-    square. For the rim it is the mean difference, divided by the contrast, likewise.
+    displacement of the edge. A shift t of the whole mark gives t·cos θ in a sector at angle θ, and t/√2 as the root
+    mean square of all sectors. The asymmetry of the rim follows likewise from mean differences.
 
     Args:
         image: (h, w).
@@ -86,7 +86,7 @@ def measure_asymmetry(
             above = image[i, j] * (1 - across) + image[i, j + 1] * across
             below = image[i + 1, j] * (1 - across) + image[i + 1, j + 1] * across
             off = image[row, column] - above * (1 - down) - below * down
-            # An octant from two comparisons, without an arc tangent per pixel.
+            # Two comparisons give the octant and save an arc tangent per pixel.
             sector = (1 if u > 0 else 0) + (2 if abs(u) > abs(v) else 0)
             if r < edge:
                 excess[sector] += min(edge - r, 1.0) * off

@@ -1,4 +1,4 @@
-"""Compiled loops of the candidate search: pixels that stand out from the rim around them and match the template."""
+"""Compiled loops of the candidate search: find pixels that differ from the rim around them and match the template."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from vaoi_station.geometry.transforms import Floats
 RING = 16
 """Number of samples on the bare rim around a mark."""
 _MAX_DEVIANT = 4
-"""Number of samples that may be covered by something else."""
+"""Number of samples on the rim that may differ, because something covers the rim there."""
 _MIN_DIFFERENCE = 8
-"""Smallest difference between a mark and its rim, grey levels."""
+"""Smallest accepted difference between a mark and its rim, in grey levels."""
 
 
 def ring_offsets(radius_px: float) -> NDArray[np.int_]:
-    """Compute offsets (RING, 2), x and y in whole pixels, on a circle; the first lies on the x axis."""
+    """Compute the offsets (RING, 2) of the rim samples from the centre, x and y in whole pixels.
+
+    They lie on a circle. The first one lies on the x axis.
+    """
     angle = 2 * np.pi * np.arange(RING) / RING
     return np.rint(radius_px * np.stack([np.cos(angle), np.sin(angle)], -1)).astype(np.int_)
 
@@ -26,7 +29,9 @@ def ring_offsets(radius_px: float) -> NDArray[np.int_]:
 def scan_candidates(
     image: NDArray[np.uint8], template: NDArray[np.float32], ring: NDArray[np.int_], near: int, least_score: float
 ) -> Floats:
-    """Find pixels (k, 3) that stand out from their rim and match the template: x, y, absolute correlation.
+    """Find pixels that differ from the rim around them and match the template.
+
+    Returns x, y and the absolute correlation of each pixel found, (k, 3).
 
     Args:
         image: (h, w).
@@ -42,7 +47,7 @@ def scan_candidates(
     rim_below, rim_above = np.zeros(w, np.int16), np.zeros(w, np.int16)
     found, count, window = np.empty((256, 3)), 0, np.empty(template.size, np.float32)
     for y in range(edge, h - edge):
-        # Three tests of growing cost: most pixels fail the first, which runs on a whole line in vector registers.
+        # Three tests follow, each more expensive than the one before. Most pixels fail the first, which is vectorised.
         _contrast_line(image, y, edge, reach, near, rim_below, rim_above)
         for x in range(edge, w - edge):
             if rim_below[x - edge] == 0 and rim_above[x - edge] == 0:
@@ -72,9 +77,11 @@ def _contrast_line(
     rim_below: NDArray[np.int16],
     rim_above: NDArray[np.int16],
 ) -> None:
-    """Compute for one line the grey level below (above) which the rim must be; 0 if a pixel does not stand out.
+    """Test one line of pixels for a contrast between core and rim, with four samples on the rim and five in the core.
 
-    At least three of four samples on the rim must be darker, or lighter, than all five of the core.
+    A pixel passes if at least three rim samples are darker than all core samples, or if at least three are lighter. For
+    a pixel that passes, `rim_below` is the grey level that the rim must not exceed, or `rim_above` the level that it
+    must reach. Otherwise both are 0.
     """
     last = image.shape[1] - edge
     core, over, under = image[y, edge:last], image[y - near, edge:last], image[y + near, edge:last]
@@ -97,7 +104,7 @@ def _contrast_line(
 def _has_bare_rim(
     image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], rim_below: int, rim_above: int
 ) -> bool:
-    """Return whether enough of the rim is as dark as `rim_below` or, if that is 0, as light as `rim_above`."""
+    """Return whether nearly all rim samples are at most `rim_below` or, if `rim_below` is 0, at least `rim_above`."""
     deviant = 0
     for k in range(RING):
         v = image[y + ring[k, 1], x + ring[k, 0]]
@@ -111,7 +118,10 @@ def _has_bare_rim(
 def _correlation(
     image: NDArray[np.uint8], template: NDArray[np.float32], left: int, top: int, window: NDArray[np.float32]
 ) -> float:
-    """Compute the absolute zero-mean normalised correlation of a window with a normalised template."""
+    """Compute the absolute normalised correlation of an image window with a template; means are subtracted.
+
+    The corner of the window is at (left, top). `window` is work space for its pixels.
+    """
     side = template.shape[0]
     for v in range(side):
         line, part = image[top + v, left : left + side], window[v * side : (v + 1) * side]
@@ -119,7 +129,7 @@ def _correlation(
             part[u] = line[u]
     weights = template.ravel()
     total = square = product = np.float32(0)
-    # Relative to the first pixel the sums of 8-bit values stay small enough to be exact in single precision.
+    # The first pixel is subtracted, so that the sums stay small enough to be exact in single precision.
     for k in range(side * side):
         p = window[k] - window[0]
         total += p
@@ -131,12 +141,12 @@ def _correlation(
 
 @compiled
 def suppress_non_maxima(hits: Floats, apart: int, most: int) -> NDArray[np.int64]:
-    """Select hits by non-maximum suppression: no two are within `apart` pixels along both axes.
+    """Select the best hits, so that no two selected hits are within `apart` pixels along both axes.
 
     Args:
-        hits: (k, 3) x, y, score, the best first.
+        hits: (k, 3) x, y and score, sorted by score, best first.
         apart: size of the suppressed neighbourhood, px.
-        most: largest number of hits.
+        most: largest number of selected hits.
 
     Returns:
         Indices of the selected hits.

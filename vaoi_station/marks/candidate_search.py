@@ -1,7 +1,7 @@
-"""Candidate search: positions in a reduced frame that look like a mark of a few pixels.
+"""Candidate search: find positions in a reduced frame that look like a mark.
 
-Pixels that do not stand out from a bare rim all around are skipped (`candidate_kernels`); the others are correlated
-with a template. The compared square fits into the bare rim, so that objects beyond it have no effect.
+A mark is surrounded by a bare rim. Pixels without such a rim around them are skipped (`candidate_kernels`), and all
+others are correlated with a template. The template lies within the rim, so that objects beyond the rim have no effect.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from vaoi_station.marks.candidate_kernels import ring_offsets, scan_candidates, 
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape, coverage
 
 SURROUND = 2.0
-"""Diameter of the compared disc in sizes of the mark: the mark and the bare rim that board makers leave around it."""
+"""Diameter of the compared disc divided by the size of the mark. It covers the mark and the bare rim around it."""
 _MIN_SIZE_PX = 5.0
 _MIN_CORRELATION = 0.75
 _RIM_SHARE, _RIM_PX = 0.2, 1.25
-"""Distance of the sampled rim from the edge of the mark, in sizes, and its lower limit in px."""
+"""Distance of the rim samples from the edge of the mark, as a share of its size, and the lower limit in px."""
 _CORE_SHARE = 0.22
-"""Distance from the centre along the axes, in sizes, within which every shape is filled."""
+"""Reach of the core as a share of the size: every shape is filled along the axes up to this distance."""
 
 
 def reduction_factor(size_px: float) -> int:
-    """Return the largest power of two by which a frame can be reduced so that the mark keeps five pixels."""
+    """Return the largest power of two by which a frame can be reduced so that a mark still measures five pixels."""
     return 2 ** max(int(math.log2(size_px / _MIN_SIZE_PX)), 0) if size_px > _MIN_SIZE_PX else 1
 
 
 def find_candidates(
     image: NDArray[np.uint8], shape: Shape, size_px: float, most: int = 16, *, arm: float = CROSS_ARM
 ) -> tuple[Floats, Floats]:
-    """Find candidates for a mark, light on dark or dark on light.
+    """Find candidates for a mark in an image. The mark may be light on dark or dark on light.
 
     Args:
         image: (h, w), reduced so that `size_px` is at least about five.
@@ -50,7 +50,7 @@ def find_candidates(
     if min(image.shape) <= 2 * max(len(template) // 2, int(ring[0, 0])):
         return np.zeros((0, 2)), np.zeros(0)
     image = np.ascontiguousarray(image).view()
-    # Numba compiles a separate version for writeable arrays; read-only everywhere means one version.
+    # Numba compiles separate versions for writeable and read-only arrays, so all images are passed as read-only.
     image.flags.writeable = False
     hits = scan_candidates(image, template, ring, near, _MIN_CORRELATION)
     hits = hits[np.argsort(-hits[:, 2], kind="stable")]
@@ -60,12 +60,12 @@ def find_candidates(
 
 @lru_cache(maxsize=64)
 def _template(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.float32], NDArray[np.int_], int]:
-    """Return the template (mean 0, square sum 1), the offsets of the rim, and the reach of the core along the axes."""
+    """Return the template (mean 0, square sum 1), the offsets of the rim samples, and the reach of the core in px."""
     side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
     template = coverage(shape, size_px, side, arm=arm)
     template -= template.mean()
     template /= np.sqrt((template**2).sum())
-    # The rim must clear the corners of a square too; the other shapes lie within a circle of their size.
+    # The corners of a square lie outside the circle with the diameter of its size. The other shapes lie inside.
     outermost = size_px / 2 * (math.sqrt(2) if shape == "square" else 1)
     rim = outermost + max(_RIM_SHARE * size_px, _RIM_PX)
     return template, ring_offsets(rim), max(round(_CORE_SHARE * size_px), 1)

@@ -1,6 +1,6 @@
 """The paper's localisation of a mark (section 3.2): template matching, thresholding, centre of gravity.
 
-It serves as a baseline for benchmarks. Shading over the mark and copper beside it displace the centre of gravity.
+It is only a baseline for benchmarks: shading over the mark and copper beside it displace the centre of gravity.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def locate_by_centre_of_gravity(
     arm: float = CROSS_ARM,
     reach_px: float = 20.0,
 ) -> Floats | Failure:
-    """Locate a mark in raw pixels, (2,), with the paper's method.
+    """Locate a mark with the paper's method, and return its centre (2,) in raw pixels.
 
     Args:
         image: (h, w) full frame.
@@ -45,10 +45,10 @@ def locate_by_centre_of_gravity(
     if min(patch.shape) < side:
         return Failure(f"the mark near ({x}, {y}) px is cut off by the frame's border")
     template = np.round(coverage(shape, size_px, side, arm=arm) * (200 if light else -200) + (20 if light else 220))
-    # Grey levels of the template do not matter: the normalised correlation is invariant to gain and offset.
+    # The grey levels of the template are arbitrary, because the normalised correlation ignores gain and offset.
     surface = cv2.matchTemplate(patch, template.astype(np.uint8), cv2.TM_CCOEFF_NORMED)
     _, score, _, (left, top) = cv2.minMaxLoc(surface)
-    # `not >=`, because the correlation of a constant window is NaN.
+    # `not >=` also catches NaN, which is the correlation of a constant window.
     if not score >= _MIN_CORRELATION:
         return Failure(f"correlation {score:.2f} near ({x}, {y}) px is below {_MIN_CORRELATION}")
     window = patch[top : top + side, left : left + side]

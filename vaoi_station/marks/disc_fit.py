@@ -1,9 +1,10 @@
-"""Least-squares fit of a blurred disc to pixels, which gives its centre; compiled.
+"""Least-squares fit of a blurred disc to the pixels of a mark, which gives the centre of the mark; compiled.
 
-Grey level = (ground + contrast · ½ erfc((r − R) / (√2 σ))) · (1 + gx·u + gy·v), with (u, v) and r from the centre.
-Unknown are the centre, both grey levels, the radius R, the blur σ and the gradient (gx, gy) of the illumination.
-Deviations from the model (curvature of vignetting, the real blur of a lens) are even functions about the centre, and
-the effect of a shift is odd. They are orthogonal, so these deviations do not displace the centre.
+Grey level = (ground + contrast · ½ erfc((r − R) / (√2 σ))) · (1 + gx·u + gy·v), where (u, v) is the offset of a pixel
+from the centre and r its length. The unknowns are the centre, the grey levels `ground` and `contrast`, the radius R,
+the blur σ and the gradient (gx, gy) of the illumination. Deviations from the model, such as the curvature of vignetting
+or the real blur of a lens, are even functions about the centre. The effect of a shift is an odd function. Even and odd
+functions are orthogonal, so these deviations do not displace the centre.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from vaoi_station.marks.small_cholesky import position_variance, solve_cholesky
 FITTED, NO_EDGE, TOO_FAR = 0, 1, 2
 _COARSE_STEPS = 8
 _COARSE_BLUR, _COARSE_REACH, _COARSE_SAMPLES = 0.3, 1.45, 3.0
-"""Blur and reach of the coarse stage, in radii, and its samples per radius."""
+"""Coarse stage: blur and reach as shares of the radius, and number of samples per radius."""
 _MIN_BLUR_PX, _RIM_PX, _MAX_REACH = 0.4, 3.5, 1.9
-"""Smallest blur; width of the fitted rim outside the disc; largest fitted distance from the centre, in radii."""
+"""Fine stage: smallest blur, least width of the fitted rim, and largest reach from the centre divided by the radius."""
 _MIN_CONTRAST = 1.0
 _OUTLIER = 0.1
-"""Share of the contrast beyond which residuals lose weight, so that a reflection or a smudge has little effect."""
+"""Residuals above this share of the contrast lose weight, so that a reflection or a smudge has little effect."""
 
 
 @compiled
@@ -38,7 +39,7 @@ def fit_disc(
     enough_px: float,
     most_steps: int,
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Fit a disc near (x, y).
+    """Fit a disc near the position (x, y).
 
     Args:
         image: (h, w); the disc and its rim must lie inside.
@@ -46,12 +47,13 @@ def fit_disc(
         y: approximate centre, px.
         radius: approximate radius, px.
         furthest: largest accepted distance of the centre from (x, y), px.
-        stride: 1 uses every pixel, 2 every second pixel of every second line.
-        enough_px: a smaller step ends the iteration.
+        stride: stride of the used pixels in both directions: 1 uses all pixels, 2 a quarter of them.
+        enough_px: the iteration ends when a step is shorter than this.
         most_steps: largest number of iterations; an undisturbed disc takes three.
 
     Returns:
-        Code, x, y, standard deviation per axis, radius, blur (σ), ground and contrast in grey levels.
+        Code (`FITTED`, `NO_EDGE` or `TOO_FAR`), centre x and y, standard deviation of the centre per axis, radius, blur
+        σ, ground and contrast. Lengths are in px, the last two in grey levels.
     """
     # Parameters: x, y, gx, gy (odd about the centre), then ground, contrast, radius, blur (even).
     p = np.zeros(8)
@@ -76,7 +78,7 @@ def fit_disc(
     p[7], noise = 1.0, np.inf
     for step in range(most_steps):
         rim = min(radius + max(3 * p[7], _RIM_PX), _MAX_REACH * radius)
-        # Outlier weights start after two steps: before, residuals show the shift that is still to be found.
+        # Outlier weights start after two steps. Before, large residuals come from the shift that is not yet estimated.
         limit = max(3 * noise, _OUTLIER * abs(p[5])) if step > 1 else np.inf
         noise = _normal_equations(image, p, rim, stride, limit, pixels, odd, even)
         if not _update(p, odd, even, True, True):
@@ -102,10 +104,11 @@ def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
     odd: NDArray[np.float64],
     even: NDArray[np.float64],
 ) -> float:
-    """Accumulate the normal equations and return the standard deviation of a pixel.
+    """Accumulate the normal equations of one step, and return the standard deviation of a pixel's grey level.
 
-    The parameters that are odd about the centre (x, y, gx, gy) and the even ones are uncorrelated, so there are two
-    systems of four; their right sides are in column 4. `pixels` (3, n) is work space for offsets and grey levels.
+    The effects of x, y, gx, gy are odd about the centre, those of ground, contrast, radius, blur are even. Odd and even
+    parameters are uncorrelated, so there are two systems of four equations, with right sides in column 4. `pixels` is
+    work space for the offsets and grey levels of n pixels, (3, n). Residuals above `limit` lose weight.
     """
     cx, cy, gx, gy, ground, contrast, radius, blur = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]
     a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = a0e = a1e = a2e = a3e = 0.0
@@ -183,7 +186,11 @@ def _gather_pixels(
     vs: NDArray[np.float64],
     greys: NDArray[np.float64],
 ) -> int:
-    """Gather every stride-th pixel of every stride-th line within reach of the centre; returns their count."""
+    """Gather the pixels within `reach` of the centre, and return their count.
+
+    Only every `stride`-th pixel of every `stride`-th line is used. `us` and `vs` get the offsets from the centre,
+    `greys` the grey levels.
+    """
     left, right = max(math.ceil(cx - reach), 0), min(math.floor(cx + reach), image.shape[1] - 1)
     top, bottom = max(math.ceil(cy - reach), 0), min(math.floor(cy + reach), image.shape[0] - 1)
     count = 0
@@ -192,16 +199,19 @@ def _gather_pixels(
         for column in range(left, right + 1, stride):
             u = column - cx
             us[count], vs[count], greys[count] = u, v, line[column]
-            # Write first and count afterwards: a loop without branches, where a pixel out of reach is overwritten.
+            # The loop has no branch: each pixel is written, but a pixel out of reach is not counted and so overwritten.
             count += u * u + v * v < reach * reach
     return count
 
 
 @inlined
 def _edge_profile(z: float) -> tuple[float, float]:
-    """Compute ½ erfc(z / √2) to 1e-7 (Abramowitz and Stegun 7.1.26) and the normal density; constant beyond |z| = 4."""
+    """Compute ½ erfc(z / √2) and the normal density at z. Beyond |z| = 4 both are constant.
+
+    The error is about 1e-7 (Abramowitz and Stegun 7.1.26).
+    """
     far = min(abs(z), 4.0)
-    # exp(x) = exp(x / 64)^64, with a short series for the 64th: unlike a call of exp, this vectorises.
+    # exp(x) = exp(x / 64)^64, with a short series for exp(x / 64). Unlike a call of exp, this can be vectorised.
     t, q = 1 / (1 + 0.2316418882 * far), -0.5 / 64 * far * far
     e = 1 + q * (1 + q / 2 * (1 + q / 3 * (1 + q / 4 * (1 + q / 5 * (1 + q / 6)))))
     e = e * e
@@ -219,9 +229,10 @@ def _edge_profile(z: float) -> tuple[float, float]:
 def _update(
     p: NDArray[np.float64], odd: NDArray[np.float64], even: NDArray[np.float64], moves: bool, shapes: bool
 ) -> bool:
-    """Make one Gauss-Newton step; returns False if the equations are singular.
+    """Change the parameters p by one Gauss-Newton step. Return False if the equations are singular.
 
-    The grey levels are always free, the centre if `moves`; gradient, radius and blur are free if `shapes`.
+    The grey levels are always estimated. The centre is estimated if `moves` is true, radius and blur if `shapes` is
+    true, and the gradient if both are true.
     """
     if moves:
         unknowns = 4 if shapes else 2

@@ -1,7 +1,7 @@
-"""The shapes of marks, rendered as the share of each pixel that a shape covers.
+"""The shapes of marks, rendered as images of the share of each pixel that the shape covers.
 
-The share follows from the distance to the outline and is ½ if the outline passes through the pixel's centre. It is
-exact along edges parallel to the axes, and right to a few thousandths along a circle of five pixels.
+The share is computed from the distance of the pixel's centre to the outline. It is ½ if the outline passes through the
+centre. It is exact along edges parallel to the axes. For a circle of five pixels its error is a few thousandths.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ CROSS_ARM = 0.25
 def coverage(
     shape: Shape, size_px: float, side_px: int, center_px: tuple[float, float] | None = None, arm: float = CROSS_ARM
 ) -> NDArray[np.float32]:
-    """Compute the share of each pixel that a mark covers, (side, side) in 0…1.
+    """Compute the share (0…1) of each pixel that a mark covers, as an image (side_px, side_px).
 
     Args:
         shape: shape of the mark.
-        size_px: diameter of a circle, side of a square, tip to tip of a cross or diamond.
-        side_px: side of the picture.
-        center_px: centre of the mark; by default that of the picture.
+        size_px: diameter of a circle, side of a square, or length of a cross or diamond from tip to tip.
+        side_px: side of the square image.
+        center_px: centre of the mark; by default the centre of the image.
         arm: width of a cross' arm as a share of its size.
     """
     x, y = center_px or ((side_px - 1) / 2, (side_px - 1) / 2)
@@ -37,7 +37,7 @@ def coverage(
 def _distance(
     shape: Shape, x: NDArray[np.float32], y: NDArray[np.float32], size: float, arm_share: float
 ) -> NDArray[np.float32]:
-    """Compute the distance to the outline, negative inside."""
+    """Compute the distance of points (x, y) to the outline of a shape centred at (0, 0). It is negative inside."""
     r = size / 2
     if shape == "circle":
         return np.asarray(np.sqrt(x * x + y * y) - r)
@@ -45,7 +45,7 @@ def _distance(
         return np.asarray(np.maximum(np.abs(x), np.abs(y)) - r)
     if shape == "diamond":
         return np.asarray((np.abs(x) + np.abs(y) - r) / np.float32(np.sqrt(2)))
-    # A cross is the union of two rectangles, so its distance is the smaller of theirs.
+    # A cross is the union of two rectangles, so its distance is the smaller one of their distances.
     arm = r * arm_share
     across = np.maximum(np.abs(x) - r, np.abs(y) - arm)
     along = np.maximum(np.abs(x) - arm, np.abs(y) - r)

@@ -15,7 +15,7 @@ from vaoi_station.compiled import inlined
 
 @inlined
 def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
-    """Solve the first n equations in place; returns False if they are singular.
+    """Solve the first n normal equations in place. Return False if they are singular.
 
     The upper triangle of `a` (4, 5) holds the matrix and becomes its Cholesky factor. Column 4 holds the right side and
     becomes the solution.
@@ -24,7 +24,7 @@ def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
         largest = a[i, i]
         for k in range(i):
             a[i, i] -= a[k, i] * a[k, i]
-        # What is left of the diagonal is the part of this unknown that the others do not explain; `not >` catches NaN.
+        # The remaining diagonal is the part of this unknown that the others do not explain. `not >` also catches NaN.
         if not a[i, i] > 1e-9 * largest or largest <= 0:
             return False
         a[i, i] = math.sqrt(a[i, i])
@@ -46,7 +46,10 @@ def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
 
 @inlined
 def position_variance(root: NDArray[np.float64]) -> float:
-    """Compute the mean variance of the first two unknowns from the Cholesky factor, for measurements of variance 1."""
+    """Compute the mean variance of the first two unknowns (the position), for measurements of variance 1.
+
+    `root` is the upper Cholesky factor R (4, 4 or wider) of the normal equations.
+    """
     total = 0.0
     row = np.zeros(4)
     # The covariance is R⁻¹·R⁻ᵀ, so a variance is the square sum of one row of R⁻¹.

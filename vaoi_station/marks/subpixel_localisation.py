@@ -1,8 +1,8 @@
-"""Sub-pixel localisation of a mark, to a few hundredths of a pixel.
+"""Sub-pixel localisation of a mark, with errors of a few hundredths of a pixel.
 
-Discs are fitted (`disc_fit`); all other marks are located by their point symmetry (`symmetry_fit`). Both are
-independent of brightness, gain, a gradient of the gain across the mark, and the width of the bare rim. A mark that is
-partly covered or lies in glare gets a large standard deviation (`asymmetry`).
+Discs are located by a fit of their image (`disc_fit`), all other marks by their point symmetry (`symmetry_fit`). The
+results of both methods do not depend on brightness, gain, a gradient of the gain, or the width of the bare rim. A mark
+that is partly covered or lies in glare gets a large standard deviation (`asymmetry`).
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from vaoi_station.marks.mark_shape import CROSS_ARM, Shape
 from vaoi_station.marks.template_correlation import SHAPE_CODE, correlate_with_shape
 
 _COARSE_SIDE = 24
-"""Samples per side of the coarse stage; smaller marks are sampled at every pixel."""
+"""Number of samples across a mark in the coarse stage. Smaller marks are sampled at every pixel."""
 _QUICK_SIDE = 12
-"""Samples per side if the position need not be precise."""
+"""Number of samples across a disc if `precise` is false."""
 _MAX_STEPS, _MAX_QUICK_STEPS = 12, 5
-"""Largest number of iterations of the disc fit: undisturbed discs take three, other objects rarely converge."""
+"""Largest number of iterations of the disc fit, if `precise` is true or false. Undisturbed discs take three."""
 _SMOOTH, _MIN_SMOOTH_PX, _MAX_SMOOTH_PX = 1 / 16, 0.8, 1.5
-"""Blur before the symmetry fit, in sizes, and its limits in px; it removes the aliasing of the sensor."""
+"""Blur before the symmetry fit, as a share of the size, and its limits in px. It removes the aliasing of the sensor."""
 _EDGE_PX = 2.0
-"""Distance from a mark within which its blurred edge has an effect."""
+"""Width of the strip around a mark that its blurred edge affects."""
 _SHARP_PX = 0.67
-"""Blur of an edge of a sharp camera, including the width of a pixel."""
+"""Blur (standard deviation) of an edge in a sharp frame, including the effect of the pixel area."""
 _MIN_CORRELATION = 0.75
 _MIN_CONTRAST = 8.0
 _MIN_SIGMA_PX = 0.005
-"""Lower limit of the claimed standard deviation: systematic errors of lens and sensor remain without noise."""
+"""Lower limit of the standard deviation, because systematic errors of lens and sensor remain even without noise."""
 _MAX_SIZE_ERROR = 0.15
 """Accepted relative difference between the fitted and the nominal diameter of a disc."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A located mark: centre (2,) in px, standard deviation per axis, correlation, and whether it is light on dark."""
+    """A located mark: centre (2,) in raw px, standard deviation per axis, correlation, and polarity (light on dark)."""
 
     px: Floats
     sigma_px: float
@@ -62,7 +62,7 @@ def locate_mark(
     surround: float = SURROUND,
     precise: bool = True,
 ) -> Mark | Failure:
-    """Locate a mark near a position that is right to a third of its size.
+    """Locate a mark near a predicted position, whose error is at most a third of the mark's size.
 
     Args:
         image: (h, w) full frame.
@@ -70,15 +70,15 @@ def locate_mark(
         shape: shape of the mark.
         size_px: size of the mark in this image.
         arm: width of a cross' arm as a share of its size.
-        surround: diameter of the disc that is compared with the shape, in sizes: the mark and the bare rim around it.
-        precise: if false, discs take a third of the time and are accurate to a few hundredths of a pixel.
+        surround: diameter of the disc compared with the shape (mark and bare rim), divided by the size of the mark.
+        precise: if false, the fit of discs takes a third of the time, with errors of a few hundredths of a pixel.
     """
     half = int(np.ceil(surround * size_px / 2)) + 4
     x, y = (round(float(v)) for v in near_px)
     if not (half <= x < image.shape[1] - half and half <= y < image.shape[0] - half):
         return Failure(f"the mark at ({x}, {y}) px is cut off by the frame's border")
     image = image.view()
-    # Numba compiles a separate version for writeable arrays; read-only everywhere means one version.
+    # Numba compiles separate versions for writeable and read-only arrays, so all images are passed as read-only.
     image.flags.writeable = False
     start = float(near_px[0]), float(near_px[1])
     found = (
@@ -101,14 +101,14 @@ def locate_mark(
 
 
 Position = tuple[tuple[float, float], float]
-"""Centre in px, and its standard deviation per axis."""
+"""A centre (x, y) in px, and its standard deviation per axis in px."""
 
 
 def _locate_disc(
     image: NDArray[np.uint8], start: tuple[float, float], size_px: float, precise: bool
 ) -> Position | Failure:
     """Locate a disc by a fit of its image."""
-    # Without `precise`, fewer pixels and larger accepted steps; sigma then has no asymmetry term either.
+    # If not `precise`, the fit uses fewer pixels and ends at larger steps.
     quick = max(round(size_px / _QUICK_SIDE), 1), 0.02, _MAX_QUICK_STEPS
     stride, enough_px, steps = (1, 1e-3, _MAX_STEPS) if precise else quick
     fitted = disc_fit.fit_disc(image, *start, size_px / 2, size_px / 3 + 2, stride, enough_px, steps)
@@ -148,6 +148,9 @@ def _locate_symmetric(
 
 
 def _noise_factor(blur_px: float) -> float:
-    """Return the factor by which correlated noise of a smoothed image displaces an edge more than white noise."""
+    """Return the factor for the standard deviation of a position measured in a smoothed image.
+
+    Smoothing correlates the noise of neighbouring pixels. Such noise displaces an edge more than white noise does.
+    """
     s2, edge2 = blur_px**2, _SHARP_PX**2
     return math.sqrt(4 * math.pi * s2 * math.sqrt((edge2 + s2) / (edge2 + 2 * s2)))

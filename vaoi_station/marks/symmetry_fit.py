@@ -1,8 +1,8 @@
-"""Centre of point symmetry of an image, where it best equals itself rotated by 180°; compiled.
+"""Fit of the centre of point symmetry c: the point about which an image best equals itself rotated by 180°; compiled.
 
-Gauss-Newton on I(c + u) − I(c − u). A gain that increases by a share a per pixel across the mark adds 2·a·u times the
-mean of both. This term is odd in u, like the effect of a shift, so a is estimated too and vignetting does not displace
-the centre.
+Gauss-Newton minimises the differences I(c + u) − I(c − u) of the image I at opposite offsets u. If the gain grows by a
+share a per pixel across the mark, each difference grows by 2·a·u times the mean of both values. This term is odd in u,
+like the effect of a shift. Therefore a is estimated too, so that vignetting does not displace the centre.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from vaoi_station.marks.small_cholesky import position_variance, solve_cholesky
 
 FITTED, UNDETERMINED, TOO_FAR = 0, 1, 2
 BEFORE, AFTER = 2, 3
-"""Number of pixels before and after a position that its value is interpolated from."""
+"""Numbers of pixels before and after a position from which its value is interpolated."""
 _MAX_STEPS, _MAX_STEP_PX = 18, 1.5
 _COARSE_PX, _FINE_PX = 0.05, 1e-3
 """Step lengths that end the coarse and the fine stage."""
 _OUTLIER = 0.15
-"""Share of the contrast beyond which differences lose weight, so that copper on one side has little effect."""
+"""Differences above this share of the contrast lose weight, so that copper on one side has little effect."""
 
 
 @compiled
 def fit_symmetry(
     image: NDArray[np.float32], x: float, y: float, reach: int, furthest: float, coarse: int
 ) -> tuple[int, float, float, float]:
-    """Find the centre of symmetry near (x, y).
+    """Find the centre of point symmetry near the position (x, y).
 
     Args:
-        image: (h, w), smoothed so that interpolation is exact; wider than the square by `furthest` and some pixels.
+        image: (h, w), smoothed so that interpolation is exact. It exceeds the compared square on each side by
+            `furthest` and the pixels that interpolation needs.
         x: approximate centre, px.
         y: approximate centre, px.
         reach: half the side of the square that is compared with itself, px.
@@ -40,14 +41,14 @@ def fit_symmetry(
         coarse: stride of the pixels that the first stage uses.
 
     Returns:
-        Code, x, y, standard deviation per axis.
+        Code (`FITTED`, `UNDETERMINED` or `TOO_FAR`), centre x and y in px, standard deviation per axis in px.
     """
     side = 2 * reach + 3
     window, lines = np.empty((side, side), np.float32), np.empty((side + BEFORE + AFTER, side), np.float32)
     normal = np.zeros((4, 5))
     cx, cy, noise = x, y, 0.0
     for stage in range(2):
-        # Two unknowns on few pixels first; the gain's gradient only matters at the last hundredths of a pixel.
+        # The first stage estimates the centre only, on few pixels. The gradient of the gain has a small effect only.
         stride, enough, unknowns = (coarse, _COARSE_PX, 2) if stage == 0 else (1, _FINE_PX, 4)
         limit = np.inf
         for step in range(_MAX_STEPS):
@@ -77,9 +78,10 @@ def fit_symmetry(
 def _normal_equations(
     window: NDArray[np.float32], stride: int, limit: float, normal: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Accumulate the normal equations of shift and gain gradient, and return the square sum and the weight sum.
+    """Accumulate the normal equations for the shift and the gradient of the gain.
 
-    The right side is in column 4. Differences beyond the limit lose weight.
+    Returns the weighted sum of squared differences, and the sum of weights. The right side is in column 4 of `normal`.
+    Differences above `limit` lose weight.
     """
     last = window.shape[0] - 1
     half = window.shape[0] // 2
@@ -143,7 +145,9 @@ def _interpolate_window(
     window: NDArray[np.float32],
     lines: NDArray[np.float32],
 ) -> None:
-    """Interpolate the square of 2·reach + 1 pixels about a position, with Lagrange polynomials over six pixels.
+    """Interpolate a square of 2·reach + 1 pixels, centred at (x, y), with Lagrange polynomials over six pixels.
+
+    The result is written to `window`; `lines` is work space.
 
     Bilinear interpolation has errors of opposite sign on opposite edges of a mark, which would displace the centre.
     """
@@ -153,7 +157,7 @@ def _interpolate_window(
     _lagrange_weights(x - column, across)
     _lagrange_weights(y - row, down)
     left, top = column - reach - BEFORE, row - reach - BEFORE
-    # Separable: lines first, then columns. The six taps are written out, so that the inner loops vectorise.
+    # Lines are interpolated first, then columns. The six terms are written out, so that the inner loops vectorise.
     for i in range(side + taps - 1):
         line, out = image[top + i, left : left + side + taps - 1], lines[i]
         for j in range(side):
@@ -174,7 +178,7 @@ def _interpolate_window(
 
 @inlined
 def _lagrange_weights(fraction: float, weights: NDArray[np.float32]) -> None:
-    """Compute the weights of pixels −`BEFORE` … `AFTER` for a position `fraction` after pixel 0."""
+    """Compute the interpolation weights of the pixels −`BEFORE` … `AFTER` at position `fraction` px after pixel 0."""
     for i in range(BEFORE + AFTER + 1):
         w = 1.0
         for j in range(BEFORE + AFTER + 1):

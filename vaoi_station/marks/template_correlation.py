@@ -19,7 +19,9 @@ _EDGE_PX = 2.85
 def correlate_with_shape(
     image: NDArray[np.uint8], x: float, y: float, code: int, size: float, arm: float, disc: float
 ) -> tuple[float, float]:
-    """Compute the correlation with a shape, 0…1, and the contrast (mark minus ground) in grey levels.
+    """Compare an image with the shape of a mark at a sub-pixel position.
+
+    Returns the absolute normalised correlation, 0…1, and the contrast (mark minus ground) in grey levels.
 
     Args:
         image: (h, w).
@@ -35,7 +37,7 @@ def correlate_with_shape(
     top, bottom = max(math.ceil(y - reach), 0), min(math.floor(y + reach), image.shape[0] - 1)
     weights = p1 = q1 = pp = qq = pq = 0.0
     r, thin = 0.5 * size, 0.5 * size * arm
-    # One pass over the disc: the shape is computed per pixel, since a template would have to be shifted by a fraction.
+    # The shape is computed for each pixel, because a template would have to be shifted by a fraction of a pixel.
     for row in range(top, bottom + 1):
         v, line = abs(row - y), image[row]
         for column in range(left, right + 1):
@@ -52,7 +54,7 @@ def correlate_with_shape(
                 outside = (u + v - r) * 0.7071067811865476
             else:
                 outside = min(max(u - r, v - thin), max(u - thin, v - r))
-            # The smoothstep polynomial 3t² − 2t³: no call of erf in the inner loop.
+            # The edge is modelled by the smoothstep polynomial 3t² − 2t³, which is faster than erf.
             t = min(max(0.5 - outside / _EDGE_PX, 0.0), 1.0)
             q, p = t * t * (3 - 2 * t), float(line[column])
             weights += weight
@@ -65,7 +67,7 @@ def correlate_with_shape(
         return 0.0, 0.0
     covariance = pq - p1 * q1 / weights
     of_picture, of_artwork = pp - p1 * p1 / weights, qq - q1 * q1 / weights
-    # Without variance in the image, or with a disc inside the mark, the correlation is undefined.
+    # The correlation is undefined if the image is constant, or if the disc lies inside the mark.
     if of_picture <= 1e-6 or of_artwork <= 1e-6:
         return 0.0, 0.0
     return abs(covariance) / math.sqrt(of_picture * of_artwork), covariance / of_artwork

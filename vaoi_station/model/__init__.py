@@ -1,7 +1,7 @@
-"""Frozen data models of a recording, a calibration, a board type, the frames of a run, and a stitch.
+"""Immutable data models: recording, calibration, board type, frames of a run, and stitch (the result of stitching).
 
-Shapes, units and names follow docs/formats.md; `files/` reads and writes the models. Keys that begin with `x_` belong
-to the user: they are kept and ignored. Cameras and rows count from 0.
+Shapes, units and names follow docs/formats.md; the room `files` reads and writes the models. Keys that begin with `x_`
+are free for the user: the software keeps them and does not interpret them. Cameras and rows count from 0.
 """
 
 from vaoi_station.model.board_type import MM_PER_UNIT, BoardType, Component, Fiducial, FixtureMarkShape, Place

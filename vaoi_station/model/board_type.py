@@ -29,7 +29,7 @@ class Fiducial(FrozenModel):
 
 
 class Component(FrozenModel):
-    """One component: centre, size before rotation and rotation of its footprint, in CAD units and degrees."""
+    """One component. Centre and size of its footprint before rotation are in CAD units, its rotation is in degrees."""
 
     ref: Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
     center: Point
@@ -41,7 +41,7 @@ class Component(FrozenModel):
 
     @property
     def address(self) -> str:
-        """`panel/ref` on a panel, else `ref`; unique within a board type."""
+        """Unique address of the component in its board type: `panel/ref` on a panel, otherwise `ref`."""
         return self.ref if self.panel is None else f"{self.panel}/{self.ref}"
 
 
@@ -76,7 +76,7 @@ class BoardType(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        # Counts first: the checks below take time that grows with the square of the number of entries.
+        # Counts are checked first, because the time for the checks below grows with the square of the counts.
         _check_sizes(self)
         _check_unique([c.address for c in self.components], "components")
         _check_unique([f.name for f in self.fiducials], "fiducials")
@@ -105,14 +105,17 @@ class BoardType(FrozenModel):
 
     @property
     def mirrors(self) -> bool:
-        """Whether the mapping from CAD to image changes handedness (docs/formats.md).
+        """Whether the mapping from CAD to image coordinates changes handedness (docs/formats.md).
 
-        It does if either the y axis points up or the bottom side is filmed, but not both.
+        It does so if either the y axis points up or the bottom side is filmed, but not if both are true.
         """
         return (self.y_axis == "up") != (self.side == "bottom")
 
     def extent(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lowest and highest corner of the outline in CAD units; without one, of all placed parts."""
+        """Return the lowest and the highest corner of the board's extent, in CAD units.
+
+        The extent is that of the outline or, without an outline, that of all fiducials and footprints.
+        """
         points: list[Any] = [*(self.outline or ())]
         if not points:
             points = [(f.x, f.y) for f in self.fiducials]
@@ -123,11 +126,11 @@ class BoardType(FrozenModel):
         return p.min(0), p.max(0)
 
     def component(self, address: str) -> Component | None:
-        """Return the component with an address, or None."""
+        """Return the component with the given address, or None if there is none."""
         return next((c for c in self.components if c.address == address), None)
 
     def footprint(self, component: Component) -> NDArray[np.float64]:
-        """Return the corners (4, 2) of a footprint in CAD units."""
+        """Return the four corners (4, 2) of a component's rotated footprint, in CAD coordinates."""
         # Rotation is counter-clockwise with CAD "up" shown up, which is a negative angle if the y axis points down.
         a = math.radians(component.rotation if self.y_axis == "up" else -component.rotation)
         half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (component.width / 2, component.height / 2)
@@ -136,7 +139,7 @@ class BoardType(FrozenModel):
 
 
 def _check_sizes(board: BoardType) -> None:
-    """Raise ValueError for counts, sizes or distances that no real board has."""
+    """Raise ValueError if a board type has more entries, or other sizes or distances, than any real board."""
     for key, most in _MAX_ENTRIES.items():
         if len(getattr(board, key) or ()) > most:
             raise ValueError(f"{key} has {len(getattr(board, key))} entries, the limit is {most}")
@@ -153,6 +156,6 @@ def _check_sizes(board: BoardType) -> None:
 
 
 def _check_unique(names: list[str], what: str) -> None:
-    """Raise ValueError if a name occurs twice."""
+    """Raise ValueError if a name occurs twice. `what` names the list in the message."""
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
         raise ValueError(f"{what} contains {repeated[0]!r} twice; names must be unique")

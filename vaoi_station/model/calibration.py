@@ -12,7 +12,7 @@ from vaoi_station.model.recording import CameraHead
 
 
 class Distortion(FrozenModel):
-    """Radial distortion of one lens; see `geometry.Lens`."""
+    """Radial distortion of one lens: centre and radius in px, and coefficients; see `geometry.Lens`."""
 
     center: Point
     radius: Positive
@@ -20,7 +20,7 @@ class Distortion(FrozenModel):
 
 
 class Calibration(FrozenModel):
-    """The content of calibration.json: camera matrices N_i (tester → undistorted image), lenses and covariances."""
+    """The content of calibration.json: camera matrices N_i (tester → undistorted pixels), lenses and covariances."""
 
     format: Literal["vaoi-calibration"]
     version: Literal[1]
@@ -43,7 +43,7 @@ class Calibration(FrozenModel):
         return self
 
     def cameras(self, heads: tuple[CameraHead, ...]) -> tuple[Camera, ...]:
-        """Return the calibrated cameras for frames of the given sizes."""
+        """Return one calibrated camera per head. The heads give the frame sizes."""
         return tuple(self._camera(i, head) for i, head in enumerate(heads))
 
     def _camera(self, i: int, head: CameraHead) -> Camera:

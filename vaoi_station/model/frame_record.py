@@ -16,26 +16,26 @@ class Verdict(StrEnum):
 
 
 class FrameRecord(FrozenModel):
-    """One (camera, row) of a run: its slot, its final state and the cause, its times and exposure."""
+    """The record of one frame of a run: slot in the ring, final state with its cause, times and exposure."""
 
     camera: int
     row: int
     verdict: Verdict
     cause: str = ""
     slot: int | None = None
-    """Slot of the ring; None if no frame arrived."""
+    """Slot of the ring that holds the frame; None if no frame arrived."""
     frame_id: int | None = None
     camera_time_s: float | None = None
     pulse_error_us: float | None = None
-    """Time stamp minus pulse time, both mapped to the host's clock."""
+    """Time stamp of the frame minus time of its pulse, both converted to the host's clock."""
     exposure_us: float | None = None
-    """Exposure time of the frame, if known."""
+    """Exposure time of the frame; None if unknown."""
     light: str = ""
-    """Light pattern of its row."""
+    """Name of the light pattern of the frame's row."""
 
 
 class Pulse(FrozenModel):
-    """One trigger pulse of all cameras; the time is that of the controller's clock."""
+    """One trigger pulse, which all cameras receive. Its time is in seconds of the controller's clock."""
 
     index: int
     time_s: float

@@ -1,4 +1,4 @@
-"""Base classes and field types of all data models: frozen, and strict about numbers."""
+"""Base classes and field types of all data models. The models are immutable and do not convert strings to numbers."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 
 class Strict(BaseModel):
-    """A frozen model that refuses unknown keys."""
+    """Base class of immutable models that refuse unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class FrozenModel(BaseModel):
-    """A frozen model that refuses unknown keys except the user's `x_…` keys."""
+    """Base class of immutable models that accept the user's `x_…` keys and refuse all other unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="allow", arbitrary_types_allowed=True)
 
@@ -50,7 +50,7 @@ def _parse_matrix(value: Any) -> NDArray[np.float64]:
 
 
 def _is_singular(m: NDArray[np.float64]) -> bool:
-    """Return whether a matrix is singular to rounding."""
+    """Return whether a matrix is singular, apart from rounding errors."""
     # Entries have the units px, mm and 1/mm, so rows and columns are scaled to 1 before the determinant is compared.
     for axis in (1, 0):
         size = np.abs(m).max(axis=axis, keepdims=True)
@@ -61,10 +61,10 @@ def _is_singular(m: NDArray[np.float64]) -> bool:
 
 
 Matrix = Annotated[NDArray[np.float64], BeforeValidator(_parse_matrix), PlainSerializer(lambda m: m.tolist())]
-"""A finite, invertible 3×3 matrix; row-major nested lists in files."""
+"""A finite, invertible 3×3 matrix. Files contain it as nested lists, row by row."""
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, Field(strict=True)]
-"""An integer written as a number; like the types above, it refuses strings and booleans."""
+"""An integer. Like `Finite` and `Positive`, it refuses strings and booleans."""
 Point = tuple[Finite, Finite]

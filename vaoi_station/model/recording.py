@@ -1,4 +1,4 @@
-"""The head of a recording: its cameras, rows and times; the frames are files beside it."""
+"""The head of a recording: its cameras, rows and times. The frames are image files in the same folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class CameraHead(FrozenModel):
 
 
 class RecordingHead(FrozenModel):
-    """The content of recording.json."""
+    """The content of recording.json: cameras, number of rows, pulse times, lights and missing frames."""
 
     format: Literal["vaoi-recording"]
     version: Literal[1]
@@ -52,12 +52,12 @@ class RecordingHead(FrozenModel):
         return self
 
     def row_times_s(self) -> NDArray[np.float64]:
-        """Return the time of each pulse, (rows,) s."""
-        # Measured times come first: the nominal period is only right if the controller kept it.
+        """Return the time of each pulse in seconds, one entry per row."""
+        # Measured times are preferred, because the nominal period is only right if the controller kept it.
         if self.trigger_times_s is not None:
             return np.array(self.trigger_times_s)
         return np.asarray(np.arange(self.rows) * self.trigger_period_s, dtype=np.float64)
 
     def exposure_us(self, camera: int, row: int) -> float:
-        """Return the exposure time of one frame, µs."""
+        """Return the exposure time of one frame in µs."""
         return self.exposures_us[row][camera] if self.exposures_us else self.cameras[camera].exposure_us

@@ -14,7 +14,7 @@ from vaoi_station.model.frozen_model import Finite, FrozenModel, Matrix, Point
 
 
 class Status(StrEnum):
-    """The verdict on a stitch."""
+    """The verdict on the result of stitching a run."""
 
     OK = "ok"
     DEGRADED = "degraded"
@@ -22,9 +22,9 @@ class Status(StrEnum):
 
 
 class Surface(FrozenModel):
-    """The board's height above the calibrated plane, mm, as a polynomial.
+    """The height of the board's surface above the calibrated plane in mm: a polynomial of second degree.
 
-    `about` (CAD) is its origin and `half_span` (CAD) its unit.
+    Its variables are u, v = (CAD point − `about`) / `half_span`.
     """
 
     lift_mm: Finite
@@ -35,7 +35,7 @@ class Surface(FrozenModel):
 
     def height_mm(self, cad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute the height (…,) of the board's surface at CAD points (…, 2)."""
-        # The polynomial is estimated within ±1. It is held constant beyond 1.2, where its squares would run away.
+        # The polynomial is estimated for |u|, |v| ≤ 1. Beyond 1.2 it is constant, as its squares would grow too large.
         at = np.clip((np.asarray(cad) - self.about) / self.half_span, -1.2, 1.2)
         u, v = at[..., 0], at[..., 1]
         terms = (*self.tilt_mm, *self.bow_mm)
@@ -46,7 +46,7 @@ class Stitch(FrozenModel):
     """The result of stitching: M_ij, C, D_j, surface, verdict and quality figures."""
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
-    """NaN and infinity are written as such: as null they would pass unnoticed."""
+    """NaN and infinity are written to JSON as such. As null, they would look like missing values."""
 
     format: Literal["vaoi-stitch"] = "vaoi-stitch"
     version: Literal[1] = 1
@@ -70,11 +70,11 @@ class Stitch(FrozenModel):
         return self
 
     def image_from_tester(self, camera: int, row: int) -> Projective | None:
-        """Return M_ij, or None if the frame could not be placed."""
+        """Return M_ij of a camera and row, or None if stitching could not place that frame."""
         m = self.image_matrices[camera][row]
         return None if m is None else Projective(m, System.IMAGE, System.TESTER)
 
     @property
     def tester_from_cad(self) -> Projective | None:
-        """C, or None if the board's fiducials could not be matched."""
+        """The CAD matrix C, or None if no assignment of detections to fiducials was found."""
         return None if self.cad_matrix is None else Projective(self.cad_matrix, System.TESTER, System.CAD)

@@ -1,7 +1,7 @@
 """The optics design of section 2 of the paper: cameras, lenses, exposures and pulses for a line.
 
-One function per numbered equation, functions for data rates and times, and a plan that computes figures and checks
-constraints for given requirements. The package uses no files or devices.
+The room has one function for each numbered equation, and functions for data rates and times. A plan computes all
+figures and checks all constraints for given requirements. The room uses no files or devices.
 """
 
 from vaoi_station.optics.array_equations import (

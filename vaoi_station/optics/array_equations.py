@@ -1,4 +1,4 @@
-"""Number, pitch and overlap of the cameras of an array; section 2.4, w·r·m_h ≤ n·p_h."""
+"""Number, pitch and overlap of the cameras of an array, from w·r·m_h ≤ n·p_h in section 2.4 of the paper."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from vaoi_station.optics.quantity_checks import require_positive
 
 
 def cameras_needed(width_mm: float, resolution_px_per_mm: float, multiplicity_h: float, sensor_px_h: float) -> float:
-    """Compute the number of cameras w·r·m_h / p_h as a fraction; an array needs the next whole number.
+    """Compute the required number of cameras w·r·m_h / p_h. It is not rounded up to a whole number.
 
     Args:
         width_mm: width of the widest board, w.
-        resolution_px_per_mm: r.
+        resolution_px_per_mm: resolution on the board, r.
         multiplicity_h: required number of cameras that see each point, m_h.
         sensor_px_h: pixels per row of one sensor, p_h.
 
@@ -39,7 +39,7 @@ def achieved_multiplicity_h(cameras: int, sensor_px_h: float, width_mm: float, r
 
 
 def field_of_view_mm(sensor_px: float, resolution_px_per_mm: float) -> float:
-    """Compute the length of board along one side of a frame, p / r.
+    """Compute the length p / r of board, mm, that one side of a frame with p pixels shows.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -51,7 +51,7 @@ def field_of_view_mm(sensor_px: float, resolution_px_per_mm: float) -> float:
 def camera_pitch_mm(cameras: int, width_mm: float, field_mm: float) -> float:
     """Compute the distance between neighbouring cameras whose views together just cover the widest board.
 
-    It is 0 for a single camera, and if one view covers the board.
+    The distance is 0 for a single camera, or if a single view covers the board.
 
     Raises:
         InputError: if a quantity is not above 0.

@@ -1,4 +1,4 @@
-"""A constraint of a plan, with its margin."""
+"""Constraints of a plan: inequalities between a computed value and a limit, with their margins."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 _ROUNDING = 1e-9
-"""Relative difference that counts as equality."""
+"""Largest relative difference between value and limit that counts as equality."""
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """`value relation limit`, in `unit`; the margin is negative if the constraint is violated."""
+    """The inequality `value relation limit`. Its margin is negative if it is violated. All three are in `unit`."""
 
     name: str
     equation: str
@@ -22,7 +22,7 @@ class Constraint:
     margin: float | None
     unit: str
     ok: bool | None
-    """None if a quantity is missing; the note names it."""
+    """Whether the constraint is satisfied; None if a missing quantity, which `note` names, prevents the check."""
     note: str = ""
 
 
@@ -46,5 +46,5 @@ def not_checked(
 
 
 def _without_rounding(margin: float, limit: float) -> float:
-    # A plan that chooses the limit itself, as the longest exposure, must not fail by the last digit of a product.
+    # A plan may choose the limit itself as the value, such as the longest exposure. Rounding must not make it fail.
     return 0.0 if abs(margin) <= _ROUNDING * abs(limit) else margin

@@ -1,4 +1,4 @@
-"""The constraints of section 2, checked for the sections of a plan."""
+"""Checks of all constraints of section 2 of the paper for a plan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.optics.requirements import Requirements
 def check_constraints(
     q: Requirements, array: ArrayPlan, lens: LensPlan, motion: MotionPlan, data: DataPlan
 ) -> tuple[Constraint, ...]:
-    """Check all constraints in the order of section 2.4; one with a missing quantity is listed as not checked."""
+    """Check all constraints, in the order of section 2.4. Those with missing quantities are marked as not checked."""
     return (
         _cameras(q, array),
         _highest(q, lens),
@@ -27,7 +27,7 @@ def check_constraints(
 
 
 def _cameras(q: Requirements, array: ArrayPlan) -> Constraint:
-    # In pixels across the board, so that the margin reads as missing or spare sensor width.
+    # Both sides are in pixels across the board, so the margin is the spare (or missing) width of all sensors.
     asked = q.width_mm * q.resolution_px_per_mm * q.multiplicity_h
     n = array.cameras
     reached = f"{n} camera{'s' if n > 1 else ''} reach{'es' if n == 1 else ''} m_h = {array.multiplicity_h:.3f}"
@@ -88,7 +88,7 @@ def _frame_rate(motion: MotionPlan) -> Constraint:
 
 
 def _period(q: Requirements, motion: MotionPlan) -> Constraint:
-    # The paper omits the readout; sensors that cannot expose during it need both within one period.
+    # The paper omits the readout. A sensor that cannot expose during its readout needs both times within one period.
     busy = motion.exposure_us + q.readout_us
     note = f"exposure {motion.exposure_us:.0f} µs, readout {q.readout_us:.0f} µs"
     return at_most("pulse period", "s + readout ≤ 1/t", busy, motion.trigger_period_us, unit="µs", note=note)

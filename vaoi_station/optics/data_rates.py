@@ -6,7 +6,7 @@ from vaoi_station.optics.quantity_checks import ceil_to_whole, require_positive
 
 
 def frame_bytes(sensor_px_h: int, sensor_px_v: int, bits_per_pixel: int) -> int:
-    """Compute the size of one frame; packed pixels are padded to a whole byte at the end of the frame.
+    """Compute the size of one frame in bytes. Packed pixels are padded to a whole byte at the end of the frame.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -35,7 +35,7 @@ def data_rate_mbit_s(
 
 
 def buffer_bytes(cameras: int, rows: int, one_frame_bytes: int, runs: int = 1) -> int:
-    """Compute the memory for all frames of a number of runs, which is the size of the ring.
+    """Compute the memory in bytes for all frames of `runs` runs. This is the size of the ring.
 
     Raises:
         InputError: if a quantity is not above 0.

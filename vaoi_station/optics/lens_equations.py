@@ -5,7 +5,7 @@ from __future__ import annotations
 from vaoi_station.optics.quantity_checks import require, require_positive
 
 GREEN_UM = 0.55
-"""Wavelength for which diffraction is computed: the middle of the visible spectrum."""
+"""Wavelength in µm for which diffraction is computed: the middle of the visible spectrum."""
 
 
 def focal_length_mm(
@@ -17,7 +17,7 @@ def focal_length_mm(
         distance_mm: distance from the lens to the board, the paper's d_max.
         sensor_px_h: pixels per row of the sensor, p_h.
         resolution_px_per_mm: pixels per mm on the board, r.
-        sensor_width_mm: w_s.
+        sensor_width_mm: width of the sensor, w_s.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -45,8 +45,8 @@ def depth_of_field_mm(
 
     Args:
         distance_mm: distance from the lens to the board, d_max; above the focal length.
-        focal_length_mm: f.
-        f_number: N.
+        focal_length_mm: focal length f.
+        f_number: f-number N.
         circle_of_confusion_mm: c, the largest acceptable blur spot on the sensor.
 
     Raises:
@@ -86,7 +86,7 @@ def airy_disc_px(
 ) -> float:
     """Compute the diameter of the Airy disc on the sensor in pixels, for green light.
 
-    It is 2.44·λ·N·(1 + magnification). The paper omits this limit of small apertures.
+    The diameter is 2.44·λ·N·(1 + magnification). Diffraction limits the use of small apertures; the paper omits it.
 
     Raises:
         InputError: if a quantity is not above 0, or the distance is not above the focal length.
@@ -100,7 +100,7 @@ def airy_disc_px(
 
 
 def _distance_over_focal_length(sensor_px_h: float, resolution_px_per_mm: float, sensor_width_mm: float) -> float:
-    """Compute d / f of equation (1)."""
+    """Compute the ratio d / f of working distance and focal length; equation (1)."""
     require_positive(
         sensor_px_h=sensor_px_h, resolution_px_per_mm=resolution_px_per_mm, sensor_width_mm=sensor_width_mm
     )

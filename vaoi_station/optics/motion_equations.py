@@ -10,7 +10,7 @@ def motion_blur_px(speed_mm_s: float, resolution_px_per_mm: float, exposure_us: 
 
     Args:
         speed_mm_s: conveyor speed v.
-        resolution_px_per_mm: r.
+        resolution_px_per_mm: resolution on the board, r.
         exposure_us: exposure time s.
 
     Raises:
@@ -33,13 +33,13 @@ def longest_exposure_us(blur_px: float, speed_mm_s: float, resolution_px_per_mm:
 def lowest_frame_rate_hz(
     speed_mm_s: float, resolution_px_per_mm: float, sensor_px_v: float, multiplicity_v: float
 ) -> float:
-    """Compute the lowest frame rate t at which each point is in m_v frames of a camera; equation (6).
+    """Compute the lowest frame rate t, 1/s, at which m_v frames of a camera show each point; equation (6).
 
     Args:
-        speed_mm_s: v.
-        resolution_px_per_mm: r.
+        speed_mm_s: conveyor speed v.
+        resolution_px_per_mm: resolution on the board, r.
         sensor_px_v: pixels of a frame along the motion, p_v.
-        multiplicity_v: m_v.
+        multiplicity_v: required number of frames of one camera that show each point, m_v.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -56,8 +56,8 @@ def lowest_frame_rate_hz(
 def parallax_px(height_mm: float, shift_mm: float, distance_mm: float, resolution_px_per_mm: float) -> float:
     """Compute the parallax r·s·h / (d − h): the extra motion in pixels of a point above the board's surface.
 
-    Between two rows the shift is the board's motion, between two neighbouring cameras it is their pitch. Parallax is
-    the error of a stitch that ignores a height, and the signal from which a height is measured.
+    Between two rows, the shift s is the motion of the board. Between two neighbouring cameras, it is their pitch.
+    Parallax is the error of a stitch that ignores heights, and also the signal from which heights are measured.
 
     Args:
         height_mm: height of the point above the calibrated plane, h; below the distance.
@@ -76,7 +76,7 @@ def parallax_px(height_mm: float, shift_mm: float, distance_mm: float, resolutio
 
 
 def parallax_px_per_mm(shift_mm: float, distance_mm: float, resolution_px_per_mm: float) -> float:
-    """Compute the parallax per mm of height, r·s / d, for heights that are small against the distance.
+    """Compute the parallax in px per mm of height, r·s / d, for heights that are small compared to the distance.
 
     Raises:
         InputError: if the distance or the resolution is not above 0, or the shift below 0.

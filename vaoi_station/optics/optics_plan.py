@@ -1,4 +1,4 @@
-"""A plan: all figures of section 2.4 for given requirements, and all constraints with their margins."""
+"""The optics plan: all figures of section 2.4 for given requirements, and all constraints with their margins."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vaoi_station.optics.requirements import Requirements
 
 @dataclass(frozen=True)
 class Plan:
-    """The figures of a station and its constraints."""
+    """The optics plan of a station: requirements, computed figures by section, and checked constraints."""
 
     requirements: Requirements
     array: ArrayPlan
@@ -32,12 +32,12 @@ class Plan:
 
     @property
     def ok(self) -> bool:
-        """Whether no constraint is violated; constraints that cannot be checked do not count."""
+        """Whether no constraint is violated. Constraints that could not be checked are ignored."""
         return all(c.ok is not False for c in self.constraints)
 
 
 def make_plan(requirements: Requirements) -> Plan:
-    """Compute all figures and check all constraints.
+    """Compute all figures of a plan for given requirements, and check all constraints.
 
     Raises:
         InputError: if valid quantities contradict each other.

@@ -24,8 +24,8 @@ PAPER = Requirements(
     frame_rate_hz=8.0,
     longest_board_mm=474.0,
 )
-"""The requirements of section 2.6, which gives no circle of confusion, no d_min and no readout time. Its "up to
-5 seconds" at 100 mm/s are 500 mm of travel: 474 mm of board and 26 mm of view."""
+"""The requirements of section 2.6. The section gives no circle of confusion, no d_min and no readout time. Its capture
+duration of "up to 5 seconds" means 500 mm of travel at 100 mm/s: a board of 474 mm and a view of 26 mm."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,14 @@ class PaperFigure:
 
     name: str
     paper: float | None
-    """The printed figure; None if the paper omits it."""
+    """The figure as printed in the paper; None if the paper omits it."""
     computed: float | None
     unit: str
     remark: str = ""
 
 
 def compare_with_paper(plan: Plan) -> tuple[PaperFigure, ...]:
-    """List the figures of section 2.6 beside those of a plan for `PAPER`, with remarks on the rounding."""
+    """List the printed figures of section 2.6 beside those of a plan for `PAPER`, with remarks on the rounding."""
     q, needed, lowest = plan.requirements, plan.array.cameras_needed, plan.motion.lowest_frame_rate_hz
     return (
         PaperFigure(

@@ -1,4 +1,4 @@
-"""A plan as a text table and as JSON data."""
+"""Reports of a plan: text tables and JSON data."""
 
 from __future__ import annotations
 
@@ -14,13 +14,17 @@ _VERDICTS = {True: "ok", False: "VIOLATED", None: "open"}
 
 
 def plan_to_json(plan: Plan, figures: Sequence[PaperFigure] = ()) -> dict[str, Any]:
-    """Convert a plan to JSON data: `requirements`, figures by section, `constraints`, `ok`, `paper` if compared."""
+    """Convert a plan to JSON data.
+
+    The keys are `requirements`, the sections of figures, `constraints` and `ok`. If `figures` of the comparison with
+    the paper are given, they are under `paper`.
+    """
     document = asdict(plan) | {"ok": plan.ok}
     return document | {"paper": [asdict(f) for f in figures]} if figures else document
 
 
 def format_plan(plan: Plan, figures: Sequence[PaperFigure] = ()) -> str:
-    """Format a plan as text: requirements, results, and all constraints with their margins."""
+    """Format a plan as text tables: requirements, results, constraints with margins, and the paper's figures."""
     blocks = [
         _block("Requirements", _requirements(plan)),
         _block("Results", _results(plan)),

@@ -11,77 +11,77 @@ from vaoi_station.optics.requirements import Requirements
 
 @dataclass(frozen=True)
 class ArrayPlan:
-    """The camera array."""
+    """The figures of the camera array."""
 
     cameras_needed: float
-    """w·r·m_h / p_h, a fraction."""
+    """Required number of cameras w·r·m_h / p_h, not rounded."""
     cameras: int
-    """n: chosen, or the next whole number."""
+    """Number of cameras n: the chosen one, or `cameras_needed` rounded up."""
     multiplicity_h: float
-    """m_h of these cameras."""
+    """Horizontal multiplicity m_h that n cameras achieve."""
     field_width_mm: float
     field_height_mm: float
     camera_pitch_mm: float
     parallax_px_per_mm: float
-    """Per mm of component height, between neighbouring cameras."""
+    """Parallax between neighbouring cameras, in px per mm of component height."""
 
 
 @dataclass(frozen=True)
 class LensPlan:
-    """Lens, distance and aperture; None for figures that the requirements do not determine."""
+    """The figures of lens, distance and aperture. Figures that the requirements do not determine are None."""
 
     focal_length_mm: float
-    """f of equation (1) at d_max."""
+    """Focal length f of equation (1) at the distance d_max."""
     lens_mm: float
-    """Focal length used: that of the chosen lens, or that of equation (1)."""
+    """Focal length of the chosen lens, or `focal_length_mm` if none is chosen."""
     working_distance_mm: float
-    """d at which the lens used reaches r; equations (2) and (3) use it."""
+    """Distance d at which `lens_mm` gives the resolution r. Equations (2) and (3) use this distance."""
     f_number: float | None
-    """N: chosen, or from equation (3)."""
+    """f-number N: the chosen one, or that of equation (3)."""
     depth_of_field_mm: float | None
-    """d_f of equation (2) with that N."""
+    """Depth of field d_f of equation (2) at this f-number."""
     airy_disc_px: float | None
-    """Blur by diffraction with that N."""
+    """Diameter of the Airy disc (blur by diffraction) at this f-number."""
 
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """Exposure and pulses."""
+    """The figures of exposure and trigger pulses."""
 
     longest_exposure_us: float
-    """Equation (5)."""
+    """Longest exposure time that the accepted motion blur allows; equation (5)."""
     exposure_us: float
-    """s: chosen, or the longest."""
+    """Exposure time s: the chosen one, or the longest."""
     motion_blur_px: float
-    """v·r·s of equation (4)."""
+    """Motion blur v·r·s at this exposure time; equation (4)."""
     lowest_frame_rate_hz: float
-    """Equation (6)."""
+    """Lowest frame rate that gives the required m_v; equation (6)."""
     frame_rate_hz: float
-    """t: chosen, or the lowest."""
+    """Frame rate t: the chosen one, or the lowest."""
     trigger_period_us: float
     spare_time_us: float
-    """Part of a period that exposure and readout leave."""
+    """Trigger period minus exposure and readout; negative if they do not fit into it."""
     row_step_mm: float
     """Motion of the board between two rows."""
     multiplicity_v: float
-    """m_v at this frame rate."""
+    """Vertical multiplicity m_v that this frame rate achieves."""
     parallax_px_per_mm: float
-    """Per mm of component height, between successive rows."""
+    """Parallax between successive rows, in px per mm of component height."""
 
 
 @dataclass(frozen=True)
 class DataPlan:
-    """Data rate, and memory for the longest board; None if its length is unknown."""
+    """The data rate, and the rows and memory for the longest board, which are None if its length is unknown."""
 
     frame_bytes: int
     data_rate_mbit_s: float
     capture_duration_s: float | None
     rows: int | None
-    """m: pulses while the longest board is in view."""
+    """Number of pulses m while the longest board is in view."""
     run_bytes: int | None
-    """Frames of the longest board."""
+    """Memory for all frames of the longest board."""
     ring_bytes: int | None
-    """Frames of all boards in memory."""
+    """Memory for the frames of all boards that the ring holds at the same time."""
 
 
 def plan_lens(q: Requirements) -> LensPlan:

@@ -6,7 +6,7 @@ from vaoi_station.optics.quantity_checks import ceil_to_whole, require_non_negat
 
 
 def trigger_period_us(frame_rate_hz: float) -> float:
-    """Compute the time between two pulses, 1 / t.
+    """Compute the time between two pulses, 1 / t, in µs for a frame rate t in 1/s.
 
     Raises:
         InputError: if the rate is not above 0.
@@ -33,9 +33,9 @@ def achieved_multiplicity_v(
 
 
 def spare_time_us(period_us: float, exposure_us: float, readout_us: float = 0.0) -> float:
-    """Compute the part of a period that exposure and readout leave; it is negative if they do not fit.
+    """Compute the trigger period minus exposure and readout. It is negative if both do not fit into the period.
 
-    With a readout of 0 (a sensor that exposes while it reads out) a positive value is the paper's t < 1/s.
+    A sensor that exposes while it reads out has a readout of 0. A positive result is then the paper's t < 1/s.
 
     Raises:
         InputError: if period or exposure is not above 0, or the readout below 0.
@@ -51,7 +51,7 @@ def capture_duration_s(board_mm: float, field_mm: float, speed_mm_s: float) -> f
     Args:
         board_mm: length of the board along the motion.
         field_mm: length of the view along the motion, p_v / r.
-        speed_mm_s: v.
+        speed_mm_s: conveyor speed v.
 
     Raises:
         InputError: if a quantity is not above 0.
@@ -68,5 +68,5 @@ def rows_per_board(duration_s: float, frame_rate_hz: float) -> int:
         InputError: if a quantity is not above 0.
     """
     require_positive(duration_s=duration_s, frame_rate_hz=frame_rate_hz)
-    # A partial period at the end still needs its pulse: without it the trailing edge has one frame less.
+    # The number is rounded up. Otherwise the trailing edge of the board would have one frame less.
     return ceil_to_whole(duration_s * frame_rate_hz)

@@ -18,7 +18,7 @@ class Requirements:
     as not checked.
 
     Raises:
-        InputError: with field, value and limit of the first invalid quantity.
+        InputError: if a quantity is invalid; the error names field, value and limit.
     """
 
     width_mm: float
@@ -26,7 +26,7 @@ class Requirements:
     resolution_px_per_mm: float
     """Required resolution on the board: r."""
     speed_mm_s: float
-    """Conveyor speed v."""
+    """Conveyor speed: v."""
     sensor_px_h: int
     """Pixels of a frame across the motion: p_h."""
     sensor_px_v: int
@@ -48,20 +48,20 @@ class Requirements:
     blur_px: float = 1.0
     """Largest acceptable motion during an exposure: τ."""
     lens_mm: float | None = None
-    """Focal length of the chosen lens; None: the one that fits d_max."""
+    """Focal length of the chosen lens. If None, the plan uses the focal length that fits d_max."""
     f_number: float | None = None
-    """Chosen f-number N; None: the one that gives the depth of field."""
+    """Chosen f-number N. If None, the plan uses the one that gives the depth of field."""
     cameras: int | None = None
-    """Chosen number of cameras, n; None: the smallest that suffices."""
+    """Chosen number of cameras n. If None, the plan uses the smallest sufficient number."""
     frame_rate_hz: float | None = None
-    """Chosen frame rate, t; None: the lowest that suffices."""
+    """Chosen frame rate t. If None, the plan uses the lowest sufficient rate."""
     exposure_us: float | None = None
-    """Chosen exposure time, s; None: the longest that motion blur allows."""
+    """Chosen exposure time s. If None, the plan uses the longest that the accepted motion blur allows."""
     readout_us: float = 0.0
     """Time between the end of an exposure and the earliest start of the next."""
     bits_per_pixel: int = 8
     longest_board_mm: float | None = None
-    """Length of the longest board, along the motion; without it rows and memory are not computed."""
+    """Length of the longest board, along the motion. If None, rows and memory are not computed."""
     runs_in_memory: int = 3
     """Number of boards that the ring holds at the same time."""
     link_mbit_s: float | None = None
@@ -89,7 +89,7 @@ class Requirements:
             require(value >= 1, name, value, "1 or above: with less, parts of the board are not filmed", _WHERE)
 
     def _check_together(self) -> None:
-        # Limits that depend on a second quantity come after both are known to be numbers.
+        # Limits that depend on a second quantity are checked last, when both quantities are known to be numbers.
         low, high = self.distance_min_mm, self.distance_max_mm
         if low is not None:
             require(low <= high, "distance_min_mm", low, f"at most distance_max_mm, {high} mm", _WHERE)
