@@ -70,7 +70,7 @@ _LOCATIONS = {
     "write_calibration": "library.documents",
     "write_image": "library.documents",
 }
-"""Module of every public name, and the name there if it differs."""
+"""For every public name, the module that defines it, and after a colon the name in that module if it differs."""
 
 __all__ = [
     "BoardType",

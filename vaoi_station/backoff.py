@@ -40,7 +40,7 @@ class Backoff:
         self.due_s = self._works_since_s = None
 
     def record_success(self) -> None:
-        """Note that it works; calls while it already works change nothing."""
+        """Record that the device or process works. Further calls change nothing while it works."""
         self.due_s = None
         # Only the first call counts: the working time runs from the start, not from the latest sign of life.
         if self._works_since_s is None:

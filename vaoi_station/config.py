@@ -17,18 +17,18 @@ from vaoi_station.model import CameraHead, Finite, Positive, Whole
 from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormatName
 
 MethodName = Literal["auto", "fiducials", "features", "reference"]
-"""Methods of stitching; `stitching.method` describes the evidence that each uses."""
+"""Names of the stitching methods. The module `stitching.method` describes the evidence that each method uses."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Pixels = Annotated[Whole, Field(ge=0)]
 Word = Annotated[str, Field(min_length=1)]
 
 CAMERAS_OF = {"simulated": "simulated", "replay": "replay", "serial": "aravis"}
-"""Backend of the controller → backend of its cameras: a simulated pulse cannot fire a real camera."""
+"""For each backend of the controller, the backend of its cameras: a simulated pulse cannot fire a real camera."""
 TABLE_OF = {"simulated": "simulation", "replay": "replay"}
-"""Backend of the controller → the table that configures the scenario or the recordings."""
+"""For each controller backend without devices, the table that configures its scenario or recordings."""
 
 LONGEST_GAP_S = 2147.0
-"""The protocol's 32 bits of ticks of 0.5 µs (hw/protocol.md), whole seconds of them."""
+"""Longest gap, in whole seconds, of the protocol: 32 bits of ticks of 0.5 µs (hw/protocol.md)."""
 
 
 class Section(BaseModel):
@@ -220,7 +220,7 @@ class ReplayConfig(Section):
     runs: Annotated[Whole, Field(ge=0)] = 0
     """Number of runs that are replayed, in a cycle over the recordings; 0 for no end."""
     pace: Literal["original", "fast"] = "original"
-    """With the original timing, or as fast as frames are processed."""
+    """Timing of the replay: as in the recording, or as fast as frames are processed."""
     pause_s: NotNegative = 1.0
     """Pause between two runs at the original pace; a fast replay does not pause."""
 

@@ -24,12 +24,12 @@ NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, Statio
 
 
 def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> FastAPI:
-    """Create the web application of a coordinator, which the caller starts and stops.
+    """Create the web application that serves a coordinator. The caller starts and stops the coordinator.
 
-    Clients may address it by `names`, by loopback, by the machine's names and by any IP address.
+    Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
 
-    `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them; an event
-    of kind "station" with state "stopping" does the same.
+    `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
+    of kind "station" with state "stopping" has the same effect.
     """
     services = Services(coordinator, EventHub(coordinator))
 
@@ -39,7 +39,7 @@ def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> Fa
             yield
 
     # Redirects of trailing slashes would answer POST with a 307 that simple HTTP libraries do not follow.
-    # One schema for input and output keeps generated clients free of doubled classes.
+    # One schema for input and output: with two, client generators would create two classes for each model.
     app = FastAPI(
         title="VAOI station",
         version=__version__,
@@ -66,7 +66,7 @@ def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> Fa
 def _add_health(app: FastAPI, services: Services) -> None:
     @app.get("/healthz", tags=["station"])
     async def get_health(response: Response) -> Health:
-        """Return 200 if the station can film, 503 if it cannot; for supervisors."""
+        """Return 200 if the station can film, else 503. Process supervisors use this address."""
         state = (await services.commands.ask(services.coordinator.snapshot)).state
         not_operational = state in NOT_OPERATIONAL
         response.status_code = 503 if not_operational else 200

@@ -37,7 +37,7 @@ _NAMES = {"jpg": ImageFormat.JPEG, "tif": ImageFormat.TIFF, **{str(f): f for f i
 
 
 def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
-    """Return the format of the reply; `?format=` has precedence over Accept, PNG is the default.
+    """Return the format of the reply: `?format=` has precedence over the Accept header. The default is PNG.
 
     Raises:
         NotAcceptableError: none of the requested formats is available.
@@ -47,7 +47,7 @@ def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
         if found is None:
             raise NotAcceptableError(f"format is {asked!r:.40}, but must be one of {_offer(names=True)}.")
         return found
-    # Equal quality: the order of MEDIA_TYPES decides, so that */* gives PNG.
+    # Between formats of equal quality the order of MEDIA_TYPES decides, so that */* gives PNG.
     ranked = accepted(accept or "*/*")
     for wanted in sorted({q for _, q in ranked if q > 0}, reverse=True):
         for image_format, media_type in MEDIA_TYPES.items():
@@ -57,7 +57,7 @@ def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
 
 
 def accepted(header: str) -> list[tuple[str, float]]:
-    """Parse the media ranges of an Accept header with their quality; an invalid quality counts as 0."""
+    """Parse an Accept header into pairs (media range, quality). An invalid quality counts as 0."""
     ranges = []
     for part in header.split(","):
         media, *parameters = (p.strip().lower() for p in part.split(";"))
@@ -70,7 +70,7 @@ def accepted(header: str) -> list[tuple[str, float]]:
 
 
 def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
-    """Return the quality of a media type; 0 if no range covers it."""
+    """Return the quality that the `ranges` of an Accept header give to a media type; 0 if no range covers it."""
     # RFC 9110, section 12.5.1: the most specific matching range has precedence.
     for pattern in (media_type, f"{media_type.partition('/')[0]}/*", "*/*"):
         for media, q in ranges:
@@ -80,7 +80,10 @@ def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
 
 
 def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[str, str]]:
-    """Encode a picture (h, w) or (h, w, 3); return its bytes and the X-Image-* headers (the stride for raw only)."""
+    """Encode a picture (height, width) or (height, width, 3) and return its bytes and its X-Image-* headers.
+
+    X-Image-Stride is among the headers only if the format is raw.
+    """
     headers = describe(image)
     if image_format is ImageFormat.RAW:
         return _rgb(image).tobytes(), headers
@@ -97,7 +100,7 @@ def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[s
 
 
 def describe(image: Image) -> dict[str, str]:
-    """Return the X-Image-* headers of a picture; the stride is in bytes from one row to the next."""
+    """Return the X-Image-* headers of a picture. The stride is the distance in bytes from one row to the next."""
     height, width = image.shape[:2]
     channels = 1 if image.ndim == 2 else image.shape[2]
     return {
@@ -110,7 +113,7 @@ def describe(image: Image) -> dict[str, str]:
 
 
 def _rgb(image: Image) -> Image:
-    """Return the pixels with red first; OpenCV keeps blue first."""
+    """Return the pixels in the order red, green, blue. OpenCV stores them as blue, green, red."""
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])
 
 

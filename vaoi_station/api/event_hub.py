@@ -30,27 +30,27 @@ PICTURE_THREADS = 8
 MAX_WAITING = 256
 """Limit of simultaneous long polls and event streams."""
 LISTEN_S = 1.0
-"""Longest wait of the listener, and thereby the longest delay of a stop without an event."""
+"""Longest time the listener waits for an event. A stop that publishes no event takes effect within this time."""
 
 
 class ThreadLimit:
-    """A limited number of threads for blocking calls."""
+    """A pool that runs blocking calls in a limited number of threads."""
 
     def __init__(self, threads: int) -> None:
         self._limiter = anyio.CapacityLimiter(threads)
 
     async def ask(self, call: Callable[..., T], *args: object) -> T:
-        """Run a blocking call in a thread, after waiting for a free one."""
+        """Run a blocking call in a thread of the pool, after waiting until a thread is free."""
         return await anyio.to_thread.run_sync(partial(call, *args), limiter=self._limiter)
 
     async def listen(self, call: Callable[..., T], *args: object) -> T:
-        """Run a blocking call that changes nothing; a cancelled caller does not wait for its thread."""
+        """Run a blocking call that only reads. A cancelled caller does not wait until the call has ended."""
         task = partial(call, *args)
         return await anyio.to_thread.run_sync(task, limiter=self._limiter, abandon_on_cancel=True)
 
 
 class EventHub:
-    """Wakes all requests that wait for events; uses one thread for any number of them."""
+    """Wakes all requests that wait for events. One thread serves any number of waiting requests."""
 
     def __init__(self, coordinator: StationCoordinator) -> None:
         self._coordinator = coordinator
@@ -59,7 +59,7 @@ class EventHub:
         self._wakeup = asyncio.Event()
         self._newest = 0
         self.waiting = 0
-        """Long polls and streams that wait now."""
+        """Number of long polls and event streams that wait at present."""
         self.closed = False
 
     @asynccontextmanager
@@ -77,13 +77,13 @@ class EventHub:
                 await task
 
     def close(self) -> None:
-        """End every stream and long poll; call from the event loop."""
+        """End every event stream and long poll. Must be called from the event loop."""
         self.closed = True
         self._wakeup.set()
 
     @asynccontextmanager
     async def place(self) -> AsyncIterator[None]:
-        """Reserve a place for one waiting request; raise BusyError if there are too many."""
+        """Reserve one of `MAX_WAITING` places for a waiting request; raise BusyError if all are taken."""
         if self.waiting >= MAX_WAITING:
             raise BusyError(f"{self.waiting} callers are waiting for events, which is the limit.")
         self.waiting += 1
@@ -93,13 +93,13 @@ class EventHub:
             self.waiting -= 1
 
     async def events(self, after: int, timeout_s: float) -> tuple[EventRecord, ...]:
-        """Wait for events numbered above `after`; return them oldest first, or none on time-out or at the end."""
+        """Wait for events numbered above `after`. Return them oldest first; none on time-out or after `close`."""
         if await self.changed(after, timeout_s):
             return await self._readers.ask(self._coordinator.events, after, 0.0)
         return ()
 
     async def changed(self, after: int, timeout_s: float) -> bool:
-        """Wait for an event numbered above `after`; return False on time-out or at the end."""
+        """Wait for an event numbered above `after`. Return False on time-out or if the hub closes."""
         until = time.monotonic() + timeout_s
         while self._newest <= after and not self.closed:
             left_s = until - time.monotonic()
@@ -127,7 +127,7 @@ class EventHub:
                 return
             if records:
                 self._newest = records[-1].number
-                # Waiting tasks hold the old event object; a new one makes sure that none misses the next wake-up.
+                # Setting the old asyncio.Event wakes the tasks that wait now. Later tasks need one that is not set.
                 self._wakeup.set()
                 self._wakeup = asyncio.Event()
                 if any(r.kind == "station" and r.state == StationState.STOPPING for r in records):

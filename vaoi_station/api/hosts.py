@@ -1,8 +1,8 @@
 """The host names by which the station may be addressed.
 
-A web page can point its own name at the station's address (DNS rebinding). For the browser the station is then the
-page's server, and Origin and Host agree, but Host still carries the page's name. A request to an IP address cannot come
-from such a page.
+A web page can point its own name at the station's address (DNS rebinding). The browser then takes the
+station for the server of that page, and the headers Origin and Host agree. Host still carries the page's name, so the
+station refuses names that are not allowed. A request to an IP address cannot come from such a page.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def allowed_names(configured: Iterable[str] = ()) -> frozenset[str]:
 
 
 def addressed(host: str, names: frozenset[str]) -> bool:
-    """Return whether a Host header holds one of the names or an IP address."""
+    """Return whether a Host header contains one of the allowed `names` or an IP address."""
     # Every browser sends Host (RFC 9112, section 3.2), so a request without one comes from a program.
     name = host.strip().lower()
     if not name:

@@ -1,6 +1,6 @@
-"""HTTP caching: finished results may be cached for ever, live state never.
+"""HTTP caching: results and pictures may be cached for ever, live state never.
 
-Finished runs do not change, so their replies carry an ETag (a hash of the bytes) and `immutable`.
+Results and pictures of a finished run do not change. Their replies carry an ETag (a hash of the bytes) and `immutable`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def conditional_response(
     cache: str = IMMUTABLE,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return the content with its ETag, or 304 if the client holds the same bytes (If-None-Match)."""
+    """Return a reply with the content and its ETag, or 304 if the client already has the same bytes (If-None-Match)."""
     # 32 hex digits are 128 bits of SHA-256: no accidental collision.
     tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
     kept = {"ETag": tag, "Cache-Control": cache, "Vary": "Accept"}
@@ -34,7 +34,7 @@ def conditional_response(
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
-    """Return whether an If-None-Match header contains the tag."""
+    """Return whether an If-None-Match header contains the ETag `tag`."""
     if if_none_match is None:
         return False
     # RFC 9110, section 13.1.2: If-None-Match uses the weak comparison, which ignores the prefix W/.

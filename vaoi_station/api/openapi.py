@@ -1,4 +1,4 @@
-"""The OpenAPI document: FastAPI's own, simplified for client generators.
+"""The OpenAPI document that FastAPI generates, simplified for client generators.
 
 - An optional field has one type and is not required; replies never hold null for it.
 - Every operation declares its refusals as `application/problem+json`.
@@ -23,7 +23,7 @@ are RFC 3339 in UTC. Cameras, rows and views count from 0. Every refusal is a pr
 
 
 def install(app: FastAPI) -> None:
-    """Have the app publish the simplified document."""
+    """Make the app publish the simplified OpenAPI document."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -42,7 +42,7 @@ def install(app: FastAPI) -> None:
 
 
 def simplified(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the document without nulls, with `Problem` in place of the framework's error schemas."""
+    """Simplify an OpenAPI document in place and return it: no null types, and `Problem` instead of FastAPI's errors."""
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
@@ -64,7 +64,7 @@ def simplified(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _optional_not_null(schema: dict[str, Any]) -> None:
-    """Turn fields that may be null into optional fields."""
+    """Turn the fields of an object schema that may be null into optional fields that are never null."""
     for name, field in schema.get("properties", {}).items():
         if (schema.get("title"), name) == ("Matrices", "cad_matrix"):
             # The result file uses null here for "no CAD matrix", so clients must expect it.
@@ -77,7 +77,7 @@ def _optional_not_null(schema: dict[str, Any]) -> None:
 
 
 def _plain_lists(schema: Any) -> None:
-    """Turn tuples of one type into lists of fixed length."""
+    """Describe tuples whose items all have one type as lists of fixed length, in the whole schema."""
     # `prefixItems` is JSON Schema 2020-12; generators for older OpenAPI versions ignore it.
     for part in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
         _plain_lists(part)
@@ -87,7 +87,7 @@ def _plain_lists(schema: Any) -> None:
 
 
 def _not_null(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of `X or null` as that of X; any other schema unchanged."""
+    """Return the schema of X for a schema of "X or null". Return any other schema unchanged."""
     choices = schema.get("anyOf", [])
     if NULL not in choices:
         return schema

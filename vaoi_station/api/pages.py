@@ -1,4 +1,7 @@
-"""The operator's page at `/`, the API documentation at `/docs`, and explanations of problem types; all local files."""
+"""The operator's page at `/`, the API documentation at `/docs`, and explanations of problem types.
+
+Every page is a local file and loads nothing from other sites.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ FRESH = {"Cache-Control": "no-cache"}
 
 
 class Assets(StaticFiles):
-    """Static files that browsers revalidate by ETag, so that an update shows at once."""
+    """Static files that browsers revalidate by ETag, so that they show an updated file at once."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """Return one file; 404 for directories and paths outside."""
+        """Return one file. Directories, and paths that lead out of the served directory, give 404."""
         answer = await super().get_response(path, scope)
         answer.headers["Cache-Control"] = "no-cache"
         return answer

@@ -27,10 +27,10 @@ log = logging.getLogger(__name__)
 
 
 class Fault(BaseModel):
-    """One invalid field."""
+    """One invalid field of a request."""
 
     where: str
-    """Part of the request and path of the field: `query.timeout`, `body.components.3.width`."""
+    """Part of the request, and path of the field in it: for example `query.timeout`, `body.components.3.width`."""
     message: str
 
 
@@ -80,7 +80,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "device": (503, "Device fault", "Check the device, its cable and its power supply."),
     "busy": (503, "Busy", "Try again in a moment."),
 }
-"""Kind → status, title, and the default action."""
+"""For each kind of problem: HTTP status, title, and the default action."""
 
 _CODE_OF_STATUS = {400: "malformed", 404: "no-route", 405: "wrong-method", 406: "not-acceptable", 413: "too-large"}
 _KIND_OF_STATUS = {
@@ -94,7 +94,7 @@ _KIND_OF_STATUS = {
 
 
 class NotAcceptableError(VaoiError):
-    """None of the requested formats is available."""
+    """The station offers none of the formats that the client accepts."""
 
     code = "not-acceptable"
     status = 406
@@ -110,7 +110,7 @@ def problem_response(
     errors: list[Fault] | None = None,
     headers: Mapping[str, str] | None = None,
 ) -> JSONResponse:
-    """Return the reply to a refused request; a code that is not a kind takes the kind of its status."""
+    """Return the reply to a refused request. If `code` is not one of the `KINDS`, `status` determines the kind."""
     kind = code if code in KINDS else _KIND_OF_STATUS.get(status or 500, "internal")
     usual_status, title, remedy = KINDS[kind]
     problem = Problem(
@@ -125,14 +125,14 @@ def problem_response(
     )
     extra = {"Cache-Control": "no-store", **(headers or {})}
     if problem.status == HTTPStatus.SERVICE_UNAVAILABLE:
-        # RFC 9110, section 10.2.3; clients with automatic retries wait this long.
+        # Clients that retry automatically wait for this number of seconds (RFC 9110, section 10.2.3).
         extra.setdefault("Retry-After", "1")
     content = problem.model_dump(mode="json", exclude_none=True)
     return JSONResponse(content, problem.status, headers=extra, media_type=MEDIA_TYPE)
 
 
 def install(app: FastAPI) -> None:
-    """Convert every error to a problem: the station's, the framework's, and unexpected exceptions."""
+    """Make the app reply with a problem to every error: of the station, of FastAPI, and unexpected exceptions."""
     app.add_exception_handler(VaoiError, _refusal)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)

@@ -24,12 +24,12 @@ from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_key
 from vaoi_station.version import __version__
 
 MAX_BODY_BYTES = 8 * 1024 * 1024
-"""Limit of a body; a board type of 20,000 components has about 3 MB."""
+"""Largest accepted body of a request. A board type of 20,000 components has about 3 MB."""
 BODY_LIMIT_S = 20.0
-"""Limit of the time a body takes to arrive; 8 MB take a second on a slow network."""
+"""Longest accepted time until a body has arrived. On a slow network 8 MB take a second."""
 SAFE = ("GET", "HEAD", "OPTIONS")
 STREAM = "/api/v1/events"
-"""Path of the event stream, which has no end; its headers cannot be had without starting it."""
+"""Path of the event stream. HEAD is not answered by way of GET here, because the stream would start and never end."""
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
 SAFETY = {
@@ -41,7 +41,7 @@ SAFETY = {
 
 
 class RequestGuard:
-    """ASGI middleware around the whole application."""
+    """ASGI middleware that checks each request before the application, and adds security headers to each reply."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class RequestGuard:
                 await body(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> Response | None:
-        """Return a refusal for a wrong host or origin, else None; the body is not read."""
+        """Return a refusal if the host or the origin is not allowed, else None. The body of the request is not read."""
         headers, path = Headers(scope=scope), scope["path"]
         if not addressed(headers.get("host", ""), self._names):
             detail = f"The request was addressed to {headers['host']!r:.100}, which is not a name of this station."
@@ -98,14 +98,14 @@ class RequestGuard:
         return None
 
     async def _body(self, scope: Scope, receive: Receive) -> bytes | Response:
-        """Return the whole body, or a refusal."""
+        """Return the whole body of a request, or a refusal if the body is too slow, too large or has a repeated key."""
         path = scope["path"]
         try:
             async with asyncio.timeout(self._body_limit_s):
                 body = await self._read(Headers(scope=scope), receive)
         except TimeoutError:
             detail = f"The body did not arrive within {self._body_limit_s:g} s."
-            # The rest of the body may still arrive; on a kept connection it would be read as the next request.
+            # The rest of the body may still arrive. On an open connection it would be read as the next request.
             return problem_response(path, "too-slow", detail, headers={"Connection": "close"})
         if body is None:
             return problem_response(path, "too-large", f"The body is larger than {self._max_body_bytes} bytes.")
@@ -132,7 +132,7 @@ class RequestGuard:
 
 def _foreign(headers: Headers) -> bool:
     """Return whether a browser marks the command as coming from a page of another origin."""
-    # Older browsers send no Origin with some requests, but Sec-Fetch-Site; a program sends neither.
+    # With some requests older browsers send Sec-Fetch-Site but no Origin. Programs send neither.
     origin = headers.get("origin")
     if origin is None:
         return headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
@@ -140,7 +140,7 @@ def _foreign(headers: Headers) -> bool:
 
 
 def _repeated_key(body: bytes) -> str | None:
-    """Return the fault of a key that appears twice in an object; other faults are left to the body's reader."""
+    """Return a message if a key appears twice in a JSON object, else None. Other faults are found by later parsing."""
     try:
         json.loads(body, object_pairs_hook=refuse_duplicate_keys)
     except DuplicateKeyError as twin:
@@ -151,7 +151,7 @@ def _repeated_key(body: bytes) -> str | None:
 
 
 def _without_body(send: Send) -> Send:
-    """Return a `send` that drops the body, for the reply to HEAD."""
+    """Return a `send` function that drops the body of a reply, because a reply to HEAD has none."""
 
     async def headers_only(message: Message) -> None:
         if message["type"] == "http.response.body":
@@ -168,7 +168,7 @@ def _as_json(scope: Scope) -> Scope:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Return a `receive` that repeats the body that was read already, then passes on what follows."""
+    """Return a `receive` function that delivers the body that was read already, and then the messages after it."""
     pending = [body]
 
     async def again() -> Message:

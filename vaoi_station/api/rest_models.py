@@ -1,6 +1,6 @@
 """Request and response models that only the REST interface has; the others are in `runs.states.schemas`.
 
-Unknown fields are left out of a reply, never null, so that no field has two types.
+A field without a value is left out of a reply. It is never null, so that every field has one type.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Matrix3 = list[list[float]]
 
 
 class ArmRequest(Strict):
-    """The order for the next boards; the same fields may be given as query parameters."""
+    """The order for the next boards. The same fields may also be given as query parameters."""
 
     board_type: str | None = Field(default=None, max_length=200, description="Name of a stored board type.")
     board_id: str | None = Field(default=None, max_length=200, description="The caller's id of the board.")
@@ -35,19 +35,19 @@ class BoardTypeList(Strict):
 
 
 class TeachRequest(Strict):
-    """The run that becomes the reference of its board type."""
+    """A request to make a run the reference of its board type."""
 
     run: str = Field(min_length=1, max_length=64, description="Id of a finished run of the board type.")
 
 
 class MethodRequest(Strict):
-    """The stitching method of a board type."""
+    """A request to set the stitching method of a board type."""
 
     method: MethodName
 
 
 class RunPage(Strict):
-    """Runs, newest first."""
+    """One page of the list of runs, newest first."""
 
     runs: list[RunSummary]
     next: str | None = Field(default=None, description="Value of `before` for the next page; absent on the last page.")
@@ -75,7 +75,10 @@ class ComponentList(Strict):
 
 
 class ViewEntry(Strict):
-    """One frame that shows a component, and its temporary image. Matrices act on columns (x, y, 1)."""
+    """A view: one frame that shows a component, and the temporary image cut from it.
+
+    Matrices act on column vectors (x, y, 1).
+    """
 
     k: int
     camera: int
@@ -112,7 +115,7 @@ class ComponentViews(Strict):
 
 
 class Matrices(BaseModel):
-    """A result as defined in `docs/formats.md`; null where an image could not be placed."""
+    """The result of a run in the format of `docs/formats.md`. The matrix of a frame that was not placed is null."""
 
     format: Literal["vaoi-stitch"]
     version: Literal[1]
@@ -128,7 +131,7 @@ class Matrices(BaseModel):
 
 
 class Heartbeat(Strict):
-    """Sent in the event stream after two seconds without an event."""
+    """State of the station, sent in the event stream after two seconds without an event."""
 
     time: str
     state: str
@@ -136,7 +139,7 @@ class Heartbeat(Strict):
 
 
 class Health(Strict):
-    """Whether the station can film."""
+    """Reply of `/healthz`: whether the station can film."""
 
     status: Literal["ok", "degraded"]
     state: str

@@ -1,4 +1,4 @@
-"""Views of a component as response models."""
+"""Build the REST response models for the views of a component."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
 def covariances(quality: dict[str, Any], address: str) -> dict[tuple[int, int], Covariance]:
-    """Return the covariance (px²) of a component's centre by frame (camera, row), from the result's quality."""
+    """Return the covariance (px²) of a component's centre in each frame (camera, row), from a result's `quality`."""
     views = quality.get("component_covariance_px2", {}).get(address, [])
     return {(camera, row): ((xx, xy), (xy, yy)) for camera, row, xx, xy, yy in views}
 
 
 def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Covariance | None) -> ViewEntry:
-    """Build the entry of view k from the view, its frame, its covariance and the address of its image."""
+    """Build the response model of view k. `covariance` is that of the component's centre, `url` the image's address."""
     return ViewEntry(
         k=k,
         camera=view.camera,
@@ -46,7 +46,7 @@ def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Cov
 
 
 def picture_query(px_per_mm: float | None, min_coverage: float) -> str:
-    """Return the query of an image's address, so that index k refers to the same list of views."""
+    """Return the query part of an image's address: the parameters of the list of views to which its index k refers."""
     # Default values are omitted: one image then has one address, which caches can use.
     asked = {"px_per_mm": px_per_mm} if px_per_mm is not None else {}
     if min_coverage != DEFAULT_COVERAGE:

@@ -1,4 +1,4 @@
-"""A web server in a separate thread, on a socket that was opened before."""
+"""A web server in a separate thread, on a socket that the caller has opened."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class WebServer:
     """uvicorn in a thread, so that the main thread keeps its signal handlers."""
 
     def __init__(self, app: FastAPI, listener: socket.socket, ended: Callable[[], None]) -> None:
-        """Prepare the server; `ended` is called when it ends, for any reason."""
+        """Prepare the server; `ended` is called when the server ends, for any reason."""
         # Imported here: uvicorn takes long to load, and most commands do not serve.
         import uvicorn
 
@@ -33,7 +33,7 @@ class WebServer:
 
     @property
     def address(self) -> str:
-        """Address of the server."""
+        """URL of the server without a path."""
         host, port = self._listener.getsockname()[:2]
         return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
@@ -57,12 +57,12 @@ class WebServer:
         try:
             self._server.run(sockets=[self._listener])
         finally:
-            # Without its web server the station is of no use: the owner stops it.
+            # A station without a web server is of no use: this call lets the owner stop the station.
             self._ended()
 
 
 def open_listener(host: str, port: int, where: str) -> socket.socket:
-    """Open a listening socket; `where` names the source of the address in the DeviceError of a failure."""
+    """Open a listening socket. If that fails, the DeviceError names `where`, the place that defines the address."""
     # Opened before the rest starts, so that a port in use is reported at once.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:

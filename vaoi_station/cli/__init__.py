@@ -27,7 +27,7 @@ from vaoi_station.cli.tools.rig import rig
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
 from vaoi_station.version import __version__
 
-# Our matrices are small: threads of the linear algebra library cost more than they bring, and would take
+# Our matrices are small: threads of the linear algebra library cost more than they save, and would take
 # the cores that cameras and workers need. Child processes inherit this; it must be set before numpy loads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -75,14 +75,14 @@ app.add_typer(rig, name="rig")
 
 
 def main() -> None:
-    """Run a command. An error is one sentence on stderr, and exit code 2 (input), 3 (device, state) or 4 (internal)."""
+    """Run a command. Print errors as one sentence on stderr. Exit code: 2 (input), 3 (device, state), 4 (internal)."""
     try:
         app()
     except VaoiError as error:
         sys.stderr.write(f"vaoi: {error}\n")
         sys.exit(2 if isinstance(error, InputError | NotFoundError) else 4 if isinstance(error, InternalError) else 3)
     except OSError as error:
-        # An error of a file or device that no layer below has described; its path is the best information there is.
+        # No layer below has described this error of a file or device. Its path is the best information available.
         sys.stderr.write(f"vaoi: {error.filename or 'the system'}: {error.strerror or error}.\n")
         sys.exit(2)
     except Exception as error:  # any other exception is an internal error; the user still gets one sentence

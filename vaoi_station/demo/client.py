@@ -27,24 +27,24 @@ from vaoi_station.errors import (
 )
 
 REPLY_TIMEOUT_S = 90.0
-"""Limit for a reply; longer than the longest poll."""
+"""Longest time to wait for a reply; longer than the longest long poll."""
 EVENT_TIMEOUT_S = 15.0
-"""Limit between two lines of the event stream, which sends a heartbeat every two seconds."""
+"""Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
 _ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 422: InputError}
 
 
 class Client:
-    """Client of one station; every refusal is raised as the error that the station raised."""
+    """REST client of one station. A refusal by the station is raised here as the same `VaoiError`."""
 
     def __init__(self, address: str) -> None:
-        """Take `address` as `http://HOST:PORT`."""
+        """Set the address of the station, `http://HOST:PORT`."""
         self.address = address
         self._base = f"{address}/api/v1"
         # Proxies of the environment are ignored: the service listens on loopback, where a proxy cannot reach it.
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
     def get(self, path: str, **query: Any) -> Any:
-        """Request a JSON document; None if the reply is empty."""
+        """Request a JSON document; return None if the reply has no body."""
         content = self.content(path, **query)
         return json.loads(content) if content else None
 
@@ -57,7 +57,7 @@ class Client:
         return json.loads(self._exchange(self._command("PUT", _with_query(path, query))))
 
     def content(self, path: str, **query: Any) -> bytes:
-        """Request the body of a reply; `path` is below `/api/v1`, or an absolute path from an earlier reply."""
+        """Send GET and return the reply's body. `path` is relative to `/api/v1`, or begins with `/api/`."""
         url = (self.address if path.startswith("/api/") else self._base) + path
         return self._exchange(urllib.request.Request(_with_query(url, query)))
 
@@ -71,7 +71,7 @@ class Client:
         return content, np.asarray(pixels)
 
     def messages(self, after: int = 0) -> Iterator[dict[str, Any]]:
-        """Yield events after number `after` as they happen, heartbeats included, until the station ends."""
+        """Yield events numbered above `after`, and heartbeats, as they happen, until the station ends."""
         request = urllib.request.Request(f"{self._base}/events?after={after}")
         with _translated_errors(), self._opener.open(request, timeout=EVENT_TIMEOUT_S) as stream:
             for line in stream:
@@ -89,7 +89,7 @@ class Client:
 
 @contextmanager
 def _translated_errors() -> Iterator[None]:
-    """Turn refusals, and connections that fail, into the errors of this package."""
+    """Convert refusals and failed connections to the errors of this package."""
     try:
         yield
     except urllib.error.HTTPError as refusal:
@@ -105,7 +105,7 @@ def _with_query(path: str, query: dict[str, Any]) -> str:
 
 
 def _error(status: int, body: bytes) -> VaoiError:
-    """Return the error that problem details describe (RFC 9457)."""
+    """Return the error that the problem details in `body` describe (RFC 9457)."""
     kind = _ERRORS.get(status, BusyError if status == BusyError.status else InternalError)
     try:
         problem = json.loads(body)

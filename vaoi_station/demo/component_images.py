@@ -13,7 +13,7 @@ from vaoi_station.rendering.contact_sheet import Tile
 
 NOT_SEEN = "not seen"
 PARALLEL_REQUESTS = 4
-"""Components that are requested at the same time, so that all workers render."""
+"""Number of components requested at the same time, so that all workers of the station render."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class ComponentImages:
     components: int
     pictures: int
     tiles: tuple[Tile, ...]
-    """The best image of every component, in the order of the board type."""
+    """The best image of every component, in the order of the components in the board type."""
 
 
 def fetch_component_images(client: Client, run: str, folder: Path) -> ComponentImages:
@@ -39,7 +39,7 @@ def fetch_component_images(client: Client, run: str, folder: Path) -> ComponentI
 
 
 def list_unseen_components(client: Client, run: str) -> ComponentImages:
-    """List the components of a run without positions: names only, no images."""
+    """List the components of a run that has no positions. The tiles have names but no images."""
     components = _components(client, run)
     return ComponentImages(len(components), 0, tuple(Tile(None, c["address"], NOT_SEEN) for c in components))
 
@@ -52,7 +52,7 @@ def _fetch(client: Client, component: dict[str, Any], folder: Path) -> tuple[int
     """Fetch all images of one component; return their count and the best one as a tile."""
     address = component["address"]
     views = client.get(component["url"])["views"]
-    # The address of a component on a panel is panel/ref, and a slash would make a folder.
+    # On a panel the address is panel/ref. In a file name the slash would create a folder.
     place = folder / address.replace("/", "_")
     place.mkdir(parents=True, exist_ok=True)
     tile = Tile(None, address, NOT_SEEN)

@@ -18,11 +18,11 @@ HOST = ApiConfig().host
 
 
 def run_continuously(scenario: Path, port: int | None, report: Callable[[str], None]) -> NoReturn:
-    """Run the station and report every board; KeyboardInterrupt ends it, and everything is cleaned up.
+    """Run the station and report every board until KeyboardInterrupt; then end its processes and remove its files.
 
     Args:
         scenario: file of the twin's scenario.
-        port: port of the service; None for the default one if it is free, else any.
+        port: port of the service; None for the default port, or for any free port if the default is in use.
         report: is called with one line per board.
     """
     report("Drawing the board …")

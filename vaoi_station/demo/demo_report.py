@@ -9,11 +9,11 @@ from vaoi_station.model import Status, Strict
 from vaoi_station.runs.states.schemas import Reason, VerdictCounts
 
 LIMIT_PX = 1.0
-"""Largest distance from the truth at which the verdict ok is correct."""
+"""Largest distance between result and truth, in px, with which the verdict ok is correct."""
 
 
 class LinkCount(Strict):
-    """Links found, and links used with weight by the adjustment."""
+    """Number of links found, and of links that have weight in the adjustment."""
 
     found: int
     used: int
@@ -23,7 +23,7 @@ class Residuals(Strict):
     """Residuals of links and fiducials after the adjustment."""
 
     links: dict[str, LinkCount]
-    """Counts by kind: between rows, and between neighbouring cameras."""
+    """Number of links by kind: between rows, and between neighbouring cameras."""
     link_median_px: float | None
     link_scatter_px: float | None
     fiducials_px: dict[str, float | None]
@@ -43,11 +43,11 @@ class DemoTimings(Strict):
 
     filming_s: float | None
     ready_after_last_frame_ms: float | None
-    """From the arrival of the last frame to finished matrices."""
+    """Time from the arrival of the last frame until the matrices are finished."""
     links: int
     links_while_filming: int
     links_ms: float
-    """Sum of the workers' times for links."""
+    """Sum of the times that the workers spent on finding links."""
     conclude_ms: float
     stages_ms: dict[str, float]
     """Times of the parts of the conclusion: motion, CAD mapping, verdict."""
@@ -94,7 +94,7 @@ def as_text(report: DemoReport) -> str:
 
 
 def headline(report: DemoReport) -> tuple[str, ...]:
-    """Return the lines of figures for the contact sheet."""
+    """Return the contact sheet's text lines: frame count, belt speed, time to the matrices, position error."""
     d, t = report.deviation, report.timings
     return (
         f"{report.cameras} cameras × {report.rows} rows, {report.frames.ok} frames ok",

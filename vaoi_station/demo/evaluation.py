@@ -15,7 +15,7 @@ from vaoi_station.simulation import Passage
 
 @dataclass(frozen=True, eq=False)
 class ServiceReplies:
-    """JSON of `runs/{id}` and of its matrices; the matrices are {} if the run has none."""
+    """The service's JSON replies for one run: `runs/{id}`, and its matrices, which are {} if the run has none."""
 
     run: dict[str, Any]
     matrices: dict[str, Any]
@@ -28,7 +28,7 @@ class ServiceReplies:
 
 @dataclass(frozen=True)
 class Output:
-    """The files that were written, and the time that took."""
+    """What the demo wrote: directory, contact sheet, number of components and pictures, and the times it took."""
 
     directory: str
     contact_sheet: str

@@ -1,4 +1,4 @@
-"""Run the service in a process of its own: start it, read its address from its log, end it."""
+"""Run the service in a separate process: start it, read the service's address from its log, and end it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from typing import IO
 from vaoi_station.errors import DeviceError, InternalError
 
 START_S = 60.0
-"""Limit until the service listens, on a busy machine."""
+"""Longest time until the service listens, also on a busy machine."""
 END_S = 30.0
-"""Limit until the service has ended after SIGTERM; then it is killed, and its child processes end with it."""
+"""Longest time for the service to end after SIGTERM. Then it is killed, and its child processes end with it."""
 _LOG_LINES = 200
 _LISTENING = re.compile(r"listening on (http://\S+)")
 
@@ -31,7 +31,7 @@ class Service:
     """
 
     def __init__(self, config: Path, port: int = 0) -> None:
-        """Take the path of a station.toml, and a port; 0 for any free one."""
+        """Prepare the service of the station.toml at `config`. Port 0 selects any free port."""
         self._command = [sys.executable, "-m", "vaoi_station.demo.service_process", str(config), str(port)]
         self._log: deque[str] = deque(maxlen=_LOG_LINES)
         self._found: queue.SimpleQueue[str | None] = queue.SimpleQueue()
@@ -65,8 +65,8 @@ class Service:
 
     def _start(self) -> None:
         """Start the process and wait until it listens."""
-        # In a session of its own: Ctrl-C at the terminal then reaches this process only, which ends the service.
-        # Unbuffered: the line with the address must arrive at once, not when a block is full.
+        # The service gets a separate session: Ctrl-C at the terminal then reaches this process only, which ends it.
+        # Its output is unbuffered: the line with the address must arrive at once, not when a block is full.
         environment = os.environ | {"PYTHONUNBUFFERED": "1"}
         self._process = subprocess.Popen(
             self._command,

@@ -32,8 +32,8 @@ def main(config: str, port: str) -> int:
 
 def _end_with_parent() -> None:
     """Send SIGTERM to this process when standard input ends."""
-    # Read the descriptor, not `sys.stdin`: this thread would still hold the lock of that object when the interpreter
-    # ends, and the end would block on it.
+    # Read the file descriptor, not `sys.stdin`. Otherwise this thread would still hold the lock of `sys.stdin` when
+    # the interpreter ends, and the interpreter would wait for that lock.
     while os.read(0, 1024):
         continue
     os.kill(os.getpid(), signal.SIGTERM)

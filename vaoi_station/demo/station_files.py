@@ -19,7 +19,7 @@ _WITHOUT_TABLES = (str, int, float, bool, list, tuple)
 
 
 def resolve_scenario(name: str) -> Path:
-    """Return the path of a scenario: of a shipped one by its name, or of a file.
+    """Return the path of a scenario. `name` is the name of a shipped scenario, or the path of a file.
 
     Raises:
         NotFoundError: there is no such shipped scenario.
@@ -48,7 +48,7 @@ def write_station_files(scenario: Path, folder: Path, *, boards: int = 0) -> tup
 
 
 def station_config(twin: Twin, scenario: Path, folder: Path, boards: int) -> StationConfig:
-    """Return the configuration of a station at the twin's line."""
+    """Return the configuration of a station whose line is simulated by the twin."""
     array = twin.scenario.array
     cameras = tuple(
         CameraConfig(
@@ -82,12 +82,12 @@ def ring_directory(size_bytes: int, folder: Path) -> Path:
 
 
 def to_toml(config: StationConfig) -> str:
-    """Format a configuration as the text of `station.toml`; values that are the default are left out."""
+    """Format a configuration as the text of `station.toml`. Values equal to their default are left out."""
     return "\n".join(_table((), config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))) + "\n"
 
 
 def _table(path: tuple[str, ...], content: dict[str, Any]) -> list[str]:
-    """Return the lines of a table."""
+    """Return the TOML lines of a table and of the tables inside it; `path` holds the keys that lead to the table."""
     # Plain keys come first: in TOML every key after a table header belongs to that table.
     inner = {k: v for k, v in content.items() if isinstance(v, dict)}
     many = {k: v for k, v in content.items() if isinstance(v, list) and v and isinstance(v[0], dict)}

@@ -16,7 +16,7 @@ from pathlib import Path
 
 # A program locks its folder right after it has made it; ten seconds are ample.
 _NEW_S = 10.0
-"""A younger folder is not removed: its owner may not have locked it yet."""
+"""Age in seconds below which a folder is not removed, because its owner may not have locked it yet."""
 
 
 @contextmanager
@@ -34,7 +34,7 @@ def temporary_folder(purpose: str) -> Iterator[Path]:
 
 
 def remove_abandoned(purpose: str) -> list[Path]:
-    """Remove the folders that killed programs of this user have left; return them."""
+    """Remove the temporary folders that killed programs of this user have left behind; return their paths."""
     found = sorted(Path(tempfile.gettempdir()).glob(f"{_prefix(purpose)}*"))
     left = [folder for folder in found if _is_abandoned(folder)]
     for folder in left:
@@ -44,7 +44,7 @@ def remove_abandoned(purpose: str) -> list[Path]:
 
 
 def _is_abandoned(folder: Path) -> bool:
-    """Return whether a folder belongs to this user, is not new, and has lost its owner."""
+    """Return whether a folder belongs to this user, is not new, and is no longer locked by its owner."""
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     except OSError:  # not a folder, a symbolic link, another user's folder, or removed meanwhile

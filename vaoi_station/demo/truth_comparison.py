@@ -11,32 +11,32 @@ from vaoi_station.model import Strict
 from vaoi_station.simulation import Passage
 
 View = Sequence[float]
-"""camera, row, x, y: the centre of a footprint in raw pixels."""
+"""The centre of a footprint in one frame: camera, row, and x and y in raw pixels."""
 
 
 class Deviation(Strict):
-    """Distances between result and truth over all views of all components, in the image and on the board."""
+    """Distances between the positions of result and truth over all views of all components, in px and in board mm."""
 
     views: int
-    """Views of the truth that the result places."""
+    """Number of views of the truth that the result places."""
     unplaced: int
-    """Views of the truth that the result does not place."""
+    """Number of views of the truth that the result does not place."""
     rms_px: float
     max_px: float
     rms_mm: float
     max_mm: float
     worst: str | None
-    """Component, camera and row of the largest distance."""
+    """Component, camera and row of the view with the largest distance."""
 
 
 def compare_with_truth(
     truth: Mapping[str, Iterable[View]], found: Mapping[str, Iterable[View]], px_per_mm: Sequence[float]
 ) -> Deviation:
-    """Compare positions of components in raw images.
+    """Compare the component positions of a result with the true ones, in raw pixels.
 
     Args:
-        truth: true views of every component.
-        found: views of the result; views that the truth does not have are ignored.
+        truth: true views of every component, by the component's address.
+        found: views of the result, by address; views that the truth does not have are ignored.
         px_per_mm: resolution of each camera.
     """
     errors: list[tuple[float, float, str]] = []
@@ -63,7 +63,7 @@ def compare_with_truth(
 
 
 def true_speed_mm_s(passage: Passage) -> float:
-    """Return the true speed of the board's centre: the least-squares line through its positions at the pulses."""
+    """Return the true speed of the board's centre, from the least-squares line through its positions at the pulses."""
     board = passage.twin.scenario.board
     middle = np.array([board.width_mm / 2, board.length_mm / 2, 1.0])
     places_mm = np.array([(passage.pose(t) @ middle)[:2] for t in passage.pulse_times_s])

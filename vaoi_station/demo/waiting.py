@@ -10,9 +10,9 @@ from vaoi_station.errors import DeviceError, NotFoundError
 
 POLL_S = 10.0
 START_S = 180.0
-"""Limit until the station is ready: workers may have to compile first, and the twin draws its board."""
+"""Longest time until the station is ready: workers may have to compile first, and the twin draws its board."""
 BOARD_S = 180.0
-"""Limit until a board has passed: the twin renders its frames first."""
+"""Longest time until a board has passed: the twin renders the frames of the board first."""
 
 
 def wait_until_idle(client: Client) -> None:
@@ -48,7 +48,7 @@ def wait_for_run(client: Client, after: str | None) -> dict[str, Any]:
 
 
 def poll(client: Client, after: str | None) -> dict[str, Any] | None:
-    """Wait for the next run during one long poll; None if no run has finished meanwhile."""
+    """Wait for the run after `after` with one long poll; return None if no run finishes before its time-out."""
     run = client.get("/runs/next", after=after, timeout=POLL_S)
     if run is None and after is None:
         run = _latest(client)

@@ -16,15 +16,15 @@ class RunningProcess:
     """The process that owns the station's ring now: `vaoi serve`, `vaoi record` or `vaoi view`."""
 
     pid: int | None
-    """None if the process belongs to another user and cannot be inspected."""
+    """Process id; None if the process belongs to another user and cannot be inspected."""
     snapshot: dict[str, Any] = field(default_factory=dict)
-    """Its reply to GET station; empty without a reply."""
+    """The station's reply to GET station; empty if it did not reply."""
     no_reply_reason: str = ""
-    """Why there is no reply; empty with a reply."""
+    """Reason why there is no reply; empty if there is one."""
 
     @property
     def description(self) -> str:
-        """The process as the subject of a sentence."""
+        """A description of the process, for use as the subject of a sentence."""
         return "a process of another user" if self.pid is None else f"process {self.pid}"
 
     @property

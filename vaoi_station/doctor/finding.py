@@ -27,7 +27,7 @@ EXIT_CODES = {Level.NOT_APPLICABLE: 0, Level.OK: 0, Level.WARNING: 1, Level.FAUL
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report."""
+    """The outcome of one check, which is one line of the report."""
 
     level: Level
     message: str
@@ -67,7 +67,7 @@ class Report:
     """Name of the station; empty if its configuration could not be read."""
     config: str
     created: str
-    """UTC, RFC 3339."""
+    """Time of the report in UTC, in the format of RFC 3339."""
     host: str
     version: str
     running: int | None

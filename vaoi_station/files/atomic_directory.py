@@ -13,7 +13,7 @@ from vaoi_station.errors import StateError
 
 @contextmanager
 def new_directory(directory: Path) -> Iterator[Path]:
-    """Yield a draft directory for the caller to fill, and rename it at the end; remove it after an exception.
+    """Yield a draft directory for the caller to fill. At the end rename it to `directory`; on an exception remove it.
 
     Raises:
         StateError: the directory exists.
@@ -21,7 +21,7 @@ def new_directory(directory: Path) -> Iterator[Path]:
     if directory.exists():
         raise StateError(f"{directory}: exists already.", action="Choose another directory, or remove this one.")
     directory.parent.mkdir(parents=True, exist_ok=True)
-    # Beside the target, because a rename is atomic only within one file system.
+    # The draft is created beside the target, because a rename is atomic only within one file system.
     draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
     try:
         # mkdtemp gives access to its owner only.

@@ -9,10 +9,10 @@ from vaoi_station.model import BoardType
 
 
 def read_board_type(path: Path) -> BoardType:
-    """Read a board type; InputError with file, key and value if it is invalid."""
+    """Read a board type; raise InputError with file, key and value if it is invalid."""
     return parse(BoardType, read_json(path), path)
 
 
 def write_board_type(path: Path, board_type: BoardType) -> None:
-    """Write a board type, complete or not at all."""
+    """Write a board type atomically: the file is complete or unchanged."""
     write_json(path, board_type.model_dump(mode="json", exclude_none=True))

@@ -14,21 +14,21 @@ from vaoi_station.model import Calibration, CameraHead
 
 _LEAST_PX_PER_MM, _MOST_PX_PER_MM = 0.05, 5000.0
 _MOST_APART = 4.0
-"""Largest factor by which the resolutions of an array's cameras may differ from their median."""
+"""Largest accepted factor between the resolution of a camera and the median of the array's resolutions."""
 _FROM_DESIGN = 1.5
-"""Largest factor between a resolution and its nominal value; another lens or distance gives more."""
+"""Largest accepted factor between a resolution and its nominal value. A wrong lens or distance gives a larger one."""
 
 
 def read_calibration(path: Path, cameras: int | Sequence[CameraHead] | None = None) -> Calibration:
-    """Read a calibration; refuse an impossible one, and one of another array.
+    """Read a calibration. Refuse an impossible calibration, and one that belongs to another array.
 
     Args:
-        path: of the file.
+        path: path of calibration.json.
         cameras: number of cameras, or their heads. With heads, each resolution must also be near the head's
             `nominal_px_per_mm`, if that is given.
 
     Raises:
-        InputError: with file, camera, value and limit.
+        InputError: the calibration is refused; the message names file, camera, value and limit.
     """
     data = read_json(path)
     check_format(data, path, "vaoi-calibration", 1)
@@ -88,5 +88,5 @@ def _check_design(calibration: Calibration, heads: tuple[CameraHead, ...], path:
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration, complete or not at all."""
+    """Write a calibration atomically: the file is complete or unchanged."""
     write_json(path, calibration.model_dump(mode="json", exclude_none=True))

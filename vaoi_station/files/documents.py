@@ -50,7 +50,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse(model: type[M], data: Any, where: str | Path) -> M:
-    """Validate parsed data; InputError with file, key, value and limit of the first five faults."""
+    """Validate parsed data; raise InputError with file, key, value and limit of the first five faults."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -58,7 +58,7 @@ def parse(model: type[M], data: Any, where: str | Path) -> M:
 
 
 def check_format(data: Any, path: Path, name: str, version: int) -> None:
-    """Refuse another format or a newer version, before any other key is checked."""
+    """Refuse a document of another format or of a newer version; called before any other key is checked."""
     if not isinstance(data, dict):
         raise InputError(f"{path}: holds a {type(data).__name__}, must be an object with 'format' and 'version'.")
     if data.get("format") != name:
@@ -87,7 +87,7 @@ def describe(error: ValidationError, where: str | Path) -> str:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON document, complete or not at all; InternalError if a number is not finite."""
+    """Write a JSON document atomically; raise InternalError if a number is not finite."""
     if (fault := _not_finite(data)) is not None:
         raise InternalError(f"{path}: {fault[0]} is {fault[1]}, which JSON cannot hold; nothing was written.")
     write_bytes(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
@@ -104,7 +104,7 @@ def write_bytes(path: Path, content: bytes) -> None:
         raise InputError(f"{path}: is not a file and is not overwritten.", action="Give the path of a file.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # In the same directory, because a rename is atomic only within one file system.
+        # The temporary file is in the same directory, because a rename is atomic only within one file system.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).", action="Choose another place.") from error
@@ -122,7 +122,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def _causes(faults: Sequence[ErrorDetails]) -> Iterator[ErrorDetails]:
-    """Drop reports of too short arrays that are short only because their items were refused."""
+    """Yield the faults, except reports of arrays that are too short only because their items were refused."""
     for fault in faults:
         inside = (other["loc"][: len(fault["loc"])] == fault["loc"] for other in faults if other is not fault)
         if fault["type"] != "too_short" or not any(inside):
@@ -150,7 +150,7 @@ def _not_finite(data: Any, key: str = "") -> tuple[str, float] | None:
 
 
 def refuse_duplicate_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build an object from its pairs (hook of the JSON reader); DuplicateKeyError if a key appears twice."""
+    """Build an object from pairs (key, value) for the JSON reader; raise DuplicateKeyError if a key appears twice."""
     keys = dict(pairs)
     if len(keys) != len(pairs):
         twin = next(k for n, (k, _) in enumerate(pairs) if k in [p[0] for p in pairs[:n]])

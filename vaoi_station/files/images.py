@@ -17,9 +17,9 @@ SUFFIXES = (".png", ".tiff", ".tif")
 
 
 def read_image(path: Path) -> Image:
-    """Read a frame: (h, w) or (h, w, 3), uint8 or uint16."""
+    """Read a frame as array (height, width) or (height, width, 3), uint8 or uint16."""
     try:
-        # Read by numpy, decoded from memory: cv2.imread returns None for an absent file and a broken one alike.
+        # Read with numpy and decode from memory: cv2.imread returns None for an absent as well as for a broken file.
         content = np.fromfile(path, dtype=np.uint8)
     except FileNotFoundError as error:
         raise NotFoundError(f"{path}: there is no such frame.") from error
@@ -43,7 +43,7 @@ def encode_png(image: Image, level: int = 1) -> bytes:
 
 
 def encode_tiff(image: Image) -> bytes:
-    """Encode an image as uncompressed TIFF: large, and read six times as fast as PNG."""
+    """Encode an image as uncompressed TIFF, which is large but is read six times as fast as PNG."""
     return encode(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
 
 
@@ -54,7 +54,7 @@ def encode_jpeg(image: Image, quality: int = 90) -> bytes:
 
 
 def encode(suffix: str, image: Image, options: list[int]) -> bytes:
-    """Encode an image in the format of a file suffix."""
+    """Encode an image in the format of a file suffix; `options` are parameters of cv2.imencode."""
     ok, content = cv2.imencode(suffix, image, options)
     if not ok:
         raise InputError(f"a picture of shape {image.shape} and type {image.dtype} cannot be written as {suffix}.")
@@ -62,5 +62,5 @@ def encode(suffix: str, image: Image, options: list[int]) -> bytes:
 
 
 def write_image(path: Path, image: Image, level: int = 3) -> None:
-    """Write a PNG, or an uncompressed TIFF for the suffix .tiff or .tif, complete or not at all."""
+    """Write a PNG, or an uncompressed TIFF for the suffix .tiff or .tif, atomically."""
     write_bytes(path, encode_tiff(image) if path.suffix in (".tiff", ".tif") else encode_png(image, level))

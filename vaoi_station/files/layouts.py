@@ -17,12 +17,12 @@ class LayoutMark(FrozenModel):
     shape: Literal["cross"] = "cross"
     size: Positive
     width: Positive
-    """Width of one arm."""
+    """Width of one arm of a mark, in the unit of the layout."""
     polarity: Literal["dark", "light"] = "dark"
 
 
 class Layout(FrozenModel):
-    """Positions of the marks, in the coordinates that become the tester's."""
+    """The marks of a calibration board. The coordinates of their positions become tester coordinates."""
 
     unit: Literal["mm", "inch", "mil"] = "mm"
     mark: LayoutMark
@@ -30,7 +30,7 @@ class Layout(FrozenModel):
 
     @property
     def mm_per_unit(self) -> float:
-        """Size of one unit in mm."""
+        """Size of one unit of the layout in mm."""
         return MM_PER_UNIT[self.unit]
 
 
@@ -40,5 +40,5 @@ def read_layout(path: Path) -> Layout:
 
 
 def write_layout(path: Path, layout: Layout) -> None:
-    """Write a layout, complete or not at all."""
+    """Write a layout atomically: the file is complete or unchanged."""
     write_json(path, layout.model_dump(mode="json", exclude_none=True))

@@ -1,4 +1,4 @@
-"""Read and write results of stitching, also the body of `runs/{id}/matrices`."""
+"""Read and write results of stitching. `runs/{id}/matrices` replies in the same format."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm"
 
 
 def read_stitch(path: Path) -> Stitch:
-    """Read a result; InputError with file, key and value if it is invalid."""
+    """Read a result; raise InputError with file, key and value if it is invalid."""
     data = read_json(path)
     check_format(data, path, "vaoi-stitch", 1)
     return parse(Stitch, data, path)
 
 
 def stitch_document(stitch: Stitch) -> dict[str, Any]:
-    """Return the JSON object of a result; null matrices stay, unused optional keys are left out."""
+    """Return the JSON object of a result. Null matrices are kept; optional keys without a value are left out."""
     document = stitch.model_dump(mode="json")
     for key in ("surface", "components"):
         if document[key] is None:
@@ -31,25 +31,25 @@ def stitch_document(stitch: Stitch) -> dict[str, Any]:
 def stitch_text(stitch: Stitch) -> str:
     """Return the result as JSON text.
 
-    It is written by pydantic's own serializer, for a large board in a seventh of the time.
+    pydantic's serializer writes the text, which for a large board takes a seventh of the time of `json.dumps`.
 
     Raises:
         ValueError: a number is NaN or infinite, which JSON does not have.
     """
     unused = {key for key in ("surface", "components") if getattr(stitch, key) is None}
     text = stitch.model_dump_json(exclude=unused)
-    # Either such a number, or a name that contains the word: the slower writer decides.
+    # The text holds such a number, or a name that contains the word. The slower writer raises only for the number.
     if "NaN" in text or "Infinity" in text:
         json.dumps(stitch_document(stitch), allow_nan=False)
     return text
 
 
 def without_components(stitch: Stitch) -> Stitch:
-    """Return a result without its entries per component; for a large board a tenth of the size remains."""
+    """Return a result without its entries per component. For a large board this leaves a tenth of the size."""
     quality = {key: value for key, value in stitch.quality.items() if key not in _OF_COMPONENTS}
     return stitch.model_copy(update={"components": None, "quality": quality})
 
 
 def write_stitch(path: Path, stitch: Stitch) -> None:
-    """Write a result, complete or not at all."""
+    """Write a result atomically: the file is complete or unchanged."""
     write_json(path, stitch_document(stitch))

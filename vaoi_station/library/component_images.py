@@ -16,38 +16,38 @@ from vaoi_station.rendering.contact_sheet import Tile, contact_sheet
 
 @dataclass(frozen=True, eq=False)
 class ComponentImage:
-    """One component in one frame (paper, section 3.4)."""
+    """The temporary image of one component, cut from one frame (paper, section 3.4)."""
 
     camera: int
     row: int
     coverage: float
-    """Share of the component inside the frame, 0 … 1."""
+    """Share of the component that lies inside the frame, 0 … 1."""
     px_per_mm: float
     crop_from_cad: Floats
-    """(3, 3) CAD coordinates (unit of the board type) → pixels of this image."""
+    """Matrix (3, 3) from CAD coordinates (unit of the board type) to pixels of this image."""
     image_from_crop: Floats
-    """(3, 3) pixels of this image → pixels of the frame; undistorted pixels if `distorted`."""
+    """Matrix (3, 3) from pixels of this image to pixels of the frame; to undistorted pixels if `distorted` is True."""
     distorted: bool
     """Whether lens distortion over this image is too large for a matrix. The image itself is corrected."""
     covariance_px2: Floats | None
-    """(2, 2) predicted covariance of the component's centre in the frame; None if the centre is outside."""
+    """Predicted covariance (2, 2) of the component's centre in the frame; None if the centre is outside the frame."""
     _load: Callable[[], NDArray[Any]] = field(repr=False)
 
     @property
     def cad_from_crop(self) -> Floats:
-        """(3, 3) pixels of this image → CAD coordinates."""
+        """Matrix (3, 3) from pixels of this image to CAD coordinates."""
         return np.asarray(np.linalg.inv(self.crop_from_cad))
 
     @property
     def pixels(self) -> NDArray[Any]:
-        """The image, (height, width) or (height, width, 3) blue-green-red; made or fetched at each access."""
+        """The image, (height, width) or (height, width, 3) blue-green-red. It is rendered or fetched at each access."""
         # Not cached: a caller that visits all components of a board would otherwise hold all their images.
         return self._load()
 
 
 @dataclass(frozen=True, eq=False)
 class ComponentImages:
-    """All images of one component, the best first: full coverage, then nearest to the frame's centre."""
+    """All images of one component, the best first: with full coverage, then nearest to the centre of its frame."""
 
     ref: str
     images: tuple[ComponentImage, ...]
@@ -67,7 +67,7 @@ class ComponentImages:
         return self.images[index]
 
     def figure(self) -> NDArray[np.uint8]:
-        """Draw all images side by side under the verdict, (height, width, 3) blue-green-red."""
+        """Draw all images side by side, with the verdict above them; return (height, width, 3) blue-green-red."""
         tiles = [Tile(image.pixels, f"c{image.camera} r{image.row}", f"{image.coverage:.0%}") for image in self]
         # A height is estimated from parallax between views, so a component may have images and no height.
         facts = [f"{len(self)} images"]

@@ -1,4 +1,4 @@
-"""Read and write single documents; paths may be text."""
+"""Read and write single documents. A path is a `Path` or a text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write calibration.json, whole or not at all."""
+    """Write calibration.json atomically: the file is complete or unchanged."""
     files.write_calibration(Path(path), calibration)
 
 
@@ -29,7 +29,7 @@ def read_board_type(path: str | Path) -> BoardType:
 
 
 def write_board_type(path: str | Path, board_type: BoardType) -> None:
-    """Write board.json, whole or not at all."""
+    """Write board.json atomically: the file is complete or unchanged."""
     files.write_board_type(Path(path), board_type)
 
 
@@ -44,6 +44,6 @@ def read_image(path: str | Path) -> NDArray[Any]:
 
 
 def write_image(path: str | Path, pixels: NDArray[Any]) -> None:
-    """Write a PNG, or an uncompressed TIFF if the path ends so, whole or not at all; missing folders are made."""
+    """Write a PNG, or an uncompressed TIFF if the path ends in .tiff or .tif, atomically. Create missing folders."""
     # Callers pass slices of frames, whose rows are not adjacent in memory.
     images.write_image(Path(path), np.ascontiguousarray(pixels))

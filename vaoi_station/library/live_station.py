@@ -24,18 +24,18 @@ class StationRun:
 
     id: str
     summary: dict[str, Any]
-    """The run as `GET runs/{id}` answers it."""
+    """The reply of the station to `GET runs/{id}`."""
     _client: Client = field(repr=False)
 
     @cached_property
     def result(self) -> Stitch:
-        """Matrices, uncertainty and verdict; fetched once."""
+        """Matrices, uncertainty and verdict of the run, fetched at the first access."""
         path = f"/runs/{quote(self.id)}/matrices"
         return parse(Stitch, self._client.get(path), path)
 
     @property
     def status(self) -> Status:
-        """Verdict: ok, degraded or failed."""
+        """Verdict of the run: ok, degraded or failed."""
         return self.result.status
 
     @property
@@ -50,7 +50,7 @@ class StationRun:
         return tuple(entry["address"] for entry in listing["components"])
 
     def component(self, ref: str, *, px_per_mm: float | None = None, min_coverage: float = 0.5) -> ComponentImages:
-        """Return the images of a component from every frame that shows it; pixels are fetched at access.
+        """Return the images of a component from every frame that shows it. Pixels are fetched when they are accessed.
 
         Raises:
             NotFoundError: the board type has no such component.
@@ -85,16 +85,16 @@ class StationRun:
 
 
 class Station:
-    """A connection to a running station; every refusal is raised as the `VaoiError` that the station reports."""
+    """A connection to a running station. Every refusal is raised as the `VaoiError` that the station reports."""
 
     def __init__(self, address: str) -> None:
-        """Take the address, `http://HOST:PORT`; nothing is sent yet."""
+        """Set the address of the station, `http://HOST:PORT`. No request is sent yet."""
         if not address.startswith(("http://", "https://")):
             raise InputError(f"address is {address!r}, but must start with http:// or https://.")
         self._client = Client(address.rstrip("/"))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the present state of the station as `GET station` answers it."""
+        """Return the present state of the station as `GET station` gives it."""
         return dict(self._client.get("/station"))
 
     def runs(self, limit: int = 50) -> list[dict[str, Any]]:
@@ -107,10 +107,11 @@ class Station:
         return StationRun(summary["id"], summary, self._client)
 
     def wait_for_run(self, after: str | None = None, timeout_s: float = 30.0) -> StationRun | None:
-        """Wait for the next finished run; None if none finishes in time.
+        """Wait for the next finished run; return None if no run finishes in time.
 
         Args:
-            after: id of the last run that was seen, so that none is missed; by default the next to finish.
+            after: id of the last run that the caller knows, so that no run is missed. By default the call returns the
+                next run to finish.
             timeout_s: at most 60.
         """
         summary = self._client.get("/runs/next", after=after, timeout=timeout_s)
@@ -121,7 +122,7 @@ def connect(address: str = "http://127.0.0.1:8350") -> Station:
     """Connect to a running station.
 
     Raises:
-        DeviceError: nothing answers at the address.
+        DeviceError: no station replies at the address.
     """
     station = Station(address)
     # One request now, so that a wrong address is an error here and not at the first use.

@@ -24,7 +24,7 @@ METHODS: tuple[Method, ...] = ("auto", "features", "fiducials", "reference", "pa
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """One board as recorded: frames, calibration, board type. Frames are read from disk when asked for."""
+    """The recording of one board: frames, calibration, board type. Frames are read from disk on request."""
 
     directory: Path
     calibration_path: Path | None
@@ -49,11 +49,11 @@ class RecordedRun:
 
     @property
     def board_type(self) -> BoardType | None:
-        """CAD data of the board; None if there is none."""
+        """CAD data of the board; None if the recording has no board type."""
         return self._opened.setup.board_type
 
     def frame(self, camera: int, row: int) -> NDArray[Any] | None:
-        """Read one frame, (height, width) or (height, width, 3); None if it never arrived."""
+        """Read one frame, (height, width) or (height, width, 3); None if the frame never arrived."""
         if not (0 <= camera < self.cameras and 0 <= row < self.rows):
             raise InputError(
                 f"{self.directory}: has no frame of camera {camera}, row {row}; "
@@ -77,9 +77,9 @@ class RecordedRun:
         """
         if method not in METHODS:
             raise InputError(f"method is {method!r}, but must be one of {', '.join(METHODS)}.")
-        # The paper's method is not a choice of evidence for our stitching; it stitches by itself below.
+        # The paper's method is not a kind of evidence. It replaces our stitching below and ignores this setting.
         evidence: MethodName = "auto" if method == "paper" else method
-        # Opened again, because the evidence is part of the setup that the opened run holds.
+        # The run is opened for each call, because the kind of evidence is part of the setup that an opened run holds.
         opened = open_run(
             self.directory,
             calibration=self.calibration_path,
@@ -133,6 +133,6 @@ def open_recording(
 
 
 def stitch(recording: str | Path | RecordedRun, method: Method = "auto") -> StitchedRun:
-    """Stitch a recording, given as a directory or opened."""
+    """Stitch a recording, given as a directory or as a `RecordedRun`."""
     run = recording if isinstance(recording, RecordedRun) else open_recording(recording)
     return run.stitch(method)

@@ -15,7 +15,7 @@ def simulate(scenario: str | Path, directory: str | Path, *, board: int = 0) -> 
 
     Args:
         scenario: a scenario file (TOML), or the name of one that comes with the package, e.g. "small" or "demo".
-        directory: where the recording is written; it must not hold one already.
+        directory: directory for the recording; it must not contain one already.
         board: index of the board; boards of one scenario differ in noise, motion and faults.
 
     Raises:

@@ -21,7 +21,7 @@ from vaoi_station.rendering import View, ViewCalculator, render
 
 
 def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
-    """Return the (2, 2) covariance, px², of a component's centre by (camera, row)."""
+    """Return the covariance (2, 2) in px² of a component's centre in each frame, by (camera, row)."""
     rows = result.quality.get("component_covariance_px2", {}).get(ref, [])
     return {(int(c), int(j)): np.array([[xx, xy], [xy, yy]]) for c, j, xx, xy, yy in rows}
 
@@ -33,7 +33,7 @@ def component_height(result: Stitch, ref: str) -> tuple[float | None, float | No
 
 @dataclass(frozen=True, eq=False)
 class StitchedRun:
-    """A recording with its result."""
+    """A recording with its result, which gives the positions and images of its components."""
 
     recording: Recording
     cameras: tuple[Camera, ...]
@@ -42,7 +42,7 @@ class StitchedRun:
 
     @property
     def status(self) -> Status:
-        """Verdict: ok, degraded or failed."""
+        """Verdict of the run: ok, degraded or failed."""
         return self.result.status
 
     @property
@@ -57,11 +57,11 @@ class StitchedRun:
 
     @property
     def cad_matrix(self) -> Floats | None:
-        """C, (3, 3): CAD → tester; None without a CAD mapping."""
+        """CAD matrix C (3, 3), from CAD to tester coordinates; None if the result has no CAD mapping."""
         return self.result.cad_matrix
 
     def image_matrix(self, camera: int, row: int) -> Floats | None:
-        """Return M_ij, (3, 3): tester → undistorted pixels of a frame; None if the frame has no place."""
+        """Return image matrix M_ij (3, 3), from tester to undistorted pixels; None if the frame was not placed."""
         return self.result.image_matrices[camera][row]
 
     def component(self, ref: str, *, px_per_mm: float | None = None, min_coverage: float = 0.5) -> ComponentImages:
@@ -84,11 +84,11 @@ class StitchedRun:
         return ComponentImages(ref, images, height, sigma, self.status)
 
     def center(self, ref: str) -> tuple[float, float]:
-        """Return the centre of a component, CAD coordinates in the unit of the board type."""
+        """Return the centre of a component in CAD coordinates, in the unit of the board type."""
         return self._part(ref).center
 
     def save(self, path: str | Path) -> None:
-        """Write the result in the format of `docs/formats.md`, whole or not at all."""
+        """Write the result in the format of `docs/formats.md`, atomically: the file is complete or unchanged."""
         write_stitch(Path(path), self.result)
 
     @property

@@ -22,7 +22,7 @@ def write_bundle(directory: Path, stitched: StitchedRun) -> None:
     """Write recording, calibration, board type, reference, result, links and report into a new directory.
 
     The bundle is itself a recording, so that `vaoi stitch` and `vaoi report` accept it. The arrays of links.npz are
-    those of `numbers.link_arrays` and `numbers.detection_arrays` (the latter with `sighting_` before).
+    those of `link_arrays` and `detection_arrays` in `sections.embedded_data`; the latter have the prefix `sighting_`.
 
     Raises:
         StateError: the directory exists.

@@ -27,7 +27,7 @@ class FramePair:
     used: int
     """Links that have weight in the adjustment."""
     residual_px: float | None
-    """Root mean square of their residuals; None without such links."""
+    """Root mean square residual of the used links; None if there are none."""
 
     @property
     def a(self) -> FrameKey:
@@ -72,7 +72,7 @@ class StitchedRun:
         """Every pair of frames that was searched for links, in the order of the tasks."""
         f = self.findings
         adjusted, links = f.adjusted, f.problem.links
-        # By identity: the adjustment holds the same evidence objects, and arrays have no plain equality.
+        # Evidence is found by identity: the adjustment holds the same objects, and arrays cannot be compared with ==.
         number = {id(e): n for n, e in enumerate(links.groups)}
         out = []
         for e in f.links:
@@ -126,7 +126,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
 
 
 def _entry(entry: Any) -> tuple[FrameKey, str, str]:
-    """Read one entry of the recorder's list; keys that begin with x_ may hold anything, so nothing is assumed."""
+    """Read one entry of the recorder's list of frames, stored under an `x_` key, which may hold values of any type."""
     if not isinstance(entry, dict):
         return (-1, -1), "", ""
     camera, row = entry.get("camera"), entry.get("row")

@@ -11,7 +11,7 @@ _TABLES = ("board_references", "board_methods")
 
 
 class BoardStitching:
-    """References and methods of board types; methods that write return a future that completes with the transaction."""
+    """References and stitching methods of board types. Calls that write return a future of the transaction."""
 
     def __init__(self, database: Database) -> None:
         self._database = database

@@ -11,7 +11,7 @@ from vaoi_station.files import read_board_type, write_board_type
 from vaoi_station.model import BoardType
 
 LONGEST_FILE_NAME = 250
-"""Characters of a file name without \".json\"; common file systems allow 255 bytes in all."""
+"""Largest number of characters of a file name without \".json\". Common file systems allow 255 bytes with it."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class BoardTypeFile:
 
 
 class BoardTypeDirectory:
-    """The directory of board types that this station knows."""
+    """The directory with the station's board types."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -42,7 +42,7 @@ class BoardTypeDirectory:
         return self._read(path)
 
     def list(self) -> list[BoardTypeFile]:
-        """Return all files of the directory, sorted by name; unusable ones with their fault."""
+        """Return one entry per file, sorted by name. The entry of an unusable file holds the fault."""
         # Names with a leading dot are temporary files of an unfinished write.
         return [self._entry(path) for path in sorted(self.directory.glob("*.json")) if not path.name.startswith(".")]
 
@@ -83,7 +83,7 @@ class BoardTypeDirectory:
 
     def _read(self, path: Path) -> BoardType:
         board_type = read_board_type(path)
-        # A copied file that still contains the old name would answer to a name that `path_of` never finds.
+        # A copy under a new file name may still contain the old board type name; `path_of` would never find the copy.
         if (expected := self.path_of(board_type.name)) != path:
             raise InputError(
                 f"{path}: holds the board type {board_type.name!r}.",

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from vaoi_station.store.database import Database
 
 FIRST_KEPT, LATEST_KEPT = 100, 2000
-"""Checks kept per calibration: those from when it was new, and the latest ones."""
+"""Numbers of checks kept per calibration: the first ones, from when it was new, and the latest ones."""
 
 
 class CalibrationChecks:
@@ -18,7 +18,7 @@ class CalibrationChecks:
         self._database = database
 
     def save(self, run: str, calibration_digest: str, document: str) -> Future[None]:
-        """Save the check of a run; delete those of its calibration that are neither among the first nor the latest."""
+        """Save the check of a run. Delete checks of its calibration that are neither among the first nor the latest."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute(

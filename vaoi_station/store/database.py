@@ -16,13 +16,13 @@ from vaoi_station.store.schema import migrate
 
 T = TypeVar("T")
 READERS = 4
-"""Reading connections; more simultaneous readers wait for a free one."""
+"""Number of connections for reading. Further simultaneous readers wait until a connection is free."""
 
 Write = Callable[[sqlite3.Connection], Any]
 
 
 class Database:
-    """An open database; one thread carries out writes in order, reads run in the calling thread."""
+    """An open database. One thread carries out all writes in order; reads run in the calling thread."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -43,7 +43,7 @@ class Database:
             StateError: the database is closed. Errors of `work` are set on the future.
         """
         future: Future[T] = Future()
-        # The gate orders writes against `close`: a job put after the end marker would never complete.
+        # The lock keeps writes and `close` apart: a write queued behind the end marker would never be carried out.
         with self._gate:
             if self._closed:
                 raise StateError(f"{self.path}: is closed; the station is stopping.")
@@ -109,7 +109,7 @@ def _open(path: Path) -> sqlite3.Connection:
             # With a write-ahead log NORMAL survives a crash of the process; a power failure may lose the last
             # transactions but does not damage the file (SQLite documentation, "PRAGMA synchronous").
             connection.execute("PRAGMA synchronous = NORMAL")
-            # Damage found now stops the start with an action; found later it would end a run.
+            # Damage found here stops the start, with an action for the operator. Found later, it would make a run fail.
             fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
             if fault != "ok":
                 raise sqlite3.DatabaseError(fault)
@@ -130,7 +130,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def _translated_errors(path: Path) -> Iterator[None]:
-    """Convert SQLite errors to errors with path and action."""
+    """Convert SQLite errors to errors of the station, with the file's path and an action."""
     # OperationalError and IntegrityError are subclasses of DatabaseError, so the order of the clauses matters.
     try:
         yield

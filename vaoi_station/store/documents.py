@@ -1,4 +1,4 @@
-"""Typed access to the database: runs, results, calibrations, board types as used, events.
+"""Typed access to the database: runs, results, events, and the calibrations and board types that runs have used.
 
 Documents are JSON texts that the store does not interpret. Results never change. The frames of a run are in shared
 memory and are lost when the station ends. After a restart the caller therefore marks finished runs with
@@ -20,12 +20,12 @@ from vaoi_station.store.database import Database
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
-"""Events kept; older ones are deleted."""
+"""Number of events kept; older events are deleted."""
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """A run as stored; `finish_number` orders runs by their end, None: not finished."""
+    """A run as stored. `finish_number` orders runs by the time of their end; it is None for an unfinished run."""
 
     id: str
     state: str
@@ -35,7 +35,7 @@ class RunRow:
     summary: str
     detail: str
     head: str | None = None
-    """The recording's head as JSON; None while the board is filmed."""
+    """Head of the run's recording as JSON; None while the board is filmed."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class EventRow:
 
 
 def digest_of(document: str) -> str:
-    """Return the name of a document by its content: the first 16 hex digits of its SHA-256."""
+    """Return the digest that identifies a document by its content: the first 16 hex digits of its SHA-256."""
     return hashlib.sha256(document.encode()).hexdigest()[:16]
 
 
 class Store:
-    """The documents of one station; methods that write return a future that completes with the transaction."""
+    """The documents of one station. Calls that write return a future that completes with the transaction."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -62,7 +62,7 @@ class Store:
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
         """Store a board type or a calibration as it was used, and return its digest."""
         digest = digest_of(document)
-        # Waits for the transaction: runs refer to the digest by a foreign key.
+        # Wait until the transaction is complete, because runs refer to the digest by a foreign key.
         self._database.write(
             lambda c: c.execute("INSERT OR IGNORE INTO documents VALUES (?, ?, ?, ?)", (digest, kind, now, document))
         ).result()
@@ -125,7 +125,7 @@ class Store:
         ]
 
     def mark_frames_gone(self, gone: str) -> Future[None]:
-        """Set the state of all finished runs to `gone`, because their memory no longer exists."""
+        """Set the state of all finished runs to `gone`, because the memory of their frames no longer exists."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("UPDATE runs SET state = ? WHERE finish_number IS NOT NULL AND state <> ?", (gone, gone))
@@ -133,7 +133,7 @@ class Store:
         return self._database.write(write)
 
     def finished_after(self, finish_number: int) -> RunRow | None:
-        """Return the run that finished next after `finish_number` (0: the first of all); None if there is none."""
+        """Return the run that finished next after `finish_number` (0: the first run of all); None if there is none."""
         rows = self._database.read(
             f"SELECT {_COLUMNS} FROM runs WHERE finish_number > ? ORDER BY finish_number LIMIT 1",
             (finish_number,),

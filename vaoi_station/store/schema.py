@@ -1,6 +1,6 @@
 """The tables as a list of migration steps; `PRAGMA user_version` holds the number of steps applied.
 
-A released step never changes; a change of the tables is a further step.
+A released step is never edited. A change of the tables is added as a further step.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ LONGEST_WAIT_S = 5.0
 
 
 def create_app(config: StationConfig, latest: LatestFrames, notices: Sequence[str]) -> FastAPI:
-    """Create the page and its two addresses: `/api/look` (figures and marks) and `/api/cameras/N/picture` (JPEG)."""
+    """Create the application: the page, `/api/look` (figures and marks), and `/api/cameras/N/picture` (JPEG)."""
     app = FastAPI(title="VAOI view", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
     problems.install(app)
     app.mount("/web", Assets(directory=WEB), name="web")
@@ -42,7 +42,7 @@ def create_app(config: StationConfig, latest: LatestFrames, notices: Sequence[st
         after: Annotated[int, Query(ge=0)] = 0,
         timeout_s: Annotated[float, Query(ge=0, le=LONGEST_WAIT_S)] = 0.0,
     ) -> dict[str, Any]:
-        """Return the latest frame of every camera, after waiting for a frame number above `after`."""
+        """Wait at most `timeout_s` for a frame numbered above `after`; return the latest frame of every camera."""
         # A plain function, so that FastAPI runs it in a thread: waiting must not block the event loop.
         latest.wait(after, timeout_s)
         response.headers["Cache-Control"] = "no-store"
@@ -53,7 +53,7 @@ def create_app(config: StationConfig, latest: LatestFrames, notices: Sequence[st
 
     @app.get("/api/cameras/{camera}/picture")
     def picture(camera: int, number: int) -> Response:
-        """Return a frame that `/api/look` has listed."""
+        """Return the JPEG of a frame that `/api/look` has listed."""
         headers = {"Cache-Control": "no-store"}
         return Response(latest.frame(camera, number).jpeg(), media_type="image/jpeg", headers=headers)
 

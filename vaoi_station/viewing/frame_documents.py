@@ -1,4 +1,4 @@
-"""Frames as JSON documents and as text."""
+"""Describe viewed frames as JSON documents and as text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vaoi_station.viewing.latest_frames import ViewedFrame
 
 
 def frame_document(frame: ViewedFrame, config: StationConfig) -> dict[str, Any]:
-    """Return one frame as a JSON document: origin, figures, marks in raw px, remarks."""
+    """Describe one frame as a JSON document: where it comes from, figures of quality, marks in raw px, remarks."""
     inspection, camera = frame.inspection, config.cameras[frame.camera]
     return {
         "camera": frame.camera,
@@ -35,7 +35,7 @@ def frame_document(frame: ViewedFrame, config: StationConfig) -> dict[str, Any]:
 
 
 def row_text(document: dict[str, Any]) -> str:
-    """Return the document of a row as text."""
+    """Format the document of one row as text for the terminal."""
     return "\n".join(
         [f"run {document['run']}, row {document['row']} of {document['rows']}", *map(_camera_text, document["cameras"])]
     )

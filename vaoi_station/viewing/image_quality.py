@@ -18,52 +18,52 @@ from vaoi_station.calibration.mark_detection import to_grey
 from vaoi_station.files.images import Image
 
 TILES = 3
-"""Parts per side whose blur is measured separately: a tilted camera is sharp on one side only."""
+"""Parts per side of the frame whose blur is measured separately: a tilted camera is sharp on one side only."""
 _MTF50 = 0.1874
 """Cycles per pixel at which a blur of σ = 1 px has half the modulation: √(2 ln 2) / (2π)."""
 _SMOOTH_PX = 1.0
 _OWN_VARIANCE = _SMOOTH_PX**2 + 1 / 3
-"""Variance that smoothing and the finite difference for the slope add to the blur, px²."""
+"""Variance in px² that the measurement adds to the blur, by smoothing and by the finite difference for the slope."""
 _PIXEL_VARIANCE = 1 / 12
-"""Variance of a pixel's width, px²: no measured blur is smaller."""
+"""Variance in px² of a box of one pixel's width, the lower limit for the variance of a measured blur."""
 _REACH_PX = 7
-"""Distance from an edge within which the levels of both sides are measured."""
+"""Distance from an edge, in px, within which the grey levels of both sides are measured."""
 _THIN_PX, _BROAD = 2, 0.85
-"""Half width of thin lines, and the share of the contrast that must remain without them: a thin line is not an edge."""
+"""Half width (px) of lines that are removed, and share of contrast that an edge must keep: a thin line is no edge."""
 _LEAST_CONTRAST = 24.0
-"""Least contrast of an edge, grey levels of 255; weaker ones are noise."""
+"""Least contrast of an edge in grey levels, 0 … 255. Weaker edges are noise."""
 _BLOCK_PX = 24
-"""Side of the blocks of which the sharpest edge is used."""
+"""Side in px of the blocks into which a frame is divided. The sharpest edge of each block is used."""
 _LEAST_EDGES = 6
-"""Fewer edges give no blur figure."""
+"""Least number of edges from which a blur is computed."""
 _DIFFERENCE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
 _SHARPER = 0.5
-"""Share of the edges that is used: the sharper half shows the lens, the others are shadows and sloping parts."""
+"""Share of the edges that is used. The sharper half shows the lens blur; the others are shadows and sloping parts."""
 
 
 @dataclass(frozen=True)
 class ImageQuality:
-    """Focus and exposure of one frame; levels are shares of the full scale."""
+    """Focus and exposure of one frame. Grey levels are shares of the full scale, 0 … 1."""
 
     focus: float
-    """Higher is sharper; comparable only for the same scene."""
+    """Figure of focus: a higher value is sharper. Comparable only between frames of the same scene."""
     blur_px: float | None
-    """Standard deviation of the blur across edges, pixel width included; None without edges."""
+    """Standard deviation in px of the blur across edges, pixel width included; None if there are too few edges."""
     mtf50: float | None
-    """Spatial frequency of half the modulation, cycles per pixel."""
+    """Spatial frequency in cycles per pixel at which the modulation falls to one half."""
     blur_tiles_px: tuple[tuple[float | None, ...], ...]
-    """3 × 3 parts of the frame, from the top left."""
+    """`blur_px` of each of the 3 × 3 parts of the frame, in rows from the top left."""
     mean: float
     low: float
-    """1st percentile."""
+    """1st percentile of the grey levels."""
     high: float
-    """99th percentile."""
+    """99th percentile of the grey levels."""
     saturated: float
     """Share of the pixels at full scale."""
 
 
 def measure_quality(pixels: Image) -> ImageQuality:
-    """Measure focus and exposure of a frame (h, w) or (h, w, 3), 8 or 16 bit."""
+    """Measure focus and exposure of a frame (height, width) or (height, width, 3), 8 or 16 bit."""
     # The brightest channel: one saturated colour already spoils the frame.
     channels = pixels if pixels.ndim == 2 else pixels.max(axis=2)
     full = full_scale(channels)
@@ -100,7 +100,7 @@ def _focus(grey: NDArray[np.uint8]) -> float:
 
 
 def _blur_of_blocks(grey: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Measure the blur (px) of the sharpest edge of each block; NaN where there is none."""
+    """Return an array with the blur (px) of the sharpest edge of each block; NaN for blocks without edges."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTH_PX)
     slope = cv2.magnitude(*(cv2.filter2D(smooth, -1, k) for k in (_DIFFERENCE, _DIFFERENCE.T)))
     contrast, broad = _contrasts(cv2.convertScaleAbs(smooth))
@@ -119,7 +119,7 @@ def _blur_of_blocks(grey: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def _contrasts(smooth: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the local contrast around every pixel, and the same without thin structures."""
+    """Return two maps of the local contrast around each pixel: with all structures, and with thin lines removed."""
     around, thin = _square(_REACH_PX), _square(_THIN_PX)
     contrast = cv2.subtract(cv2.dilate(smooth, around), cv2.erode(smooth, around), dtype=cv2.CV_32F)
     light = cv2.dilate(cv2.morphologyEx(smooth, cv2.MORPH_OPEN, thin), around)
@@ -132,7 +132,7 @@ def _square(reach: int) -> NDArray[np.uint8]:
 
 
 def _sharpest(blurs: NDArray[np.float64]) -> float | None:
-    """Return the median blur of the sharper half of the edges; None if there are too few."""
+    """Return the median blur of the sharper half of the edges; None if there are too few edges."""
     found = np.sort(blurs[np.isfinite(blurs)])
     if len(found) < _LEAST_EDGES:
         return None

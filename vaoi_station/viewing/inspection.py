@@ -16,22 +16,22 @@ from vaoi_station.viewing.image_quality import ImageQuality, measure_quality
 from vaoi_station.viewing.mark_spec import MarkSpec
 
 _MAX_MARKS = 200
-"""Candidates per frame; a calibration board has fewer in view."""
+"""Largest number of candidates per frame. A frame of a calibration board shows fewer marks."""
 SATURATED_LIMIT = 0.005
 """Largest accepted share of saturated pixels."""
 DARK_LIMIT = 0.35
-"""Least accepted 99th percentile, as a share of the full scale."""
+"""Least accepted 99th percentile of the grey levels, as a share of the full scale."""
 BLUR_LIMIT_PX = 1.3
 """Largest accepted blur, standard deviation in px."""
 TILT_LIMIT = 1.5
-"""Ratio of the blur of two parts of the frame from which a tilted camera is reported."""
+"""Largest accepted ratio between the blurs of two parts of a frame. Above it a tilted camera is reported."""
 LEAST_MARKS = 4
-"""Marks a calibration needs: a homography has eight parameters."""
+"""Least number of marks for a calibration: a homography has eight parameters, and a mark gives two equations."""
 
 
 @dataclass(frozen=True)
 class MarkDetection:
-    """A mark in a frame, raw px; `doubt` is the reason why it is not used, empty if it is."""
+    """A mark found in a frame, in raw px. `doubt` is the reason why the mark is not used; empty if it is used."""
 
     x: float
     y: float
@@ -46,7 +46,7 @@ class FrameInspection:
     quality: ImageQuality
     marks: tuple[MarkDetection, ...]
     size_px: float | None
-    """Expected size of a mark; None if no marks are searched."""
+    """Expected size of a mark in px; None if no marks are searched."""
     expected: int | None
     remarks: tuple[str, ...]
 
@@ -60,7 +60,7 @@ def inspect_frame(pixels: Image, spec: MarkSpec | None) -> FrameInspection:
 
 
 def find_marks(grey: NDArray[np.uint8], spec: MarkSpec) -> tuple[MarkDetection, ...]:
-    """Detect all marks of a frame; crosses of a calibration board by the method of `vaoi calibrate`."""
+    """Detect all marks of a frame. Crosses of a known polarity are detected by the method of `vaoi calibrate`."""
     if spec.shape == "cross" and spec.light is not None:
         found = detect_marks(grey, MarkAppearance(spec.size_px, spec.arm, spec.light))
         sure = [MarkDetection(float(x), float(y), float(s)) for (x, y), s in zip(found.px, found.score, strict=True)]
@@ -97,7 +97,7 @@ def _focus_remarks(f: ImageQuality) -> list[str]:
         return ["no edges: blur cannot be measured"]
     if f.blur_px > BLUR_LIMIT_PX:
         return [f"blurred by {f.blur_px:.2f} px (good: below {BLUR_LIMIT_PX} px)"]
-    # The sharpest part is bounded from below: ratios of blurs below half a pixel are noise.
+    # The blur of the sharpest part counts as at least half a pixel, because ratios of smaller blurs are noise.
     parts = [b for row in f.blur_tiles_px for b in row if b is not None]
     worst, best = max(parts, default=0.0), max(min(parts, default=0.0), 0.5)
     if worst > BLUR_LIMIT_PX and worst > TILT_LIMIT * best:

@@ -16,7 +16,7 @@ from vaoi_station.viewing.inspection import FrameInspection, inspect_frame
 from vaoi_station.viewing.mark_spec import MarkSpec
 
 _KEPT = 3
-"""Listed frames per camera whose picture can still be fetched."""
+"""Number of listed frames per camera whose pictures can still be fetched."""
 
 
 @dataclass(eq=False)
@@ -33,8 +33,8 @@ class ViewedFrame:
 
     @property
     def inspection(self) -> FrameInspection:
-        """Image quality and marks."""
-        # Two requests may come at the same time; the second waits instead of computing it again.
+        """Image quality, marks and remarks of the frame, computed on first access."""
+        # Two requests may come at the same time; the second waits for the result of the first.
         with self._lock:
             return self._inspection
 
@@ -53,7 +53,7 @@ class LatestFrames:
     """The latest frame of every camera, written by the filming thread and read by the page; thread-safe."""
 
     def __init__(self, specs: Sequence[MarkSpec | None]) -> None:
-        """Create it with one mark specification per camera, None where no marks are searched."""
+        """Take one mark specification per camera; None for a camera in whose frames no marks are searched."""
         self._specs = tuple(specs)
         self._latest: dict[int, ViewedFrame] = {}
         self._listed: dict[int, list[ViewedFrame]] = {n: [] for n in range(len(specs))}
@@ -68,7 +68,7 @@ class LatestFrames:
             self._change.notify_all()
 
     def wait(self, after: int, timeout_s: float) -> int:
-        """Wait for a frame numbered above `after`, or the time-out; return the newest number."""
+        """Wait until there is a frame numbered above `after`, or the time-out; return the newest frame's number."""
         with self._change:
             self._change.wait_for(lambda: self._count > after, timeout_s)
             return self._count
@@ -86,7 +86,7 @@ class LatestFrames:
             return out
 
     def frame(self, camera: int, number: int) -> ViewedFrame:
-        """Return a listed frame; raise GoneError if newer ones have replaced it."""
+        """Return a listed frame; raise GoneError if newer frames have replaced it."""
         with self._change:
             found = next((s for s in self._listed.get(camera, []) if s.number == number), None)
         if found is None:

@@ -1,6 +1,6 @@
 """Film continuously and serve the latest frames, or film once and report one row.
 
-By default without the light barrier, because no board passes while cameras are mounted and focused.
+By default the light barrier is not used, because no board passes while cameras are mounted and focused.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 FOR_EVER = 2**62
-"""Number of runs that is never reached."""
+"""Number of runs that stands for filming without end, because it is never reached."""
 NOTICES = 20
 """Number of the latest notices that the page shows."""
 
@@ -41,7 +41,7 @@ def show(
 ) -> None:
     """Film and serve the page on loopback, until interrupted (KeyboardInterrupt) or a device fails.
 
-    With `rate_hz` the controller fires that many pulses per second without the light barrier; else boards are filmed.
+    With `rate_hz` the controller fires at this rate without the light barrier; without it, boards are filmed.
     When a simulated or replayed line has no more boards, the last frames stay visible.
     """
     latest, ended = LatestFrames(specs), threading.Event()
@@ -83,7 +83,7 @@ def one_row(
     notice: Callable[[str], None],
     rate_hz: float | None = None,
 ) -> dict[str, Any]:
-    """Film one board, or with `rate_hz` one pulse, and return one row as a document, by default the middle one.
+    """Film one board (with `rate_hz`: one pulse) and return the document of one row, by default the middle row.
 
     Raises:
         InputError: the run has no such row.
@@ -119,7 +119,7 @@ def _film(config: StationConfig, runs: int, rate_hz: float | None, handlers: Fil
 
 
 def _supply(config: StationConfig) -> int:
-    """Return the number of boards of the line; 0 means without end."""
+    """Return the number of boards that the line supplies; 0 means without end."""
     if config.simulation is not None:
         return config.simulation.boards
     return config.replay.runs if config.replay is not None else 0

@@ -27,22 +27,22 @@ class MarkSpec:
     size_px: float
     arm: float = CROSS_ARM
     light: bool | None = None
-    """Whether marks are light on dark; None: either."""
+    """True for light marks on dark ground, False for dark on light, None if both are searched."""
     expected: int | None = None
-    """Number of a layout's marks in the camera's view; None: unknown."""
+    """Number of marks of the layout that lie in the camera's view; None if unknown."""
 
 
 def mark_specs(
     config: StationConfig, shape: Shape | None, size_mm: float | None, layout: Path | None, px_per_mm: float | None
 ) -> tuple[MarkSpec | None, ...]:
-    """Return one specification per camera; None where no marks are searched.
+    """Return one specification per camera; None for a camera in whose frames no marks are searched.
 
     Args:
-        config: of the station.
-        shape: of the marks, with `size_mm`; a layout contains both.
-        size_mm: of the marks.
-        layout: of the calibration board.
-        px_per_mm: resolution; by default that of the calibration, else the nominal one of the camera.
+        config: configuration of the station.
+        shape: shape of the marks, given together with `size_mm`; a layout contains both.
+        size_mm: size of a mark.
+        layout: path of the layout of a calibration board.
+        px_per_mm: resolution of the frames; by default that of the calibration, else the nominal one of the camera.
 
     Raises:
         InputError: shape and size are incomplete or given twice, or the resolution is unknown.
@@ -82,7 +82,7 @@ def _checked(spec: MarkSpec, camera: int) -> MarkSpec:
 
 
 def _resolutions(config: StationConfig, px_per_mm: float | None) -> Sequence[float]:
-    """Return the px per mm of every camera."""
+    """Return the resolution of every camera in px per mm."""
     # In this order: the caller's value, the calibration, the nominal value of the configuration.
     if px_per_mm is not None:
         return [px_per_mm] * len(config.cameras)

@@ -16,19 +16,19 @@ from vaoi_station.model import BoardType
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of board types, in the format of `docs/formats.md`."""
+    """Create the routes of board types. Their documents have the format of `docs/formats.md`."""
     routes = APIRouter(prefix="/board-types", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("", response_model_exclude_none=True)
     async def list_board_types(response: Response) -> BoardTypeList:
-        """List all board types by name; an unusable file is listed with its fault."""
+        """List all board types, sorted by name. The entry of an unusable file states the fault."""
         response.headers["Cache-Control"] = REVALIDATE
         return BoardTypeList(board_types=list(await ask(coordinator.board_types)))
 
     @routes.get("/{name}", response_model=BoardType)
     async def get_board_type(request: Request, name: BoardTypeName) -> Response:
-        """Return one board type as stored."""
+        """Return the stored document of one board type."""
         content = _document(await ask(coordinator.board_type, name))
         return conditional_response(request, content, "application/json", cache=REVALIDATE)
 
@@ -50,7 +50,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.delete("/{name}", status_code=204)
     async def delete_board_type(name: BoardTypeName) -> None:
-        """Delete a board type; 409 while the station is armed with it."""
+        """Delete a board type. Refused with 409 while the station is armed with it."""
         await ask(coordinator.delete_board_type, name)
 
     return routes

@@ -15,9 +15,9 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("", response_model_exclude_none=True)
     async def get_calibration(response: Response) -> CalibrationStatus:
-        """Return the calibration in use, and for each camera its state, a drift with size and start, and its history.
+        """Return the calibration in use, and for each camera its state, its drift (size and start) and its history.
 
-        Displacements are in px of the camera's frame relative to its calibration, estimated from filmed boards.
+        A displacement is the camera's motion since its calibration, in px of its frame, estimated from filmed boards.
         """
         response.headers["Cache-Control"] = LIVE
         return await services.commands.ask(services.coordinator.calibration)

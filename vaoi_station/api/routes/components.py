@@ -27,11 +27,11 @@ RENDERED_AS: dict[ImageFormat, Rendered] = {
     ImageFormat.NPY: "npy",
     ImageFormat.RAW: "npy",
 }
-"""Format requested from the coordinator; raw is made from npy without its header."""
+"""For each format of a reply, the format requested from the coordinator. Raw is npy without the header."""
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of components; `{ref}` is `ref`, or `panel/ref` on a panel."""
+    """Create the routes of components. `{ref}` is the address of a component: `ref`, or `panel/ref` on a panel."""
     routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
     coordinator, ask = services.coordinator, services.commands.ask
 
@@ -60,9 +60,10 @@ def router(services: Services) -> APIRouter:
         format: FormatName = None,
         accept: Accept = None,
     ) -> Response:
-        """Return temporary image k of the component: upright, CAD-aligned, from one frame.
+        """Return temporary image k of a component: cut from one frame, upright, aligned with the CAD axes.
 
-        Pass the `px_per_mm` and `min_coverage` of the list of views. 410: the frames are no longer in memory.
+        Pass the same `px_per_mm` and `min_coverage` as for the list of views, to which index k refers. 410: the frames
+        are no longer in memory.
         """
         image_format = choose_format(format, accept)
 

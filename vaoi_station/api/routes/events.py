@@ -35,7 +35,7 @@ def router(services: Services) -> APIRouter:
         return newest if after is None else min(after, newest)
 
     async def reserve_place() -> AsyncIterator[None]:
-        """Reserve a place in the hub."""
+        """Reserve a place in the event hub for this stream."""
         # A dependency, because it runs before the first header is sent: a refusal can still be a 503.
         async with services.hub.place():
             yield
@@ -46,7 +46,7 @@ def router(services: Services) -> APIRouter:
     ) -> AsyncIterator[ServerSentEvent]:
         """Stream every event as one message whose id is its number, in order and without gaps.
 
-        Resume with `Last-Event-ID` (browsers send it automatically) or `?after=`; without either the stream starts
+        Resume with `Last-Event-ID` (browsers send it automatically) or `?after=`; without either, the stream starts
         with the next event. After two seconds without an event, an event `heartbeat` reports state and time.
         """
         yield await _heartbeat(services)
@@ -67,7 +67,7 @@ def _message(record: EventRecord) -> ServerSentEvent:
 
 async def _heartbeat(services: Services) -> ServerSentEvent:
     """Build a heartbeat from the coordinator's state."""
-    # Asking the coordinator makes heartbeats stop if its thread hangs, not only if the network fails.
+    # The coordinator's thread gives the state, so heartbeats also stop if that thread hangs, not only the network.
     now = await services.commands.ask(services.coordinator.snapshot)
     heartbeat = Heartbeat(time=datetime.now(UTC).isoformat(), state=now.state, last_event=now.last_event)
     return ServerSentEvent(raw_data=heartbeat.model_dump_json(), event="heartbeat", retry=RECONNECT_MS)

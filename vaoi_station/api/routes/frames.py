@@ -37,7 +37,7 @@ def router(services: Services) -> APIRouter:
             Literal["refuse", "show"], Query(description="Whether an incomplete frame is returned.")
         ] = "refuse",
     ) -> Response:
-        """Return one frame, lossless as PNG, TIFF, npy or raw; an incomplete one with `incomplete=show`.
+        """Return one frame; lossless as PNG, TIFF, npy or raw. An incomplete frame needs `incomplete=show`.
 
         The header X-Frame-Verdict is `ok` or `incomplete`. 410: the frame is no longer in memory.
         """

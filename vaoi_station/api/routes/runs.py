@@ -1,4 +1,4 @@
-"""`runs`: lists, the long poll, results, and the memory of runs."""
+"""`runs`: list runs, wait for the next one, return results, and hold or release the frames of runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, m
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of runs, except those of pictures."""
+    """Create the routes of runs. The routes of frames and of component images are in separate modules."""
     routes = APIRouter(prefix="/runs", tags=["runs"])
     coordinator, ask = services.coordinator, services.commands.ask
 
@@ -36,7 +36,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
-        """Return the run that finished last; 404 `no-run-yet` before the first."""
+        """Return the run that finished last. Replies 404 `no-run-yet` until a first run has finished."""
         run = await ask(coordinator.latest)
         if run is None:
             raise NotFoundError(
@@ -48,10 +48,10 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/next", response_model=RunDetail, responses={204: {"description": "No run finished in time."}})
     async def wait_for_next_run(request: Request, after: Cursor = None, timeout: TimeoutS = 30.0) -> Response:
-        """Wait for the first run that finished after the run `after` (long poll); 204 on time-out.
+        """Wait for the first run that finished after the run `after` (long poll). Replies 204 on time-out.
 
-        Returns at once if there is such a run. Without `after`, it waits for the first run that finishes after this
-        call. A client that passes the id of each reply as the next `after` gets every finished run exactly once.
+        Replies at once if there is such a run. Without `after`, the call waits for the first run that finishes after
+        the call. A client that passes the id of each reply as the next `after` gets every finished run exactly once.
         """
         if (run := await _next(services, after, timeout)) is None:
             return Response(status_code=204, headers={"Cache-Control": LIVE})
@@ -64,13 +64,13 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
-        """Return the result in the format of `docs/formats.md`; 409 while there is none yet."""
+        """Return the result of a run in the format of `docs/formats.md`. Replies 409 while there is none yet."""
         content = (await ask(coordinator.stitch_text, run)).encode()
         return conditional_response(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)
     async def release_run(response: Response, run: RunId) -> RunDetail:
-        """Release a finished run's frames, so that their memory is free for the next board; the result is kept."""
+        """Release a finished run's frames, so that their memory is free for the next board. The result is kept."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.release, run)
 
@@ -81,13 +81,13 @@ def router(services: Services) -> APIRouter:
         holder: Holder,
         purpose: Annotated[str, Query(max_length=200)] = "",
     ) -> LeaseStatus:
-        """Keep a run's frames in memory until the hold expires; a repeated call renews it."""
+        """Keep a run's frames in memory until the hold expires. A repeated call renews the hold."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.hold, run, holder, purpose)
 
     @routes.delete("/{run}/hold", status_code=204)
     async def let_go_of_run(run: RunId, holder: Holder) -> None:
-        """End a hold; no effect if there is none."""
+        """End the hold of one holder on a run. No effect if there is no such hold."""
         await ask(coordinator.end_hold, run, holder)
 
     return routes
@@ -101,7 +101,7 @@ def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Respon
 
 
 async def _next(services: Services, after: str | None, timeout_s: float) -> RunDetail | None:
-    """Wait for the next finished run without holding a thread; return None on time-out."""
+    """Wait for the next finished run without occupying a thread; return None on time-out."""
     hub, ask, coordinator = services.hub, services.commands.ask, services.coordinator
     until = time.monotonic() + timeout_s
     # The event number is read before the run list: a run that finishes in between is found by its event.

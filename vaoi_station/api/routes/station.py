@@ -22,7 +22,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("", response_model_exclude_none=True)
     async def get_station(response: Response) -> StationSnapshot:
-        """Return state, health, memory, versions and retention."""
+        """Return the station's state, health, memory, versions and retention."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.snapshot)
 
@@ -37,7 +37,7 @@ def router(services: Services) -> APIRouter:
         runs: Annotated[int | None, Query(ge=1, le=1_000_000)] = None,
         allow_lost_cameras: bool | None = None,
     ) -> StationSnapshot:
-        """Arm the station: film every board from now on. The order is a JSON body, query parameters, or both.
+        """Arm the station: film every board from now on. The order is given as JSON body, query parameters, or both.
 
         Replies when cameras and controller are armed. 404: unknown board type; 409: a board is passing, or the station
         is faulted; 503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms without it), or all memory is
@@ -57,7 +57,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.post("/disarm", response_model_exclude_none=True)
     async def disarm_station(response: Response) -> StationSnapshot:
-        """Disarm the station: ignore the light barrier. A run under way is finished; no effect when idle."""
+        """Disarm the station: ignore the light barrier. A run under way is still finished. No effect when idle."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.disarm)
 
@@ -65,7 +65,7 @@ def router(services: Services) -> APIRouter:
 
 
 def _merged(request: ArmRequest, given: dict[str, Any]) -> ArmRequest:
-    """Merge body and query; raise InputError if they contradict each other or name no board type."""
+    """Merge JSON body and query parameters; raise InputError if they contradict each other or name no board type."""
     merged = request.model_dump()
     for key, value in given.items():
         if value is not None and merged[key] not in (None, value):

@@ -20,7 +20,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/reference", response_model_exclude_none=True)
     async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:
-        """Return the reference of the board type and whether it is usable; 404 `no-reference` without one."""
+        """Return the board type's reference, and whether it is usable. Replies 404 `no-reference` if there is none."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.reference, name)
 
@@ -34,8 +34,8 @@ def router(services: Services) -> APIRouter:
     ) -> ReferenceStatus:
         """Make a finished run the reference of its board type, from the next arming on.
 
-        Some frames of each row are copied to the disk. 409: the run's verdict is not ok, or it has none yet; 410: its
-        frames are no longer in memory; 422: it is a run of another board type.
+        Some frames of each row are copied to the disk. 409: the run's verdict is not ok, or the run has none yet; 410:
+        the frames of the run are no longer in memory; 422: the run is of another board type.
         """
         response.headers["Cache-Control"] = LIVE
         if await ask(coordinator.teach_reference, name, wanted.run):
@@ -45,12 +45,12 @@ def router(services: Services) -> APIRouter:
 
     @routes.delete("/reference", status_code=204)
     async def forget_reference(name: BoardTypeName) -> None:
-        """Delete the reference, from the next arming on."""
+        """Delete the reference of the board type. The change applies from the next arming on."""
         await ask(coordinator.forget_reference, name)
 
     @routes.get("/method", response_model_exclude_none=True)
     async def get_method(response: Response, name: BoardTypeName) -> StitchingMethod:
-        """Return the stitching method of the board type, its own or the station's default."""
+        """Return the stitching method of the board type: the one that was set for it, else the station's default."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.method, name)
 
@@ -62,7 +62,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.delete("/method", response_model_exclude_none=True)
     async def forget_method(response: Response, name: BoardTypeName) -> StitchingMethod:
-        """Delete the board type's own method; the station's default (`method` of station.toml) applies."""
+        """Delete the method that was set for the board type. The default (`method` of station.toml) then applies."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.set_method, name, None)
 

@@ -52,7 +52,7 @@ def cut(
             frame = recording.frame(view.camera, view.row)
             if frame is None:
                 continue
-            # On a panel the address is panel/ref, and a slash would make a directory.
+            # On a panel the address is panel/ref. In a file name the slash would create a directory.
             stem = address.replace("/", "_")
             name = f"{stem}_{k:02d}_c{view.camera:02d}_r{view.row:03d}.png"
             write_image(out / name, render(view, frame))

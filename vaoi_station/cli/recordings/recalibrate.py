@@ -32,7 +32,7 @@ def recalibrate(
     """Propose corrected camera matrices N_i from runs of boards. The calibration in use is not changed."""
     if bool(cases) == (config is not None):
         raise InputError("recalibrate needs either recordings or --config.", action="Give exactly one of them.")
-    # Checked before the work; a calibration in use must never be replaced unnoticed.
+    # Checked before the computation. A calibration in use must never be replaced unnoticed.
     if out.exists():
         raise StateError(f"{out}: exists already.", action="Choose another --out; put the proposal into use by hand.")
     from vaoi_station.drift.recalibrate import recalibrate as propose
@@ -52,7 +52,7 @@ def recalibrate(
 
 
 def _chosen(checks: Sequence[RunCheck], runs: int | None) -> Sequence[RunCheck]:
-    """Choose the latest `runs` runs, or without a number all since the last camera moved."""
+    """Return the checks of the latest `runs` runs; if `runs` is None, of all runs since a camera last moved."""
     from vaoi_station.drift.recalibrate import MOST_RUNS
     from vaoi_station.drift.watch import find_drifts
 
@@ -69,7 +69,7 @@ def _recorded(cases: Sequence[Path]) -> tuple[Calibration, tuple[CameraHead, ...
 
     opened = [open_run(case) for case in cases]
     first = opened[0]
-    # Compared by value: every recording holds a copy of the calibration file.
+    # Calibrations are compared by value, because every recording holds a copy of the file.
     in_use = first.calibration.model_dump_json()
     for other, case in zip(opened, cases, strict=True):
         if other.calibration.model_dump_json() != in_use:

@@ -10,7 +10,7 @@ import typer
 
 
 class Evidence(StrEnum):
-    """The methods of stitching that keep their evidence; the paper's method does not."""
+    """The stitching methods whose evidence a report can show. The paper's method keeps no evidence."""
 
     AUTO = "auto"
     FIDUCIALS = "fiducials"
@@ -39,7 +39,7 @@ def report(
     from vaoi_station.reporting.bundle import REPORT, replay_command
     from vaoi_station.stitching.recordings.opening import open_run
 
-    # Checked before the run is stitched, which takes seconds.
+    # The target is checked first, because stitching the run takes seconds.
     if bundle is not None and bundle.exists():
         raise StateError(f"{bundle}: exists already.", action="Choose another directory, or remove this one.")
     opened = open_run(run, calibration=calibration, board=board, reference=reference, method=method.value)

@@ -26,7 +26,7 @@ def simulate(
     from vaoi_station.simulation.calibration_board import write_calibration_recording
     from vaoi_station.simulation.recording_writer import write_passage
 
-    # Frames of two boards in one directory would pass as one recording.
+    # Frames of two boards in one directory would be taken for one recording.
     if (out / "recording.json").exists():
         raise InputError(f"{out}: already holds a recording.", action="Give another --out, or remove this directory.")
     named = Path(scenario).suffix == "" and not Path(scenario).exists()

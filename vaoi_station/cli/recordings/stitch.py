@@ -39,11 +39,11 @@ def stitch(
     from vaoi_station.stitching.recordings.offline import stitch_frames
     from vaoi_station.stitching.recordings.opening import open_run
 
-    # The paper's method takes no evidence of ours, but the run is opened in the same way.
+    # The paper's method ignores the kind of evidence, but opening a run requires one.
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
     opened = open_run(case, calibration=calibration, board=board, reference=reference, method=evidence)
     recording = opened.recording
-    # A result in place of its own input would make the recording unusable.
+    # Overwriting one of these input files with the result would make the recording unusable.
     if out.resolve() in {(case / name).resolve() for name in ("recording.json", "calibration.json", "board.json")}:
         raise InputError(f"{out}: is a file of the recording and is not overwritten.", action="Give another --out.")
     if method is Method.PAPER:

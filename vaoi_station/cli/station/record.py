@@ -34,7 +34,7 @@ def record(
     station = read_config(config)
     copies = {"calibration.json": station.calibration}
     if still and not station.calibration.exists():
-        # The first calibration is made from such a recording, so none can be required here.
+        # The first calibration is made from such a recording, so no calibration can be required here.
         copies = {}
     else:
         read_calibration(station.calibration, [c.head for c in station.cameras])

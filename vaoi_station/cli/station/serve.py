@@ -23,7 +23,7 @@ def serve(
     from vaoi_station.runs.host.logs import configure_logging
 
     settings = read_config(config)
-    # Before the processes start: a wrong scenario is one sentence here, and a restart loop later.
+    # Checked before processes start: a wrong scenario gives one error here, but would give endless restarts later.
     check_backends(settings)
     configure_logging(log_json)
     station.serve(settings, port)

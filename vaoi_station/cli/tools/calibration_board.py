@@ -80,7 +80,7 @@ def _array(
     field_mm: str | None,
     px_per_mm: float | None,
 ) -> tuple[int, float, tuple[float, float]]:
-    """Return number, distance and field of view of the cameras: as given, else as configured."""
+    """Return number of cameras, distance of neighbours and field of view (mm): from the options, else from `config`."""
     view = None if field_mm is None else _pair(field_mm, "--field-mm")
     if config is not None:
         found = _configured(config, px_per_mm)
@@ -99,7 +99,7 @@ def _array(
 
 
 def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | None, tuple[float, float] | None]:
-    """Return number, distance and field of view from the nominal values of a station's cameras."""
+    """Return number of cameras, distance of neighbours and field of view (mm) from nominal values in `config`."""
     import numpy as np
 
     from vaoi_station.config import read_config
@@ -109,7 +109,7 @@ def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | Non
     pitch = None
     if len(cameras) > 1 and None not in centers:
         pitch = float(np.hypot(*np.diff(np.array(centers, dtype=np.float64), axis=0).T).max())
-    # The finest camera sees least. If any resolution is unknown, the field of view must be given.
+    # The camera of the finest resolution sees least. If one resolution is unknown, the option must give the field.
     resolutions = [c.nominal_px_per_mm or 0.0 for c in cameras]
     r = px_per_mm or (max(resolutions) if all(resolutions) else 0.0)
     # The smallest frame: the same marks must fit into the view of every camera.

@@ -58,7 +58,7 @@ def plan(
     if example not in (None, "paper"):
         raise NotFoundError(f"example {example!r} does not exist.", action="The only example is 'paper'.")
     made = make_plan(_requirements(given, PAPER if example else None))
-    # The comparison with the paper holds only for its own requirements, without changes.
+    # The paper's figures are comparable only with its example, if no option changes a requirement.
     figures = compare_with_paper(made) if example and not given else ()
     typer.echo(json.dumps(plan_to_json(made, figures), indent=1) if json_ else format_plan(made, figures), nl=json_)
 

@@ -118,7 +118,7 @@ def up(
     check_supported(chosen)
     check_faults(faults, chosen.array.cameras, different)
     check_sources()
-    # Addresses on loopback need a privilege; a name space of its own gives it inside.
+    # To add addresses to loopback needs a privilege. Inside a new network name space the process has it.
     if own_network or not may_add_addresses():
         enter_namespace()
     out.mkdir(parents=True, exist_ok=True)

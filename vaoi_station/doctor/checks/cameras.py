@@ -30,7 +30,7 @@ from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable,
 from vaoi_station.errors import VaoiError
 
 JUMBO = 8000
-"""Packets below this size, in bytes, are reported: MTU 1500 needs six times as many of them as MTU 9000."""
+"""Packet size in bytes below which a port is reported. MTU 1500 needs six times as many packets as MTU 9000."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Offered:
     exposure_us: tuple[float, float]
     sensor: tuple[int, int]
     trigger_mode: str
-    """The present mode; the station sets it when it starts."""
+    """Present trigger mode of the camera. The station sets the mode when it starts."""
     port: str = ""
-    """The network interface of this computer; empty on USB."""
+    """Network interface of this computer that leads to the camera; empty for a USB camera."""
     address: str = ""
     packets: network.PacketLimits | None = None
 

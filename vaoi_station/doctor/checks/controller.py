@@ -42,14 +42,14 @@ from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import DeviceError, InputError
 
 READINGS = 20
-"""Clock readings; the best of them bounds the error of the clock model."""
+"""Number of clock readings. The best of them bounds the error of the clock model."""
 LATENCY = "sys/bus/usb-serial/devices/{name}/latency_timer"
 """File with the time in milliseconds for which an FTDI bridge collects bytes before it sends them."""
 
 
 @dataclass(frozen=True)
 class ControllerReply:
-    """Everything the controller replied."""
+    """The controller's replies: identity, status and clock readings."""
 
     ident: Ident
     status: Status

@@ -29,7 +29,7 @@ class Section:
 
 
 def page(title: str, head: str, sections: Sequence[Section], data: str) -> str:
-    """Return the whole document."""
+    """Return the report as an HTML document; `data` is the script element with the embedded numbers."""
     # The style is embedded: the report must look the same without network and without this package.
     style = resources.files("vaoi_station.reporting").joinpath("report.css").read_text(encoding="utf-8")
     contents = "".join(tag("a", text(s.heading), href=f"#{s.name}") for s in sections)
@@ -73,5 +73,5 @@ def figures(*drawings: tuple[str, str]) -> str:
 
 
 def folded(summary: str, content: str) -> str:
-    """Return content that a click unfolds."""
+    """Return HTML that shows `summary`; a click on it unfolds `content`."""
     return tag("details", tag("summary", text(summary)), content)

@@ -15,7 +15,7 @@ _LEFT, _TOP, _BOTTOM = 58.0, 8.0, 26.0
 # An axis never spans less than this: rounding noise of a constant must not look like a motion.
 _LEAST_SPAN = 1e-3
 _MOST_POINTS = 200
-"""With more rows the curve is drawn without points, which would overlap."""
+"""Largest number of rows for which points are drawn on the curve. More points would overlap."""
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 Colour = tuple[int, int, int]
 
 RISING: tuple[Colour, ...] = ((62, 32, 98), (52, 94, 141), (38, 140, 136), (108, 186, 92), (250, 222, 60))
-"""From small to large; lightness rises monotonically, so that the scale is readable without colours too."""
+"""Colours from small to large values. Lightness rises monotonically, so that the scale is readable in grey too."""
 ABOUT_ZERO: tuple[Colour, ...] = ((33, 78, 140), (126, 168, 206), (240, 240, 238), (222, 158, 120), (158, 58, 30))
-"""From below to above."""
+"""Colours from negative to positive values; the middle colour stands for zero."""
 GOOD: tuple[Colour, ...] = ((176, 58, 46), (214, 140, 50), (120, 160, 80), (24, 110, 80))
-"""From bad to good."""
+"""Colours from bad to good values."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Map from numbers low … high to colours; numbers outside get the colour of the nearer end."""
+    """Colour scale for numbers from `low` to `high`. Numbers outside get the colour of the nearer end."""
 
     low: float
     high: float

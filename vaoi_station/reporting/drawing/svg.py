@@ -28,7 +28,7 @@ def text(value: object) -> str:
 
 
 def title(words: str) -> str:
-    """Return the tooltip of an SVG element."""
+    """Return the `<title>` element, which gives an SVG element its tooltip."""
     return tag("title", text(words))
 
 
@@ -53,7 +53,7 @@ def drawing(width: float, height: float, *content: str, label: str, widest: floa
 
 
 def polyline(points: Iterable[tuple[float, float]], **attributes: Value | None) -> str:
-    """Return straight lines from point to point."""
+    """Return an SVG line that connects the points in order."""
     return tag("polyline", points=_points(points), fill="none", **attributes)
 
 
@@ -63,7 +63,7 @@ def polygon(points: Iterable[tuple[float, float]], *content: str, **attributes: 
 
 
 def label(x: float, y: float, words: str, **attributes: Value | None) -> str:
-    """Return text at a position."""
+    """Return an SVG text element at the position (x, y)."""
     return tag("text", text(words), x=float(x), y=float(y), **attributes)
 
 

@@ -36,7 +36,7 @@ class Thumbnail:
 
 
 def thumbnail_width(frames: int) -> int:
-    """Return the width of thumbnails for a run with a number of frames."""
+    """Return the width in px of the thumbnails of a run with `frames` frames."""
     fair = int((_ALL_PX / max(frames, 1) * 4 / 3) ** 0.5)
     return min(max(fair, NARROWEST_PX), WIDEST_PX)
 

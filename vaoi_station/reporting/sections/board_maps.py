@@ -20,7 +20,7 @@ _LEAST_MM = 0.02
 
 
 class BoardDrawing:
-    """Mapping from CAD coordinates to user units: CAD x to the right, CAD "up" upwards."""
+    """Drawing of the board in SVG user units. CAD x points to the right; what is up in CAD is up in the drawing."""
 
     def __init__(self, board_type: BoardType) -> None:
         self.board_type = board_type
@@ -141,7 +141,7 @@ def components(stitched: StitchedRun) -> Section:
 
 
 def _footprints(plan: BoardDrawing, values: Mapping[str, float], scale: Scale, unit: str) -> str:
-    """Draw all footprints, coloured by a value; grey without one."""
+    """Draw all footprints, each coloured by its entry in `values`; grey if it has none."""
     # Large components first, so that small ones stay visible on top of them.
     parts = sorted(plan.board_type.components, key=lambda p: -p.width * p.height)
     return "".join(_footprint(plan, part, values.get(part.address), scale, unit) for part in parts)

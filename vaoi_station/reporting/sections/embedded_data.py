@@ -45,7 +45,8 @@ def document(stitched: StitchedRun) -> dict[str, Any]:
 def link_arrays(stitched: StitchedRun) -> dict[str, NDArray[Any]]:
     """Return all links as arrays of one length k: frames, positions in raw px, information, weight and residual.
 
-    `residual_px` is along the tester's axes; `component` numbers the board type's components, −1 is the bare board.
+    `residual_px` is along the tester's axes. `component` is an index into the board type's components; −1 stands for
+    the bare board.
     """
     f = stitched.findings
     o, a = f.problem.links, f.adjusted

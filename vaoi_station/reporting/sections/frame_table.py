@@ -48,7 +48,7 @@ def frame_table(stitched: StitchedRun) -> Section:
 
 
 def links_of(stitched: StitchedRun) -> Counter[FrameKey]:
-    """Count the links with weight of each frame."""
+    """Count, for each frame, the links that have weight in the adjustment."""
     count: Counter[FrameKey] = Counter()
     for pair in stitched.pairs:
         count[pair.a] += pair.used

@@ -19,7 +19,7 @@ from vaoi_station.reporting.stitched_run import StitchedRun
 
 _WIDTH = 374.0
 _CELLS = 14
-"""Cells across a frame; each shows the mean of its residuals."""
+"""Number of grid cells across a frame. Each cell shows the mean residual of its links."""
 _SINGLE = 250
 """At most this many single links are drawn behind the means."""
 _COLOURS = {"rows": "#22456b", "neighbours": "#c0561a"}
@@ -28,16 +28,16 @@ _NAMES = {"rows": "to other rows", "neighbours": "to the other camera"}
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Residuals in the frame of one camera: places (k, 2) and vectors (k, 2) in px along the image's axes."""
+    """Residuals in the frames of one camera: positions `at_px` (k, 2), vectors `off_px` (k, 2), px along image axes."""
 
     at_px: Floats
     off_px: Floats
     links: int = 0
-    """Number of links; a link between rows of one camera has both its ends in this camera's frames."""
+    """Number of links. It is smaller than k for links between rows: both points of such a link count in k."""
 
     @property
     def rms_px(self) -> float | None:
-        """Root mean square of their lengths."""
+        """Root mean square length of the vectors; None without vectors."""
         return float(np.sqrt((self.off_px**2).sum(1).mean())) if len(self.off_px) else None
 
     def means(self, camera: Camera) -> Vectors:
@@ -53,7 +53,10 @@ class Vectors:
 
 
 def vectors(stitched: StitchedRun, number_: int, kind: str) -> Vectors:
-    """Return the residuals of a camera's links with weight: from a point to its prediction by the other frame."""
+    """Return the residuals of those links of one kind that have weight, in the frames of camera `number_`.
+
+    A residual points from the link's point to the position that the link's other frame predicts.
+    """
     f, camera = stitched.findings, stitched.opened.setup.cameras[number_]
     links, adjusted = f.problem.links, f.adjusted
     # Residuals are along the tester's axes, in px. The camera's linear part without its scale turns them to image axes.
@@ -136,7 +139,7 @@ def _camera(stitched: StitchedRun, number_: int, found: dict[str, Vectors], fact
 def _arrows(
     at_px: Floats, off_px: Floats, scale: float, factor: float, colour: str, thickness: float, opacity: float
 ) -> str:
-    """Draw vectors as one path of lines; a dot marks where each starts."""
+    """Draw vectors as lines in one SVG path. A dot marks the start of each vector."""
     if not len(at_px):
         return ""
     start, end = at_px * scale, (at_px + off_px * factor) * scale

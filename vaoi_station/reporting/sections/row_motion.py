@@ -17,7 +17,7 @@ from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.quality.findings import Findings
 
 _FEW_ROWS, _NARROW_PX, _WIDE_PX = 24, 374.0, 1150.0
-"""With few rows the three curves stand side by side."""
+"""Up to this number of rows three narrow curves (px) stand side by side; with more rows the curves are wide (px)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Deviation:
     velocity_mm_s: Floats
     """Velocity (2,) of the belt: the measured one, else the nominal one."""
     value: Floats
-    """(m, 3): along and across the motion, µm; yaw, mrad, from image x towards y of the tester."""
+    """Deviations (m, 3) of m rows: along and across the motion in µm; yaw in mrad, from tester x towards y."""
     sigma: Floats
     """Standard deviations (m, 3) of `value`, in the same units."""
     held: tuple[bool, ...]

@@ -19,7 +19,7 @@ _WIDEST, _TALLEST, _MARGIN = 1180.0, 1000.0, 24.0
 _SCORES = Scale(0.80, 1.0, GOOD)
 _UNLINKED = "#b00020"
 _MOST_NAMED = 120
-"""With more tiles no names are drawn, because they would cover the tiles."""
+"""Largest number of tiles for which names are drawn. More names would cover the tiles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def _edge(plan: Layout, pair: FramePair) -> str:
 
 
 def _unlinked(stitched: StitchedRun) -> str:
-    """List the reasons why pairs have no links, with their pairs."""
+    """List the pairs of frames without links, grouped by the reason."""
     by_reason: dict[str, list[str]] = defaultdict(list)
     for pair in stitched.pairs:
         if not len(pair.links.a_px):
