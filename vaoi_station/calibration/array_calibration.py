@@ -28,7 +28,7 @@ class Outcome:
     cameras: tuple[CameraResult, ...]
     limits: Limits
     hint: str = ""
-    """A change of the layout with which all refused cameras fit."""
+    """Remedy for refused cameras: a change of the layout with which all cameras can be calibrated; empty if unknown."""
     ambiguous: tuple[str, ...] = ()
     """Reflections and rotations that map the layout onto itself, so that no frame can exclude them."""
 
@@ -39,7 +39,7 @@ class Outcome:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The warnings, with cameras of the same warning merged."""
+        """All warnings. A warning that concerns several cameras appears once and lists these cameras."""
         whose: dict[str, list[int]] = {}
         for c in self.cameras:
             for note in c.notes:
@@ -55,14 +55,14 @@ class Outcome:
         return (*notes, *([about_print] if about_print else []), *([about_layout] if self.ambiguous else []))
 
     def error(self) -> InputError:
-        """Return an error that lists all refused cameras, with the remedies."""
+        """Return an InputError that lists all refused cameras with reasons and remedies."""
         refused = [c for c in self.cameras if c.refusal]
         reasons = "; ".join(f"camera {c.camera}: {c.refusal}" for c in refused)
         actions = " ".join(dict.fromkeys(c.action for c in refused))
         return InputError(f"{reasons}.", action=self.hint or actions, code="not-calibrated")
 
     def calibration(self, created: datetime | None = None) -> Calibration:
-        """Return the calibration with residuals and covariances; raises `error()` if a camera was refused."""
+        """Return the calibration with residuals and covariances. Raise `error()` if any camera was refused."""
         if self.refused:
             raise self.error()
         fits = [c.fit for c in self.cameras if c.fit is not None]
@@ -153,7 +153,7 @@ def _layout_hint(
     marks_mm: Floats,
     limits: Limits,
 ) -> str:
-    """Describe the changes of the layout with which all cameras fit; empty if there is none."""
+    """Describe the changes of the layout with which all cameras can be calibrated. Return "" if there is none."""
     fitting = [
         way
         for way, changed in vary_layout(marks_mm, heads)

@@ -22,30 +22,34 @@ GRID = (9, 7)
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDifference:
-    """The pixel at which this calibration images what the other one locates from a pixel, minus that pixel."""
+    """The difference of two calibrations, "this" and "other", at a grid of pixels of each camera.
+
+    The other calibration projects a pixel to the ground, and this calibration projects the ground point back to a
+    pixel. The difference is the second pixel minus the first one.
+    """
 
     grid_px: tuple[Floats, ...]
-    """Per camera (rows, columns, 2): the sampled raw pixels."""
+    """Sampled raw pixels of each camera, (rows, columns, 2)."""
     difference_px: tuple[Floats, ...]
-    """Per camera (rows, columns, 2)."""
+    """Difference at each sampled pixel of each camera, (rows, columns, 2)."""
     shift_mm: Floats
-    """Removed shift of the centre of the array, (2,)."""
+    """Shift (2,) at the centre of the array, of the rigid motion that was removed."""
     angle_rad: float
     one_board: bool = False
-    """Whether both calibrations share the tester's coordinates, so that no motion was removed."""
+    """Whether both calibrations have the same tester coordinates. Then no motion was removed."""
 
     @property
     def rms_px(self) -> tuple[float, ...]:
-        """Root mean square difference per camera."""
+        """Root mean square of the difference, one entry per camera."""
         return tuple(float(np.sqrt((d**2).sum(-1).mean())) for d in self.difference_px)
 
     @property
     def max_px(self) -> tuple[float, ...]:
-        """Largest difference per camera."""
+        """Largest difference, one entry per camera."""
         return tuple(float(np.sqrt((d**2).sum(-1).max())) for d in self.difference_px)
 
     def lines(self) -> list[str]:
-        """Return the comparison as lines of text."""
+        """Return the text lines of the report: the removed motion, and the differences of each camera."""
         turned = math.degrees(self.angle_rad)
         x, y = self.shift_mm
         out = (
@@ -75,7 +79,8 @@ def compare_calibrations(
         other: the other, of the same cameras.
         heads: sizes of the frames.
         grid: number of points across and down each frame.
-        one_board: both share the tester's coordinates, as a calibration and its correction; no motion is removed.
+        one_board: whether both have the same tester coordinates, such as a calibration and its correction. Then no
+            motion is removed.
 
     Raises:
         InputError: if the numbers of cameras differ.
@@ -88,7 +93,7 @@ def compare_calibrations(
         )
     mine, theirs = this.cameras(tuple(heads)), other.cameras(tuple(heads))
     grids = [_grid(head, grid) for head in heads]
-    # The motion is estimated on all cameras together: one per camera would hide a camera that was knocked.
+    # One motion is estimated for all cameras. A motion per camera would hide a camera that was knocked.
     here = [camera.ground(g) for camera, g in zip(mine, grids, strict=True)]
     there = [camera.ground(g) for camera, g in zip(theirs, grids, strict=True)]
     a, b = (np.concatenate([p.reshape(-1, 2) for p in places]) for places in (here, there))
@@ -105,7 +110,10 @@ def _grid(head: CameraHead, grid: tuple[int, int]) -> Floats:
 
 
 def _fit_rigid_motion(target: Floats, source: Floats) -> tuple[Floats, float]:
-    """Fit a rigid motion (3, 3), target from source (k, 2), by least squares; returns its angle too."""
+    """Fit the rigid motion from points `source` (k, 2) to points `target` (k, 2) by least squares.
+
+    Returns its matrix (3, 3) and its angle.
+    """
     p, q = source - source.mean(0), target - target.mean(0)
     angle = math.atan2(float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum()))
     c, s = math.cos(angle), math.sin(angle)

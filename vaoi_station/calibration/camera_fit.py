@@ -22,7 +22,7 @@ BLUR_LIMIT_PX = 2.0
 _MIN_CONTRAST = 20.0
 _MIN_SIZE_PX = 8
 _MIN_SHARE = 0.3
-"""Share of the layout's marks in a frame that must be found; with fewer it is the layout of another board."""
+"""Share of the marks expected in a frame that must be found. With fewer, the layout belongs to another board."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class MarkObservation:
 
 @dataclass(frozen=True, eq=False)
 class CameraResult:
-    """The result for one camera: the fit or the refusal, with all marks for the picture."""
+    """The result for one camera: the fit or the reason of the refusal, and all marks, which the picture shows."""
 
     camera: int
     head: CameraHead
@@ -52,7 +52,7 @@ class CameraResult:
     marks: tuple[MarkObservation, ...] = ()
     fit: Fit | None = None
     refusal: str = ""
-    """The reason for a missing N_i, with value and limit."""
+    """The reason why the camera was refused, with value and limit; empty if it was calibrated."""
     action: str = ""
     """The remedy for the refusal."""
     notes: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ class CameraResult:
 
     @property
     def corner_sigma_px(self) -> float:
-        """Standard deviation of a point in the worst corner of the frame, px; NaN without a fit."""
+        """Standard deviation in px of projected points at the frame corner where it is largest; NaN without a fit."""
         if self.fit is None:
             return math.nan
         w, h = self.head.width - 1.0, self.head.height - 1.0
@@ -124,7 +124,7 @@ def calibrate_camera(
 
 
 def _check_size(appearance: MarkAppearance, head: CameraHead) -> tuple[str, str] | None:
-    """Return reason and remedy if marks of this size cannot be measured, else None."""
+    """Return reason and remedy if the marks are too small or too large in the frame to be measured, else None."""
     most = min(head.width, head.height) / 2
     if _MIN_SIZE_PX <= appearance.size_px <= most:
         return None
@@ -174,7 +174,7 @@ def _check_frame(
 
 
 def _missing_places(due: tuple[MarkObservation, ...], hypothesis: Hypothesis | None) -> str:
-    """Describe where whole marks of the layout are expected and missing; empty if the assignment is unknown."""
+    """Describe where marks of the layout are expected but were not detected; empty if the assignment is unknown."""
     places = [m.expected_px for m in due if m.px is None] if hypothesis is not None else []
     listed = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in places[:MIN_MARKS])
     more = f" and {len(places) - MIN_MARKS} places more" if len(places) > MIN_MARKS else ""
@@ -182,7 +182,7 @@ def _missing_places(due: tuple[MarkObservation, ...], hypothesis: Hypothesis | N
 
 
 def _check_fit(result: CameraResult, hypothesis: Hypothesis, limits: Limits) -> tuple[str, str]:
-    """Return reason and remedy if a fit is not plausible; two empty strings if it is."""
+    """Return reason and remedy if a fit is not plausible. Return two empty strings if it is plausible."""
     fit = result.fit
     assert fit is not None
     wrong = "Check that layout.json belongs to this board, its unit, and that it is written as cameras see the board."
@@ -228,7 +228,7 @@ def _measure_expected(
     marks_mm: Floats,
     appearance: MarkAppearance,
 ) -> tuple[MarkObservation, ...]:
-    """Return all marks expected in the frame: as detected, or measured at their predicted position."""
+    """Return all marks expected in the frame. Marks that were not detected are measured at their predicted position."""
     expected, known = apply(matrix, marks_mm), {int(k): int(n) for k, n in hypothesis.pairs}
     least = score_limit(detected.score)
     marks = []
@@ -244,7 +244,7 @@ def _measure_expected(
             marks.append(
                 MarkObservation(k, expected[k], note=f"less similar than the others (correlation {mark.score:.2f})")
             )
-        # A quarter of a mark: further away it is another object, as the prediction is right to a few pixels.
+        # The prediction is right to a few pixels. What lies further off than a quarter of a mark is another object.
         elif np.hypot(*(mark.px - expected[k])) > 0.25 * appearance.size_px:
             marks.append(MarkObservation(k, expected[k], note="not at its predicted position"))
         else:
@@ -260,7 +260,7 @@ def _measured_positions(marks: tuple[MarkObservation, ...]) -> tuple[list[int], 
 def _with_residuals(
     marks: tuple[MarkObservation, ...], index: list[int], kept: list[int], fit: Fit
 ) -> tuple[MarkObservation, ...]:
-    """Return the marks with the residuals of the fit; marks left out of it get a note."""
+    """Return the marks with the residuals of the fit. Marks that the fit excluded get a note instead."""
     residual = {index[k]: fit.residuals_px[n] for n, k in enumerate(kept)}
     out = []
     for m in marks:

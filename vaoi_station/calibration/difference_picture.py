@@ -20,7 +20,7 @@ from vaoi_station.model import CameraHead
 WIDTH = 460
 """Width of a frame in the picture, px."""
 MARGIN = 50
-"""Margin around a frame, px; no arrow is longer."""
+"""Margin around a frame in the picture, px. Arrows are not longer than the margin."""
 BAND = 30
 _FOOT = 86
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -29,7 +29,7 @@ _ROUND_NUMBERS = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
 def draw_difference(difference: CalibrationDifference, heads: Sequence[CameraHead]) -> Picture:
-    """Draw all cameras, (h, w, 3) BGR, above a colour bar; all figures are px of the frames."""
+    """Draw the difference of all cameras above a colour bar, as an image (h, w, 3) BGR. Figures are in frame pixels."""
     # One scale and one factor for all cameras, so that they can be compared by eye.
     top_px = round_up(max(*difference.max_px, 1e-3))
     factor = round_down(min((MARGIN - 4) / (largest_px(difference) * WIDTH / head.width) for head in heads))
@@ -39,7 +39,7 @@ def draw_difference(difference: CalibrationDifference, heads: Sequence[CameraHea
 
 
 def largest_px(difference: CalibrationDifference) -> float:
-    """Return the largest difference, or a tiny positive number."""
+    """Return the largest difference of all cameras, at least 1e-9, so that it can be a divisor."""
     return max(*difference.max_px, 1e-9)
 
 
@@ -50,7 +50,7 @@ def round_up(value: float) -> float:
 
 
 def round_down(value: float) -> float:
-    """Round a positive value down to one of these numbers."""
+    """Round a positive value down to 1, 1.2, 1.5, 2, 3 … 10 or one of their decimal multiples."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(s * power for s in reversed(_ROUND_NUMBERS) if s * power <= value * (1 + 1e-9))
 
@@ -80,7 +80,7 @@ def _interpolate(lengths: Floats, size: tuple[int, int]) -> Floats:
 
 
 def _arrow(picture: Picture, foot: Floats, way: Floats) -> None:
-    """Draw an arrow."""
+    """Draw an arrow that starts at `foot` and has the vector `way`, both in pixels of the picture."""
     # White with a dark edge is visible on white and on each colour of the scale.
     start, tip = (tuple(round(float(v)) for v in p) for p in (foot, foot + way))
     for ink, width in ((_INK, 3), (_ARROW, 1)):

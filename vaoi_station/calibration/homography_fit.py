@@ -41,7 +41,7 @@ class Fit:
     covariance: Floats
     """Covariance of n11 n12 n13 n21 n22 n23 n31 n32 and the radial coefficients."""
     sigma_px: float
-    """Standard deviation of a mark's position per axis."""
+    """Standard deviation of the measured position of a mark per axis, px."""
     freedom: int
     """Degrees of freedom: measurements minus parameters."""
 
@@ -51,7 +51,7 @@ class Fit:
         return float(np.sqrt((self.residuals_px**2).sum(1).mean()))
 
     def sigma_at_px(self, raw_px: Floats) -> Floats:
-        """Compute the standard deviation (k,) of the positions of raw pixels (k, 2), as a length in px."""
+        """Compute the standard deviation (k,) of projected points at raw pixels (k, 2), as a length in px."""
         undistorted = self.lens.undistort(raw_px)
         ground = apply(np.linalg.inv(self.matrix), undistorted)
         rows = np.concatenate([-_homography_jacobian(self.matrix, ground), _lens_jacobian(self.lens, raw_px)], axis=2)
@@ -153,7 +153,7 @@ def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
 
 
 def _denormalize(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats, Floats]:
-    """Compute N = H·T with N_33 = 1, and its Jacobian by the eight entries of H; lens coefficients are unchanged."""
+    """Compute N = H·T with N_33 = 1 (T is `normal_from_mm`), and the Jacobian of all parameters by those of the fit."""
     full = h @ normal_from_mm
     n = full / full[2, 2]
     # d vec(H·T) / d vec(H), row-major.

@@ -1,4 +1,4 @@
-"""Common mistakes in a layout: reflections, rotations, shifts. They only serve to name the mistake in a refusal."""
+"""Common mistakes in a layout: reflections, rotations, shifts. They help to name the mistake in a refusal."""
 
 from __future__ import annotations
 
@@ -33,7 +33,11 @@ def find_symmetries(marks_mm: Floats, tolerance_mm: float) -> tuple[str, ...]:
 
 
 def vary_layout(marks_mm: Floats, heads: Sequence[CameraHead]) -> Iterator[tuple[str, Floats]]:
-    """Yield names of mistakes and the layout (k, 2) after each: about the origin, its centre, the array's centre."""
+    """Yield the name of each common mistake, and the layout (k, 2) that it gives.
+
+    Reflections and rotations are applied about the origin, about the layout's centre, and with a move of the layout's
+    centre to the centre of the array.
+    """
     views = np.array([h.nominal_center_mm or (0.0, 0.0) for h in heads])
     own, array = (marks_mm.min(0) + marks_mm.max(0)) / 2, (views.min(0) + views.max(0)) / 2
     about = [(np.zeros(2), np.zeros(2)), (own, own), (own, array)]

@@ -15,7 +15,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, find_candidates, locate_mark
 
 SURROUND = 1.3
-"""Diameter of the compared disc in sizes: calibration marks can be closer than fiducials, so the rim is narrower."""
+"""Diameter of the compared disc divided by the mark's size. Calibration marks can be close, so the rim is narrow."""
 _COARSE_PX = 10.0
 """Approximate size of marks in the reduced frame of the search."""
 _MAX_CANDIDATES = 400
@@ -44,7 +44,7 @@ class MarkAppearance:
 
     @property
     def margin_px(self) -> float:
-        """Distance from the frame's border that a mark needs to be measured."""
+        """Smallest distance of a mark's centre from the frame's border at which the mark can be measured."""
         return float(np.ceil(SURROUND * self.size_px / 2)) + 5
 
 
@@ -56,7 +56,7 @@ class DetectedMarks:
     """(k, 2) raw pixels."""
     score: Floats
     blur_px: float
-    """Standard deviation of the blur, from the edges of the marks; from the whole frame if there are none."""
+    """Standard deviation of the blur, measured at the edges of the marks or, without marks, in the whole frame."""
     doubtful: tuple[tuple[tuple[float, float], str], ...] = ()
     """Positions of rejected marks, with the reasons."""
     opposite: int = 0
@@ -132,7 +132,7 @@ def measure_blur_px(grey: NDArray[np.uint8], px: Floats, size_px: float) -> floa
 
 
 def _steepest_edge_blur(patch: NDArray[np.uint8], contrast: float) -> float:
-    """Measure the blur of the steepest edges."""
+    """Measure the blur (standard deviation, px) of the steepest edges of a patch with a given contrast."""
     # The smoothing suppresses noise in the slopes. Its variance, 1 px², and that of a difference over two pixels,
     # 1/3 px², are subtracted.
     smooth = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), 1.0)
@@ -151,7 +151,7 @@ def score_limit(scores: Floats) -> float:
 
 def _reject_outliers(marks: list[Mark]) -> tuple[list[Mark], tuple[tuple[tuple[float, float], str], ...]]:
     """Separate the marks into accepted ones, and positions of rejected ones with the reason."""
-    # The median of one or two scores says nothing about the others.
+    # With one or two marks the median of the scores is not meaningful.
     if len(marks) < 3:
         return marks, ()
     least = score_limit(np.array([m.score for m in marks]))

@@ -19,9 +19,9 @@ _SCALE, _ANGLE_RAD = 0.08, np.radians(8.0)
 """Accepted deviation of scale and direction from the design."""
 _MAX_SEEDS, _MAX_DETECTED = 48, 120
 _MISSING_COST = 0.5
-"""Cost of an expected mark that was not detected, in explained marks."""
+"""Reduction of a score for each expected mark that was not detected. An explained mark adds 1."""
 _PRIOR_PER_MM2 = 0.04
-"""Cost of a shift from the expected position: it only decides between hypotheses of equal score."""
+"""Reduction of a score per mm² of shift from the expected position. It decides between nearly equal scores."""
 _CHUNK = 64
 """Number of hypotheses scored at a time, which bounds the memory of the distance table."""
 _MAX_KEPT = 9
@@ -70,7 +70,7 @@ def find_rival(options: tuple[Hypothesis, ...], chosen: Hypothesis) -> Hypothesi
 
 
 def choose_hypotheses(options: list[tuple[Hypothesis, ...]]) -> list[Hypothesis | None]:
-    """Choose one hypothesis per camera."""
+    """Choose one hypothesis per camera, or None for a camera without hypotheses."""
     # All cameras show the same board, so among equal scores the offset common to most cameras is the right one.
     firsts = [_best(o, np.zeros(2)) for o in options]
     offsets = [h.offset_mm for h in firsts if h is not None]
@@ -161,13 +161,17 @@ class _Matching:
         return np.asarray(near.sum(1) - _MISSING_COST * (expected & ~near).sum(1), dtype=np.float64)
 
     def _matches(self, similarities: NDArray[np.complex128]) -> tuple[Floats, NDArray[np.bool_], NDArray[np.int_]]:
-        """Compute positions (h, k, 2) of the layout's marks, whether one was detected there, and its index."""
+        """Match all marks of the layout under hypotheses (h, 2).
+
+        Returns the predicted positions (h, k, 2) px, whether a mark was detected there (h, k), and the indices (h, k)
+        of the nearest detected marks.
+        """
         at = similarities[:, :1] * (self.marks @ np.array([1, 1j])) + similarities[:, 1:]
         distance = np.abs(at[:, :, None] - self.seen @ np.array([1, 1j]))
         return np.stack([at.real, at.imag], -1), distance.min(2) < max(0.25 * self.size_px, 3.0), distance.argmin(2)
 
     def _refine(self, similarity: NDArray[np.complex128]) -> Hypothesis | None:
-        """Refine a hypothesis by least squares over all marks that it explains; None if fewer than two."""
+        """Refine a hypothesis by least squares over all marks that it explains; None if it explains fewer than two."""
         current = similarity[None]
         for _ in range(3):
             _, near, which = self._matches(current)

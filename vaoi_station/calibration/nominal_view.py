@@ -12,7 +12,7 @@ from vaoi_station.model import CameraHead
 REACH_MM = 12.0
 """Largest accepted deviation of a view from the design."""
 _REACH_SHARE = 0.45
-"""The same limit as a share of the shorter side of the view."""
+"""Largest accepted deviation of a view from the design, as a share of the shorter side of the view."""
 
 
 def nominal_matrix(head: CameraHead, camera: int) -> Floats:
@@ -41,7 +41,7 @@ def reach_mm(head: CameraHead) -> float:
 
 
 def is_in_frame(head: CameraHead, px: Floats, margin_px: float = 0.0) -> NDArray[np.bool_]:
-    """Return whether pixels (k, 2) lie in the frame and off its border by a margin (negative: extended frame)."""
+    """Return whether pixels (k, 2) lie in the frame, `margin_px` off its border; negative margins extend it."""
     limit = np.array([head.width - 1, head.height - 1]) - margin_px
     return np.asarray(((px >= margin_px) & (px <= limit)).all(-1))
 

@@ -12,15 +12,15 @@ _MIN_REMAINING = 5
 """Four marks fit without residuals, so of five marks none can be identified as the outlier."""
 _MAX_REMOVED_SHARE = 0.4
 _MAX_TRIALS = 12
-"""Number of leave-one-out fits per outlier: those of the largest residuals."""
+"""Number of leave-one-out fits per outlier. They leave out the marks with the largest residuals."""
 _SIGMAS, _MIN_ERROR_PX = 6.0, 0.1
 """Smallest prediction error of an outlier, in standard deviations and in px."""
 _RAYLEIGH = 1.1774
-"""Median length of a vector of two normal variables, in their standard deviation."""
+"""Median length of a vector of two independent normal variables, divided by their standard deviation."""
 
 
 def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[int]]:
-    """Remove marks, one by one, that lie elsewhere than the others predict.
+    """Remove, one by one, the marks whose measured position contradicts the prediction from the other marks.
 
     Args:
         fit: the fit of all marks.
@@ -41,7 +41,7 @@ def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[i
 
 
 def _leave_one_out(fit: Fit, marks_mm: Floats, px: Floats, kept: list[int]) -> tuple[Fit, list[int]] | None:
-    """Return the best fit with one mark less, if that mark is off by more than noise explains."""
+    """Return the best fit without one mark, if noise does not explain the error of that mark, else None."""
     best: tuple[float, Fit, list[int]] | None = None
     lengths = np.hypot(*fit.residuals_px.T)
     # The median is robust against the outliers that are still in the fit.

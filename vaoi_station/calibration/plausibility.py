@@ -1,4 +1,4 @@
-"""Plausibility of an N_i as that of a camera that looks down as designed.
+"""Plausibility of N_i: whether a camera that looks down as designed can have this matrix.
 
 Four marks fit any layout without residuals, but a wrong layout gives a view that no real camera has.
 """
@@ -61,7 +61,10 @@ def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: f
 
 
 def print_scale_note(scale_ratio: float) -> str | None:
-    """Return a warning if all cameras together have a resolution off the nominal one, else None."""
+    """Return a warning if the scale of the print is probably wrong, else None.
+
+    `scale_ratio` is the ratio of fitted to nominal resolution, as the median of all cameras.
+    """
     if abs(scale_ratio - 1) <= _MAX_PRINT_ERROR:
         return None
     return (
@@ -71,7 +74,7 @@ def print_scale_note(scale_ratio: float) -> str | None:
 
 
 def local_scales(matrix: Floats, head: CameraHead) -> tuple[float, float]:
-    """Compute the smallest and the largest px per mm over all directions, at the centre of the frame."""
+    """Compute the smallest and the largest resolution, px/mm, of all directions at the centre of the frame."""
     # They are the singular values of the Jacobian of the homography.
     middle = apply(np.linalg.inv(matrix), np.array([(head.width - 1) / 2, (head.height - 1) / 2]))
     w = float(matrix[2, :2] @ middle + matrix[2, 2])

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Picture = NDArray[np.uint8]
-"""(h, w, 3) BGR."""
+"""An image (h, w, 3) in BGR order."""
 GAP = 8
 
 
 def arrange_tiles(tiles: Sequence[Picture]) -> Picture:
-    """Arrange tiles of one width on white: three per line, or four if there are more than six."""
+    """Arrange tiles of equal width on a white sheet: three per line, or four per line for more than six tiles."""
     columns = min(len(tiles), 4 if len(tiles) > 6 else 3)
     lines = [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
     heights = [max(t.shape[0] for t in line) for line in lines]

@@ -1,7 +1,7 @@
 """Artwork of calibration boards for an array, as SVG, PDF and Gerber; section 3.2 of the paper.
 
-Layout coordinates are those of the frames: x to the right, y down. Formats with y up get −y, so that the print appears
-in the frames as in the layout.
+The axes of the layout are those of the frames: x to the right, y down. In file formats whose y axis points up, y is
+negated, so that frames show the printed board as the layout describes it.
 """
 
 from vaoi_station.calibration.artwork.board_design import ArrayDesign, Board, design_board

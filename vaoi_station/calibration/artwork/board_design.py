@@ -16,15 +16,18 @@ from vaoi_station.model import Place
 
 _GOLDEN = (math.sqrt(5) - 1) / 2
 _JITTER = 0.12
-"""Displacement of marks from the grid, as a share of their spacing: all views differ, in each orientation."""
+"""Largest displacement of marks from the regular grid, as a share of their spacing.
+
+The displacements make the views of all cameras different in each orientation.
+"""
 _MIN_DISTANCE = 1.6
-"""Smallest distance of neighbouring marks, in sizes."""
+"""Smallest distance of neighbouring marks divided by their size."""
 _MICRON = 1e-3
 
 
 @dataclass(frozen=True)
 class ArrayDesign:
-    """The array that the board is for, and the marks on it."""
+    """The input of the design: the camera array, and the number, size and polarity of the marks."""
 
     cameras: int
     pitch_mm: float
@@ -33,7 +36,7 @@ class ArrayDesign:
     """Field of view of one camera, width × height."""
     columns: int = 5
     rows: int = 4
-    """Marks in each view, across and down."""
+    """Number of marks in each view is `columns` across × `rows` down."""
     mark_mm: float = 2.0
     arm: float = 0.25
     tolerance_mm: float = 3.0
@@ -57,7 +60,7 @@ class ArrayDesign:
 
     @property
     def span_mm(self) -> tuple[float, float]:
-        """Width and height of the area of a view for centres of marks."""
+        """Width and height of the area of a view in which centres of marks may lie, mm."""
         lost = 2 * self.tolerance_mm + self.mark_mm
         return self.field_mm[0] - lost, self.field_mm[1] - lost
 
@@ -73,7 +76,7 @@ class Board:
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """Width and height."""
+        """Width and height of the board."""
         return self.high_mm[0] - self.low_mm[0], self.high_mm[1] - self.low_mm[1]
 
     @property
@@ -85,7 +88,7 @@ class Board:
 def design_board(design: ArrayDesign) -> Board:
     """Design a board on which each camera of an array sees its marks.
 
-    The origin lies below camera 0, x points along the array and y as in the frames.
+    The origin lies below camera 0. The x axis points along the array, and the y axis down in the frames.
 
     Raises:
         InputError: if the marks do not fit into a view.
@@ -100,7 +103,7 @@ def design_board(design: ArrayDesign) -> Board:
             f"{_MIN_DISTANCE * design.mark_mm:.2f} mm.",
             action="Ask for fewer or smaller marks, or for less tolerance.",
         )
-    # Whole microns: all formats then contain exactly the coordinates of layout.json.
+    # Coordinates are rounded to microns, so that all formats contain exactly the coordinates of layout.json.
     jitter = _JITTER * spacing
     places = [
         (round(u + jitter * dx, 3), round(v + jitter * dy, 3))
@@ -117,7 +120,10 @@ def design_board(design: ArrayDesign) -> Board:
 
 
 def _columns(design: ArrayDesign) -> Floats:
-    """Compute x of the columns: a group below each camera, or one even row if views overlap too much for groups."""
+    """Compute the x coordinates of the columns of marks.
+
+    They form one group below each camera, or one evenly spaced row if the views overlap too much for groups.
+    """
     span = design.span_mm[0]
     group = _line(span, design.columns)
     gap = group[1] - group[0]
@@ -129,7 +135,7 @@ def _columns(design: ArrayDesign) -> Floats:
 
 
 def _line(span: float, count: int) -> Floats:
-    """Compute even positions on a line within a span, which marks do not leave after their jitter."""
+    """Compute evenly spaced positions within a span, such that displaced marks still lie in the span."""
     if span <= 0:
         raise InputError(
             f"the view leaves {span:.1f} mm for marks after tolerance and mark size.",
@@ -144,7 +150,7 @@ def _least_gap(line: Floats) -> float:
 
 
 def _off_grid(n: int) -> tuple[float, float]:
-    """Compute the displacement of mark n, as a vector of at most length 1."""
+    """Compute the direction and relative size of the displacement of mark n, as a vector of length 1 or less."""
     # Multiples of irrational numbers modulo 1 have no pattern and, unlike random numbers, no seed or library version.
     angle, length = 2 * math.pi * ((n + 1) * _GOLDEN % 1.0), math.sqrt((n + 1) * _GOLDEN * math.e % 1.0)
     return length * math.cos(angle), length * math.sin(angle)

@@ -1,4 +1,4 @@
-"""Elements that all formats draw: the cross of a mark and the scale bar."""
+"""Shapes that the artwork contains in all formats: the cross of a mark and the scale bar."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BAR_MM = 50.0
 
 
 def cross(center: Floats, size_mm: float, width_mm: float) -> Floats:
-    """Compute the corners (12, 2) of a cross, in order."""
+    """Compute the corners (12, 2) of a cross in mm, in order along its outline."""
     r, a = size_mm / 2, width_mm / 2
     quarter = [(a, -r), (a, -a), (r, -a)]
     corners = []

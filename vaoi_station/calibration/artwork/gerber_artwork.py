@@ -10,7 +10,7 @@ from vaoi_station.calibration.artwork.drawing_elements import scale_bar
 
 
 def render_gerber_marks(board: Board) -> str:
-    """Render marks and scale bar."""
+    """Render the marks and the scale bar as a Gerber file."""
     # The layer is positive: what is drawn gets the polarity of the marks, light or dark.
     mark = board.layout.mark
     size, width = (v * board.layout.mm_per_unit for v in (mark.size, mark.width))
@@ -30,7 +30,7 @@ def render_gerber_marks(board: Board) -> str:
 
 
 def render_gerber_outline(board: Board) -> str:
-    """Render the outline of the board."""
+    """Render the outline of the board as a Gerber file."""
     (x0, y0), (x1, y1) = board.low_mm, board.high_mm
     around = [(x1, y0), (x1, y1), (x0, y1), (x0, y0)]
     lines = [*_head("Profile,NP"), "%ADD10C,0.100000*%", "D10*", f"{_place(x0, y0)}D02*"]

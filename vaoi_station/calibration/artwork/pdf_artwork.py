@@ -12,7 +12,7 @@ _MAX_POINTS = 14400
 
 
 def render_pdf(board: Board, title: str) -> bytes:
-    """Render the artwork.
+    """Render the artwork as a PDF file, with a title beside the scale bar.
 
     Raises:
         InputError: if the board is larger than the largest PDF page (5 m).
@@ -56,7 +56,7 @@ def _content(board: Board, title: str, page_height: float) -> str:
     lines += [f"{a[0]:.6f} {a[1]:.6f} m {b[0]:.6f} {b[1]:.6f} l S" for a, b in strokes]
     end = ((strokes[0, 1] - (x, y)) * k).tolist()
     text = f"{length:g} mm  {title}".replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
-    # The text comes after Q, in points: the flipped matrix would mirror it.
+    # The text is written in points after Q has restored the matrix, because the flipped matrix would mirror it.
     lines += ["Q", f"{ink} g", f"BT /F1 7.5 Tf {end[0] + 6:.3f} {page_height - end[1] - 3:.3f} Td ({text}) Tj ET"]
     return "\n".join(lines)
 

@@ -9,7 +9,7 @@ from vaoi_station.calibration.artwork.drawing_elements import cross, scale_bar
 
 
 def render_svg(board: Board, title: str) -> str:
-    """Render the artwork.
+    """Render the artwork as an SVG document.
 
     Args:
         board: the board; coordinates of the document are layout coordinates.
