@@ -35,7 +35,7 @@ def test_a_larger_array_sees_a_wider_board() -> None:
 
 def test_cameras_that_do_wrong_by_themselves_are_asked_for_by_faults() -> None:
     check_supported(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
-    with pytest.raises(InputError, match=r"faults\.ignored_triggers befall the cameras of the in-process twin only"):
+    with pytest.raises(InputError, match=r"faults\.ignored_triggers apply to the cameras of the in-process twin only"):
         check_supported(Scenario(faults=FaultSection(ignored_triggers=(IgnoredTrigger(camera=0, row=1),))))
 
 

@@ -130,7 +130,7 @@ def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:
 def test_a_run_without_frames_has_one_reason(filmed: Any) -> None:
     result = filmed.stitched(frames={})
     assert result.status is Status.FAILED
-    assert result.reasons == ("no whole frame of any camera arrived: there is nothing to stitch",)
+    assert result.reasons == ("no complete frame of any camera arrived: there is nothing to stitch",)
     assert all(m is None for rows in result.image_matrices for m in rows)
 
 
@@ -142,7 +142,7 @@ def test_an_absent_camera_is_the_first_reason_with_its_fiducials(filmed: Any) ->
     expectation = replace(filmed.setup.expectation, corner_mm=(float(corner[0]), float(corner[1])))
     left = {key: p for key, p in filmed.frames.items() if key[0] == 0}
     result = filmed.stitched(frames=left, expectation=expectation)
-    nothing = "camera 1 delivered no whole frame of this board"
+    nothing = "camera 1 delivered no complete frame of this board"
     assert result.status is Status.FAILED
     assert result.reasons[0] == f"{nothing}, and in its view alone lay the fiducials FID2, FID3"
     assert "1 place(s) look like fiducials" in result.reasons[1]

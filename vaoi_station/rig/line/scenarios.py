@@ -34,7 +34,9 @@ def check_supported(scenario: Scenario) -> None:
     for name in _SIMULATED_CAMERA_FAULTS:
         if getattr(scenario.faults, name):
             action = f"Take them out, and ask for {', '.join(KINDS)} by --fault."
-            raise InputError(f"scenario: faults.{name} befall the cameras of the in-process twin only.", action=action)
+            raise InputError(
+                f"scenario: faults.{name} apply to the cameras of the in-process twin only.", action=action
+            )
 
 
 def lighting_of(scenario: Scenario) -> Lighting:

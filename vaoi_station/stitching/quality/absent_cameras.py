@@ -30,7 +30,7 @@ def absent_camera_reasons(
     board_mm = None if plane is None else expected_fiducials(plane, scene, expectation)
     if plane is None or board_mm is None:
         unknown = "" if plane is None else ": a fiducial in its view cannot be found"
-        return [f"camera {i} delivered no whole frame of this board{unknown}" for i in absent]
+        return [f"camera {i} delivered no complete frame of this board{unknown}" for i in absent]
     names = np.array([f.name for f in plane.board_type.fiducials])
     # The neighbouring camera also shows a fiducial in the overlap. Only the other fiducials are lost.
     shown = np.zeros(len(names), dtype=np.bool_)
@@ -39,7 +39,8 @@ def absent_camera_reasons(
     rows = range(len(motion.angle))
     hidden = {i: ~shown & np.any([_in_frame(scene, i, j, motion, board_mm) for j in rows], axis=0) for i in absent}
     return [
-        f"camera {i} delivered no whole frame of this board{_hidden_clause(names[hidden[i]].tolist())}" for i in absent
+        f"camera {i} delivered no complete frame of this board{_hidden_clause(names[hidden[i]].tolist())}"
+        for i in absent
     ]
 
 

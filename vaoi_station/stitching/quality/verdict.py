@@ -50,7 +50,7 @@ class _Placed(NamedTuple):
 def decide_verdict(f: Findings) -> tuple[Status, tuple[str, ...]]:
     """Decide the status of a result and return it with its reasons. The first reasons of a failure are its cause."""
     if not f.scene.present:
-        return Status.FAILED, ("no whole frame of any camera arrived: there is nothing to stitch",)
+        return Status.FAILED, ("no complete frame of any camera arrived: there is nothing to stitch",)
     reasons = list(_reasons(f))
     if isinstance(f.found, Failure):
         # A camera that delivered no frame explains the failure better than the fiducials missing because of it.

@@ -27,10 +27,10 @@ def test_the_device_with_the_serial_number_is_taken() -> None:
 
 
 def test_an_absent_serial_number_names_those_that_reply() -> None:
-    with pytest.raises(DeviceError, match=r"'S2' answers; those that do: S1 at 10\.0\.0\.1\.") as refused:
+    with pytest.raises(DeviceError, match=r"'S2' answers; cameras that answer: S1 at 10\.0\.0\.1\.") as refused:
         discovery.find_by_serial(BY_SERIAL, FOUND[:1])
     assert refused.value.code == "camera-absent"
-    with pytest.raises(DeviceError, match="those that do: none"):
+    with pytest.raises(DeviceError, match="cameras that answer: none"):
         discovery.find_by_serial(BY_SERIAL, ())
 
 

@@ -61,7 +61,7 @@ def find_clock(camera: Any, name: str) -> CameraClock:
         return CameraClock(time.time_ns, remote=False)
     raise DeviceError(
         f"{name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
-        action="Use a camera that has; without it frames cannot be matched with pulses.",
+        action="Use a camera whose clock can be latched; without it, frames cannot be assigned to pulses.",
         code="clock-unknown",
     )
 

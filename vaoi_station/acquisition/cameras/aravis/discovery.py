@@ -54,7 +54,7 @@ def find_by_serial(config: CameraConfig, found: Sequence[FoundDevice]) -> FoundD
     if not matching:
         there = ", ".join(f"{d.serial} at {d.address}" for d in found) or "none"
         raise DeviceError(
-            f"{config.label}: no camera with serial number {config.serial!r} answers; those that do: {there}.",
+            f"{config.label}: no camera with serial number {config.serial!r} answers; cameras that answer: {there}.",
             action="Check its cable, its power and its serial number in station.toml.",
             code="camera-absent",
         )

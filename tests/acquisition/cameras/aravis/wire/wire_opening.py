@@ -108,7 +108,7 @@ def test_an_address_without_a_camera(device: Plug, station: Make) -> None:
 
 def test_a_serial_number_without_a_camera(device: Plug, station: Make) -> None:
     there = device(0)
-    with pytest.raises(DeviceError, match=r"serial number 'OTHER' answers; those that do: WIRE0 at 127\.0\.0\.2"):
+    with pytest.raises(DeviceError, match=r"serial number 'OTHER' answers; cameras that answer: WIRE0 at 127\.0\.0\.2"):
         open_aravis_cameras(by_serial(station(there), "OTHER"))
 
 
