@@ -31,3 +31,20 @@ def test_images_keep_their_pixels(tmp_path: Path) -> None:
 def test_a_missing_document_is_named(tmp_path: Path) -> None:
     with pytest.raises(vaoi.NotFoundError, match=r"absent\.json"):
         vaoi.read_calibration(tmp_path / "absent.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "pixels", "words"),
+    [
+        ("a.png", np.full((2, 2), 0.5), "float64"),
+        ("a.png", np.zeros((2, 2), np.int32), "int32"),
+        ("a.png", np.zeros((0, 0), np.uint8), "shape"),
+        ("a.png", np.zeros((2, 2, 4), np.uint8), "shape"),
+        ("a.jpg", np.zeros((2, 2), np.uint8), "ends in .png"),
+        ("a", np.zeros((2, 2), np.uint8), "ends in .png"),
+    ],
+)
+def test_pixels_that_a_file_cannot_hold_are_refused(tmp_path: Path, name: str, pixels: np.ndarray, words: str) -> None:
+    with pytest.raises(vaoi.InputError, match=words):
+        vaoi.write_image(tmp_path / name, pixels)
+    assert not list(tmp_path.iterdir())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -79,3 +80,23 @@ def test_a_result_of_another_recording_is_refused(recording: vaoi.RecordedRun, s
         recording.with_result(result.model_copy(update=shorter))
     with pytest.raises(vaoi.InputError, match="camera 0 has another calibration"):
         recording.with_result(result.model_copy(update={"image_matrices": result.image_matrices[::-1]}))
+
+
+def test_frames_that_never_arrived_give_no_images(recording: vaoi.RecordedRun, tmp_path: Path) -> None:
+    case = tmp_path / "case"
+    shutil.copytree(recording.directory, case)
+    head = json.loads((case / "recording.json").read_text())
+    head["missing"] = [[0, 3]]
+    (case / "recording.json").write_text(json.dumps(head))
+    (case / "frames" / "c00_r003.png").unlink()
+    run = vaoi.stitch(case)
+    for ref in run.refs:
+        for image in run.component(ref):
+            assert (image.camera, image.row) != (0, 3)
+            assert image.pixels.size
+
+
+@pytest.mark.parametrize(("camera", "row"), [(-1, 0), (9, 0), (0, -1), (0, 99), ("0", 0), (0.5, 0)])
+def test_a_matrix_outside_the_run_is_refused(stitched: vaoi.StitchedRun, camera: int, row: int) -> None:
+    with pytest.raises(vaoi.InputError, match="cameras are 0 … 1"):
+        stitched.image_matrix(camera, row)

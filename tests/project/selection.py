@@ -15,6 +15,12 @@ SLOW = ("acquisition", "benchmarks", "cases", "demo", "drift", "hw", "rig", "sys
 """Folders of tests that wait for real time, start whole stations or film boards; chosen only for their own subject."""
 ALWAYS = ("tests/project/test_documents.py", "tests/project/test_structure.py")
 FIGURES = "tests/cases/test_figures.py"
+BY_FOLDER = {
+    "vaoi_station/api/web": ("tests/api/web",),
+    "docs/examples": ("tests/library/test_examples.py",),
+    "hw": ("tests/hw/test_logic.py", "tests/hw/test_vectors.py", "tests/hw/test_pages.py"),
+}
+"""Tests of files that are not Python modules of the package."""
 
 
 def changed_files() -> list[str]:
@@ -27,8 +33,13 @@ def changed_files() -> list[str]:
 
 def select_tests(changed: Iterable[str], root: Path = ROOT) -> list[str]:
     """Return the test files and folders that belong to changed files, without duplicates."""
-    chosen = {test for path in changed for test in _tests_of_one(Path(path), root) if (root / test).exists()}
-    return sorted(chosen | set(ALWAYS)) if chosen else [*quick_tests(root)]
+    chosen: set[str] = set()
+    for path in changed:
+        tests = _tests_of_one(Path(path), root)
+        if tests is None:
+            return quick_tests(root)
+        chosen |= {test for test in tests if (root / test).exists()}
+    return sorted(chosen | set(ALWAYS)) if chosen else quick_tests(root)
 
 
 def quick_tests(root: Path = ROOT) -> list[str]:
@@ -38,22 +49,21 @@ def quick_tests(root: Path = ROOT) -> list[str]:
     return [str(p.relative_to(root)) for p in (*folders, *files) if p.name != "__pycache__"]
 
 
-def _tests_of_one(path: Path, root: Path) -> list[str]:
+def _tests_of_one(path: Path, root: Path) -> list[str] | None:
+    """Return the tests of one file; None if only all quick tests cover it."""
     if path.parts[0] == "tests":
         is_test = path.name.startswith("test_") and path.suffix == ".py"
-        return [str(path)] if is_test else []
-    if path.parts[0] == "vaoi_station" and path.suffix == ".py":
+        return [str(path)] if is_test else None
+    if path.parts[0] == "vaoi_station" and path.suffix == ".py" and len(path.parts) > 2:
         mirrored = Path("tests", *path.parts[1:-1])
         own = mirrored / f"test_{path.name}"
-        is_in_room = len(path.parts) > 2
-        siblings = sorted((root / mirrored).glob("test_*.py")) if is_in_room else []
+        siblings = sorted((root / mirrored).glob("test_*.py"))
         quick = [str(p.relative_to(root)) for p in siblings] if path.parts[1] not in SLOW else []
         return [str(own), *quick]
-    if path.suffix == ".md":
-        return [FIGURES]
-    if path.parts[0] == "hw":
-        return ["tests/hw/test_logic.py", "tests/hw/test_vectors.py", "tests/hw/test_pages.py"]
-    return []
+    for start, tests in BY_FOLDER.items():
+        if path.is_relative_to(start):
+            return list(tests)
+    return [FIGURES] if path.suffix in {".md", ".svg", ".png"} else None
 
 
 def _git(*arguments: str) -> str:

@@ -36,3 +36,13 @@ def test_removed_files_are_passed_over() -> None:
 
 def test_the_working_tree_can_be_compared() -> None:
     assert all(isinstance(path, str) and path for path in changed_files())
+
+
+def test_a_file_without_a_rule_brings_all_quick_tests() -> None:
+    for path in ("vaoi_station/errors.py", "vaoi_station/simulation/scenarios/small.toml", "tests/conftest.py"):
+        assert select_tests(["vaoi_station/geometry/lens.py", path]) == quick_tests()
+
+
+def test_pages_and_examples_bring_their_tests() -> None:
+    chosen = select_tests(["vaoi_station/api/web/app.js", "docs/examples/probe_coordinates.py"])
+    assert {"tests/api/web", "tests/library/test_examples.py"} <= set(chosen)

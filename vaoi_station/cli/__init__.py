@@ -38,6 +38,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    # With markup on, Rich takes [defaults] in help texts for style tags and drops them.
+    rich_markup_mode=None,
 )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station import files
+from vaoi_station.errors import InputError
 from vaoi_station.files import images
 from vaoi_station.model import BoardType, Calibration, Stitch
 
@@ -46,4 +47,16 @@ def read_image(path: str | Path) -> NDArray[Any]:
 def write_image(path: str | Path, pixels: NDArray[Any]) -> None:
     """Write a PNG, or an uncompressed TIFF if the path ends in .tiff or .tif, atomically. Create missing folders."""
     # Callers pass slices of frames, whose rows are not adjacent in memory.
-    images.write_image(Path(path), np.ascontiguousarray(pixels))
+    target = Path(path)
+    if target.suffix not in (".png", ".tif", ".tiff"):
+        raise InputError.field("write_image", "path", str(target), "a name that ends in .png, .tif or .tiff")
+    array = np.asarray(pixels)
+    is_image = array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)
+    # The encoder would scale, clip or drop values of any other kind without a word.
+    if array.dtype not in (np.uint8, np.uint16) or not is_image or not array.size:
+        raise InputError(
+            f"{target}: the pixels have shape {array.shape} and type {array.dtype}, but must be (height, width) or "
+            "(height, width, 3) of uint8 or uint16.",
+            action="Convert them first.",
+        )
+    images.write_image(target, np.ascontiguousarray(array))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_stitch
-from vaoi_station.library.stitched_run import StitchedRun, check_result
+from vaoi_station.library.stitched_run import StitchedRun, check_frame_index, check_result
 from vaoi_station.model import BoardType, Calibration, Stitch
 from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
 from vaoi_station.stitching.method import MethodName
@@ -54,11 +54,7 @@ class RecordedRun:
 
     def frame(self, camera: int, row: int) -> NDArray[Any] | None:
         """Read one frame, (height, width) or (height, width, 3); None if the frame never arrived."""
-        if not (0 <= camera < self.cameras and 0 <= row < self.rows):
-            raise InputError(
-                f"{self.directory}: has no frame of camera {camera}, row {row}; "
-                f"cameras are 0 … {self.cameras - 1}, rows 0 … {self.rows - 1}."
-            )
+        check_frame_index(camera, row, self.cameras, self.rows, self.directory)
         return self._opened.recording.frame(camera, row)
 
     def frames(self) -> Iterator[tuple[int, int, NDArray[Any]]]:

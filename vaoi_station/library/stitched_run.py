@@ -62,6 +62,7 @@ class StitchedRun:
 
     def image_matrix(self, camera: int, row: int) -> Floats | None:
         """Return image matrix M_ij (3, 3), from tester to undistorted pixels; None if the frame was not placed."""
+        check_frame_index(camera, row, len(self.cameras), len(self.result.row_motion), self.recording.directory)
         return self.result.image_matrices[camera][row]
 
     def component(self, ref: str, *, px_per_mm: float | None = None, min_coverage: float = 0.5) -> ComponentImages:
@@ -80,7 +81,13 @@ class StitchedRun:
         covariances = component_covariances(self.result, ref)
         height, sigma = component_height(self.result, ref)
         # Views are matched by frame; a centre outside its frame has a view but no covariance.
-        images = tuple(self._image(view, covariances.get((view.camera, view.row))) for view in views)
+        # A row with one good frame has matrices for all cameras, also for those whose frame never arrived.
+        missing = set(self.recording.head.missing)
+        images = tuple(
+            self._image(view, covariances.get((view.camera, view.row)))
+            for view in views
+            if (view.camera, view.row) not in missing
+        )
         return ComponentImages(ref, images, height, sigma, self.status)
 
     def center(self, ref: str) -> tuple[float, float]:
@@ -114,7 +121,7 @@ class StitchedRun:
     def _image(self, view: View, covariance: Floats | None) -> ComponentImage:
         def load() -> NDArray[Any]:
             frame = self.recording.frame(view.camera, view.row)
-            assert frame is not None  # a frame that never arrived has no matrix, hence no view
+            assert frame is not None  # views of missing frames are left out
             return render(view, frame)
 
         return ComponentImage(
@@ -127,6 +134,15 @@ class StitchedRun:
             distorted=view.distorted,
             covariance_px2=covariance,
             _load=load,
+        )
+
+
+def check_frame_index(camera: int, row: int, cameras: int, rows: int, name: str | Path) -> None:
+    """Raise InputError with the limits if a run has no frame of this camera and row."""
+    if not (isinstance(camera, int) and isinstance(row, int) and 0 <= camera < cameras and 0 <= row < rows):
+        raise InputError(
+            f"{name}: has no frame of camera {camera!r}, row {row!r}; cameras are 0 … {cameras - 1}, "
+            f"rows 0 … {rows - 1}."
         )
 
 
