@@ -77,7 +77,7 @@ def test_links_are_those_of_a_task_runner(ring_board: RingBoard, linked: dict[Ta
     assert linked[task].worker_s > 0
 
 
-def test_a_result_is_the_same_whoever_found_the_evidence(
+def test_a_result_does_not_depend_on_the_worker_that_found_the_evidence(
     runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked]
 ) -> None:
     half = len(ring_board.tasks) // 2
