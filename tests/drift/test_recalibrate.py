@@ -65,6 +65,20 @@ def test_covariances_grow_by_that_of_the_displacement(made: Made, knocked_twin: 
     assert np.sqrt(after[1][2][2]) == pytest.approx(sigma_px, rel=0.2), "n13 is where the origin is seen"
 
 
+def test_the_field_of_errors_grows_by_the_displacement_in_shift_and_turn(
+    made: Made, knocked_twin: Callable[..., Twin]
+) -> None:
+    twin = knocked_twin()
+    known = twin.calibration.model_copy(update={"covariance": (0.01 * np.eye(9),) * 3})
+    runs = [made(k, [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, 0.0)]) for k in range(3)]
+    proposal = recalibrate(known, twin.heads, runs)
+    assert proposal.calibration.covariance is not None
+    unmoved, moved, _ = proposal.calibration.covariance
+    np.testing.assert_array_equal(unmoved, 0.01 * np.eye(9))
+    np.testing.assert_allclose(np.diag(moved)[:3] - 0.01, proposal.found.sigma_px[1] ** 2)
+    np.testing.assert_array_equal(moved[3:], 0.01 * np.eye(9)[3:])
+
+
 def test_too_few_runs_are_refused(made: Made, knocked_twin: Callable[..., Twin]) -> None:
     twin = knocked_twin()
     with pytest.raises(InputError, match=r"2 run\(s\) are too few .* at least 3"):

@@ -29,6 +29,7 @@ def calibration_document() -> dict[str, Any]:
         "principal_point": [[695.5, 519.5], [690.0, 520.0]],
         "created": "2025-01-31T12:00:00Z",
         "covariances": [[1e-6, None]],
+        "covariance": [np.diag([0.01] * 8 + [2.25]).tolist(), np.diag([0.02] * 9).tolist()],
         "distortion": [{"center": [695.5, 519.5], "radius": 868.8, "radial": [0.001, -0.0001]}] * 2,
         "x_operator": "night shift",
     }

@@ -31,6 +31,7 @@ def test_optional_keys_may_be_absent(tmp_path: Path, write: Write, calibration_d
     camera = calibration.cameras((CameraHead(width=1392, height=1040, exposure_us=1.0),) * 2)[1]
     assert camera.lens.ideal
     assert camera.working_distance_mm is None
+    assert camera.covariance_px2 is None
     write_calibration(tmp_path / "again.json", calibration)
     assert read_json(tmp_path / "again.json") == bare
 
@@ -44,6 +45,8 @@ def test_cameras_are_built_from_their_entries(write: Write, calibration_document
     assert camera.principal_point_px == pytest.approx((690, 520))
     assert camera.working_distance_mm == pytest.approx(483)
     np.testing.assert_array_equal(camera.image_from_row.matrix, calibration_document["camera_matrices"][1])
+    assert camera.covariance_px2 is not None
+    np.testing.assert_array_equal(camera.covariance_px2, calibration_document["covariance"][1])
 
 
 def test_calibration_of_another_array_is_refused(write: Write, calibration_document: dict[str, Any]) -> None:

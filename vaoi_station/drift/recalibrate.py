@@ -92,10 +92,13 @@ def recalibrate(
     matrices, covariances = list(calibration.camera_matrices), calibration.covariances
     if isinstance(covariances, list):
         covariances = [_widened(c, cameras[i], found, i) if i in corrected else c for i, c in enumerate(covariances)]
+    known = calibration.covariance
+    if known is not None:
+        known = tuple(_with_displacement(c, found, i) if i in corrected else c for i, c in enumerate(known))
     for i in corrected:
         matrices[i] = displace_camera(cameras[i], found.displacement_px[i]).image_from_row.matrix
     made = (created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
-    update = {"camera_matrices": tuple(matrices), "covariances": covariances, "created": made}
+    update = {"camera_matrices": tuple(matrices), "covariances": covariances, "covariance": known, "created": made}
     return Proposal(
         calibration.model_copy(update=update),
         found,
@@ -192,6 +195,16 @@ def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, 
     wider = np.array(covariance, dtype=np.float64)
     wider[:8, :8] += j @ found.covariance[at, at] @ j.T
     return [[float(v) for v in row] for row in wider]
+
+
+def _with_displacement(covariance: Floats, found: Attribution, i: int) -> Floats:
+    """Return the covariance (9, 9) of a camera's error, with shift and turn as known after the correction."""
+    # The correction replaces what the calibration knew of shift and turn, which are the first three fields, but its
+    # reference is the array as it was calibrated. So the covariances add.
+    at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
+    wider = np.array(covariance)
+    wider[:PARAMETERS, :PARAMETERS] += found.covariance[at, at]
+    return wider
 
 
 def _mean(checks: Sequence[RunCheck], key: str) -> tuple[float | None, ...]:

@@ -8,7 +8,7 @@ foot of the camera: the point of the plane vertically below the camera centre.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,8 @@ class Camera:
     lens: Lens
     working_distance_mm: float | None = None
     principal_point_px: tuple[float, float] | None = None
+    covariance_px2: Floats | None = field(default=None, compare=False, repr=False)
+    """Covariance (9, 9) of the calibration's error, px²: see `geometry.camera_error`. None if it is unknown."""
 
     @cached_property
     def row_from_image(self) -> Projective:

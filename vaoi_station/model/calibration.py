@@ -4,11 +4,52 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Matrix, Point, Positive
 from vaoi_station.model.recording import CameraHead
+
+_FIELDS = 9
+"""Number of basis fields of a camera's error; see `geometry.camera_error`."""
+_ROUNDING = 1e-9
+"""Accepted asymmetry, and accepted negative eigenvalues, of a covariance relative to its largest entry."""
+
+
+def _has_booleans(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return any(_has_booleans(v) for v in value)
+    return isinstance(value, bool)
+
+
+def _parse_covariance(value: Any) -> NDArray[np.float64]:
+    """Convert nested lists to a read-only, finite, symmetric, positive semidefinite (9, 9) matrix."""
+    shape = f"{_FIELDS}×{_FIELDS}"
+    try:
+        m = np.array(value)
+    except ValueError as error:
+        raise ValueError(f"has rows of different lengths, must be {shape}") from error
+    # NumPy would convert strings and booleans; only numbers written as numbers are accepted.
+    if m.dtype.kind not in "iuf" or _has_booleans(value):
+        raise ValueError(f"is not a matrix of numbers, must be {shape} numbers")
+    m = m.astype(np.float64)
+    if m.shape != (_FIELDS, _FIELDS):
+        raise ValueError(f"has shape {m.shape}, must be {shape}")
+    if not np.isfinite(m).all():
+        raise ValueError("has NaN or infinite entries, all must be finite")
+    slack = _ROUNDING * float(np.abs(m).max())
+    if np.abs(m - m.T).max() > slack:
+        raise ValueError("is not symmetric, but a covariance must be")
+    if np.linalg.eigvalsh((m + m.T) / 2)[0] < -slack:
+        raise ValueError("has a negative eigenvalue, but a covariance must not")
+    m.setflags(write=False)
+    return m
+
+
+Covariance = Annotated[NDArray[np.float64], BeforeValidator(_parse_covariance), PlainSerializer(lambda m: m.tolist())]
+"""Covariance (9, 9) of the coefficients of a camera's error, px²; see `geometry.camera_error`."""
 
 
 class Distortion(FrozenModel):
@@ -31,12 +72,13 @@ class Calibration(FrozenModel):
     principal_point: tuple[Point, ...] | None = None
     created: str | None = None
     covariances: Any = None
+    covariance: tuple[Covariance, ...] | None = None
     distortion: tuple[Distortion, ...] | None = None
 
     @model_validator(mode="after")
     def _one_entry_per_camera(self) -> Self:
         n = len(self.camera_matrices)
-        for key in ("residual_px", "principal_point", "distortion"):
+        for key in ("residual_px", "principal_point", "covariance", "distortion"):
             value = getattr(self, key)
             if value is not None and len(value) != n:
                 raise ValueError(f"{key} has {len(value)} entries, must have one per camera: {n}")
@@ -56,4 +98,5 @@ class Calibration(FrozenModel):
             lens=Lens(d.center, d.radius, d.radial) if d else Lens((0.0, 0.0), 1.0),
             working_distance_mm=self.working_distance_mm,
             principal_point_px=self.principal_point[i] if self.principal_point else None,
+            covariance_px2=self.covariance[i] if self.covariance else None,
         )
