@@ -15,7 +15,7 @@ _MAX_DOUBLINGS = 20
 
 @dataclass(frozen=True)
 class BackoffPolicy:
-    """Pauses between the attempts for one device or process."""
+    """Rules for the pauses between attempts to start one device or process."""
 
     first_s: float
     """The first pause; each further failure doubles it."""
@@ -26,7 +26,7 @@ class BackoffPolicy:
 
 
 class Backoff:
-    """The failure history of one device or process; used by one thread, `due_s` may be read by any."""
+    """The failures of one device or process so far. One thread uses it; any thread may read `due_s`."""
 
     def __init__(self, policy: BackoffPolicy, clock: Callable[[], float] = time.monotonic) -> None:
         self._policy, self._clock = policy, clock
@@ -36,7 +36,7 @@ class Backoff:
         """Time of the next attempt, time.monotonic(); None while it works or an attempt is under way."""
 
     def start_attempt(self) -> None:
-        """Note that an attempt is under way."""
+        """Record that an attempt is under way."""
         self.due_s = self._works_since_s = None
 
     def record_success(self) -> None:
@@ -47,7 +47,7 @@ class Backoff:
             self._works_since_s = self._clock()
 
     def record_failure(self, longest_s: float | None = None) -> float:
-        """Note that it stopped working or could not be started, and return the pause until the next attempt.
+        """Record that the device or process failed. Return the pause, in s, until the next attempt.
 
         Args:
             longest_s: replaces the policy's upper limit, where the cause is known to end sooner.
@@ -64,9 +64,9 @@ class Backoff:
         return pause_s
 
     def reset(self) -> None:
-        """Forget all failures and make the next attempt due now, because the cause has changed."""
+        """Forget all failures, so that the next attempt is due now. Callers do so when the cause has changed."""
         self._failures, self._works_since_s, self.due_s = 0, None, self._clock()
 
     def remaining_s(self) -> float:
-        """Return the time until the next attempt, 0 if it is due."""
+        """Return the time until the next attempt, in s; 0 if it is due."""
         return 0.0 if self.due_s is None else max(self.due_s - self._clock(), 0.0)

@@ -32,7 +32,7 @@ LONGEST_GAP_S = 2147.0
 
 
 class Section(BaseModel):
-    """A table of the file: frozen, without unknown keys."""
+    """Base class of the tables in the file: immutable; unknown keys are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -61,7 +61,7 @@ class ExpectedBoard(Section):
 
 
 class Line(Section):
-    """The geometry and the timing of the line."""
+    """The geometry and the timing of the line: speed, barrier, distances."""
 
     conveyor_mm_s: tuple[Finite, Finite]
     """Nominal velocity of the board in tester coordinates."""
@@ -96,7 +96,7 @@ class Line(Section):
 
     @property
     def passing_s(self) -> float:
-        """Time from the interruption of the barrier by the longest board to the end of its tail."""
+        """The time from the moment the longest board interrupts the barrier to the end of the tail time, in s."""
         return self.longest_board_mm / self.speed_mm_s + self.tail_s
 
     @property
@@ -106,7 +106,7 @@ class Line(Section):
 
 
 class CameraConfig(Section):
-    """One camera of the array, in the order of the calibration."""
+    """One camera of the array. The order of the cameras is that of the calibration."""
 
     name: str
     backend: Literal["simulated", "replay", "aravis"] = "simulated"
@@ -199,7 +199,7 @@ class ControllerConfig(Section):
 
     @property
     def light_sequence(self) -> tuple[str, ...]:
-        """Names of the lights of rows 0, 1, …; the sequence repeats."""
+        """The names of the lights of rows 0, 1, …; after the last name the sequence begins again."""
         return self.order or tuple(self.lights)
 
 

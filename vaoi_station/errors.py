@@ -35,7 +35,7 @@ class VaoiError(Exception):
 
 
 def _rebuild(cls: type[VaoiError], message: str, action: str, code: str) -> VaoiError:
-    """Rebuild an error from its pickled parts."""
+    """Create an error again from its pickled parts."""
     return cls(message, action=action, code=code)
 
 
@@ -47,7 +47,7 @@ class InputError(VaoiError):
 
     @classmethod
     def field(cls, where: str | Path, key: str, value: object, limit: str, action: str = "") -> InputError:
-        """Build the standard message from file or request, key, value and limit."""
+        """Return an error with the standard message: file or request, key, value and limit."""
         return cls(f"{where}: {key} is {_shown(value)}, but must be {limit}.", action=action)
 
 

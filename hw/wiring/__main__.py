@@ -1,4 +1,4 @@
-"""`python -m hw.wiring`: drawings, tables and lists made anew from circuit.toml and the firmware's limits."""
+"""`python -m hw.wiring`: write the drawings, tables and lists again from circuit.toml and the firmware's limits."""
 
 from hw.wiring.pages import write
 

@@ -1,4 +1,4 @@
-"""The circuit as `circuit.toml` says it: parts, pins, nets; and what must hold of any circuit."""
+"""Read the circuit from `circuit.toml`: parts, pins and nets. Check the rules that every circuit must follow."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Strict(BaseModel):
 
 
 class Part(_Strict):
-    """One box of a drawing, which may stand for `count` equal parts."""
+    """One part of the circuit, drawn as one box. The box may stand for `count` equal parts."""
 
     ref: str
     what: str
@@ -37,12 +37,12 @@ class Part(_Strict):
 
     @property
     def pins(self) -> tuple[tuple[str, str], ...]:
-        """All pins with their nets."""
+        """All pins of the part, each with the name of its net."""
         return self.left + self.right
 
 
 class Sheet(_Strict):
-    """One drawing."""
+    """One drawing of the circuit."""
 
     name: str
     title: str
@@ -55,11 +55,14 @@ class Sheet(_Strict):
 
     @property
     def built(self) -> int:
-        """How often the sheet is built."""
+        """The number of times that the circuit of this drawing is built."""
         return max(1, len(self.copies))
 
     def net(self, name: str, copy: int) -> str:
-        """Return the name of a drawing's net in the whole circuit."""
+        """Return the name, in the whole circuit, of a net of this drawing.
+
+        A drawing that is built several times has one such net per `copy`.
+        """
         if not self.copies or name in SUPPLIES | GROUNDS:
             return name
         return self.copies[copy] if name == self.port else f"{name} ({self.name} {copy})"
@@ -67,7 +70,7 @@ class Sheet(_Strict):
 
 @dataclass(frozen=True)
 class Pin:
-    """One end of a connection."""
+    """One pin of one part, to which a net is connected."""
 
     sheet: str
     ref: str
@@ -75,7 +78,7 @@ class Pin:
 
 
 class Circuit(_Strict):
-    """All sheets, and the figures of data sheets that the calculations start from."""
+    """The whole circuit: its drawings, and the values from data sheets with which the calculations start."""
 
     design: dict[str, Any]
     sheets: tuple[Sheet, ...] = Field(min_length=1)
@@ -92,7 +95,7 @@ class Circuit(_Strict):
 
     @cached_property
     def nets(self) -> dict[str, list[Pin]]:
-        """Every net with the pins on it."""
+        """Each net by its name, with the pins that it connects."""
         nets: dict[str, list[Pin]] = {}
         for sheet in self.sheets:
             for copy in range(sheet.built):
@@ -103,7 +106,7 @@ class Circuit(_Strict):
         return nets
 
     def part(self, ref: str) -> Part:
-        """Return a part by its reference, or a box of several parts by the first reference it names."""
+        """Return a part by its reference, such as R22. A box of several parts has the first reference of its label."""
         for sheet in self.sheets:
             for part in sheet.parts:
                 if part.ref == ref or part.ref.startswith((f"{ref}…", f"{ref},")):
@@ -111,7 +114,7 @@ class Circuit(_Strict):
         raise KeyError(ref)
 
     def value(self, ref: str) -> float:
-        """Value of a part in Ω, F, A or V."""
+        """Return the value of a part in Ω, F, A or V."""
         value = self.part(ref).value
         if value is None:
             raise KeyError(f"{ref} has no value")
@@ -119,5 +122,9 @@ class Circuit(_Strict):
 
 
 def read_circuit(path: Path = SOURCE) -> Circuit:
-    """Read the source; InputError names what does not hold."""
+    """Read `circuit.toml` and check the circuit.
+
+    Raises:
+        InputError: the circuit breaks a rule; the message names the rule and the part.
+    """
     return parse(Circuit, read_toml(path), path)

@@ -1,4 +1,8 @@
-"""A sheet as SVG: boxes in columns, wires in the gaps between them, named flags for what leads elsewhere.
+"""Draw a sheet as SVG: boxes in columns, and wires in the gaps between the columns.
+
+If all pins of a net lie at one gap, the net is drawn as a wire with one vertical part, called its track. Every other
+net is drawn as a flag with the net's name at each of its pins. The tracks in a gap are ordered so that no two wires
+cover one another.
 
 A net whose pins all face one gap is drawn as a wire with one vertical track of its own; any other ends in a
 flag with its name at every pin. Tracks are ordered so that no two wires run over one another.
@@ -20,7 +24,7 @@ _COLOURS = {"wire": "#1b4f86", "supply": "#a32020", "ground": "#333", "box": "#2
 
 @dataclass(frozen=True)
 class End:
-    """A pin in the drawing: where its line leaves the box, and whether the gap lies to its right."""
+    """A pin in the drawing: the point where its line leaves the box, and whether the gap is to the right of it."""
 
     net: str
     y: float
@@ -29,7 +33,7 @@ class End:
 
 @dataclass
 class Gap:
-    """Between two columns (or outside): what ends there, and where it lies."""
+    """A gap between two columns, or at the left or right border: the pins that face it, and its position."""
 
     ends: list[End] = field(default_factory=list)
     wires: list[str] = field(default_factory=list)
@@ -39,22 +43,22 @@ class Gap:
     tracks_at: float = 0.0
 
     def flags(self, from_left: bool) -> list[End]:
-        """Return the ends on one side that get a flag."""
+        """Return the pins on one side of the gap that get a flag."""
         return [e for e in self.ends if e.from_left == from_left and e.net not in self.wires]
 
     def of(self, net: str) -> list[End]:
-        """Return the ends of one net."""
+        """Return the pins of one net that face this gap."""
         return [e for e in self.ends if e.net == net]
 
     def width(self) -> float:
-        """Room for the flags of both sides and the tracks between them."""
+        """Return the width that the gap needs for the flags on both sides and for the tracks."""
         sides = [max((_flag_width(e.net) for e in self.flags(side)), default=0.0) for side in (True, False)]
         return sides[0] + sides[1] + (len(self.wires) + 1) * TRACK + 2 * LEAD
 
 
 @dataclass(frozen=True)
 class Box:
-    """A part with its place."""
+    """A part with its position in the drawing."""
 
     part: Part
     x: float
@@ -65,7 +69,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Layout:
-    """Everything with its place; `svg` draws it, and the tests check it."""
+    """All boxes and gaps of a sheet with their positions. `svg` draws them; tests check them."""
 
     sheet: Sheet
     boxes: tuple[Box, ...]
@@ -75,7 +79,7 @@ class Layout:
 
 
 def lay_out(circuit: Circuit, sheet: Sheet) -> Layout:
-    """Places for boxes and wires of a sheet."""
+    """Choose the positions of all boxes and wires of a sheet."""
     columns = [[p for p in sheet.parts if p.column == c] for c in range(1 + max(p.column for p in sheet.parts))]
     tops = {p.ref: y for column in columns for p, y in zip(column, _stack(column), strict=True)}
     gaps = _gaps(columns, tops, _elsewhere(circuit, sheet))
@@ -91,7 +95,7 @@ def lay_out(circuit: Circuit, sheet: Sheet) -> Layout:
 
 
 def segments(layout: Layout) -> dict[str, list[tuple[float, float, float, float]]]:
-    """Lines (x1, y1, x2, y2) of every net that is drawn as a wire."""
+    """List the straight lines (x1, y1, x2, y2) of every net that is drawn as a wire."""
     lines: dict[str, list[tuple[float, float, float, float]]] = {}
     for gap in layout.gaps:
         for k, net in enumerate(gap.wires):
@@ -129,7 +133,7 @@ def _stack(column: list[Part]) -> list[float]:
 
 
 def _elsewhere(circuit: Circuit, sheet: Sheet) -> set[str]:
-    """Nets of a sheet that lead to other ones: they are named at every pin."""
+    """Return the nets of a sheet that lead to other sheets. They get a flag at each pin."""
     others = {net for net, pins in circuit.nets.items() if any(pin.sheet != sheet.name for pin in pins)}
     return others | SUPPLIES | GROUNDS | {sheet.port}
 
@@ -149,7 +153,10 @@ def _gaps(columns: list[list[Part]], tops: dict[str, float], named: set[str]) ->
 
 
 def _in_order(gap: Gap, nets: list[str]) -> list[str]:
-    """Tracks from left to right: at one height, the wire that comes from the left turns before the other one."""
+    """Order the tracks of a gap from left to right, so that no two wires cover one another.
+
+    If two wires have a pin at the same height, the track of the wire from the left comes first.
+    """
     before: dict[str, list[str]] = {net: [] for net in nets}
     for left in nets:
         for right in nets:

@@ -1,4 +1,4 @@
-"""One calculated figure beside its limit, and the limits that the firmware sets."""
+"""One calculated quantity with the limit that it must keep, and the limits in the firmware's source."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _RELATIONS = {"≤": operator.le, "≥": operator.ge}
 
 @dataclass(frozen=True)
 class Figure:
-    """One calculated quantity; `relation` and `limit` are empty where there is nothing to compare with."""
+    """One calculated quantity. `relation` and `limit` are empty if the quantity has no limit."""
 
     name: str
     formula: str
@@ -26,13 +26,13 @@ class Figure:
 
     @property
     def ok(self) -> bool:
-        """Whether the limit is kept."""
+        """Whether the quantity keeps its limit."""
         return not self.relation or bool(_RELATIONS[self.relation](self.value, self.limit))
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """What no command can exceed, from `limits.h`."""
+    """The limits of pulses that the firmware enforces, from `limits.h`."""
 
     longest_s: tuple[float, ...]
     """Longest pulse per channel."""
@@ -40,7 +40,7 @@ class Firmware:
 
     @classmethod
     def read(cls, path: Path = LIMITS) -> Firmware:
-        """Read the limits as they are compiled."""
+        """Read the limits from the source file that the compiler reads."""
         text = path.read_text(encoding="utf-8")
         longest = re.search(r"#define LED_LONGEST \{([^}]*)\}", text)
         shift = re.search(r"#define LED_DUTY_SHIFT (\d+)", text)
@@ -50,7 +50,7 @@ class Firmware:
 
 
 def shown(value: float, unit: str) -> str:
-    """Format a value with three digits and a prefix: 0.00183 A → 1.83 mA."""
+    """Format a value with three digits and a unit prefix: 0.00183 A becomes 1.83 mA."""
     if unit == "" and abs(value) < 1:
         return f"{100 * value:.3g} %"
     if unit in {"", "°C", "Hz", "K"} or value == 0:
@@ -60,6 +60,6 @@ def shown(value: float, unit: str) -> str:
 
 
 def row(figure: Figure) -> tuple[str, str, str, str]:
-    """Cells of a table: name, formula, value, limit."""
+    """Return the cells of a table row: name, formula, value, limit."""
     limit = f"{figure.relation} {shown(figure.limit, figure.unit)}" if figure.relation else ""
     return figure.name, figure.formula, shown(figure.value, figure.unit), f"{limit} {figure.why}".strip()

@@ -1,4 +1,6 @@
-"""What the circuit does, in figures: from the values in `circuit.toml`, and the limits in the firmware.
+"""Calculate the quantities of the circuit from the values in `circuit.toml` and the limits in the firmware.
+
+Each quantity is calculated for the worst combination of tolerances and is compared with its limit.
 
 Every figure is the worst case of its tolerances and stands beside its limit.
 """
@@ -13,7 +15,7 @@ from hw.wiring.transient import transient_figures
 
 
 def all_figures(circuit: Circuit, firmware: Firmware) -> dict[str, list[Figure]]:
-    """Every table of hw/wiring.md, by its name."""
+    """Return every table of calculated quantities in hw/wiring.md, by the name of the table."""
     return {
         "inputs": input_figures(circuit),
         "outputs": output_figures(circuit),
@@ -28,7 +30,7 @@ def all_figures(circuit: Circuit, firmware: Firmware) -> dict[str, list[Figure]]
 
 
 def power_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """Compute the load of the 24 V supply and the 5 V converter."""
+    """Calculate the load on the 24 V supply and on the 5 V converter."""
     d, usual = circuit.design, circuit.design["operating"]
     strings = d["led"]["channels"] * d["led"]["strings_per_channel"]
     most = max(currents(circuit))

@@ -1,4 +1,4 @@
-"""One-shots, current sinks, their banks and their heat, in figures; units are V, A, Ω, F, s, W, K."""
+"""Calculate the LED channels: one-shots, current sinks, capacitor banks and heat. Units are V, A, Ω, F, s, W, K."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hw.wiring.figure import Figure, Firmware
 
 
 def one_shots(circuit: Circuit) -> list[tuple[float, float]]:
-    """Shortest and longest time of each channel's one-shot, s."""
+    """Return the shortest and the longest pulse, in s, of each channel's one-shot."""
     o = circuit.design["one_shot"]
     spread = 1.0
     for tolerance in (o["tolerance"], o["resistor_tolerance"], o["capacitor_tolerance"]):
@@ -19,7 +19,7 @@ def one_shots(circuit: Circuit) -> list[tuple[float, float]]:
 
 
 def one_shot_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """Longer than any pulse the firmware permits, and not much longer."""
+    """Calculate the one-shots: longer than any pulse that the firmware permits, and at most twice as long."""
     times = one_shots(circuit)
     figures = []
     for k, ((least, most), longest) in enumerate(zip(times, firmware.longest_s, strict=True)):
@@ -29,7 +29,7 @@ def one_shot_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
 
 
 def currents(circuit: Circuit) -> list[float]:
-    """Pulse current of a string at every corner of the tolerances; the first is nominal."""
+    """Return the pulse current of an LED string for every combination of tolerances. The first one is nominal."""
     d = circuit.design
     offset, supply = d["amplifier"]["offset_v"], d["logic_supply_v"]
     nominal = {ref: circuit.value(ref) for ref in ("R31", "R32", "R33", "R34", "R37")}
@@ -50,7 +50,7 @@ def currents(circuit: Circuit) -> list[float]:
 
 
 def current_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """Compute the current through a string: while lit, on average, and while dark."""
+    """Calculate the current through an LED string: during a pulse, the mean, and between pulses."""
     d, led = circuit.design, circuit.design["led"]
     corners = currents(circuit)
     most, supply = max(corners), d["logic_supply_v"]
@@ -77,14 +77,14 @@ def current_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
 
 
 def fault_current(circuit: Circuit) -> float:
-    """Through a string whose switch stays on for ever: what R38 lets through."""
+    """Return the current through an LED string if its transistor never switches off. Resistor R38 limits it."""
     led = circuit.design["led"]
     string = led["in_series"] * led["forward_small_v"]
     return float((circuit.design["light_supply_v"][1] - string) / (circuit.value("R38") * 0.95 + circuit.value("R37")))
 
 
 def bank_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """Compute the capacitor of a string and its charging; voltages add up from supply to string."""
+    """Calculate the capacitor of an LED string and how it is charged; voltages are added from supply to string."""
     d, led, bank = circuit.design, circuit.design["led"], circuit.design["bank"]
     most, longest = max(currents(circuit)), max(firmware.longest_s)
     capacity = circuit.value("C32") * (1 - bank["capacitor_tolerance"])
@@ -127,7 +127,7 @@ def bank_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
 
 
 def heat_figures(circuit: Circuit, firmware: Firmware) -> list[Figure]:
-    """Compute the transistor as a linear regulator, as if a pulse lasted for ever, which heats it more."""
+    """Calculate the heat of the transistor, which regulates the current. The worst case is a pulse without end."""
     d, led, q = circuit.design, circuit.design["led"], circuit.design["transistor"]
     most, high = max(currents(circuit)), d["light_supply_v"][1]
     usual = (high - led["in_series"] * led["forward_v"][0] - most * circuit.value("R37")) * most

@@ -1,4 +1,4 @@
-"""Drawings, tables and lists from the circuit: `python -m hw.wiring` writes them, a test compares them."""
+"""Write drawings, tables and lists from the circuit (`python -m hw.wiring`); a test checks that they are up to date."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PORTS = {f"D{k}": f"P{'D' if k < 8 else 'B'}{k % 8}" for k in range(14)}
 
 
 def made(circuit: Circuit) -> dict[Path, str]:
-    """Every file that follows from the circuit, with its content; the page keeps its prose."""
+    """Return every generated file with its content. In hw/wiring.md only the generated blocks are replaced."""
     drawings = {HW / "wiring" / "drawings" / f"{sheet.name}.svg": svg(circuit, sheet) for sheet in circuit.sheets}
     lists = {HW / "bill-of-materials.csv": _csv(("reference", "pieces", "part"), materials(circuit))}
     nets = {HW / "wiring" / "nets.csv": _csv(("net", "pins"), ends(circuit))}
@@ -31,7 +31,11 @@ def made(circuit: Circuit) -> dict[Path, str]:
 
 
 def redrawn(text: str, circuit: Circuit) -> str:
-    """Return a page with its drawn blocks made anew; KeyError for a block that nothing draws."""
+    """Return the text of a page with its generated blocks renewed.
+
+    Raises:
+        KeyError: the page has a block that no function generates.
+    """
     blocks = {
         "pins": _table(("Nano", "ATmega328P", "net", "goes to"), controller_pins(circuit)),
         "materials": _table(("reference", "pieces", "part"), materials(circuit)),
@@ -42,7 +46,7 @@ def redrawn(text: str, circuit: Circuit) -> str:
 
 
 def controller_pins(circuit: Circuit) -> list[tuple[str, str, str, str]]:
-    """List the connections of the controller's pins: its name, the chip's, the net, the other ends."""
+    """List the controller's pins: name on the board, name on the chip, net, and the pins connected to it."""
     rows = []
     for pin, net in circuit.part(CONTROLLER).pins:
         others = [f"{p.ref} {p.name}" for p in circuit.nets[net] if p.ref != CONTROLLER]
@@ -51,7 +55,7 @@ def controller_pins(circuit: Circuit) -> list[tuple[str, str, str, str]]:
 
 
 def materials(circuit: Circuit) -> list[tuple[str, int, str]]:
-    """List the materials: reference, number of pieces over all copies, description."""
+    """List the materials: references, number of pieces for the whole circuit, description."""
     rows = []
     for sheet in circuit.sheets:
         rows += [(_reference(sheet, part), part.count * sheet.built, part.what) for part in sheet.parts]
@@ -59,12 +63,12 @@ def materials(circuit: Circuit) -> list[tuple[str, int, str]]:
 
 
 def ends(circuit: Circuit) -> list[tuple[str, str]]:
-    """List every net with all its pins, for a continuity test."""
+    """List every net with all its pins, for a continuity test of the wiring."""
     return [(net, "; ".join(f"{p.ref} {p.name}" for p in pins)) for net, pins in circuit.nets.items() if net != OPEN]
 
 
 def write() -> None:
-    """Make every file anew."""
+    """Write all generated files again."""
     for path, content in made(read_circuit()).items():
         path.write_text(content, encoding="utf-8")
 

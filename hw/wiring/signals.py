@@ -1,4 +1,4 @@
-"""Inputs, outputs and the trigger's fan-out, in figures; units are V, A, Ω, F, s, W."""
+"""Calculate the inputs, the outputs, and the trigger lines to the cameras. Units are V, A, Ω, F, s, W."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ RESISTOR = 0.05
 
 
 def input_figures(circuit: Circuit) -> list[Figure]:
-    """Compute the 24 V inputs: barrier and encoder."""
+    """Calculate the 24 V inputs for barrier and encoder."""
     d, opto, sensor = circuit.design, circuit.design["opto"], circuit.design["sensor"]
     series, bleed, filter_f = circuit.value("R1"), circuit.value("R2"), circuit.value("C2")
     low, high = d["sensor_supply_v"]
@@ -43,7 +43,7 @@ def input_figures(circuit: Circuit) -> list[Figure]:
 
 
 def output_figures(circuit: Circuit) -> list[Figure]:
-    """Compute the chip's outputs while it is in reset, and afterwards."""
+    """Calculate the chip's outputs, during its reset and afterwards."""
     chip, supply = circuit.design["chip"], circuit.design["logic_supply_v"]
     pull = circuit.value("R11")
     floating = (chip["pin_leakage_a"] + chip["isolator_leakage_a"]) * pull * (1 + RESISTOR)
@@ -54,7 +54,7 @@ def output_figures(circuit: Circuit) -> list[Figure]:
 
 
 def trigger_figures(circuit: Circuit) -> list[Figure]:
-    """Compute the fan-out to 12 opto-isolated inputs."""
+    """Calculate the trigger output, which drives up to 12 opto-isolated camera inputs."""
     d = circuit.design
     camera, array, buffer = d["camera"], d["array"], d["buffer"]
     low, high = d["light_supply_v"]

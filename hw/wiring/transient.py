@@ -1,4 +1,9 @@
-"""How the current sink starts and stops: its loop as four equations, stepped through one edge.
+"""Simulate how the current sink of an LED string switches on and off, as four differential equations.
+
+The amplifier is modelled as an integrator with a maximum slope, limits of its output voltage, and an output resistance.
+The transistor is modelled as a square law with two capacitances, and the LED string as a voltage and a resistance. The
+values are typical and extreme values of data sheets. The simulation shows whether the current overshoots or oscillates,
+which a calculation of steady values cannot show. It is a calculation, not a measurement.
 
 The amplifier is an integrator with a limited slope, rails and an output resistance; the transistor a square law with
 two capacitances; the LED string a voltage and a resistance. Typical figures of data sheets, at their corners. It shows
@@ -23,7 +28,7 @@ EDGE_S = 12e-6
 
 @dataclass(frozen=True)
 class Corner:
-    """One set of what the data sheets leave open."""
+    """One combination of those values for which the data sheets give a range."""
 
     gain_hz: float
     """Gain-bandwidth product of the amplifier."""
@@ -35,7 +40,7 @@ class Corner:
 
 @dataclass(frozen=True)
 class Edges:
-    """Start and end of a pulse at one corner."""
+    """The start and the end of a simulated pulse for one combination of values."""
 
     settled_a: float
     peak_a: float
@@ -48,7 +53,7 @@ class Edges:
 
 @dataclass
 class _Sink:
-    """The circuit with its state: amplifier a, V_GS x, voltage u on C31."""
+    """The circuit and its state: amplifier output a (V), gate voltage x (V_GS, V), voltage u (V) on capacitor C31."""
 
     circuit: Circuit
     corner: Corner
@@ -68,12 +73,12 @@ class _Sink:
         self.u = -self._inverting_at_rest()  # dark for long: the output is at its lower rail
 
     def current(self) -> float:
-        """Through the string, A."""
+        """Return the current through the LED string, A."""
         above: float = max(self.x - self.threshold, 0.0)
         return self.corner.slope_a_v2 * above**2
 
     def step(self, lit: bool) -> None:
-        """One step of `STEP_S`."""
+        """Compute the state after one more time step `STEP_S`."""
         wanted = self.supply * self.divider if lit else 0.0
         amperes = self.current()
         sense, gate = amperes * self.r_sense, self.x + amperes * self.r_sense
@@ -86,7 +91,7 @@ class _Sink:
         self.u += STEP_S * into_back / self.c_back
 
     def _nodes(self, sense: float, gate: float) -> tuple[float, float, float]:
-        """Output, inverting input, and current into C31: two nodes with resistors between known voltages."""
+        """Return the voltages of output and inverting input, and the current into C31, from the two node equations."""
         # inverting = out − u; all that flows through the two resistors to it comes through C31
         g_back, g_bias, g_gate, g_out = 1 / self.r_back, 1 / self.r_bias, 1 / self.r_gate, 1 / self.r_out
         known = g_back * (sense + self.u) + g_bias * (self.supply + self.u)
@@ -100,14 +105,14 @@ class _Sink:
 
 
 def corners(circuit: Circuit) -> list[Corner]:
-    """All combinations of what the data sheets give as least and most."""
+    """Return all combinations of the smallest and largest values in the data sheets."""
     amplifier, transistor = circuit.design["amplifier"], circuit.design["transistor"]
     spreads = (amplifier["gain_hz"], transistor["gate_f"], transistor["slope_a_v2"])
     return [Corner(*chosen) for chosen in itertools.product(*spreads)]
 
 
 def edges(circuit: Circuit, corner: Corner) -> Edges:
-    """Simulate a pulse that is long enough to settle, and its end."""
+    """Simulate the start of a pulse until the current is steady, and then the end of the pulse."""
     sink, steps = _Sink(circuit, corner), round(EDGE_S / STEP_S)
     rising: list[float] = []
     falling: list[float] = []
@@ -122,7 +127,7 @@ def edges(circuit: Circuit, corner: Corner) -> Edges:
 
 
 def transient_figures(circuit: Circuit) -> list[Figure]:
-    """Return the worst values of all corners."""
+    """Return the worst values over all combinations as calculated quantities."""
     led = circuit.design["led"]
     all_edges = [edges(circuit, corner) for corner in corners(circuit)]
     over = max(e.peak_a / e.settled_a for e in all_edges) - 1

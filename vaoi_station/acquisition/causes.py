@@ -16,7 +16,7 @@ MAX_FRAME_ID = 65535
 
 
 def id_step(first: int, second: int) -> int:
-    """Return the number of frames from one id to another, across the wrap of 16 bit ids."""
+    """Return the number of frames from id `first` to id `second`. 16-bit ids may wrap to their start in between."""
     step = second - first
     # Half the range separates a wrap from a step back. An id above 65535 proves extended ids, which do not wrap.
     if abs(step) <= MAX_FRAME_ID // 2 or max(first, second) > MAX_FRAME_ID:
@@ -26,7 +26,7 @@ def id_step(first: int, second: int) -> int:
 
 @dataclass(frozen=True)
 class Gap:
-    """The interval between two frames of a camera, with the counts of pulses and of exposures in the interval."""
+    """The interval between two frames of one camera: how many pulses were fired, and how often the camera exposed."""
 
     before: int
     """Row of the first frame."""
@@ -52,12 +52,12 @@ class Gap:
 
     @property
     def span(self) -> str:
-        """The frame ids and the count of pulses, as text for causes and findings."""
+        """The frame ids at both ends, and the count of pulses, as a text for causes and findings."""
         return f"(frame ids {self.ids[0]} → {self.ids[1]} over {self.pulses} pulses)"
 
 
 def in_counting_order(ids: Mapping[int, int]) -> dict[int, int]:
-    """Return row → frame id with the same rows and ids, but with the ids in ascending order of the rows.
+    """Return the same rows and frame ids, with the ids assigned to the rows in ascending order: {row: id}.
 
     The result differs from `ids` in those rows whose frames are exchanged.
     """

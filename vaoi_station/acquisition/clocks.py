@@ -95,7 +95,7 @@ class ClockModel:
         return self._slope * 1e6
 
     def require(self, limit_s: float) -> None:
-        """Raise ClockError if the error bound is above the limit."""
+        """Raise ClockError if the error bound of the model is above the limit."""
         if (bound_s := self.bound_s()) > limit_s:
             raise ClockError(
                 f"{self.name}: its clock is known to ± {bound_s * 1e3:.3f} ms, but must be to {limit_s * 1e3:.3f} ms.",

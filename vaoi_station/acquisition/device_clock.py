@@ -29,7 +29,7 @@ class DeviceClock:
         return self.device_s(time.monotonic())
 
     def read(self) -> ClockReading:
-        """Read the clock like a request over a wire: the middle of the round trip is the host time of the reading."""
+        """Read the clock as over a network: the host time of the reading is the middle of the request's round trip."""
         asked_s = time.monotonic()
         device_s = self.now_s()
         answered_s = time.monotonic()

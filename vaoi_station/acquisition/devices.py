@@ -1,4 +1,4 @@
-"""The opened devices of a station, and the session's feedback by which a fast replay sets its pace."""
+"""The opened devices of a station, and the progress of the session, which sets the pace of a fast replay."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class Feedback:
         self._has_memory = False
 
     def frame_done(self) -> None:
-        """Count one more frame that was assigned or refused."""
+        """Count one more frame that was either assigned to a row or refused."""
         with self._change:
             self._done += 1
             self._change.notify_all()
 
     def set_memory(self, available: bool) -> None:
-        """Set whether memory is available, that is, whether the cameras hold slots for a coming run."""
+        """Set whether memory is available for a run, that is, whether the cameras hold slots."""
         with self._change:
             self._has_memory = available
             self._change.notify_all()

@@ -1,4 +1,4 @@
-"""Record the outages of cameras, so that frames missing during an outage have the outage as their cause."""
+"""Record the outages of cameras. An outage is the cause of the frames that are missing from its time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Outages:
         return any(math.isinf(outage.until_s) for outage in self._outages[camera])
 
     def count_ended(self, camera: int, host_s: float) -> int:
-        """Return the count of a camera's outages that had ended by the time `host_s`."""
+        """Return how many outages of a camera had ended by the host time `host_s`."""
         return sum(outage.until_s <= host_s for outage in self._outages[camera])
 
     def cause_at(self, camera: int, host_s: float) -> str:

@@ -24,7 +24,7 @@ NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, Statio
 
 
 def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> FastAPI:
-    """Create the web application that serves a coordinator. The caller starts and stops the coordinator.
+    """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
 

@@ -80,7 +80,7 @@ def quality_of(media_type: str, ranges: list[tuple[str, float]]) -> float:
 
 
 def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[str, str]]:
-    """Encode a picture (height, width) or (height, width, 3) and return its bytes and its X-Image-* headers.
+    """Encode a picture (height, width) or (height, width, 3). Return its bytes and its X-Image-* headers.
 
     X-Image-Stride is among the headers only if the format is raw.
     """
@@ -100,7 +100,7 @@ def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[s
 
 
 def describe(image: Image) -> dict[str, str]:
-    """Return the X-Image-* headers of a picture. The stride is the distance in bytes from one row to the next."""
+    """Return the X-Image-* headers of a picture. The stride is the distance in bytes between lines of pixels."""
     height, width = image.shape[:2]
     channels = 1 if image.ndim == 2 else image.shape[2]
     return {

@@ -83,7 +83,7 @@ class EventHub:
 
     @asynccontextmanager
     async def place(self) -> AsyncIterator[None]:
-        """Reserve one of `MAX_WAITING` places for a waiting request; raise BusyError if all are taken."""
+        """Reserve one of the `MAX_WAITING` places for waiting requests. Raise BusyError if no place is free."""
         if self.waiting >= MAX_WAITING:
             raise BusyError(f"{self.waiting} callers are waiting for events, which is the limit.")
         self.waiting += 1
@@ -113,7 +113,7 @@ class EventHub:
 
     @property
     def newest(self) -> int:
-        """Number of the newest event."""
+        """The number of the newest event."""
         return self._newest
 
     async def _listen(self) -> None:

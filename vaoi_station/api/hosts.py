@@ -1,4 +1,4 @@
-"""The host names by which the station may be addressed.
+"""The host names in a request that the station accepts.
 
 A web page can point its own name at the station's address (DNS rebinding). The browser then takes the
 station for the server of that page, and the headers Origin and Host agree. Host still carries the page's name, so the

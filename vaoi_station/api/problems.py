@@ -132,7 +132,7 @@ def problem_response(
 
 
 def install(app: FastAPI) -> None:
-    """Make the app reply with a problem to every error: of the station, of FastAPI, and unexpected exceptions."""
+    """Make the application reply with a problem to every error: of the station, of FastAPI, or unexpected."""
     app.add_exception_handler(VaoiError, _refusal)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)

@@ -10,7 +10,7 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 
 @dataclass(frozen=True)
 class Services:
-    """The coordinator, and the thread pools through which routes call it without blocking the event loop."""
+    """The coordinator, and the thread pools in which routes call it, so that they do not block the event loop."""
 
     coordinator: StationCoordinator
     hub: EventHub

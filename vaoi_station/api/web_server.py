@@ -18,10 +18,10 @@ HTTP_GRACE_S = 5.0
 
 
 class WebServer:
-    """uvicorn in a thread, so that the main thread keeps its signal handlers."""
+    """The web server uvicorn in a separate thread. The main thread keeps its signal handlers."""
 
     def __init__(self, app: FastAPI, listener: socket.socket, ended: Callable[[], None]) -> None:
-        """Prepare the server; `ended` is called when the server ends, for any reason."""
+        """Prepare the server. It calls `ended` when it ends, for any reason."""
         # Imported here: uvicorn takes long to load, and most commands do not serve.
         import uvicorn
 

@@ -55,7 +55,7 @@ def vaoi(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Accept the options of `vaoi` itself; every other call has the form `vaoi COMMAND`."""
+    """Process the options of `vaoi` itself, such as `--version`. All other calls have the form `vaoi COMMAND`."""
 
 
 app.command()(plan)

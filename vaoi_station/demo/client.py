@@ -105,7 +105,7 @@ def _with_query(path: str, query: dict[str, Any]) -> str:
 
 
 def _error(status: int, body: bytes) -> VaoiError:
-    """Return the error that the problem details in `body` describe (RFC 9457)."""
+    """Return the error that a refusal's body describes as problem details (RFC 9457)."""
     kind = _ERRORS.get(status, BusyError if status == BusyError.status else InternalError)
     try:
         problem = json.loads(body)

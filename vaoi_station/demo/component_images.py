@@ -18,7 +18,7 @@ PARALLEL_REQUESTS = 4
 
 @dataclass(frozen=True)
 class ComponentImages:
-    """The component images of one run."""
+    """The outcome of the download: the number of components and images, and tiles for the contact sheet."""
 
     components: int
     pictures: int
@@ -39,7 +39,7 @@ def fetch_component_images(client: Client, run: str, folder: Path) -> ComponentI
 
 
 def list_unseen_components(client: Client, run: str) -> ComponentImages:
-    """List the components of a run that has no positions. The tiles have names but no images."""
+    """List all components as tiles without images, for a run that has no positions."""
     components = _components(client, run)
     return ComponentImages(len(components), 0, tuple(Tile(None, c["address"], NOT_SEEN) for c in components))
 
@@ -49,7 +49,7 @@ def _components(client: Client, run: str) -> list[dict[str, Any]]:
 
 
 def _fetch(client: Client, component: dict[str, Any], folder: Path) -> tuple[int, Tile]:
-    """Fetch all images of one component; return their count and the best one as a tile."""
+    """Download all images of one component. Return their number, and a tile that shows the best image."""
     address = component["address"]
     views = client.get(component["url"])["views"]
     # On a panel the address is panel/ref. In a file name the slash would create a folder.

@@ -31,7 +31,7 @@ class Residuals(Strict):
 
 
 class Belt(Strict):
-    """Speed of the board: nominal, measured by stitching, and true."""
+    """Speeds of the board: the nominal one, the one measured by stitching, and the true one."""
 
     nominal_mm_s: float
     measured_mm_s: float | None

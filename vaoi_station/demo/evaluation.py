@@ -28,7 +28,7 @@ class ServiceReplies:
 
 @dataclass(frozen=True)
 class Output:
-    """What the demo wrote: directory, contact sheet, number of components and pictures, and the times it took."""
+    """The output of the demo: directory, contact sheet, number of components and pictures, and times."""
 
     directory: str
     contact_sheet: str
@@ -71,7 +71,7 @@ def evaluate(scenario: str, answers: ServiceReplies, passage: Passage, output: O
 
 
 def within_limit(found: Deviation) -> bool:
-    """Return whether a result is as near to the truth as the verdict ok requires."""
+    """Return whether a result is as close to the truth as a verdict `ok` promises."""
     return found.unplaced == 0 and found.max_px <= LIMIT_PX
 
 

@@ -13,7 +13,7 @@ from vaoi_station.doctor.machine import Machine
 
 @dataclass(frozen=True)
 class RunningProcess:
-    """The process that owns the station's ring now: `vaoi serve`, `vaoi record` or `vaoi view`."""
+    """The process that runs on the station's ring now: `vaoi serve`, `vaoi record` or `vaoi view`."""
 
     pid: int | None
     """Process id; None if the process belongs to another user and cannot be inspected."""
@@ -24,18 +24,18 @@ class RunningProcess:
 
     @property
     def description(self) -> str:
-        """A description of the process, for use as the subject of a sentence."""
+        """The name of the process in a finding, for example "process 812"."""
         return "a process of another user" if self.pid is None else f"process {self.pid}"
 
     @property
     def inspect_command(self) -> str:
-        """A command that identifies the process."""
+        """The shell command with which a reader can identify the process."""
         return "sudo vaoi doctor …" if self.pid is None else f"ps -fp {self.pid}"
 
 
 @dataclass(frozen=True)
 class CheckContext:
-    """A configuration, the machine it is meant for, and the process that runs it now, if any."""
+    """The input of every check: configuration, machine, and the process that already runs this station, if any."""
 
     config: StationConfig
     machine: Machine
@@ -43,7 +43,7 @@ class CheckContext:
 
     @property
     def layout(self) -> RingLayout:
-        """The layout of the ring that this configuration needs."""
+        """The layout of the ring (its sizes in bytes) that this configuration needs."""
         return RingLayout.of(self.config)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Findings of the checks, and the report that collects them."""
+"""The findings of the checks, and the report that contains them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Figures = Mapping[str, float | int | str | bool | None]
 
 
 class Level(StrEnum):
-    """The severity of a finding."""
+    """The severity of a finding: no check needed, no problem, a problem, or a problem that prevents filming."""
 
     NOT_APPLICABLE = "not-applicable"
     OK = "ok"
@@ -45,12 +45,12 @@ def ok(message: str, *, subject: str = "", figures: Figures | None = None) -> Fi
 
 
 def warning(message: str, action: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
-    """Make a finding of a problem that the station survives in normal operation."""
+    """Make a finding of a problem with which the station can still film."""
     return Finding(Level.WARNING, message, action, subject, figures or {})
 
 
 def fault(message: str, action: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
-    """Make a finding of a problem that prevents filming."""
+    """Make a finding of a problem because of which the station cannot film."""
     return Finding(Level.FAULT, message, action, subject, figures or {})
 
 
@@ -76,7 +76,7 @@ class Report:
 
     @property
     def worst(self) -> Level:
-        """The highest level of all findings."""
+        """The most severe level among all findings."""
         return max((f.level for f in self.findings), key=lambda level: EXIT_CODES[level], default=Level.OK)
 
     @property

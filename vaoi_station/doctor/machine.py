@@ -1,4 +1,4 @@
-"""Read the state of this machine from the kernel's files; `root` can point to a copy for tests."""
+"""Read the state of this machine from the kernel's files under /proc and /sys."""
 
 from __future__ import annotations
 
@@ -23,19 +23,22 @@ class Holder:
 
 @dataclass(frozen=True)
 class Machine:
-    """Reader of /proc and /sys below `root`; every value that is absent is None."""
+    """Reader of the files under /proc and /sys. A value that the kernel does not provide is None.
+
+    Tests pass a `root` folder that contains copies of these files.
+    """
 
     root: Path = Path("/")
 
     def text(self, path: str) -> str | None:
-        """Read a file as stripped text."""
+        """Read a text file; white space at both ends is removed."""
         try:
             return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
             return None
 
     def number(self, path: str) -> int | None:
-        """Read a file that holds one whole number."""
+        """Read a file that contains one whole number."""
         try:
             return int(self.text(path) or "")
         except ValueError:
@@ -63,7 +66,7 @@ class Machine:
         return kind
 
     def may_lock_anything(self) -> bool:
-        """Return whether this process may lock memory without limit (CAP_IPC_LOCK)."""
+        """Return whether this process may lock any amount of memory (capability CAP_IPC_LOCK)."""
         status = self.text("proc/self/status") or ""
         held = next((line.split()[1] for line in status.splitlines() if line.startswith("CapEff:")), "0")
         return bool(int(held, 16) >> CAP_IPC_LOCK & 1)
@@ -81,7 +84,7 @@ class Machine:
         return not entry.exists() or (entry / "subsystem").resolve().name == "tty"
 
     def holders(self, device: Path) -> Iterator[Holder]:
-        """Yield the processes that hold a file open, as far as this user may see them."""
+        """Yield the processes that have opened a device file. Processes of other users may be hidden from this user."""
         for entry in sorted((self.root / "proc").glob("[0-9]*")):
             with contextlib.suppress(OSError):  # the process has ended, or belongs to another user
                 if any(_leads_to(handle, device) for handle in (entry / "fd").iterdir()):
@@ -102,12 +105,12 @@ def _leads_to(handle: Path, device: Path) -> bool:
 
 
 def nearest(path: Path) -> Path:
-    """Return the path, or its first parent that exists and is visible to this user."""
+    """Return the path itself or, if it does not exist, the nearest parent folder that this user can see."""
     return next(p for p in (path, *path.parents) if _seen(p))
 
 
 def writable(path: Path) -> bool:
-    """Return whether this user can create files in a directory, or create the directory itself."""
+    """Return whether this user can create files in a directory, or can create the directory if it does not exist."""
     there = nearest(path)
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK, effective_ids=True)
 

@@ -1,4 +1,4 @@
-"""Run all checks in order. A check that raises is reported as a fault; the others still run."""
+"""Run all checks in order. If a check raises an exception, this is reported as a fault, and the next check runs."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def run_checks(path: Path, machine: Machine | None = None) -> Report:
 
 
 def _run_check(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -> list[Finding]:
-    """Run one check and label its findings with its name; turn an exception into a finding."""
+    """Run one check and return its findings, labelled with the check's name. An exception becomes a finding."""
     try:
         return [replace(finding, check=name) for finding in check(subject)]
     except Exception as error:  # noqa: BLE001  (one broken check must not hide what the others find)
@@ -89,7 +89,7 @@ def _run_check(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -
 
 
 def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]]:
-    """Read station.toml; return no configuration and a fault if that fails."""
+    """Read station.toml. If it cannot be read, return a finding of a fault in place of the configuration."""
     try:
         config = read_config(path)
     except VaoiError as error:

@@ -1,4 +1,4 @@
-"""The report as text: one line per finding, its action below it."""
+"""Format the report as text: one line per finding, and the action, if any, on the next line."""
 
 from __future__ import annotations
 

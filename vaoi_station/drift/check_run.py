@@ -22,7 +22,7 @@ def check_run(
     evidence: Sequence[Evidence],
     stitch: Stitch,
 ) -> RunCheck:
-    """Estimate the displacements of all cameras from a finished run.
+    """Estimate the displacements of all cameras from a finished run, for its drift check.
 
     Args:
         run: id of the run.

@@ -128,7 +128,7 @@ class _Solver:
         return float(np.abs(change).max())
 
     def release(self) -> None:
-        """Store the residuals of the calibrated cameras; steps without `held` follow."""
+        """Store the residuals of the calibrated cameras. From now on, steps may move the cameras (`held` is false)."""
         self._project()
         self.held = self._squares()
         # Weights start anew: links to a knocked camera were outliers as long as its displacement was held at zero.
@@ -150,14 +150,14 @@ class _Solver:
         self.f, self.f_by = _ground(cameras, self.d, run.camera_f, run.f_px)
 
     def _residuals(self) -> tuple[Floats, Floats]:
-        """Compute residuals (k, 2) mm of the k links, and the change (k, 2) of these residuals per mm of height."""
+        """Compute the residuals (k, 2) mm of the k links, and their change (k, 2) per mm of the board's height."""
         o, motion = self.run.links, self.motion
         lean = motion.turned(o.q, o.b_lean) - motion.turned(o.p, o.a_lean)
         rise = self.run.surface.at_links @ self.height
         return motion.board(o.q, self.b) - motion.board(o.p, self.a) + lean * rise[:, None], lean
 
     def _fiducial_residuals(self) -> tuple[Floats, Floats]:
-        """Compute residuals (s, 2) mm of the s detections, and the change (s, 2) of residuals per mm of height."""
+        """Compute the residuals (s, 2) mm of the s detections, and their change (s, 2) per mm of the board's height."""
         s, run = self.run.fiducials, self.run
         assert s is not None
         assert self.c is not None
@@ -188,7 +188,7 @@ class _Solver:
         return np.asarray(information * (self.used * share)[:, None, None])
 
     def _links(self) -> Iterator[Block]:
-        """Make the normal equations' blocks of the links, one block per pair of frames."""
+        """Compute the blocks of the normal equations that come from links, one block per pair of frames."""
         o, run = self.run.links, self.run
         if not len(o):
             return
@@ -219,7 +219,7 @@ class _Solver:
         )
 
     def _belt(self) -> list[Block]:
-        """Make the blocks that keep the rows' motion near the conveyor's mean velocity, as measured in this run."""
+        """Compute the blocks of the normal equations that keep the rows near the conveyor's measured mean velocity."""
         if self.m < 2:
             return []
         dt = np.diff(self.run.times_s)
@@ -263,7 +263,7 @@ class _Solver:
         return links, ((off * self.run.fiducials.px_per_mm[:, None]) ** 2).sum(1)
 
     def estimate(self) -> DisplacementEstimate:
-        """Return the estimate after the last step, with residuals and counts per camera."""
+        """Return the estimate after the last step, with residuals and numbers of links and fiducials per camera."""
         run = self.run
         self._project()
         if len(run.links):
@@ -275,7 +275,7 @@ class _Solver:
         return DisplacementEstimate(self.information, self.vector, before, after, np.asarray(links), marks)
 
     def _rms(self, squares: tuple[Floats, Floats], kept: Ints, count: Ints) -> Floats:
-        """Compute the rms residual (n,) px per camera, of kept links to neighbours and fiducials; NaN without any."""
+        """Compute each camera's rms residual (n,) px, over used links to neighbours and fiducials; NaN without any."""
         run, (links, marks) = self.run, squares
         total = np.bincount(run.camera_f, marks, minlength=self.n)
         for camera in (run.camera_a, run.camera_b):

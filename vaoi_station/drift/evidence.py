@@ -109,7 +109,7 @@ def subsample_links(e: Evidence) -> Evidence:
 
 
 def _kept(links: Sequence[Links], keep: np.ndarray) -> list[Links]:
-    """Return the links with only those point pairs that `keep` (k,) selects; k counts the pairs of all links."""
+    """Return the links, reduced to those point pairs that `keep` (k,) selects among all k pairs."""
     out, start = [], 0
     for e in links:
         use = keep[start : start + len(e.a_px)]
@@ -127,7 +127,7 @@ def _similarity(cad_matrix: Floats) -> Floats:
 def _fiducials(
     plane: BoardPlane | None, c: Floats | None, evidence: Sequence[Evidence], cameras: Sequence[Camera], motion: Motion
 ) -> tuple[FiducialPoints | None, Ints, Floats]:
-    """Select the detections that are fiducials under C; return their points, cameras and pixels. No points: None."""
+    """Select the detections that are fiducials under C; return their points, cameras and pixels, or None."""
     parts, camera, px = [], [], []
     for s in evidence:
         if plane is None or c is None or not isinstance(s, Detections) or not len(s.px):

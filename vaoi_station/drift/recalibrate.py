@@ -143,7 +143,7 @@ def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
 
 
 def _refuse_vague(found: Attribution, i: int) -> None:
-    """Raise InputError if the displacement of camera i is too uncertain to be corrected."""
+    """Raise InputError if the displacement of camera i is known too inaccurately for a correction."""
     # The camera shares few links with its neighbours, so the displacement may in truth be the height of the boards.
     sigma = found.sigma_px[i]
     if sigma.max() > _KNOWN_PX:
@@ -180,7 +180,7 @@ def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: in
 
 
 def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, i: int) -> list[list[float]]:
-    """Add the covariance of camera i's displacement to the covariance of its N_i.
+    """Return the covariance of camera i's N_i, increased by that of its displacement.
 
     The first eight parameters of that covariance are n11 … n32 of N_i; those of the lens follow and stay as they are.
     """
@@ -208,7 +208,7 @@ def _with_displacement(covariance: Floats, found: Attribution, i: int) -> Floats
 
 
 def _mean(checks: Sequence[RunCheck], key: str) -> tuple[float | None, ...]:
-    """Compute per camera the root mean square over the runs of the value named `key`; None where no run has it."""
+    """Compute for each camera the root mean square, over the runs, of the value `key`; None if no run has it."""
     out = []
     for i in range(len(checks[0].cameras)):
         values = [v for check in checks if (v := getattr(check.cameras[i], key)) is not None]

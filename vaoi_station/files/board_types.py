@@ -14,5 +14,5 @@ def read_board_type(path: Path) -> BoardType:
 
 
 def write_board_type(path: Path, board_type: BoardType) -> None:
-    """Write a board type atomically: the file is complete or unchanged."""
+    """Write a board type atomically: readers see either the old file or the complete new one."""
     write_json(path, board_type.model_dump(mode="json", exclude_none=True))

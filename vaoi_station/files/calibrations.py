@@ -47,7 +47,7 @@ def read_calibration(path: Path, cameras: int | Sequence[CameraHead] | None = No
 
 
 def _check_views(calibration: Calibration, path: Path) -> None:
-    """Refuse impossible resolutions, and arrays in which some cameras mirror the board and others do not."""
+    """Raise InputError for impossible resolutions, or if only some cameras of an array mirror the board."""
     # A homography's scale is free, so resolutions are compared, not matrix elements.
     views = [Projective(matrix, System.IMAGE, System.ROW) for matrix in calibration.camera_matrices]
     scales = [view.scale_at(view.inverse()((0.0, 0.0))) for view in views]
@@ -74,7 +74,7 @@ def _check_views(calibration: Calibration, path: Path) -> None:
 
 
 def _check_design(calibration: Calibration, heads: tuple[CameraHead, ...], path: Path) -> None:
-    """Refuse a resolution at the centre of a frame that is far from the camera's nominal one."""
+    """Raise InputError if the resolution at a frame's centre is far from the camera's nominal resolution."""
     for i, (camera, head) in enumerate(zip(calibration.cameras(heads), heads, strict=True)):
         nominal = head.nominal_px_per_mm
         if nominal is None or 1 / _FROM_DESIGN <= camera.px_per_mm / nominal <= _FROM_DESIGN:
@@ -88,5 +88,5 @@ def _check_design(calibration: Calibration, heads: tuple[CameraHead, ...], path:
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration atomically: the file is complete or unchanged."""
+    """Write a calibration atomically: readers see either the old file or the complete new one."""
     write_json(path, calibration.model_dump(mode="json", exclude_none=True))

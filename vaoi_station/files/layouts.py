@@ -40,5 +40,5 @@ def read_layout(path: Path) -> Layout:
 
 
 def write_layout(path: Path, layout: Layout) -> None:
-    """Write a layout atomically: the file is complete or unchanged."""
+    """Write a layout atomically: readers see either the old file or the complete new one."""
     write_json(path, layout.model_dump(mode="json", exclude_none=True))

@@ -47,7 +47,7 @@ class Recording:
         return image
 
     def check_files(self) -> None:
-        """Refuse the recording if a frame's file is absent, although the head does not list the frame as missing."""
+        """Raise InputError if a frame's file is absent although the head does not list the frame as missing."""
         for camera in range(len(self.head.cameras)):
             for row in range(self.head.rows):
                 self.frame_path(camera, row)

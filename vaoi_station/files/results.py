@@ -51,5 +51,5 @@ def without_components(stitch: Stitch) -> Stitch:
 
 
 def write_stitch(path: Path, stitch: Stitch) -> None:
-    """Write a result atomically: the file is complete or unchanged."""
+    """Write a result atomically: readers see either the old file or the complete new one."""
     write_json(path, stitch_document(stitch))

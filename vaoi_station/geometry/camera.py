@@ -49,7 +49,7 @@ class Camera:
 
     @property
     def center_px(self) -> tuple[float, float]:
-        """Centre of the frame, (x, y) px."""
+        """The centre of a frame as (x, y), px."""
         return (self.width_px - 1) / 2, (self.height_px - 1) / 2
 
     @cached_property

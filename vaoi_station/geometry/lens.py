@@ -60,7 +60,7 @@ class Lens:
 
     @cached_property
     def coefficients(self) -> Floats:
-        """a1, a2, … in the form that `geometry.projection_kernels` takes; empty for an ideal lens."""
+        """The coefficients a1, a2, … of the distortion, as `geometry.projection_kernels` takes them; empty if ideal."""
         return np.array(() if self.ideal else self.radial, dtype=np.float64)
 
     @cached_property

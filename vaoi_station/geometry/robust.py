@@ -66,7 +66,7 @@ def fit_similarity(
 
 
 def _coincide(offsets: NDArray[np.complex128], points: Floats) -> bool:
-    """Return whether points differ only by rounding errors.
+    """Return whether all points are equal, except for rounding errors.
 
     Args:
         offsets: (k,) offsets of the points from their mean, as complex numbers.

@@ -131,7 +131,7 @@ class Similarity(Projective):
     def of(
         cls, scale: float, angle_rad: float, shift: ArrayLike, target: System, source: System, *, mirrored: bool = False
     ) -> Similarity:
-        """Create a similarity that scales and rotates, then shifts; `mirrored` flips the source's y axis first."""
+        """Create a similarity that flips the source's y axis if `mirrored`, then scales and rotates, then shifts."""
         c, s = scale * math.cos(angle_rad), scale * math.sin(angle_rad)
         f = -1.0 if mirrored else 1.0
         x, y = np.asarray(shift, dtype=np.float64)
@@ -158,7 +158,7 @@ class Euclidean(Similarity):
 
 
 def _more_general(a: type[Any], b: type[Any]) -> type[Projective]:
-    """Return the more general of two classes of transform. It is the class of their product."""
+    """Return the more general of two classes of transform, which is the class of a product of both."""
     for kind in (Projective, Similarity, Euclidean):
         if kind in (a, b):
             return kind

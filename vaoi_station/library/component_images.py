@@ -47,7 +47,7 @@ class ComponentImage:
 
 @dataclass(frozen=True, eq=False)
 class ComponentImages:
-    """All images of one component, the best first: with full coverage, then nearest to the centre of its frame."""
+    """All images of one component: first those with full coverage, nearest to the centre of their frame first."""
 
     ref: str
     images: tuple[ComponentImage, ...]

@@ -1,4 +1,4 @@
-"""Recordings of simulated boards with known truth."""
+"""Make recordings of simulated boards whose truth is known."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _MAX_SIZE_ERROR = 0.15
 
 @dataclass(frozen=True)
 class Mark:
-    """A located mark: centre (2,) in raw px, standard deviation per axis, correlation, and polarity (light on dark)."""
+    """A located mark: centre (2,) in raw px, standard deviation per axis, correlation, whether light on dark."""
 
     px: Floats
     sigma_px: float

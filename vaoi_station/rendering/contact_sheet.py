@@ -152,7 +152,7 @@ def _fitted_size(sides: Sequence[int], box: tuple[int, int]) -> tuple[int, int]:
 
 
 def _box(columns: int, rows: int) -> tuple[int, int]:
-    """Return the width and height in px of a block of cells, without the space for the label."""
+    """Return the width and height, in px, of a block of cells, without the space for the label below it."""
     return columns * _step(0) - GAP_PX, rows * _step(1) - GAP_PX - LABEL_PX
 
 

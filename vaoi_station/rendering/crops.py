@@ -21,7 +21,7 @@ MOST_PIXELS = 16_000_000
 
 @dataclass(frozen=True, eq=False)
 class Crops:
-    """Sizes of k component pictures, and their transforms from and to CAD coordinates."""
+    """The sizes of k component pictures, and their transforms from CAD coordinates and back."""
 
     size: Floats
     """(k, 2) width and height in px, whole numbers."""
@@ -32,7 +32,9 @@ class Crops:
 
 
 def compute_crops(components: Sequence[Component], board_type: BoardType, px_per_mm: float) -> Crops:
-    """Compute size and transform of each component's picture: upright as CAD shows it, and as the camera sees the side.
+    """Compute the size and the transform of each component's picture, which shows the component upright.
+
+    CAD "up" points up in the picture. The board's side is shown as the cameras see it, never mirrored.
 
     Raises:
         InputError: a picture would have more than `MOST_PIXELS`.

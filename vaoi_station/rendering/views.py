@@ -69,7 +69,7 @@ class View:
 
     @property
     def distorted(self) -> bool:
-        """Whether lens distortion over this picture is too large for a single matrix."""
+        """Whether the lens distorts this picture too much for a single matrix."""
         return bool(self.tiles)
 
     @property
@@ -247,7 +247,7 @@ def _bend(camera: Camera) -> float:
 
 
 def _grid(size: Floats, n: int) -> Floats:
-    """Lay a grid of n×n points (k, n², 2), row by row, over k pictures of sizes (k, 2), border pixels included."""
+    """Return a grid of n×n points (k, n², 2), row by row, over the pixels of k pictures of sizes (k, 2)."""
     return np.asarray(_unit_grid(n) * (size[:, None] - 1))
 
 
@@ -270,7 +270,7 @@ def _through(matrices: Floats, points: Floats) -> Floats:
 
 
 def _tiles(camera: Camera, matrices: Floats, size: Floats) -> list[tuple[Tile, ...]]:
-    """Cut pictures into tiles whose corners are mapped through the lens exactly; return the tiles of each picture."""
+    """Cut each picture into tiles, whose corners are mapped through the lens exactly; return the tiles of each."""
     lines = [[_cuts(int(v)) for v in wh] for wh in size]
     nodes = [np.stack(np.meshgrid(x, y), -1).astype(np.float64) - 0.5 for x, y in lines]
     ahead = [apply(m, n).reshape(-1, 2) for m, n in zip(matrices, nodes, strict=True)]

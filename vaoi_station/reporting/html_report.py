@@ -41,5 +41,5 @@ def render_report(stitched: StitchedRun) -> str:
 
 
 def write_report(path: Path, stitched: StitchedRun) -> None:
-    """Write the report, complete or not at all."""
+    """Write the report as a file. The file is complete, or it is not written at all."""
     write_bytes(path, render_report(stitched).encode())

@@ -21,7 +21,7 @@ from vaoi_station.stitching.work import all_tasks
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
-    """Two frames between which links were searched, and the outcome."""
+    """Two frames between which links were searched, and what the search found."""
 
     links: Links
     used: int
@@ -86,7 +86,7 @@ class StitchedRun:
 
     @cached_property
     def causes(self) -> dict[FrameKey, tuple[str, str]]:
-        """State and cause of every frame that is not ok, by camera and row."""
+        """State and cause of every frame whose verdict is not ok, by camera and row."""
         entries = (self.head.model_extra or {}).get("x_verdicts")
         out = dict.fromkeys(self.head.missing, ("missing", "the frame was not delivered"))
         for entry in entries if isinstance(entries, list) else []:
@@ -97,7 +97,7 @@ class StitchedRun:
 
 
 def restitch(opened: OpenedRun) -> StitchedRun:
-    """Stitch a run, and keep evidence, findings, times and a thumbnail of every frame."""
+    """Stitch a run again, and keep its evidence, findings and times, and a thumbnail of each frame."""
     head, present = opened.recording.head, opened.present
     width = thumbnail_width(len(present))
     thumbnails: dict[FrameKey, Thumbnail] = {}
@@ -126,7 +126,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
 
 
 def _entry(entry: Any) -> tuple[FrameKey, str, str]:
-    """Read one entry of the recorder's list of frames, stored under an `x_` key, which may hold values of any type."""
+    """Read an entry of the recorder's list of frames, an `x_` key of the recording whose type is not checked."""
     if not isinstance(entry, dict):
         return (-1, -1), "", ""
     camera, row = entry.get("camera"), entry.get("row")

@@ -33,7 +33,7 @@ def frame_faults_of(faults: Sequence[Fault]) -> FrameFaults:
 
 @dataclass(frozen=True)
 class DeviceRecovery:
-    """The recovery of a device or process from a fault: it works again, but the station may still need time."""
+    """The end of a fault: the device or process works again, but the station may need more time."""
 
     fault: Fault
     began_ns: int
@@ -42,7 +42,7 @@ class DeviceRecovery:
 
 
 class FaultInjector:
-    """Inject each fault at the pulse of its board and row. A context manager.
+    """Context manager that injects each fault at the pulse of its board and row.
 
     At the end of the context, stopped processes are resumed at once, and killed cameras are not started again. `on_row`
     runs in the chip's thread, so everything that takes time runs in separate threads.

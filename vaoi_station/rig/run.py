@@ -63,7 +63,7 @@ class Plan:
 
 @dataclass
 class _Record:
-    """Everything that is collected from the station during a rig run, for the score. Dictionaries go by run id."""
+    """The data that a rig run collects from the station for the score. The keys of the dictionaries are run ids."""
 
     began_ns: int = field(default_factory=time.monotonic_ns)
     runs: list[dict[str, Any]] = field(default_factory=list)
@@ -181,7 +181,7 @@ def _check_ring(client: Client, feeder: BoardFeeder, record: _Record) -> bool:
 def _score_boards(
     scenario: Scenario, passages: Sequence[Any], record: _Record, injector: FaultInjector
 ) -> tuple[BoardScore, ...]:
-    """Score each passage, using the run of the station that belongs to it."""
+    """Score each passage by comparing it with the run of the station that recorded it."""
     resolution = [camera.px_per_mm for camera in Twin(scenario).cameras]
     started_s = {run["id"]: _to_monotonic_s(run["started"]) for run in record.runs}
     by_id = {run["id"]: run for run in record.runs}
@@ -200,7 +200,7 @@ def _score_boards(
 
 
 def _recoveries(injector: FaultInjector, watch: StatusWatch, began_ns: int) -> tuple[Recovery, ...]:
-    """Measure, for each recovered device, the time until the station was ready; end the outage of its fault there."""
+    """Measure for each recovered device the time until the station was ready, which ends the outage of its fault."""
     result = []
     for recovery in injector.recoveries:
         watch.wait_ready(READY_TIMEOUT_S)
@@ -262,7 +262,7 @@ def _measured_processes(service: Service, station: dict[str, Any], devices: Devi
 
 
 def _latest_run(client: Client) -> Any:
-    """Return the latest ended run, for a first run that ended before `_collect_runs` asked; None: no run has ended."""
+    """Return the latest run, in case the first run ended before `_collect_runs` began; None if no run has ended."""
     try:
         return client.get("/runs/latest")
     except NotFoundError:

@@ -100,7 +100,7 @@ def _polarity(twin: Twin) -> str:
 
 
 def _scene(twin: Twin) -> Scene:
-    """Return the calibration board as a scene. Its board coordinates are the tester coordinates."""
+    """Return the calibration board as a scene. The board coordinates of this scene are the tester coordinates."""
     array, board = twin.scenario.array, twin.scenario.calibration_board
     w, h = array.view_mm
     corner = (-w / 2 - _BORDER_MM, -h / 2 - _BORDER_MM)

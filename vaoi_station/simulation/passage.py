@@ -29,7 +29,10 @@ _SLOPE_S = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """The passage of one board through the line. Times are in seconds since the start of the passage."""
+    """The passage of one board through the line: its motion, frames, faults and truth.
+
+    Times are in seconds since the start of the passage.
+    """
 
     twin: World
     board_number: int
@@ -50,7 +53,7 @@ class Passage:
 
     @property
     def clear_s(self) -> float:
-        """Time at which the board clears the barrier; infinite if it sticks there."""
+        """The time at which the board leaves the barrier; infinite if it stays there."""
         return self._times.clear_s
 
     @property

@@ -7,7 +7,7 @@ from vaoi_station.simulation.world import World
 
 
 class Twin(World):
-    """The digital twin of one scenario: its world, and the passage of every board, which gives frames and truth."""
+    """The digital twin of one scenario: its world, and the passages of its boards, which give frames and truth."""
 
     def passage(self, board_number: int) -> Passage:
         """Return the passage of board `board_number`, counted from 0."""

@@ -20,7 +20,7 @@ class ReplayCamera(VirtualCamera):
         self._ids = count(1)
 
     def play(self, time_s: float, pixels: NDArray[np.uint8] | None) -> None:
-        """Deliver a recorded frame now, with time stamp `time_s`; `pixels` is None if the recording lacks the frame."""
+        """Deliver a recorded frame now, with time stamp `time_s`. `pixels` is None if the recording lacks the frame."""
         # A frame that the recording lacks uses an id too, so that the gap in the ids shows a loss in transfer.
         frame_id = next(self._ids)
         if pixels is not None:

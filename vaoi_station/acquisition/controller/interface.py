@@ -18,7 +18,7 @@ from vaoi_station.config import Line
 
 @dataclass(frozen=True)
 class TriggerPlan:
-    """The timing of one run after the barrier's edge; fixed while armed."""
+    """The timing of one run, counted from the edge of the barrier. It does not change while the line is armed."""
 
     start_delay_s: float
     """Time from the interruption of the barrier to the first pulse."""
@@ -35,7 +35,7 @@ class TriggerPlan:
 
     @classmethod
     def of(cls, line: Line, lights: Sequence[str] = ()) -> TriggerPlan:
-        """Return the plan that follows from the mechanics of a line."""
+        """Return the plan that follows from the mechanics of a line: speed, lengths and distances."""
         return cls(
             start_delay_s=line.start_delay_s,
             period_s=line.trigger_period_s,
@@ -61,12 +61,12 @@ class BarrierBlocked(ControllerEvent):
 
 @dataclass(frozen=True)
 class BarrierClear(ControllerEvent):
-    """A board that left the barrier; the tail begins."""
+    """A board that has left the barrier. The controller fires on until the tail time has passed."""
 
 
 @dataclass(frozen=True)
 class BarrierBounce(ControllerEvent):
-    """An interruption that was ignored because it was too short for a board."""
+    """An interruption of the barrier that was ignored, because it was too short for a board."""
 
     duration_s: float
 
@@ -83,7 +83,7 @@ class PulseFired(ControllerEvent):
 
 @dataclass(frozen=True)
 class PulseSkipped(ControllerEvent):
-    """A row that was due and not fired; `time_s` is when it was due."""
+    """A row whose pulse was due but was not fired. `time_s` is the time at which the pulse was due."""
 
     index: int
     reason: str
@@ -137,7 +137,7 @@ class Controller(Protocol):
         """Compare the controller's clock with the host's; called from a separate thread because it may take time."""
 
     def health(self) -> str:
-        """Return a sentence on the controller's state; never block."""
+        """Return a sentence that describes the controller's state, without waiting for the device."""
 
     def close(self) -> None:
         """Switch all outputs off and close the port."""

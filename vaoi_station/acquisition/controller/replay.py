@@ -35,7 +35,7 @@ GAP_S = 1.0
 
 @dataclass(frozen=True)
 class RecordedRow:
-    """One pulse of a recording; `time_s` is relative to the first pulse and rounded to ns."""
+    """One pulse of a recording. `time_s` counts from the first pulse and is rounded to 1 ns."""
 
     time_s: float
     light: str
@@ -45,28 +45,28 @@ class RecordedRow:
 
 
 class Pace(Protocol):
-    """The pacing of a replay that does not follow the clock; a wait ends when `stop()` is true."""
+    """The pace of a replay that does not follow the clock. Each method waits, and returns early if `stop()` is true."""
 
     def before_run(self, stop: Callable[[], bool]) -> None:
         """Wait until a run may begin."""
 
     def before_pulse(self, stop: Callable[[], bool]) -> None:
-        """Wait until the next row may be delivered."""
+        """Wait until the pulse of the next row may be fired."""
 
     def frames_coming(self, frames: int) -> None:
-        """Take note that `frames` more frames will arrive."""
+        """Record that `frames` more frames will be delivered with the next pulse."""
 
     def wake(self) -> None:
-        """Make all waits evaluate `stop` again."""
+        """Wake all waiting methods, so that they evaluate `stop` again."""
 
 
 class ReplayController:
-    """A `Controller` that plays runs while armed; a run is a list of rows."""
+    """A `Controller` that plays recorded runs while it is armed. Each run is a list of rows."""
 
     def __init__(
         self, runs: Iterator[list[RecordedRow]], clock: DeviceClock, pause_s: float, pace: Pace | None
     ) -> None:
-        """Play `runs` in order with pauses of `pause_s`; a `pace` replaces both the clock and the pauses."""
+        """Prepare to play `runs` in order, with pauses of `pause_s`. A `pace` replaces the clock and the pauses."""
         self._runs, self._clock, self._pause_s, self._pace = runs, clock, pause_s, pace
         self._numbers = count()
         self._change = threading.Condition()
@@ -92,7 +92,7 @@ class ReplayController:
             self._change.notify_all()
 
     def disarm(self) -> None:
-        """End a run under way and skip the rest of its recording."""
+        """End a run under way, and skip the rest of its recording."""
         with self._change:
             self._plan = None
             if self._in_run:

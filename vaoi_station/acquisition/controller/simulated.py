@@ -1,4 +1,4 @@
-"""A controller that does in real time what the firmware does, with its own clock and thread."""
+"""A controller that follows the firmware's rule in real time, with a simulated clock, in a thread."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class DrivenLine(Protocol):
     """The methods of the simulated line that the controller calls, from its threads or its callers' threads."""
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
-        """Return the plan, completed with the line's lights; raise InputError if the line cannot follow the plan."""
+        """Return the plan with the line's lights filled in. Raise InputError if the line cannot follow the plan."""
 
     def fire(self, event: PulseFired) -> None:
         """Expose all cameras for a pulse of a board."""
@@ -41,7 +41,7 @@ class DrivenLine(Protocol):
         """Let boards enter the belt if `armed`; otherwise hold them back."""
 
     def end_run(self) -> None:
-        """Note that a run has ended."""
+        """Record that a run has ended."""
 
 
 class SimulatedController:
@@ -97,7 +97,7 @@ class SimulatedController:
             self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))
 
     def schedule_edges(self, edges: Sequence[Edge]) -> None:
-        """Add future changes of the barrier, in order of time."""
+        """Schedule future changes of the barrier, given in the order of their times."""
         with self._changed:
             self._edges.extend(edges)
             self._changed.notify()
@@ -107,7 +107,7 @@ class SimulatedController:
         return self.clock.read()
 
     def health(self) -> str:
-        """Return the state and the number of boards seen."""
+        """Return a sentence with the state and the number of boards so far."""
         return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
 
     def close(self) -> None:
@@ -128,7 +128,7 @@ class SimulatedController:
                 self._changed.wait(self._wait_s())
 
     def _step(self, now_s: float) -> bool:
-        """Do everything that is due by now; return whether a run has ended."""
+        """Do everything that is due at the time `now_s`. Return whether a run has ended by this."""
         if self._rule is None:
             return False
         events: list[ControllerEvent] = []

@@ -26,7 +26,7 @@ from vaoi_station.errors import InputError
 
 @dataclass
 class _Passage:
-    """A run under way."""
+    """The data of a run under way."""
 
     first_s: float
     """When pulse 0 is due."""
@@ -36,10 +36,10 @@ class _Passage:
 
 
 class TriggerRule:
-    """The state machine of one arming: takes edges and the time, returns events in order of time."""
+    """The state machine from one arming to the next. It takes edges and the time, and returns events in their order."""
 
     def __init__(self, plan: TriggerPlan, numbers: count[int]) -> None:
-        """Begin with the barrier clear; `numbers` gives the event numbers, which continue across armings."""
+        """Begin with a clear barrier. `numbers` gives the numbers of events, which continue over several armings."""
         check_plan(plan)
         self.plan = plan
         self._numbers = numbers
@@ -56,7 +56,7 @@ class TriggerRule:
         return self._passage is not None
 
     def add_edge(self, time_s: float, blocked: bool) -> None:
-        """Take a change of the barrier's level; call `advance(time_s)` first."""
+        """Process a change of the barrier's level. The caller must call `advance(time_s)` first."""
         if blocked == self._raw:
             return
         self._raw = blocked
@@ -69,7 +69,7 @@ class TriggerRule:
             self._pending_s = None
 
     def due_s(self) -> float | None:
-        """Return when `advance` has something to do next, if no edge comes before; None if nothing is due."""
+        """Return the time at which `advance` has something to do if no edge comes earlier; None if nothing is due."""
         if self._bounces:
             return self._bounces[0][0]
         return min((t for t in (self._confirm_s(), self._pulse_s()) if t is not None), default=None)
@@ -104,7 +104,7 @@ class TriggerRule:
         return self._passage.first_s + self._passage.fired * self.plan.period_s
 
     def _confirm(self) -> list[ControllerEvent]:
-        """Accept the pending level, which has now lasted for the debounce time."""
+        """Accept the new level of the barrier, which has now lasted for the debounce time."""
         assert self._pending_s is not None
         edge_s, self._pending_s, self._blocked = self._pending_s, None, self._raw
         if self._blocked:
@@ -143,7 +143,7 @@ class TriggerRule:
 
 
 def check_plan(plan: TriggerPlan) -> None:
-    """Raise InputError for a plan that no controller can carry out."""
+    """Raise InputError for a plan that no controller can carry out, such as a period of 0."""
     if plan.period_s <= 0:
         raise InputError.field("trigger plan", "period_s", plan.period_s, "above 0")
     if plan.max_rows < 1:

@@ -40,7 +40,7 @@ def residuals_s(pulse_s: Sequence[float], camera_s: Sequence[float]) -> NDArray[
 
 
 def median(values: NDArray[np.float64] | Sequence[float]) -> float:
-    """Return the median."""
+    """Return the median of the values."""
     # np.median imports NumPy's masked arrays on first use, which would delay the end of the first board by 50 ms.
     ordered = np.sort(np.asarray(values, dtype=np.float64))
     return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2

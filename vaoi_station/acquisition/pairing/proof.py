@@ -95,7 +95,7 @@ def prove(
 
 
 def questioned_rows(proof: TriggerProof, camera: int, rows: AbstractSet[int]) -> dict[int, str]:
-    """Return row → texts of the findings that put its frame in question, for the given rows of one camera."""
+    """Return {row: texts of findings} for those of the given rows of a camera whose frame is in question."""
     notes: dict[int, str] = {}
     for finding in proof.findings:
         if finding.camera == camera and finding.kind in QUESTIONING_KINDS:
@@ -154,7 +154,7 @@ class _CameraCheck:
         return self._finding(None, "runs-freely", text + "it runs freely, or on another trigger")
 
     def _answers_every_pulse(self) -> bool:
-        """Whether every pulse has a frame and every unassigned frame lies between the first and the last pulse.
+        """Whether each pulse has a frame, and each unassigned frame lies between the first and the last pulse.
 
         The camera is then triggered, and its unassigned frames are extra exposures.
         """
@@ -255,7 +255,7 @@ class _CameraCheck:
 
 
 def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:
-    """Return row → residual of its frame, s. Each epoch is fitted separately, because its clock may have restarted."""
+    """Return {row: residual of its frame, s}. Each epoch is fitted separately: its clock may have restarted."""
     found: dict[int, float] = {}
     for epoch in {f.epoch for f in assigned}:
         frames = [f for f in assigned if f.epoch == epoch and f.row is not None]

@@ -46,7 +46,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Settled:
-    """The outcome that one (camera, row) of a run has its verdict."""
+    """The outcome that one (camera, row) of a run has received its final verdict."""
 
     run: str
     frame: FrameRecord
@@ -54,7 +54,7 @@ class Settled:
 
 @dataclass(frozen=True)
 class Unassigned:
-    """The outcome that a frame belongs to no (camera, row) of a run; its slot is free again."""
+    """The outcome that a frame belongs to no (camera, row) of a run. Its slot may be used again."""
 
     camera: int
     slot: int
@@ -63,7 +63,7 @@ class Unassigned:
 
 @dataclass(frozen=True)
 class Finished:
-    """The outcome that a run is finished: `frames` has every (camera, row), ordered by camera, then row."""
+    """The outcome that a run is finished. `frames` lists every (camera, row), ordered by camera, then by row."""
 
     record: RunRecord
     frames: tuple[FrameRecord, ...]
@@ -86,7 +86,7 @@ class Recorder:
         move_to_bay: MoveToBay = lambda slot, _bay, _camera: slot,
         exposures_us: Sequence[float] = (),
     ) -> None:
-        """Start with no run.
+        """Create a recorder without runs.
 
         Args:
             controller_clock: maps pulse times to the host's clock.
@@ -114,21 +114,21 @@ class Recorder:
 
     @property
     def open_runs(self) -> list[RunRecord]:
-        """Runs not finished yet, oldest first."""
+        """The runs that are not finished yet, oldest first."""
         return [r for r in self._runs if not r.finished]
 
     def begin_run(self, run: str | None, bay: int | None, period_s: float) -> RunRecord:
-        """Begin the run of a board; `run` and `bay` are None if there is no memory for its frames."""
+        """Begin the run of a board. `run` and `bay` are None if there is no memory for its frames."""
         record = RunRecord(run, bay, period_s)
         self._runs.append(record)
         return record
 
     def note_controller_time(self, time_s: float) -> None:
-        """Note that an event of controller time `time_s` was reported; all earlier pulses are then known."""
+        """Record that an event of controller time `time_s` was reported. All pulses before this time are then known."""
         self._known_until_s = max(self._known_until_s, self._controller_clock.host_s(time_s))
 
     def add_pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, Iterator[Outcome]]:
-        """Add a pulse to the newest run; frames that arrived before it may be assigned now."""
+        """Add a pulse to the newest run. Frames that arrived before the report of the pulse may be assigned now."""
         self.note_controller_time(event.time_s)
         pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
         host_s = self._controller_clock.host_s(event.time_s)
@@ -136,14 +136,14 @@ class Recorder:
         return pulse, self.settle(now_s)
 
     def end_pulses(self, record: RunRecord, pulses: int, reason: str, now_s: float) -> Iterator[Outcome]:
-        """Note that the last pulse of a run has been fired; `pulses` is the count of its rows."""
+        """Record that the last pulse of a run was fired. `pulses` is the number of its rows."""
         if record.pulse_count is None:
             record.pulse_count, record.reason = pulses, reason
             record.deadline_s = now_s + record.period_s + self.limits.late_s
         return self.settle(now_s)
 
     def add_arrival(self, arrival: Arrival, now_s: float) -> Iterator[Outcome]:
-        """Add a delivered frame; return the outcomes that it makes possible."""
+        """Add a frame that a camera has delivered, and return the outcomes that follow from it."""
         if arrival.complete and arrival.time_s is not None:
             self._waiting.append((arrival, self._camera_clocks[arrival.camera].host_s(arrival.time_s)))
         else:
@@ -152,7 +152,7 @@ class Recorder:
         return self.settle(now_s)
 
     def settle(self, now_s: float) -> Iterator[Outcome]:
-        """Decide everything that can be decided by now; call it again at `next_deadline_s` at the latest.
+        """Decide everything that can be decided at the time `now_s`. Call this again at `next_deadline_s` or earlier.
 
         The iterator must be exhausted. It is lazy so that the caller reports the last frame of a run before the
         proof of the run is computed.
@@ -200,7 +200,7 @@ class Recorder:
         return None
 
     def _gate_s(self, record: RunRecord, camera: int) -> float:
-        """Return the largest accepted difference between a time stamp and its pulse."""
+        """Return the tolerance, s: the largest accepted difference between a time stamp and its pulse."""
         bounds_s = self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
         # Beyond half the interval between two pulses the neighbouring pulse would be nearer.
         return min(record.shortest_interval_s / 2, self.limits.tolerance_s + bounds_s)
@@ -211,7 +211,7 @@ class Recorder:
     def _take(
         self, record: RunRecord, row: int, arrival: Arrival, verdict: Verdict, error_s: float | None = None
     ) -> Outcome:
-        """Assign a frame to its row; refuse it if the row has a frame, or if the run is finished or has no memory."""
+        """Assign a frame to a row. Refuse it if the row has a frame, or if the run is finished or has no memory."""
         key = (arrival.camera, row)
         if key in record.taken:
             if error_s is not None:
@@ -253,7 +253,7 @@ class Recorder:
         return known[camera] if known else None
 
     def _refuse(self, arrival: Arrival, reason: str, record: RunRecord | None = None) -> Unassigned:
-        """Return the outcome of a refused frame; count the frame in `record`, by default in the newest open run."""
+        """Return the outcome of a refused frame. Count the frame in `record`, or else in the newest open run."""
         counted = record or next(iter(self.open_runs[-1:]), None)
         if counted is not None:
             counted.unassigned += 1
@@ -283,18 +283,18 @@ class Recorder:
         return out
 
     def _assign_undated(self, camera: int, now_s: float) -> dict[Arrival, tuple[RunRecord, int]]:
-        """Return incomplete frame of a camera → the only (run, row) to which the frame can belong."""
+        """Return {incomplete frame of a camera: (run, row)} for frames that can belong to one (run, row) only."""
         decidable = [a for a in self._undated if a.camera == camera and self._is_decidable(a, now_s)]
         runs = dict(enumerate(self._runs))
         chosen = assign_forced([self._candidates(a) for a in decidable])
         return {decidable[n]: (runs[index], row) for n, (index, row) in chosen.items()}
 
     def _is_decidable(self, arrival: Arrival, now_s: float) -> bool:
-        """Whether all pulses to which a frame may belong are known."""
+        """Whether all pulses to which a frame may belong have been reported."""
         return self._is_reported(arrival) or now_s >= arrival.host_time_s + self.limits.report_delay_s
 
     def _is_reported(self, arrival: Arrival) -> bool:
-        """Whether the controller has reported all events up to the arrival of a frame."""
+        """Whether the controller has reported all of its events from before the arrival of a frame."""
         return self._known_until_s >= arrival.host_time_s
 
     def _candidates(self, arrival: Arrival) -> set[tuple[int, int]]:
@@ -313,7 +313,7 @@ class Recorder:
         return found
 
     def _give_up_undated(self, now_s: float) -> list[Outcome]:
-        """Refuse incomplete frames that no open run can take any more."""
+        """Refuse the incomplete frames that cannot belong to any open run."""
         out: list[Outcome] = []
         for arrival in list(self._undated):
             runs = [self._runs[n] for n, _ in self._candidates(arrival)]
@@ -325,7 +325,7 @@ class Recorder:
         return out
 
     def _finish(self, record: RunRecord) -> list[Outcome]:
-        """Finish a run; return the outcomes of its missing frames and its end, with the proof."""
+        """Finish a run. Return the outcomes of its missing frames, and the end of the run with its proof."""
         assert record.run is not None
         record.finished = True
         place = next(n for n, r in enumerate(self._runs) if r is record)

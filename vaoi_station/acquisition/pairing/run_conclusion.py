@@ -66,7 +66,7 @@ def _near_run(run: RunRecord, unassigned: Sequence[ObservedFrame]) -> list[Obser
 
 
 def _gaps(run: RunRecord, frames: Sequence[ObservedFrame], taken: AbstractSet[int]) -> list[Gap]:
-    """Return the intervals between the frames of one camera; `taken` holds the rows of which a frame arrived."""
+    """Return the intervals between the frames of one camera. `taken` lists the rows of which a frame arrived."""
     fired = [row for row in range(run.rows) if row not in run.skipped]
     # A camera restarts its frame ids after an outage, so ids are compared within an epoch only.
     ids: defaultdict[int, dict[int, int]] = defaultdict(dict)

@@ -11,7 +11,7 @@ from vaoi_station.model import FrameRecord, Pulse
 
 @dataclass(frozen=True)
 class ObservedPulse:
-    """A pulse that the controller reported."""
+    """A pulse that the controller reported, with its time on both clocks."""
 
     pulse: Pulse
     host_s: float
@@ -76,7 +76,7 @@ class RunRecord:
 
     @property
     def rows(self) -> int:
-        """Count of rows known by now."""
+        """The number of rows that are known so far."""
         return max(self.pulse_count or 0, 1 + max(self.pulses, default=-1))
 
     @property
@@ -102,7 +102,7 @@ class RunRecord:
         return names if any(names) else None
 
     def exposures_us(self) -> tuple[tuple[float, ...], ...] | None:
-        """Return every row's exposure times, one per camera, µs; None unless they were reported for all rows."""
+        """Return the exposure times in µs of every row, one per camera; None unless all rows have a report of them."""
         rows = [self.pulses[r].exposures_us if r in self.pulses else () for r in range(self.rows)]
         return tuple(rows) if all(rows) else None
 

@@ -74,7 +74,7 @@ def film_pulses(config: StationConfig, pulses: int, rate_hz: float, handlers: Fi
 
 @dataclass
 class FilmingProcess:
-    """The acquisition process at the other end of a pipe, its ring, and the handlers of its reports."""
+    """A running acquisition process, seen from its other end: the pipe, the ring, and the handlers of its reports."""
 
     ring: Ring
     connection: Connection
@@ -84,13 +84,13 @@ class FilmingProcess:
     """Bay → its present generation."""
 
     def grant(self, bay: int) -> None:
-        """Claim a bay and grant it to the acquisition process for one more run."""
+        """Claim a bay, and give the acquisition process the right to use it for one more run."""
         self.generations[bay] = self.ring.claim(bay)
         self.granted += 1
         self.connection.send(Grant(f"{self.granted:03d}", bay))
 
     def receive(self, wait_s: float | None = None) -> object:
-        """Return the next report; None if none comes in time."""
+        """Return the next report; None if no report comes within `wait_s`."""
         try:
             return self.connection.recv() if self.connection.poll(wait_s) else None
         except (EOFError, ConnectionResetError, BrokenPipeError) as error:
@@ -134,7 +134,7 @@ def _film_boards(config: StationConfig, process: FilmingProcess, runs: int) -> N
 
 
 def fire_steadily(process: FilmingProcess, pulses: int, period_s: float) -> None:
-    """Fire one pulse after another, each with memory of its own; request a refused pulse again."""
+    """Fire pulses one after another, each in its own bay. If a pulse is refused, request it again."""
     done, due_s = 0, float("inf")
     waiting = False
     while done < pulses:

@@ -82,7 +82,7 @@ class _ControllerDisarmed:
 
 @dataclass(frozen=True)
 class _WaitingCommand:
-    """A command that waits until all clocks are known well enough."""
+    """A command that waits until the models of all clocks are accurate enough."""
 
     command: Arm | FireOne
     until_s: float
@@ -90,7 +90,7 @@ class _WaitingCommand:
 
 @dataclass(frozen=True)
 class _PolledClock:
-    """The reading of a device's clock, or the error instead. Number 0 is the controller; cameras count from 1."""
+    """The reading of a device's clock, or the error of the attempt. Number 0 is the controller, 1, 2, … the cameras."""
 
     number: int
     result: ClockReading | VaoiError
@@ -203,7 +203,7 @@ class _MainLoop:
             self._send(trouble_report(polled.result, clock.name))
 
     def _retry_waiting(self, now_s: float) -> None:
-        """Carry out the waiting command if the clocks are accurate enough; raise ClockError after its waiting time."""
+        """Carry out the waiting command if the clocks are accurate enough. Raise ClockError after its longest wait."""
         waiting, self._waiting = self._waiting, None
         if waiting is None:
             return
@@ -225,7 +225,7 @@ class _MainLoop:
         return Health(cameras, self._devices.controller.health(), now_s)
 
     def _receive_commands(self, woken: Connection) -> None:
-        """Put commands into the inbox; the end of the pipe counts as Shutdown."""
+        """Put commands from the pipe into the inbox. If the pipe has ended, put Shutdown."""
         command: object = None
         while not isinstance(command, Shutdown):
             if woken in wait([self._connection, woken]):

@@ -52,26 +52,26 @@ Command = Grant | Arm | Disarm | FireOne | Shutdown
 
 @dataclass(frozen=True)
 class Ready:
-    """Cameras and controller are open; `cameras` is the count of cameras."""
+    """The report that cameras and controller are open. `cameras` is the number of cameras."""
 
     cameras: int
 
 
 @dataclass(frozen=True)
 class Armed:
-    """The controller watches the barrier, and the cameras hold slots for the next run if memory was granted."""
+    """The report that the controller watches the barrier. If memory was granted, the cameras hold slots."""
 
 
 @dataclass(frozen=True)
 class Disarmed:
-    """The barrier is ignored; the bays of unused grants are free again."""
+    """The report that the barrier is ignored. The bays of unused grants are free again."""
 
     unused: tuple[Grant, ...]
 
 
 @dataclass(frozen=True)
 class RunStarted:
-    """The first pulse of a board was fired.
+    """The report that the first pulse of a board was fired.
 
     The previous run may be unfinished at this time, because it may still wait for late frames.
     """
@@ -84,7 +84,7 @@ class RunStarted:
 
 @dataclass(frozen=True)
 class PulseReported:
-    """The controller fired one pulse."""
+    """The report that the controller fired one pulse."""
 
     run: str
     pulse: Pulse
@@ -92,7 +92,7 @@ class PulseReported:
 
 @dataclass(frozen=True)
 class FrameSettled:
-    """One (camera, row) of a run has its verdict; complete frames are reported as soon as they are assigned."""
+    """The report that one (camera, row) of a run has its verdict. Good frames are reported when they are assigned."""
 
     run: str
     frame: FrameRecord
@@ -101,7 +101,7 @@ class FrameSettled:
 
 @dataclass(frozen=True)
 class RunFinished:
-    """Every (camera, row) has its verdict; nothing of this run changes any more.
+    """The report that every (camera, row) of a run has its verdict. Nothing of this run changes any more.
 
     Runs finish in the order of their boards, unless a run waits for late frames (at most one period + 0.5 s).
     """
@@ -124,7 +124,7 @@ class RunFinished:
 
 @dataclass(frozen=True)
 class BoardMissed:
-    """A board passed and was not filmed: no memory was granted, or no pulse was fired."""
+    """The report that a board passed and was not filmed: no memory was granted, or no pulse was fired."""
 
     host_time_s: float
     reason: str
@@ -141,7 +141,7 @@ class Health:
 
 @dataclass(frozen=True)
 class Trouble:
-    """A fault of a device; `action` is what the operator should do."""
+    """The report of a fault of a device. `action` is what the operator should do."""
 
     code: str
     message: str

@@ -1,4 +1,4 @@
-"""The state of the acquisition process between two messages: plan, grants, the run under way.
+"""The state of the acquisition process: the trigger plan, the grants, and the run under way.
 
 Only one thread uses the session. Every event is a method call with the host time; reports go out through `send`. The
 order of actions on devices, ring and recorder keeps frames safe: the cameras hold slots before a pulse is fired.
@@ -52,7 +52,7 @@ _STATES = {Verdict.OK: OK, Verdict.INCOMPLETE: INCOMPLETE}
 
 
 class Session:
-    """The decisions of the acquisition process: it uses grants, arms the controller, and films runs."""
+    """Makes the decisions of the acquisition process: uses the granted memory, arms the controller, films runs."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class Session:
         camera_clocks: list[ClockModel],
         send: Callable[[Report], None],
     ) -> None:
-        """Start disarmed, without grants.
+        """Create a session that is disarmed and has no grants.
 
         Args:
             config: the station.
@@ -101,7 +101,7 @@ class Session:
         return min(t for t in times if t is not None)
 
     def tick(self, now_s: float) -> None:
-        """Handle the deadlines that have passed."""
+        """Do everything whose deadline has passed."""
         if self._run is not None and now_s >= self._silent_s:
             error = DeviceError(
                 f"the controller has not reported the end of run {self._run.run}.",
@@ -113,7 +113,7 @@ class Session:
         self._apply(self._recorder.settle(now_s), now_s)
 
     def grant(self, grant: Grant) -> None:
-        """Accept memory for one more run."""
+        """Accept the grant of a bay for one more run."""
         self._grants.append(grant)
         self._load_next()
 
@@ -168,7 +168,7 @@ class Session:
         self._devices.controller.fire_one()
 
     def finish_disarming(self, now_s: float) -> None:
-        """End the run under way, then return unused memory.
+        """End the run under way, then give back the memory that was not used.
 
         Call it when the controller is disarmed and all its events are handled.
         """
@@ -212,7 +212,7 @@ class Session:
                 clock.require(limit_s)
 
     def _is_outdated(self, event: ControllerEvent) -> bool:
-        """Whether an event belongs to a run that was given up; the end of that run, or the next board, resets this."""
+        """Whether an event belongs to a run that was given up. The end of that run, or the next board, resets this."""
         late = self._given_up and not isinstance(event, BarrierBlocked)
         self._given_up = late and not isinstance(event, RunEnded)
         return late
@@ -223,11 +223,11 @@ class Session:
         self._apply(self._recorder.add_arrival(arrival, now_s), now_s)
 
     def camera_lost(self, event: CameraLost) -> None:
-        """Note that a camera is away; this becomes the cause of its missing frames."""
+        """Record that a camera is away. Its missing frames get this as their cause."""
         self._recorder.outages.begin(event.camera, event.since_s, event.why)
 
     def camera_back(self, event: CameraBack) -> None:
-        """Note that a camera delivers again."""
+        """Record that a camera delivers frames again."""
         self._recorder.outages.end(event.camera, event.at_s)
 
     def is_away(self, number: int) -> bool:
@@ -290,7 +290,7 @@ class Session:
         self._load_next()
 
     def _load_while_waiting(self) -> None:
-        """Queue the slots of the next grant; take back the slots of a run that only waits for late frames."""
+        """Queue the slots of the next grant. If a run only awaits late frames, take back its slots first."""
         if self._run is None and self._next is None and self._grants:
             self._slot_queue.unload()
             self._load()
@@ -306,7 +306,7 @@ class Session:
         self._devices.feedback.set_memory(True)
 
     def _return_grants(self) -> None:
-        """Return everything that was granted and not used."""
+        """Give back all bays that were granted and not used."""
         self._disarming = False
         self._devices.feedback.set_memory(False)
         self._slot_queue.unload()
@@ -319,7 +319,7 @@ class Session:
 
 
 def _require_time(plan: TriggerPlan, config: StationConfig) -> None:
-    """Raise InputError if the plan's period is too short for a camera's exposure and read-out."""
+    """Raise InputError if the period of a plan is too short for a camera's exposure and read-out."""
     for camera in config.cameras:
         if spare_time_us(plan.period_s * 1e6, camera.exposure_us, camera.readout_us) < 0:
             needed_s = (camera.exposure_us + camera.readout_us) * 1e-6

@@ -26,7 +26,7 @@ class SlotQueue:
 
     @property
     def loaded(self) -> int | None:
-        """The bay whose slots the cameras hold for coming frames."""
+        """The bay whose slots the cameras hold at present."""
         return self._loaded
 
     def load(self, bay: int) -> None:
@@ -39,18 +39,18 @@ class SlotQueue:
                     self._queue(slot)
 
     def unload(self) -> None:
-        """Take back the unused slots; they are kept for late frames of the same run."""
+        """Take back the slots that the cameras have not used. They are kept for late frames of the same run."""
         self._loaded = None
         for camera in range(len(self._cameras)):
             for slot in self._take_back(camera):
                 self._spare[self._ring.layout.place(slot)[0], camera].append(slot)
 
     def mark_returned(self, slot: int) -> None:
-        """Note that a camera has delivered a slot."""
+        """Record that a camera has delivered a slot, and so no longer holds it."""
         self._held.discard(slot)
 
     def recycle(self, slot: int) -> None:
-        """Clear the slot of an unassigned frame, and reuse it if its bay is still being filled."""
+        """Clear the slot of an unassigned frame. Queue it again if its bay is still being filled."""
         bay, camera, _ = self._ring.layout.place(slot)
         # Cleared, because holes of a later incomplete frame must be black. A bay of a finished run is not touched:
         # it may belong to the next board already.
@@ -62,7 +62,7 @@ class SlotQueue:
             self._spare[bay, camera].append(slot)
 
     def move_to_bay(self, slot: int, bay: int, camera: int) -> int | None:
-        """Return the frame's slot in the run's bay; copy the frame there from another bay. None if the bay is full.
+        """Return the slot in the run's bay that holds a frame; copy the frame if necessary. None if the bay is full.
 
         Only late frames arrive in another bay: they fill the slots of the next run, which the camera already holds.
         """
@@ -75,7 +75,7 @@ class SlotQueue:
         return free
 
     def close_bay(self, bay: int) -> None:
-        """Forget the spare slots of a finished run."""
+        """Forget the unused slots of a finished run."""
         for camera in range(len(self._cameras)):
             self._spare.pop((bay, camera), None)
 

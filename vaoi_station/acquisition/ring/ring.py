@@ -43,10 +43,10 @@ def ring_path(config: StationConfig) -> Path:
 
 
 class Ring:
-    """The open ring with its frames. The process that calls `create` owns it; those that call `attach` borrow it."""
+    """The open ring with its frames. The process that called `create` owns it; `attach` only maps it."""
 
     def __init__(self, path: Path, layout: RingLayout, handle: int, *, writable: bool, owner: bool) -> None:
-        """Map the open file `handle`; callers use `create` or `attach` instead."""
+        """Map the open file `handle`. Callers use `create` or `attach` instead of this constructor."""
         self.path = path
         self.layout = layout
         self.writable = writable
@@ -64,7 +64,7 @@ class Ring:
 
     @classmethod
     def create(cls, path: Path, layout: RingLayout) -> Ring:
-        """Create the file (exclusively, mode 0640), allocate and lock it; nothing is left behind on failure.
+        """Create the file (exclusively, mode 0640), allocate and lock it. If this fails, remove the file again.
 
         Raises:
             BusyError: there is not enough memory; the message has the sizes.

@@ -43,7 +43,7 @@ def start_ticks(pid: int) -> int | None:
 
 
 def read_owner(path: Path) -> tuple[int, bool] | None:
-    """Return the pid of a ring's owner and whether it lives; None if the file is no ring.
+    """Return the process id of a ring's owner, and whether this process lives; None if the file is not a ring.
 
     The owner keeps the file locked while it lives. The lock is visible even where its pid is not (containers).
     """
@@ -100,14 +100,14 @@ def create_file(path: Path, layout: RingLayout) -> int:
 
 
 def map_file(handle: int, nbytes: int, writable: bool) -> mmap.mmap:
-    """Map the whole file."""
+    """Map the whole file into memory."""
     # MAP_POPULATE fills the page tables now: otherwise page faults delay the first frames.
     flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
     return mmap.mmap(handle, nbytes, flags=flags, prot=mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0))
 
 
 def lock_in_ram(memory: NDArray[np.uint8]) -> str:
-    """Lock the pages in RAM; return an empty string, or a sentence why that was not permitted."""
+    """Lock the mapped pages in RAM. Return an empty string or, if not permitted, a sentence with the cause."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlock(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(memory.nbytes)) == 0:
         return ""
@@ -119,7 +119,7 @@ def lock_in_ram(memory: NDArray[np.uint8]) -> str:
 
 
 def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
-    """Return the layout and the header of an existing ring, checked against the size of the file."""
+    """Return the layout and the header of an existing ring. Check both against the size of the file."""
     page = os.pread(handle, PAGE_BYTES, 0)
     if len(page) < PAGE_BYTES or page[:8] != MAGIC:
         raise InputError(f"{path}: is not a ring of vaoi_station.")

@@ -64,7 +64,7 @@ class FrameShape:
 
     @property
     def format(self) -> PixelFormat:
-        """How the bytes of a frame are to be read."""
+        """The pixel format, which defines how the bytes of a frame are converted to a picture."""
         return PIXEL_FORMATS[self.pixel_format]
 
     @property
@@ -161,7 +161,7 @@ class RingLayout:
         return self.first_slot + slot * self.slot_bytes
 
     def header(self, pid: int, start_ticks: int) -> NDArray[Any]:
-        """Return the header page (1,) with the state BUILDING."""
+        """Return the header page as an array (1,), in the state BUILDING."""
         page = np.zeros(1, dtype=HEADER)
         page["magic"] = MAGIC
         for key, value in (
@@ -181,7 +181,7 @@ class RingLayout:
 
     @classmethod
     def read(cls, header: NDArray[Any], cameras: NDArray[Any]) -> RingLayout:
-        """Return the layout of a file from its `header` (1,) HEADER and `cameras` (n,) CAMERA_RECORD."""
+        """Read the layout of a file from its `header` (1,) HEADER and its camera table `cameras` (n,) CAMERA_RECORD."""
         # An unknown code is kept as hexadecimal text, which FrameShape refuses with the list of known formats.
         names = {known.code: name for name, known in PIXEL_FORMATS.items()}
         frames = tuple(

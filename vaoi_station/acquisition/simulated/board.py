@@ -22,7 +22,7 @@ FAR_S = 1e4
 
 
 class SimulatedBoard:
-    """A board with its edges, pulses and frames; all times are seconds since the start of its passage."""
+    """A board with its barrier edges, pulses and frames. All times are seconds since the start of its passage."""
 
     def __init__(self, passage: Passage, plan: TriggerPlan, cameras: int) -> None:
         self.passage = passage

@@ -101,7 +101,7 @@ class SimulatedLine:
             self._change.notify()
 
     def end_run(self) -> None:
-        """Note that the run has ended: the next board may come."""
+        """Record that the run has ended, so that the next board may come."""
         with self._change:
             self._passing = False
             self._change.notify()

@@ -1,4 +1,4 @@
-"""Play recordings in place of line, cameras and controller."""
+"""Replay recordings in place of the line, the cameras and the controller."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def open_replay(config: StationConfig) -> Devices:
 
 
 class FastPace:
-    """The pace of a fast replay: a run begins when memory is available, a pulse when all earlier frames are done."""
+    """The pace of a fast replay. A run begins when memory is available; a pulse comes when earlier frames are done."""
 
     def __init__(self, feedback: Feedback) -> None:
         self._feedback = feedback
@@ -62,7 +62,7 @@ class FastPace:
         self._expected = self._feedback.frames_done()
 
     def before_pulse(self, stop: Callable[[], bool]) -> None:
-        """Wait, at most `ROW_TIMEOUT_S`, until all delivered frames are done; a frame without a slot never is."""
+        """Wait until all delivered frames are done, at most `ROW_TIMEOUT_S`. A frame without a slot is never done."""
         self._feedback.wait_for_frames(self._expected, stop, ROW_TIMEOUT_S)
 
     def frames_coming(self, frames: int) -> None:
@@ -95,7 +95,7 @@ def _rows(recording: Recording, cameras: tuple[ReplayCamera, ...], pixels: Pixel
 
 
 def _decode(recording: Recording, formats: tuple[str, ...]) -> Pixels:
-    """Return all frames of a recording as flat bytes, as cameras of these pixel formats send them."""
+    """Return all frames of a recording as flat bytes, in the form in which cameras of these pixel formats send them."""
     frames: Pixels = {}
     for n, pixel_format in enumerate(formats):
         for row in range(recording.head.rows):

@@ -14,7 +14,7 @@ from vaoi_station.simulation import Scenario, Twin, read_scenario
 
 
 class _ControllerWithLine(SimulatedController):
-    """A simulated controller that starts and closes the line with itself."""
+    """A simulated controller that starts the line when it is started, and closes the line when it is closed."""
 
     def __init__(self, clock: DeviceClock, line: SimulatedLine) -> None:
         super().__init__(clock, line)

@@ -16,7 +16,7 @@ from vaoi_station.model import BoardType
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of board types. Their documents have the format of `docs/formats.md`."""
+    """Create the routes for board types. Their documents have the format of `docs/formats.md`."""
     routes = APIRouter(prefix="/board-types", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
 

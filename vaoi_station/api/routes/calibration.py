@@ -10,7 +10,7 @@ from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
 
 
 def router(services: Services) -> APIRouter:
-    """Create the route of the calibration in use."""
+    """Create the route for the calibration in use."""
     routes = APIRouter(prefix="/calibration", tags=["station"])
 
     @routes.get("", response_model_exclude_none=True)

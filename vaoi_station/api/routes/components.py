@@ -31,7 +31,7 @@ RENDERED_AS: dict[ImageFormat, Rendered] = {
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of components. `{ref}` is the address of a component: `ref`, or `panel/ref` on a panel."""
+    """Create the routes for components. `{ref}` in a path is a component's address: `ref`, or `panel/ref`."""
     routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
     coordinator, ask = services.coordinator, services.commands.ask
 

@@ -19,14 +19,14 @@ RECONNECT_MS = 1000
 
 
 def router(services: Services) -> APIRouter:
-    """Create the route of the event stream."""
+    """Create the route for the event stream."""
     routes = APIRouter(tags=["events"])
 
     async def start(
         after: Annotated[int | None, Query(ge=0, le=2**53, description="Number of the last event received.")] = None,
         last_event_id: Annotated[str | None, Header(description="The same, sent by a client that reconnects.")] = None,
     ) -> int:
-        """Return the event number after which the stream starts."""
+        """Return the number of the event after which the stream starts."""
         newest = (await services.commands.ask(services.coordinator.snapshot)).last_event
         if last_event_id:
             if not (last_event_id.isascii() and last_event_id.isdecimal() and len(last_event_id) < 17):
@@ -66,7 +66,7 @@ def _message(record: EventRecord) -> ServerSentEvent:
 
 
 async def _heartbeat(services: Services) -> ServerSentEvent:
-    """Build a heartbeat from the coordinator's state."""
+    """Return a heartbeat event that contains the coordinator's state."""
     # The coordinator's thread gives the state, so heartbeats also stop if that thread hangs, not only the network.
     now = await services.commands.ask(services.coordinator.snapshot)
     heartbeat = Heartbeat(time=datetime.now(UTC).isoformat(), state=now.state, last_event=now.last_event)

@@ -21,7 +21,7 @@ PICTURE: dict[int | str, dict[str, Any]] = {
 
 
 def router(services: Services) -> APIRouter:
-    """Create the route of frames."""
+    """Create the route for frames."""
     routes = APIRouter(prefix="/runs/{run}/frames", tags=["pictures"])
 
     @routes.get("/{camera}/{row}", response_class=Response, responses=PICTURE)
@@ -37,7 +37,7 @@ def router(services: Services) -> APIRouter:
             Literal["refuse", "show"], Query(description="Whether an incomplete frame is returned.")
         ] = "refuse",
     ) -> Response:
-        """Return one frame; lossless as PNG, TIFF, npy or raw. An incomplete frame needs `incomplete=show`.
+        """Return one frame as PNG, TIFF, npy or raw, all without loss. An incomplete frame needs `incomplete=show`.
 
         The header X-Frame-Verdict is `ok` or `incomplete`. 410: the frame is no longer in memory.
         """

@@ -20,7 +20,7 @@ Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, m
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of runs. The routes of frames and of component images are in separate modules."""
+    """Create the routes for runs. Other modules create those for frames and for component images."""
     routes = APIRouter(prefix="/runs", tags=["runs"])
     coordinator, ask = services.coordinator, services.commands.ask
 
@@ -94,7 +94,7 @@ def router(services: Services) -> APIRouter:
 
 
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
-    """Return a run as JSON with its ETag."""
+    """Return the document of a run as JSON, with its ETag."""
     # Even a finished run changes its state when its frames are released, so clients must revalidate.
     content = run.model_dump_json(exclude_none=True).encode()
     return conditional_response(request, content, "application/json", cache=cache)

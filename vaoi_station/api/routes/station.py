@@ -16,7 +16,7 @@ Text = Annotated[str | None, Query(max_length=200)]
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of the station."""
+    """Create the routes for the station."""
     routes = APIRouter(prefix="/station", tags=["station"])
     coordinator, ask = services.coordinator, services.commands.ask
 

@@ -14,7 +14,7 @@ from vaoi_station.runs.states.schemas import ReferenceStatus, StitchingMethod
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes of references and methods; changes apply from the next arming on."""
+    """Create the routes for references and methods. A change applies from the next arming on."""
     routes = APIRouter(prefix="/board-types/{name}", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
 

@@ -10,7 +10,7 @@ import typer
 
 
 class Evidence(StrEnum):
-    """The stitching methods whose evidence a report can show. The paper's method keeps no evidence."""
+    """The methods whose evidence a report can show. The paper's method is not among them: it keeps no evidence."""
 
     AUTO = "auto"
     FIDUCIALS = "fiducials"

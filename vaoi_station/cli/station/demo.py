@@ -47,7 +47,7 @@ def demo(
 
 
 def _once(scenario: Path, out: Path, port: int | None, as_json: bool) -> int:
-    """Film one board and print the report; return 0 if the run is ok, else 1."""
+    """Film one board and print the report. Return 0 if the run is ok, else 1."""
     from vaoi_station.demo.demo_report import as_text
     from vaoi_station.demo.single_board import film_single_board
 

@@ -80,7 +80,7 @@ def _array(
     field_mm: str | None,
     px_per_mm: float | None,
 ) -> tuple[int, float, tuple[float, float]]:
-    """Return number of cameras, distance of neighbours and field of view (mm): from the options, else from `config`."""
+    """Return number of cameras, distance of neighbours, and field of view, from the options or else from `config`."""
     view = None if field_mm is None else _pair(field_mm, "--field-mm")
     if config is not None:
         found = _configured(config, px_per_mm)

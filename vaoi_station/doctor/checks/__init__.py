@@ -1,1 +1,1 @@
-"""The checks, one subject per module; a check changes nothing."""
+"""The checks of `vaoi doctor`, one subject per module. No check changes anything."""

@@ -1,4 +1,4 @@
-"""Check the camera library Aravis and PyGObject, which binds it to Python."""
+"""Check the camera library Aravis, and PyGObject, through which Python calls it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def aravis(context: CheckContext) -> Iterator[Finding]:
 
 
 def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Finding:
-    """Judge the version of Aravis: every version supports GigE; USB3 needs 0.8.30."""
+    """Judge the version of Aravis. Every version supports GigE cameras; USB3 cameras need 0.8.30 or later."""
     shown = ".".join(map(str, found))
     figures: Figures = {"aravis": shown, "pygobject": gi}
     message = f"Aravis {shown}, PyGObject {gi}"

@@ -35,7 +35,7 @@ JUMBO = 8000
 
 @dataclass(frozen=True)
 class Offered:
-    """Identity and capabilities of a camera, as read from it."""
+    """The identity and the capabilities of a camera, as read from the camera."""
 
     vendor: str
     model: str
@@ -65,7 +65,7 @@ def cameras(context: CheckContext) -> Iterator[Finding]:
 
 
 def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
-    """Check the cameras one after the other, then the ports of those that replied."""
+    """Open and judge the cameras one after the other, then judge the network ports of the cameras that replied."""
     ports: defaultdict[str, list[tuple[CameraConfig, Offered]]] = defaultdict(list)
     serials: defaultdict[str, list[str]] = defaultdict(list)
     for camera in context.real_cameras:
@@ -92,14 +92,18 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
 
 
 def _search_hint(camera: CameraConfig, error: VaoiError) -> str:
-    """Return a command that searches for an absent camera; empty for other errors."""
+    """Return a sentence with a command that searches for a camera that did not reply; empty for other errors."""
     if error.code != "camera-absent":
         return ""
     return f"Try: ping -c 1 {camera.address}" if camera.address else "Try: arv-tool-0.8"
 
 
 def ask(camera: CameraConfig) -> Offered:
-    """Open a camera, read its capabilities and close it; DeviceError or InputError if that fails."""
+    """Open a camera, read its capabilities, and close it.
+
+    Raises:
+        DeviceError, InputError: the camera does not reply, or refuses to be opened.
+    """
     with OPENING_LOCK, _opened(camera) as opened:
         device = opened.get_device()
         port = address = ""
@@ -188,7 +192,7 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[tuple[str,
 
 
 def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s: float) -> Finding:
-    """Judge packet size and bandwidth of one network port with all its cameras."""
+    """Judge the packet size and the bandwidth of one network port of this machine, for all cameras connected to it."""
     mtu = min(network.mtu_to(offered.address) for _, offered in members)
     try:
         packet = min(network.packet_bytes(c.packet_bytes, mtu, o.packets) for c, o in members if o.packets)
@@ -216,7 +220,7 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
 
 
 def of_running_station(context: CheckContext) -> Iterator[Finding]:
-    """Report the state of the cameras as the running station gives it."""
+    """Report the state of all cameras as the running station's REST service gives it."""
     assert context.running is not None
     states = context.running.snapshot.get("cameras", ())
     if not states:

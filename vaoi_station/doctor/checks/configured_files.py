@@ -30,7 +30,7 @@ def calibration(context: CheckContext) -> Iterator[Finding]:
 
 
 def board_types(context: CheckContext) -> Iterator[Finding]:
-    """Check that every board type can be read and that new ones can be written."""
+    """Check that each board type can be read, and that new board types can be stored."""
     directory = context.config.board_types
     if not is_directory(directory):
         yield fault(
@@ -57,7 +57,7 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
 
 
 def stand_ins(context: CheckContext) -> Iterator[Finding]:
-    """Check the scenario or the recordings of a station without real devices."""
+    """Check the inputs of a station that simulates or replays its devices: the scenario, or the recordings."""
     backend = context.config.controller.backend
     if backend not in {"simulated", "replay"}:
         yield not_applicable("cameras and controller are real")

@@ -49,7 +49,7 @@ LATENCY = "sys/bus/usb-serial/devices/{name}/latency_timer"
 
 @dataclass(frozen=True)
 class ControllerReply:
-    """The controller's replies: identity, status and clock readings."""
+    """The replies of the controller to `vaoi doctor`: identity, status and clock readings."""
 
     ident: Ident
     status: Status
@@ -57,7 +57,7 @@ class ControllerReply:
 
 
 def controller(context: CheckContext) -> Iterator[Finding]:
-    """Check port, firmware, limits, state and clock, and stop at the first part that cannot be read."""
+    """Check the controller's port, firmware, limits, state and clock. Stop at the first of them that cannot be read."""
     if context.running is not None:
         yield of_running_station(context)
         return
@@ -82,7 +82,7 @@ def controller(context: CheckContext) -> Iterator[Finding]:
 
 
 def of_running_station(context: CheckContext) -> Finding:
-    """Report the controller's state as the running station gives it; its problems are among the station's reasons."""
+    """Report the controller's state as the running station gives it. The check `station` reports its problems."""
     assert context.running is not None
     if not context.running.snapshot:
         return warning(
@@ -93,7 +93,11 @@ def of_running_station(context: CheckContext) -> Finding:
 
 
 def ask(settings: ControllerConfig) -> ControllerReply:
-    """Read identity, status and clock from the controller; DeviceError if that fails."""
+    """Read identity, status and clock readings from the controller.
+
+    Raises:
+        DeviceError: the controller does not reply, or not as expected.
+    """
     with closing(Waker()) as waker, closing(Port(settings.port, settings.baud, waker)) as port:
         exchange = Exchange(port, Link(), lambda _news, _heard_s: None, settings.port)
         ident = check_ident(exchange.identify())
@@ -108,7 +112,7 @@ def _reading(exchange: Exchange, timebase: Timebase, nonce: int) -> ClockReading
 
 
 def judge_port(port: Path, machine: Machine) -> Finding:
-    """Check that the port exists, is a serial port, is permitted to this user, and is free."""
+    """Check that the port exists, is a serial port, may be opened by this user, and is not in use."""
     try:
         found = port.stat()
     except OSError:
@@ -131,7 +135,7 @@ def judge_port(port: Path, machine: Machine) -> Finding:
 
 
 def judge_latency(port: Path, machine: Machine) -> Iterator[Finding]:
-    """Warn if the USB bridge delays bytes, which makes the clock fit less exact."""
+    """Warn if the USB-to-serial bridge delays bytes, because clock readings of the controller are then less exact."""
     kept_ms = machine.number(LATENCY.format(name=port.resolve().name))
     if kept_ms is not None and kept_ms > 1:
         yield warning(
@@ -143,7 +147,7 @@ def judge_latency(port: Path, machine: Machine) -> Iterator[Finding]:
 
 
 def judge_firmware(ident: Ident) -> Finding:
-    """Report version, build and unit number of the firmware; `check_ident` has already refused unsuitable ones."""
+    """Report version, build and unit number of the firmware. `check_ident` has refused unsuitable firmware before."""
     version = f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}"
     build = ident.build.rstrip(b"\0").decode("ascii", "replace")
     # An erased EEPROM cell reads as all ones: no unit number was ever written.
@@ -188,7 +192,7 @@ def judge_status(status: Status) -> Finding:
 
 
 def judge_clock(readings: Sequence[ClockReading], period_s: float) -> Finding:
-    """Judge how exactly the controller's clock maps to the host's."""
+    """Judge how exactly times of the controller's clock can be converted to times of the host's clock."""
     model = ClockModel("controller")
     for reading in readings:
         model.add(reading)

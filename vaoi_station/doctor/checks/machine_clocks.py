@@ -19,7 +19,7 @@ GOOD_SOURCES = {"tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_
 
 
 def wall_clock(_: Machine) -> Iterator[Finding]:
-    """Check that the wall clock is synchronised (NTP, PTP)."""
+    """Check that the machine's wall clock is synchronised by NTP or PTP."""
     # `modes` is the first field of the struct. Zero makes adjtimex read only, which needs no privilege.
     buffer = ctypes.create_string_buffer(_SIZE)
     state = ctypes.CDLL(None, use_errno=True).adjtimex(buffer)
@@ -28,7 +28,7 @@ def wall_clock(_: Machine) -> Iterator[Finding]:
 
 
 def judge_wall_clock(state: int, max_error_us: int) -> Finding:
-    """Judge the return value and the error bound of adjtimex."""
+    """Judge what the system call adjtimex returns: the state of the wall clock, and the bound of its error."""
     if state < 0:
         return not_applicable("the kernel does not report whether the wall clock is synchronised")
     if state == TIME_ERROR:
@@ -50,7 +50,7 @@ def monotonic_clock(machine: Machine) -> Iterator[Finding]:
 
 
 def judge_monotonic(resolution_s: float, source: str | None) -> Finding:
-    """Judge resolution and source of the monotonic clock."""
+    """Judge the resolution of the monotonic clock, and its source: the hardware that the kernel reads for it."""
     figures: Figures = {"resolution_us": resolution_s * 1e6, "source": source}
     if resolution_s > COARSE_S:
         return warning(

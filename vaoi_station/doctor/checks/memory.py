@@ -45,7 +45,7 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
 
 
 def _judge_space(context: CheckContext, needed: int, free: int, available: int | None) -> Finding:
-    """Judge the space on the file system and the memory that is left."""
+    """Judge the space that the ring needs on its file system, and the memory that is left for other programs."""
     layout, directory = context.layout, context.config.ring.directory
     figures: Figures = {"ring_bytes": needed, "free_bytes": free, "available_bytes": available}
     message = (
@@ -71,7 +71,7 @@ def _judge_space(context: CheckContext, needed: int, free: int, available: int |
 
 
 def lock_limit(context: CheckContext) -> Iterator[Finding]:
-    """Check that the running station has locked its ring in memory; without one, that this user may lock a ring."""
+    """Check memory locking: that a running station has locked its ring, else that this user is permitted to do so."""
     needed = context.layout.file_bytes
     if context.running is not None and context.running.pid is None:
         yield not_applicable(f"{context.running.description} holds the ring; whether it is locked cannot be read")

@@ -24,7 +24,7 @@ def socket_buffers(context: CheckContext) -> Iterator[Finding]:
 
 
 def judge_buffers(granted: int | None, needed: int) -> Finding:
-    """Judge whether the limit holds what a camera sends in one second."""
+    """Judge whether a socket buffer of the permitted size holds the data that one camera sends in one second."""
     figures: Figures = {"rmem_max_bytes": granted, "needed_bytes": needed}
     if granted is None:
         return fault(

@@ -1,4 +1,4 @@
-"""Find the running station and read its state by REST; without one, check that its port is free."""
+"""Find the running station and read its state by REST. If no station runs, check that its network port is free."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}  # noqa: S1
 
 
 def find(config: StationConfig) -> RunningProcess | None:
-    """Return the process that owns the station's ring, with its state; None if there is none."""
+    """Return the process that uses the station's ring, with the state it reports; None if there is no such process."""
     path = ring_path(config)
     owner = read_owner(path)
     hidden = owner is None and nearest(path) == path and not os.access(path, os.R_OK, effective_ids=True)
@@ -37,7 +37,11 @@ def find(config: StationConfig) -> RunningProcess | None:
 
 
 def ask(api: ApiConfig) -> dict[str, Any]:
-    """Request GET station; OSError, HTTPException or ValueError if no station replies."""
+    """Request the state from the station's REST service (`GET station`).
+
+    Raises:
+        OSError, HTTPException, ValueError: no station replies at this address.
+    """
     connection = http.client.HTTPConnection(_EVERYWHERE.get(api.host, api.host), api.port, timeout=TIMEOUT_S)
     try:
         connection.request("GET", "/api/v1/station")
@@ -52,7 +56,7 @@ def ask(api: ApiConfig) -> dict[str, Any]:
 
 
 def station(context: CheckContext) -> Iterator[Finding]:
-    """Report state, reasons and warnings of the running station; or whether its port is free."""
+    """Report state, reasons and warnings of the running station; if none runs, report whether its port is free."""
     api, running = context.config.api, context.running
     if running is None:
         yield _port(api)
@@ -75,12 +79,12 @@ def station(context: CheckContext) -> Iterator[Finding]:
 
 
 def _from_reason(level: Callable[..., Finding], reason: dict[str, Any]) -> Finding:
-    """Turn a reason or warning of the station into a finding with the same message and action."""
+    """Turn a reason or a warning of the station into a finding with the same message and action."""
     return level(str(reason.get("message")), str(reason.get("action") or ""), subject=str(reason.get("code")))
 
 
 def _port(api: ApiConfig) -> Finding:
-    """Check that no other program listens at the station's port."""
+    """Check that no other program listens at the address and port of the station's REST service."""
     # Connect instead of bind: to bind the port would take it from a station that starts at this moment.
     address = (_EVERYWHERE.get(api.host, api.host), api.port)
     try:

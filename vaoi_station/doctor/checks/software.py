@@ -20,12 +20,12 @@ PACKAGE = Path(version.__file__).parent
 
 
 def python(_: Machine) -> Iterator[Finding]:
-    """Check the interpreter of this process, which is also the station's."""
+    """Check the Python interpreter that runs this command. The station uses the same one."""
     yield judge_python(sys.version_info[:2], 8 * struct.calcsize("P"), platform.python_version(), sys.executable)
 
 
 def judge_python(version: tuple[int, int], bits: int, shown: str, where: str) -> Finding:
-    """Judge version and word size of a Python interpreter."""
+    """Judge the version of a Python interpreter, and whether it is a 64-bit program."""
     message = f"Python {shown}, {bits} bit, {where}"
     if bits < 64:
         return fault(f"{message}: the ring needs more address space than 32 bit offer.", "Install a 64-bit system.")
@@ -49,12 +49,12 @@ def libraries(_: Machine) -> Iterator[Finding]:
 
 
 def compiled_code_cache(_: Machine) -> Iterator[Finding]:
-    """Check that compiled inner loops can be stored, in one of the places where Numba looks for them."""
+    """Check that Numba can store compiled inner loops in one of the folders that it tries."""
     yield judge_cache(os.environ.get("NUMBA_CACHE_DIR"), PACKAGE, Path.home())
 
 
 def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
-    """Judge whether NUMBA_CACHE_DIR, else the package's or the user's cache folder, can be written to."""
+    """Judge whether Numba's cache is writable: NUMBA_CACHE_DIR if set, else the package's or the user's folder."""
     if given:
         if writable(Path(given)):
             return ok(f"is stored in {given}")

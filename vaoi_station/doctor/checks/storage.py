@@ -30,7 +30,7 @@ def data(context: CheckContext) -> Iterator[Finding]:
 
 
 def judge_space(space: os.statvfs_result, where: str) -> Finding:
-    """Judge free bytes and free inodes of a file system."""
+    """Judge how many bytes and inodes (entries for files) are free on a file system."""
     free = space.f_bavail * space.f_frsize
     figures: Figures = {"free_bytes": free}
     # Some file systems, such as btrfs, report no inodes at all (f_files is 0): they have no such limit.

@@ -13,7 +13,7 @@ PARAMETER = "sys/module/usbcore/parameters/usbfs_memory_mb"
 
 
 def memory(context: CheckContext) -> Iterator[Finding]:
-    """Check usbfs_memory_mb for all cameras that may be on USB."""
+    """Check usbfs_memory_mb: the kernel's limit must suffice for all cameras that may be connected by USB."""
     # Only a camera named by its serial number can be on USB: an address is always that of a GigE camera.
     named = sum(camera.serial is not None for camera in context.real_cameras)
     if not named:
@@ -23,7 +23,7 @@ def memory(context: CheckContext) -> Iterator[Finding]:
 
 
 def judge_memory(granted_mb: int | None, cameras: int) -> Finding:
-    """Judge the limit for a number of cameras; 0 means no limit."""
+    """Judge whether the limit in MB suffices for this number of cameras. A limit of 0 means that there is no limit."""
     needed_mb = PER_CAMERA_MB * cameras
     figures: Figures = {"usbfs_memory_mb": granted_mb, "needed_mb": needed_mb}
     if granted_mb is None:

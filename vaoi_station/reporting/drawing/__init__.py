@@ -1,1 +1,1 @@
-"""Draw HTML and SVG: escaping, axes, curves, thumbnails, the page."""
+"""Draw the parts of the report as HTML and SVG: axes, curves, thumbnails, the page around them."""

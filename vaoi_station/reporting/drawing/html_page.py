@@ -1,4 +1,4 @@
-"""The frame of the report: one HTML file that loads no other file and runs no script."""
+"""The page around the sections of the report: one HTML file that loads no other file and runs no script."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the report; `name` is its anchor."""
+    """One section of the report. Links within the page use `name` as the address of the section."""
 
     name: str
     heading: str
@@ -23,13 +23,13 @@ class Section:
     body: str
 
     def html(self) -> str:
-        """Return the section with heading and explanation."""
+        """Return the HTML of the section: heading, explanation, content."""
         lead = tag("p", text(self.lead), class_="lead") if self.lead else ""
         return tag("section", tag("h2", text(self.heading)), lead, self.body, id=self.name)
 
 
 def page(title: str, head: str, sections: Sequence[Section], data: str) -> str:
-    """Return the report as an HTML document; `data` is the script element with the embedded numbers."""
+    """Return the report as one HTML document. `data` is the script element that contains the numbers as JSON."""
     # The style is embedded: the report must look the same without network and without this package.
     style = resources.files("vaoi_station.reporting").joinpath("report.css").read_text(encoding="utf-8")
     contents = "".join(tag("a", text(s.heading), href=f"#{s.name}") for s in sections)
@@ -52,7 +52,7 @@ def page(title: str, head: str, sections: Sequence[Section], data: str) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], numbers: int | None = None) -> str:
-    """Return a table of texts; columns from index `numbers` on hold numbers."""
+    """Return an HTML table of texts. The columns from index `numbers` on contain numbers, aligned to the right."""
     first = len(columns) if numbers is None else numbers
     head = "".join(tag("th", text(c), class_="n" if k >= first else None) for k, c in enumerate(columns))
     body = "".join(
@@ -62,12 +62,12 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], numbers: int | 
 
 
 def facts(entries: Sequence[tuple[str, str]]) -> str:
-    """Return names and values as a definition list."""
+    """Return pairs of name and value as an HTML definition list."""
     return tag("dl", *(tag("dt", text(name)) + tag("dd", text(value)) for name, value in entries))
 
 
 def figures(*drawings: tuple[str, str]) -> str:
-    """Return drawings side by side, each with its caption (already HTML)."""
+    """Return drawings side by side, each with its caption. Drawings and captions are HTML already."""
     shown = (tag("figure", drawing, tag("figcaption", caption)) for drawing, caption in drawings if drawing)
     return tag("div", *shown, class_="figures")
 

@@ -1,4 +1,4 @@
-"""Plot a quantity over the rows with its uncertainty."""
+"""Plot a quantity over the rows of a run, with the standard deviation at each row."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_POINTS = 200
 
 @dataclass(frozen=True)
 class Plot:
-    """One quantity over the rows, with name, unit and size in px."""
+    """The plot of one quantity over the rows of a run: its name, its unit, and the size of the drawing in px."""
 
     name: str
     unit: str
@@ -28,7 +28,10 @@ class Plot:
     height: float = 190.0
 
     def draw(self, value: Floats, sigma: Floats, held: Sequence[bool]) -> str:
-        """Draw values (m,) with standard deviations (m,); rows without evidence (`held` is False) get hollow points."""
+        """Draw values (m,) with standard deviations (m,) for m rows.
+
+        Rows without evidence, where `held` (m,) is False, are drawn as hollow points.
+        """
         # Only rows with evidence set the scale: the uncertainty of the others can exceed all motion, and is cut off.
         sure = np.array(held, dtype=bool) if any(held) else np.ones(len(value), dtype=bool)
         # Zero is always part of the axis, so that small and large motions can be distinguished at a glance.

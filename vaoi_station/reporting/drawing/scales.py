@@ -1,4 +1,4 @@
-"""Choose round numbers for axes, and colours for numbers."""
+"""Choose round numbers for the axes of a plot, and colours that stand for numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GOOD: tuple[Colour, ...] = ((176, 58, 46), (214, 140, 50), (120, 160, 80), (24, 
 
 @dataclass(frozen=True)
 class Scale:
-    """Colour scale for numbers from `low` to `high`. Numbers outside get the colour of the nearer end."""
+    """Colour scale for numbers from `low` to `high`. A number outside this range has the colour of the nearer end."""
 
     low: float
     high: float
@@ -35,13 +35,13 @@ class Scale:
 
 
 def about_zero(values: list[float], least: float) -> Scale:
-    """Return a scale with zero in the middle that covers the values, and at least ±`least`."""
+    """Return a scale symmetric about zero that covers all values. It extends at least from −`least` to +`least`."""
     reach = max([least, *(abs(v) for v in values)])
     return Scale(-reach, reach, ABOUT_ZERO)
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
-    """Return round numbers between `low` and `high`; their count is near `about`."""
+    """Return about `about` round numbers between `low` and `high`, at which an axis is labelled."""
     span = high - low
     if not (math.isfinite(span) and span > 0):
         return [low]
@@ -52,19 +52,19 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
 
 
 def round_up(value: float) -> float:
-    """Return the smallest of …, 1, 2, 5, 10, … that is not below a value > 0."""
+    """Return the smallest number of the series 1, 2, 5, 10, 20, … (and 0.5, 0.2, …) that is at least `value` > 0."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= value * (1 - 1e-9))
 
 
 def round_down(value: float) -> float:
-    """Return the largest of …, 1, 2, 5, 10, … that is not above a value > 0."""
+    """Return the largest number of the series 1, 2, 5, 10, 20, … (and 0.5, 0.2, …) that is at most `value` > 0."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(k * power for k in (10.0, 5.0, 2.0, 1.0) if k * power <= value * (1 + 1e-9))
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Format a number with a real minus sign; "–" for None, NaN and infinities."""
+    """Format a number with the typographic minus sign; return "–" for None, NaN and infinities."""
     if value is None or not math.isfinite(value):
         return "–"
     # A value that rounds to zero must not show as "-0.000".

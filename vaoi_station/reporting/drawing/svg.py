@@ -1,4 +1,4 @@
-"""Build HTML and SVG as text; every value is escaped and numbers are short."""
+"""Build HTML and SVG as text. All values are escaped, and numbers have few digits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ Value = str | int | float
 
 
 def tag(name: str, *content: str, **attributes: Value | None) -> str:
-    """Return an element; `_` in attribute names means `-`, a trailing one is dropped; None omits the attribute."""
+    """Return an HTML or SVG element with its attributes.
+
+    In the name of an attribute, `_` stands for `-`, and an `_` at the end is dropped. An attribute of value None is
+    left out.
+    """
     given = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(shown(value))}"'
         for key, value in attributes.items()
@@ -23,7 +27,7 @@ def tag(name: str, *content: str, **attributes: Value | None) -> str:
 
 
 def text(value: object) -> str:
-    """Escape text for use as content."""
+    """Escape a text, so that it can stand between tags."""
     return escape(str(value), quote=False)
 
 
@@ -33,7 +37,7 @@ def title(words: str) -> str:
 
 
 def shown(value: Value) -> str:
-    """Format the value of an attribute; two decimals are enough for drawings."""
+    """Format the value of an attribute; numbers get two decimals, which are enough for drawings."""
     # Browsers reject NaN in an attribute and log an error; zero keeps the drawing valid.
     if isinstance(value, float):
         return f"{value:.2f}".rstrip("0").rstrip(".") if math.isfinite(value) else "0"
@@ -41,7 +45,7 @@ def shown(value: Value) -> str:
 
 
 def drawing(width: float, height: float, *content: str, label: str, widest: float | None = None) -> str:
-    """Return an SVG in user units of one CSS px; the page's style shrinks it where it does not fit."""
+    """Return an SVG element of the given width and height in CSS px. The page's style shrinks it on narrow screens."""
     return tag(
         "svg",
         tag("title", text(label)),

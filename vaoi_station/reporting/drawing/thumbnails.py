@@ -23,7 +23,7 @@ _BRIGHTEST = 99.5
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """A JPEG and its size in px."""
+    """A reduced frame as the bytes of a JPEG, with its width and height in px."""
 
     jpeg: bytes
     width: int
@@ -36,13 +36,13 @@ class Thumbnail:
 
 
 def thumbnail_width(frames: int) -> int:
-    """Return the width in px of the thumbnails of a run with `frames` frames."""
+    """Return the width in px of each thumbnail. The more frames a run has, the smaller they are."""
     fair = int((_ALL_PX / max(frames, 1) * 4 / 3) ** 0.5)
     return min(max(fair, NARROWEST_PX), WIDEST_PX)
 
 
 def thumbnail(pixels: NDArray[Any], width: int) -> Thumbnail:
-    """Reduce a frame (h, w) or (h, w, 3), 8 or 16 bit, to a width, and brighten it; never enlarge it."""
+    """Reduce a frame (h, w) or (h, w, 3), 8 or 16 bit, to a width in px, and brighten it. Never enlarge a frame."""
     grey = to_eight_bit(to_grey(pixels))
     h, w = grey.shape
     width = min(width, w)

@@ -20,7 +20,7 @@ _LEAST_MM = 0.02
 
 
 class BoardDrawing:
-    """Drawing of the board in SVG user units. CAD x points to the right; what is up in CAD is up in the drawing."""
+    """A drawing of the board in SVG user units, with the axes of CAD: x to the right, and up as in CAD."""
 
     def __init__(self, board_type: BoardType) -> None:
         self.board_type = board_type
@@ -49,7 +49,7 @@ class BoardDrawing:
         return (grid if shape is None else grid[[encloses(shape, p) for p in grid]]), side
 
     def draw(self, scale: Scale, unit: str, digits: int, what: str, *content: str) -> str:
-        """Draw content with the board's outline, and a legend below it."""
+        """Complete a drawing: return `content` with the board's outline, and a colour legend below it."""
         wide = max(self.width, 260.0)
         shown = tag("g", *content, self.outline())
         return drawing(wide, self.height + _LEGEND, shown, self._legend(scale, unit, digits), label=what)
@@ -75,7 +75,7 @@ class BoardDrawing:
 
 
 def surface(stitched: StitchedRun) -> Section:
-    """Draw lift, tilt and bow of the board as colours."""
+    """Draw the height of the board's surface (lift, tilt and bow) as a map of colours."""
     board_type, found = stitched.opened.setup.board_type, stitched.result.surface
     if board_type is None or found is None:
         note = tag("p", "Not estimated: this needs a board type and a calibrated working distance.", class_="none")
@@ -110,7 +110,7 @@ def surface(stitched: StitchedRun) -> Section:
 
 
 def components(stitched: StitchedRun) -> Section:
-    """Draw and list heights and uncertainties of components."""
+    """Draw the heights and the uncertainties of the components as two maps, and list them in a table."""
     board_type, q = stitched.opened.setup.board_type, stitched.result.quality
     if board_type is None or not board_type.components or stitched.result.components is None:
         note = tag("p", "No component could be placed.", class_="none")
@@ -141,7 +141,7 @@ def components(stitched: StitchedRun) -> Section:
 
 
 def _footprints(plan: BoardDrawing, values: Mapping[str, float], scale: Scale, unit: str) -> str:
-    """Draw all footprints, each coloured by its entry in `values`; grey if it has none."""
+    """Draw all footprints. Each has the colour of its component's value in `values`, or is grey without a value."""
     # Large components first, so that small ones stay visible on top of them.
     parts = sorted(plan.board_type.components, key=lambda p: -p.width * p.height)
     return "".join(_footprint(plan, part, values.get(part.address), scale, unit) for part in parts)

@@ -1,4 +1,4 @@
-"""The numbers behind the drawings, as JSON inside the report and as arrays in the bundle."""
+"""The numbers behind the drawings: as JSON inside the report, and as numpy arrays in the bundle."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _motion(stitched: StitchedRun) -> dict[str, Any]:
 
 
 def _short(values: NDArray[Any]) -> Any:
-    """Return values as lists with six significant digits; integers stay integers."""
+    """Return values as nested lists. Decimals are rounded to six significant digits; integers stay integers."""
     if values.dtype.kind in "iu":
         return values.tolist()
     if values.ndim > 1:

@@ -13,7 +13,7 @@ _WIDTH_PX = 120
 
 
 def picture_store(stitched: StitchedRun) -> str:
-    """Return all thumbnails as SVG definitions; every section refers to them, so each is in the file once."""
+    """Return all thumbnails as SVG definitions. Sections refer to them, so that the file holds each only once."""
     # One definition per frame: the tile graph and the frame table show the same picture, and its data is the bulk.
     images = "".join(
         tag("image", id=picture_id(key), width=t.width, height=t.height, href=t.uri, preserveAspectRatio="none")
@@ -48,7 +48,7 @@ def frame_table(stitched: StitchedRun) -> Section:
 
 
 def links_of(stitched: StitchedRun) -> Counter[FrameKey]:
-    """Count, for each frame, the links that have weight in the adjustment."""
+    """Count for each frame the links that have a weight above 0 in the adjustment."""
     count: Counter[FrameKey] = Counter()
     for pair in stitched.pairs:
         count[pair.a] += pair.used

@@ -27,7 +27,7 @@ _STAGES = {
 
 
 def timings(stitched: StitchedRun) -> Section:
-    """List the wall times of all tasks and of the conclusion, on one core."""
+    """List the wall times of all tasks and of the conclusion. They were stitched again on one core for the report."""
     tasks = [[_TASKS.get(k, k), number(ms, 1)] for k, ms in stitched.task_ms.items()]
     stages = [[_STAGES.get(k, k), number(ms, 1)] for k, ms in stitched.result.quality["timings_ms"].items()]
     lead = (

@@ -28,7 +28,11 @@ _NAMES = {"rows": "to other rows", "neighbours": "to the other camera"}
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Residuals in the frames of one camera: positions `at_px` (k, 2), vectors `off_px` (k, 2), px along image axes."""
+    """The residuals of links in the frames of one camera.
+
+    `at_px` (k, 2) are the positions in the frame, `off_px` (k, 2) the residual vectors, both in px along the image
+    axes.
+    """
 
     at_px: Floats
     off_px: Floats
@@ -41,7 +45,7 @@ class Vectors:
         return float(np.sqrt((self.off_px**2).sum(1).mean())) if len(self.off_px) else None
 
     def means(self, camera: Camera) -> Vectors:
-        """Average the vectors over the cells of a grid, at the mean position of each cell's links."""
+        """Average the vectors in each cell of a grid over the frame, at the mean position of the cell's links."""
         if not len(self.at_px):
             return self
         size = camera.width_px / _CELLS
@@ -53,7 +57,7 @@ class Vectors:
 
 
 def vectors(stitched: StitchedRun, number_: int, kind: str) -> Vectors:
-    """Return the residuals of those links of one kind that have weight, in the frames of camera `number_`.
+    """Return the residuals of links of one kind in the frames of camera `number_`. Links without weight are left out.
 
     A residual points from the link's point to the position that the link's other frame predicts.
     """
@@ -79,7 +83,7 @@ def vectors(stitched: StitchedRun, number_: int, kind: str) -> Vectors:
 
 
 def residual_vectors(stitched: StitchedRun) -> Section:
-    """Draw the residuals of each camera, all with the same exaggeration."""
+    """Draw the residuals of each camera as arrows. All drawings enlarge the residuals by the same factor."""
     kinds = list(_COLOURS)
     found = [{kind: vectors(stitched, i, kind) for kind in kinds} for i in range(stitched.cameras)]
     cameras = stitched.opened.setup.cameras
@@ -139,7 +143,7 @@ def _camera(stitched: StitchedRun, number_: int, found: dict[str, Vectors], fact
 def _arrows(
     at_px: Floats, off_px: Floats, scale: float, factor: float, colour: str, thickness: float, opacity: float
 ) -> str:
-    """Draw vectors as lines in one SVG path. A dot marks the start of each vector."""
+    """Draw vectors as lines in one SVG path. A dot marks the point where a vector starts."""
     if not len(at_px):
         return ""
     start, end = at_px * scale, (at_px + off_px * factor) * scale

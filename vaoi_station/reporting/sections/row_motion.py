@@ -22,7 +22,7 @@ _FEW_ROWS, _NARROW_PX, _WIDE_PX = 24, 374.0, 1150.0
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """Position of the board minus that of a belt of constant velocity, with standard deviations."""
+    """Position of the board in each row minus the position on a belt of constant velocity, with standard deviations."""
 
     velocity_mm_s: Floats
     """Velocity (2,) of the belt: the measured one, else the nominal one."""
@@ -57,7 +57,7 @@ def deviation(f: Findings) -> Deviation:
 
 
 def row_motion(stitched: StitchedRun) -> Section:
-    """Draw the deviations along, across and in yaw over the rows."""
+    """Draw three deviations over the rows: along the belt, across it, and in rotation (yaw)."""
     d = deviation(stitched.findings)
     names = (("along the belt", "µm"), ("across the belt", "µm"), ("yaw", "mrad"))
     width = _NARROW_PX if stitched.head.rows <= _FEW_ROWS else _WIDE_PX

@@ -14,7 +14,7 @@ _COLOURS = ("#22456b", "#c0561a", "#18603f", "#7a2a6b", "#6b6b18", "#1a7f8c")
 
 
 def seams(stitched: StitchedRun) -> Section:
-    """Show how well neighbouring cameras agree, each pair over all rows."""
+    """Show for each pair of neighbouring cameras how well their links agree, over all rows."""
     f, rows = stitched.findings, []
     for i in range(stitched.cameras - 1):
         pairs = [p for p in stitched.pairs if p.links.task.kind == "neighbours" and p.a[0] == i]
@@ -38,7 +38,7 @@ def seams(stitched: StitchedRun) -> Section:
 
 
 def fiducials(stitched: StitchedRun) -> Section:
-    """Compare the detected positions of fiducials with the positions of the result."""
+    """Compare the detected positions of fiducials with the positions that the result predicts."""
     listed = stitched.result.quality["fiducials"]
     if not listed:
         why = "The board was not found." if stitched.opened.setup.board_type else "There is no board type."
@@ -64,7 +64,7 @@ def _length(residual: list[float] | None) -> str:
 
 
 def _target(stitched: StitchedRun) -> str:
-    """Draw the residuals of detections as dots about zero."""
+    """Draw the residuals of all detections as dots around the point of zero residual."""
     f = stitched.findings
     points = f.problem.fiducials
     if points is None or f.plane is None or not (points.which >= 0).any():

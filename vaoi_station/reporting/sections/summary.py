@@ -11,7 +11,7 @@ from vaoi_station.reporting.stitched_run import StitchedRun
 
 
 def head(stitched: StitchedRun, name: str) -> str:
-    """Show the name of the run, its verdict and the reasons."""
+    """Show the run's name, its verdict, and the reasons for the verdict."""
     status = str(stitched.result.status)
     heading = tag("h1", text(name), tag("span", text(status), class_="verdict"))
     board_type = stitched.opened.setup.board_type
@@ -23,7 +23,7 @@ def head(stitched: StitchedRun, name: str) -> str:
 
 
 def key_numbers(stitched: StitchedRun) -> Section:
-    """List the figures on which the verdict is based."""
+    """List the numbers on which the verdict is based."""
     q = stitched.result.quality
     left, right = facts(_accuracy(q)), facts(_evidence(stitched, q))
     return Section("numbers", "Key numbers", "", tag("div", left, right, class_="columns"))

@@ -1,4 +1,4 @@
-"""The tile graph: frames at their stitched positions on the board, and the links between them."""
+"""The tile graph: each frame drawn at its place on the board, and lines for the links between frames."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ _MOST_NAMED = 120
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Positions of the tiles: `corners` (4, 2) in user units, by frame."""
+    """Positions of the tiles: `corners` holds for each frame (camera, row) its corners (4, 2) in SVG user units."""
 
     corners: dict[FrameKey, Floats]
     width: float
     height: float
 
     def middle(self, key: FrameKey) -> Floats:
-        """Return the centre of a tile, (2,)."""
+        """Return the centre (2,) of a frame's tile, in SVG user units."""
         return np.asarray(self.corners[key].mean(0))
 
 
 def layout(stitched: StitchedRun) -> Layout:
-    """Place the tiles as the cameras see the board, as large as the drawing allows."""
+    """Place the tiles as the cameras see the board, and scale them to the size of the drawing."""
     f, cameras = stitched.findings, stitched.opened.setup.cameras
     upright = _quarter_turn(cameras[0].image_from_row.matrix[:2, :2])
     corners = {}
@@ -58,7 +58,7 @@ def layout(stitched: StitchedRun) -> Layout:
 
 
 def tile_graph(stitched: StitchedRun) -> Section:
-    """Draw tiles with their pictures, edges with their scores, and list the pairs without links."""
+    """Draw the tiles with pictures, a line with a score for each linked pair, and list the pairs without links."""
     plan = layout(stitched)
     if not plan.corners:
         return Section("tiles", "Tile graph", "", tag("p", "No frame could be placed.", class_="none"))
@@ -133,7 +133,7 @@ def _unlinked(stitched: StitchedRun) -> str:
 
 
 def _quarter_turn(linear: Floats) -> Floats:
-    """Return the nearest of the eight mappings of axes to axes (quarter turns, with and without mirroring)."""
+    """Return the rotation by a multiple of 90°, with or without mirroring, that is nearest to a linear map (2, 2)."""
     if abs(linear[0, 0]) + abs(linear[1, 1]) >= abs(linear[0, 1]) + abs(linear[1, 0]):
         return np.diag(np.sign(np.diag(linear)))
     return np.array([[0.0, np.sign(linear[0, 1])], [np.sign(linear[1, 0]), 0.0]])

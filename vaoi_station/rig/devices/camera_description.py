@@ -37,7 +37,7 @@ def with_line0_trigger(description: str, celsius: float = 41.5) -> str:
 
 
 def _split(description: str) -> tuple[str, str, str]:
-    """Split a description into the text before, in and after the enumeration of trigger sources."""
+    """Split a description into three texts: before, inside, and after the enumeration of trigger sources."""
     start = description.find('<Enumeration Name="TriggerSource"')
     end = description.find("</Enumeration>", start)
     if start < 0 or end < 0:

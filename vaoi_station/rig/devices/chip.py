@@ -35,7 +35,10 @@ class Edge:
 
 
 class Chip:
-    """The running emulator of the chip, as a context manager. A thread calls functions on edges and resets."""
+    """The running emulator of the chip, as a context manager.
+
+    A thread of this object calls one function for each edge of the chip's pins, and another one for each reset.
+    """
 
     def __init__(
         self, built: Path, terminal: Path, on_edge: Callable[[Edge], None], on_reset: Callable[[], None] = lambda: None

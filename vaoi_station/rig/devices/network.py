@@ -22,7 +22,7 @@ NAMESPACE_VARIABLE = "VAOI_RIG_NETWORK"
 
 
 def addresses(count: int) -> tuple[str, ...]:
-    """Return loopback addresses for `count` cameras.
+    """Return the loopback addresses of `count` cameras.
 
     Raises:
         InputError: `count` is not from 1 to MAX_CAMERAS.
@@ -34,7 +34,7 @@ def addresses(count: int) -> tuple[str, ...]:
 
 
 def isolation_command() -> list[str]:
-    """Return the words to put before a command so that it runs in a new network namespace; empty: not possible.
+    """Return the words that, put before a command, run it in a new network namespace; none if that is not possible.
 
     For root, only a network namespace is made. Any other user also becomes root of a new user namespace, if the kernel
     allows user namespaces.
@@ -61,7 +61,7 @@ def may_add_addresses() -> bool:
 
 
 def entry_command() -> list[str]:
-    """Return the words to put before a command so that it runs in the rig's namespace; empty: the rig has none."""
+    """Return the words that, put before a command, run it in the rig's namespace; none if the rig has no namespace."""
     kind = os.environ.get(NAMESPACE_VARIABLE)
     if not kind:
         return []
@@ -71,7 +71,7 @@ def entry_command() -> list[str]:
 
 
 class LoopbackAddresses:
-    """Addresses on the interface `lo`, as a context manager: it adds missing addresses and removes these at its end."""
+    """Context manager that adds the missing addresses to the interface `lo`, and removes them at its end."""
 
     def __init__(self, wanted: Sequence[str]) -> None:
         self._wanted = tuple(wanted)

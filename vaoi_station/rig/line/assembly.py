@@ -84,7 +84,7 @@ class Devices:
         self._resources.close()
 
     def lay_calibration_board(self) -> None:
-        """Render the frames of the calibration board, which pulses between boards show, before the first such pulse."""
+        """Render the frames of the calibration board, shown by pulses outside a passage. Call it before such pulses."""
         self._renderer.render(FrameRequest(None))
 
     def _on_camera_report(self, camera: int, word: str, picture: int, _: int) -> None:

@@ -17,7 +17,7 @@ END_MARGIN_S = 1.0
 
 
 class BoardFeeder:
-    """A thread that feeds boards, as a context manager. The end of the context ends the feeding.
+    """A thread, as a context manager, that lets boards pass. At the end of the context no more boards come.
 
     If the chip ends unexpectedly, the end of the context raises the thread's DeviceError.
     """

@@ -82,7 +82,7 @@ class RenderedBoard:
 
     @property
     def board_type(self) -> BoardType:
-        """The board type of the board, read from the directory."""
+        """The board type, read from the directory."""
         return read_board_type(self.directory / _BOARD_TYPE)
 
     @property
@@ -172,7 +172,10 @@ def _render_in_process(scenario: Scenario, boards: Sequence[int], directories: S
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Block SIGINT inside a `with` block. A process started there inherits this, so only the parent gets Ctrl-C."""
+    """Block the signal SIGINT in a `with` block.
+
+    A process that is started in the block inherits this, so that Ctrl-C reaches the parent process only.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -53,6 +53,6 @@ def lighting_of(scenario: Scenario) -> Lighting:
 
 
 def min_interval_s(scenario: Scenario, boards: Sequence[RenderedBoard]) -> float:
-    """Return the shortest interval between boards: each must have passed and released its bay before the next."""
+    """Return the shortest interval between boards, s: one must have passed, and its bay be free, before the next."""
     # 0.8 s are for the result and the release of the bay. The sum is rounded up to a tenth of a second.
     return max(scenario.line.interval_s, math.ceil(10 * (max(b.duration_s for b in boards) + 0.8)) / 10)

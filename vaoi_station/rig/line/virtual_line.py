@@ -70,7 +70,7 @@ class Lighting:
 
 @dataclass
 class FiredPulse:
-    """One pulse during a passage, and what happened to its frames."""
+    """One pulse during a passage, and the outcome of its frames."""
 
     row: int | None
     """Row of the rendered board; None: no frame was rendered for the time of this pulse."""
@@ -283,7 +283,7 @@ def wall_clock_ns(host_ns: int) -> int:
 
 
 def _rendered_row(passage: BoardPassage, pulse: Pulse) -> tuple[int | None, float]:
-    """Return the row whose rendered time is nearest to a pulse (None: too far away), and the difference in s."""
+    """Return the row whose rendered time is nearest to a pulse, and the difference in s; row None if none is near."""
     t = (pulse.cycle - passage.start_cycle) / HZ
     pulses = passage.rendered.metadata.pulses_s
     if not pulses:

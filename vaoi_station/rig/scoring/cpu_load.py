@@ -10,7 +10,7 @@ from vaoi_station.rig.scoring.rig_report import Load
 
 
 class CpuLoadMeter:
-    """Meter of CPU time from its construction on. A process that ends before `read` is left out."""
+    """Meter of CPU time since its construction. Processes that end before `read` are not counted."""
 
     def __init__(self, pids: Mapping[str, int | None]) -> None:
         """Start to measure. `pids`: name → process id. Names are fields of `Load`, some with a number: `cameras 3`."""
@@ -19,7 +19,7 @@ class CpuLoadMeter:
         self._since_s = time.monotonic()
 
     def read(self, frames: int) -> Load:
-        """Return the average number of CPU cores in use since the construction. `frames`: number of good frames."""
+        """Return the average number of busy CPU cores since the construction. `frames` is the number of good frames."""
         over_s = time.monotonic() - self._since_s
         spent = dict.fromkeys(("station", "acquisition", "workers", "cameras", "chip", "rig"), 0.0)
         for name, before in self._before.items():

@@ -56,7 +56,7 @@ class BoardEvidence:
 
 
 def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
-    """Compare the run of one board with the truth, the rendered frames and the injected faults; return the score."""
+    """Compare the run of one board with truth, rendered frames and injected faults. Return the score."""
     passage, run, check = evidence.passage, evidence.run, evidence.ring_check
     verdicts = _station_verdicts(run)
     reasons = _reasons(passage, outages)
@@ -118,7 +118,7 @@ def _station_verdicts(run: Mapping[str, Any] | None) -> dict[Cell, tuple[str, st
 
 
 def _reasons(passage: BoardPassage, outages: Sequence[Outage]) -> dict[Cell, str]:
-    """Return (camera, row) → text of the injected fault that may have caused the loss of this frame."""
+    """Return {(camera, row): text of the fault} for frames whose loss an injected fault may have caused."""
     reasons = {}
     for row, fired in enumerate(passage.fired):
         for camera, outcome in enumerate(fired.outcomes):
@@ -137,7 +137,7 @@ def _reasons(passage: BoardPassage, outages: Sequence[Outage]) -> dict[Cell, str
 
 
 def _sent_late_ms(passage: BoardPassage) -> float | None:
-    """Return the longest delay, ms, of frames without packet loss; None: at least one never left its camera."""
+    """Return the longest delay, ms, with which a frame was sent; None if a frame without packet loss was never sent."""
     late = [
         fired.sent_ms.get(n) for fired in passage.fired for n, outcome in enumerate(fired.outcomes) if outcome == "sent"
     ]
@@ -151,6 +151,6 @@ def _affected_frame(cell: Cell, verdicts: tuple[str, str], done: str) -> Affecte
 
 
 def _unfilmed(passage: BoardPassage, verdicts: Mapping[Cell, object]) -> int:
-    """Count the fired frames that the station's run does not list."""
+    """Return the number of fired frames that the station's run does not list."""
     cells = {(c, r) for r in range(len(passage.fired)) for c in range(passage.rendered.metadata.cameras)}
     return len(cells - set(verdicts))

@@ -77,7 +77,7 @@ def _row(board: BoardScore) -> tuple[str, ...]:
 
 
 def _reasons(report: RigReport) -> Iterator[str]:
-    """Yield the reasons of every run. Reasons that only list frames are left out, because `_affected` yields them."""
+    """Yield the reasons of every run, except those that only list frames: `_affected` yields the frames."""
     for board in report.boards:
         text = [reason for reason in board.reasons if not reason.startswith("Frames (camera, row)")]
         if text:

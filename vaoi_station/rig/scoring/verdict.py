@@ -9,7 +9,7 @@ from vaoi_station.rig.scoring.rig_report import LATE_MS, LIMIT_PX, READY_LIMIT_S
 
 
 def failings(report: RigReport, faults: Sequence[Fault], boards: int) -> tuple[str, ...]:
-    """Return one sentence for each failing of a rig run of `boards` boards; empty: everything is as expected."""
+    """Return one sentence for each way in which a rig run of `boards` boards went wrong; empty if it went well."""
     return tuple(_failings(report, faults, boards))
 
 
@@ -55,7 +55,10 @@ def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
 
 
 def _result_failings(board: BoardScore, hurt: bool) -> Iterator[str]:
-    """Yield failings of verdict and reasons. `hurt`: a fault has cost the board rows, so it only needs a reason."""
+    """Yield what is wrong with a board's verdict and reasons.
+
+    If `hurt` is true, a fault has cost the board rows. Then only a reason is required, not the verdict ok.
+    """
     where = f"board {board.board}"
     if board.rows < board.rows_due and not board.reasons:
         yield f"{where}: only {board.rows} of {board.rows_due} rows were fired, and the station reports no reason"

@@ -31,7 +31,7 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
 def views_of_component(
     finished: FinishedRun, ref: str, px_per_mm: float | None, min_coverage: float
 ) -> tuple[View, ...]:
-    """Return the views of a component in complete frames, best first; `NotFoundError` if the component is unknown."""
+    """Return the views of a component in complete frames, best first. Raise NotFoundError for an unknown component."""
     part = component_of(finished.board_type, ref)
     # Incomplete frames have matrices too, but the areas of their missing packets are black: they are not used as views.
     whole = {(f.camera, f.row) for f in finished.detail.frames if f.verdict is Verdict.OK}
@@ -40,7 +40,7 @@ def views_of_component(
 
 
 def view_of_component(finished: FinishedRun, ref: str, k: int, px_per_mm: float | None, min_coverage: float) -> View:
-    """Return view k of a component; `NotFoundError`, which states the number of views, if there is no view k."""
+    """Return view k of a component. Raise NotFoundError, with the number of views, if there is no view k."""
     views = views_of_component(finished, ref, px_per_mm, min_coverage)
     if not 0 <= k < len(views):
         raise NotFoundError(
@@ -52,7 +52,7 @@ def view_of_component(finished: FinishedRun, ref: str, k: int, px_per_mm: float 
 
 
 def component_of(board_type: BoardType, ref: str) -> Component:
-    """Return the component with the address `ref`; `NotFoundError` if the board type has no such component."""
+    """Return the component with the address `ref`. Raise NotFoundError if the board type does not have it."""
     part = board_type.component(ref)
     if part is None:
         raise NotFoundError(

@@ -89,13 +89,13 @@ class Archive:
         self._close_unfinished()
 
     def begin(self, progress: Progress) -> None:
-        """Write the record of a run that has begun, so that the run is known even after a crash of the station."""
+        """Store the record of a run that has begun, so that it is known even if the station crashes during the run."""
         with self._changed:
             self._under_way.add(progress.run)
         self._store.save_run(_row(progress, detail_of(progress), None))
 
     def finish(self, progress: Progress) -> RunDetail:
-        """Keep a run that has ended, and return its document. The run is announced when it was written."""
+        """Store a run that has ended, and return its document. The run is announced after it was written."""
         self._finished += 1
         detail, order = detail_of(progress), progress.order
         finished = FinishedRun(
@@ -154,7 +154,7 @@ class Archive:
             return self._recent.get(run) or self._cache(finished)
 
     def _cached(self, run: str) -> FinishedRun | None:
-        """Return a finished run if it is in memory, else None; `StateError` if the run has not ended."""
+        """Return a finished run if it is in memory, else None. Raise StateError if the run has not ended."""
         with self._changed:
             if run in self._under_way:
                 raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
@@ -205,7 +205,7 @@ class Archive:
             self._changed.notify_all()
 
     def _close_unfinished(self) -> None:
-        """Update the records of runs from before a restart: unfinished runs have failed, and all frames are gone."""
+        """Update the runs from before a restart of the station: unfinished runs failed, and all frames are gone."""
         lost = Reason(code="station-restarted", message="The station ended before this run had a result.")
         for row in self._store.unfinished():
             self._finished += 1

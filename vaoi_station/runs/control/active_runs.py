@@ -26,7 +26,7 @@ class Workers(Protocol):
         """Announce a run to the pool, before its first job is submitted."""
 
     def close_run(self, run: str) -> None:
-        """Have the pool and the workers discard everything they prepared for a run."""
+        """Make the pool and the workers discard everything that they hold for a run."""
 
 
 class ActiveRuns:
@@ -53,7 +53,7 @@ class ActiveRuns:
         self._publish(progress, f"A board of type {progress.order.board_type.name!r} is being filmed.")
 
     def pulse(self, report: PulseReported) -> None:
-        """Record a trigger pulse of a run. While filming, only frames of rows with a recorded pulse are linked."""
+        """Record a trigger pulse of a run. During filming, frames are linked only in rows with a recorded pulse."""
         if (progress := self.active.get(report.run)) is not None:
             progress.pulses[report.pulse.index] = report.pulse
 

@@ -29,7 +29,7 @@ from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Job, LinkJob, 
 
 @dataclass(frozen=True)
 class Parts:
-    """The objects that the coordinator works with."""
+    """The objects with which the coordinator works, such as the archive and the workers."""
 
     config: StationConfig
     ring: BayRing
@@ -72,7 +72,7 @@ class Core:
         self.line.disarm(completion)
 
     def release(self, run: str) -> None:
-        """Give up the frames of a finished run, even if a caller holds them."""
+        """Give up the frames of a finished run. Leases of callers on them end."""
         if run in self.runs.active:
             raise StateError(
                 f"Run {run} is {self.runs.active[run].state}; its memory is needed.", action="Wait for its result."
@@ -95,7 +95,7 @@ class Core:
         self._complete_stop_if_drained()
 
     def tick(self) -> None:
-        """Remove expired leases and troubles, and try to grant memory again. The inbox calls this twice a second."""
+        """Remove expired leases and troubles, and try to grant memory again. The inbox calls this every tick."""
         for lease in self.leases.expire():
             self._events.add("lease", f"The hold of {lease.holder} ({lease.purpose}) expired.", run=lease.run)
         # In the states FAULTED and ARMING, callers need the reasons to act: reasons stay until the state changes.

@@ -31,11 +31,11 @@ class Inbox:
         self._thread.start()
 
     def post(self, work: Callable[P, Any], *args: P.args, **kwargs: P.kwargs) -> None:
-        """Have the inbox's thread call a function with these arguments; do not wait for the call."""
+        """Let the inbox's thread call a function with these arguments, and return at once."""
         self._messages.put(lambda: work(*args, **kwargs))
 
     def ask(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Have the inbox's thread call a function, wait for the call, and return its result.
+        """Let the inbox's thread call a function, wait for the call, and return its result.
 
         Raises:
             VaoiError: the function raised it; any other exception of the function becomes an `InternalError`.
@@ -54,7 +54,7 @@ class Inbox:
         return self.wait(answer, do)
 
     def wait(self, answer: Future[T], do: Callable[[], Any], timeout_s: float | None = None) -> T:
-        """Have the inbox's thread call `do`, wait until the future `answer` is set, and return its result.
+        """Let the inbox's thread call `do`, wait until the future `answer` is set, and return its result.
 
         `answer` may be set after `do` has returned, by a later message.
 

@@ -21,15 +21,15 @@ class InboxEvents:
         self._inbox, self._core, self._pictures = inbox, core, pictures
 
     def acquisition_message(self, message: Report) -> None:
-        """Have the coordinator process a message from the acquisition process."""
+        """Pass a message of the acquisition process to the coordinator."""
         self._inbox.post(self._core.acquisition_message, message)
 
     def acquisition_ended(self, description: str) -> None:
-        """Have the coordinator conclude the runs that were filmed when the acquisition process ended."""
+        """Let the coordinator conclude the runs that were being filmed when the acquisition process ended."""
         self._inbox.post(self._core.acquisition_ended, description)
 
     def worker_reply(self, job: Job, reply: Reply) -> None:
-        """Have the coordinator process a worker's reply, with the time of its arrival."""
+        """Pass a worker's reply, with the time of its arrival, to the coordinator."""
         if isinstance(job, RenderJob):
             # A picture changes no state and its caller waits in another thread, so the reply need not wait in the inbox
             # behind the messages about frames.
@@ -38,9 +38,9 @@ class InboxEvents:
             self._inbox.post(self._core.worker_reply, job, reply, time.monotonic())
 
     def worker_ended(self, description: str) -> None:
-        """Have the coordinator publish that a worker process has ended."""
+        """Let the coordinator publish that a worker process has ended."""
         self._inbox.post(self._core.worker_ended, description)
 
     def workers_ready(self) -> None:
-        """Have the coordinator publish that all workers are ready."""
+        """Let the coordinator publish that all workers are ready."""
         self._inbox.post(self._core.workers_ready)

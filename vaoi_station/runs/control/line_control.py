@@ -118,14 +118,14 @@ class LineControl:
     # --- reports of the acquisition process
 
     def on_ready(self) -> None:
-        """Process that the devices are open. An order that was in force before a fault is armed again automatically."""
+        """Handle the report that the devices are open. An order from before a fault is armed again automatically."""
         self._machine.reasons.clear()
         self._machine.advance_if_allowed(StationStep.READY)
         if self.orders.wants_more:
             self._rearm()
 
     def on_armed(self) -> None:
-        """Process that the line is armed: complete the waiting requests to arm."""
+        """Handle the report that the line is armed: set the completions of the waiting requests to arm."""
         # An Armed that arrives after a Disarm was sent is outdated: the Disarmed that follows it decides.
         if self._machine.state is StationState.ARMING and not self._disarm_sent:
             self._machine.reasons.clear()
@@ -136,7 +136,11 @@ class LineControl:
             self.keep_memory_granted()
 
     def on_disarmed(self, report: messages.Disarmed, health: messages.Health | None) -> None:
-        """Take unused memory back, complete requests to disarm, then serve requests to arm that waited for this."""
+        """Handle the report that the line is disarmed.
+
+        Unused memory is taken back and requests to disarm are completed. Then the requests to arm that waited for this
+        are served.
+        """
         for grant in report.unused:
             self._memory.free(grant.run)
             self._granted.pop(grant.run, None)
@@ -145,7 +149,7 @@ class LineControl:
         self._close_requests(StateError("The line was disarmed before it was armed."), health)
 
     def on_trouble(self, trouble: messages.Trouble) -> None:
-        """Refuse the waiting requests to arm, if the trouble of a camera or of the controller comes during arming."""
+        """Handle a trouble. If it hits a camera or the controller during arming, refuse the waiting requests to arm."""
         if self._machine.state is not StationState.ARMING:
             return
         self.orders.cancel(time.monotonic())
@@ -158,7 +162,7 @@ class LineControl:
         self._send_disarm()
 
     def on_acquisition_ended(self, description: str) -> None:
-        """Take all granted memory back, because no process can write to it now, and refuse waiting requests to arm."""
+        """Take back all granted memory, to which no process can write now, and refuse the waiting requests to arm."""
         for run in self._granted:
             self._memory.free(run)
         self._granted.clear()
@@ -207,14 +211,14 @@ class LineControl:
             self._machine.advance(StationStep.MEMORY_FREED)
 
     def _unblock(self) -> None:
-        """Leave the state BLOCKED by granting a bay; `BusyError`, which names the holders, if no bay is free."""
+        """Leave the state BLOCKED by granting a bay. Raise BusyError, which names the holders, if no bay is free."""
         if self._machine.state is StationState.BLOCKED:
             self._grant()
             self._machine.reasons.drop("ring-full")
             self._machine.advance(StationStep.MEMORY_FREED)
 
     def _grant(self) -> None:
-        """Grant the cameras a bay for a coming run unless they hold one; `BusyError` if no bay is free."""
+        """Grant a bay for a coming run, unless the cameras hold one. Raise BusyError if no bay is free."""
         if self._granted:
             return
         granted = self._memory.grant(self._run_ids.next())

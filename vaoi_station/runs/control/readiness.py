@@ -35,7 +35,7 @@ def reasons(health: Health | None, cameras: Sequence[CameraConfig]) -> tuple[Rea
 
 
 def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
-    """Raise `DeviceError` if a camera is not connected; the message names all such cameras."""
+    """Raise DeviceError if a camera is not connected. The message names all such cameras."""
     if why := reasons(health, cameras):
         raise DeviceError(
             f"The array is not complete. {' '.join(reason.message for reason in why)}",

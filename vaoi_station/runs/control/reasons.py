@@ -32,7 +32,7 @@ class Reasons:
         """Keys of the troubles that were reported by an acquisition process that has ended."""
 
     def hold(self, reason: Reason) -> bool:
-        """Add a reason, which stays until `drop` is called with its code; return False if it was present already.
+        """Add a reason, which stays until `drop` is called with its code. Return False if the same reason is present.
 
         The reason replaces an earlier one with the same code.
         """
@@ -41,12 +41,12 @@ class Reasons:
         return before != reason
 
     def mark_outdated(self) -> None:
-        """Mark all present troubles as outdated. The next trouble replaces all of them."""
+        """Mark all present troubles as outdated. The next reported trouble then replaces them."""
         # They are not removed yet: while the devices are being opened, the operator can act only on the old cause.
         self._outdated = set(self._reported_s)
 
     def trouble(self, report: Trouble) -> Reason | None:
-        """Add the trouble of a device and return its reason; None if the same trouble is present already."""
+        """Add the trouble of a device as a reason, and return the reason; None if the trouble is present already."""
         key = f"{report.code}: {report.message}"
         for old in self._outdated - {key}:
             del self._reported_s[old]
@@ -69,7 +69,7 @@ class Reasons:
         self._outdated = set()
 
     def expire(self) -> None:
-        """Remove the troubles that were not reported again within `TROUBLE_S`."""
+        """Remove the troubles that have not been reported again for `TROUBLE_S`."""
         now = self._clock()
         for key in [key for key, at in self._reported_s.items() if now - at > TROUBLE_S]:
             del self._reported_s[key]

@@ -23,7 +23,7 @@ class StationStateMachine:
         self.reasons = Reasons()
 
     def require(self, event: StationStep) -> None:
-        """Raise `StateError` if the event is illegal in the present state; the message includes the first reason."""
+        """Raise StateError, with the first reason, if the event is illegal in the present state."""
         if not STATION.allows(self.state, event):
             reason = next(iter(self.reasons.all()), None)
             why = f" ({reason.message})" if reason else ""
@@ -31,7 +31,7 @@ class StationStateMachine:
             raise StateError(message, action=ADVICE.get(self.state, ""))
 
     def advance(self, event: StationStep) -> None:
-        """Change to the state that follows the event; `StateError` if the event is illegal in the present state."""
+        """Change to the state that follows the event. Raise StateError if the event is illegal in the present state."""
         state = STATION.next(self.state, event)
         if state is not self.state:
             self.state, self.since = state, utc()

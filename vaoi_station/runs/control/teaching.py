@@ -60,7 +60,7 @@ class ReferenceTeaching:
         self._teaching = threading.Lock()
 
     def status(self, board_type: BoardType) -> ReferenceStatus:
-        """Return the reference of a board type and whether it is usable; `NotFoundError` if there is no reference."""
+        """Return the reference of a board type, and whether it is usable. Raise NotFoundError if there is none."""
         record = self._store.record(board_type.name)
         if record is None:
             raise _no_reference(board_type.name)
@@ -99,7 +99,7 @@ class ReferenceTeaching:
         return new
 
     def forget(self, board_type: str) -> None:
-        """Remove the reference of a board type; `NotFoundError` if it has none."""
+        """Remove the reference of a board type. Raise NotFoundError if it has none."""
         if self._store.record(board_type) is None:
             raise _no_reference(board_type)
         self._store.drop(board_type)

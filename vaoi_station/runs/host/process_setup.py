@@ -36,7 +36,7 @@ def set_up_process(one_thread: bool) -> None:
 
 @contextmanager
 def keep_freed_memory() -> Iterator[None]:
-    """Let processes that start inside the context keep freed memory, in large pages, and reuse it for the next board.
+    """Let processes that are started in the context keep freed memory, in large pages, and reuse it for the next board.
 
     Only the GNU C library reads the setting; other C libraries ignore it.
     """

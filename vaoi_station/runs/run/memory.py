@@ -70,7 +70,7 @@ class Memory:
         return GrantedBay(granted, evicted)
 
     def use(self, run: str, use: Use) -> Bay:
-        """Change the use of a run's bay, and return the bay; `GoneError` if the run has no bay."""
+        """Change the use of a run's bay, and return the bay. Raise GoneError if the run has no bay."""
         bay = self.bay(run)
         if use == "finished":
             self._finished += 1
@@ -85,7 +85,7 @@ class Memory:
                 self._leases.end_all(run)
 
     def bay(self, run: str) -> Bay:
-        """Return the bay of a run; `GoneError` if the run has no bay any more."""
+        """Return the bay of a run. Raise GoneError if the run no longer has a bay."""
         for bay in self._bays:
             if bay.run == run:
                 return bay

@@ -47,7 +47,7 @@ class Order:
 
 @dataclass
 class Orders:
-    """The order in force, and the previous one, which applies to boards that interrupted the barrier before the change.
+    """The order in force, and the previous one, which still applies to boards that met the barrier before the change.
 
     `runs_left` is the number of boards still to be filmed (None: no limit). `since_s` is the time since which the order
     is in force, by time.monotonic().

@@ -135,7 +135,7 @@ class Progress:
         return all_tasks(self.present, times_s, self.order.setup)
 
     def add_evidence(self, job: LinkJob, reply: Reply, at_s: float) -> None:
-        """Add the evidence in the reply to a link job, or the error in it. `at_s` is the time of arrival."""
+        """Add the evidence of a link job's reply to the run; for an error, a fault. It arrived at `at_s`."""
         self.pending.difference_update(job.tasks)
         self.pending_canonical.difference_update(job.tasks)
         if reply.error is not None:
@@ -184,7 +184,7 @@ class Progress:
         return {task: self.linked[task] for task in self.canonical_tasks if task in self.linked}
 
     def add_result(self, reply: Reply, at_s: float) -> None:
-        """Add the result in the reply to the conclude job, or the error in it. `at_s` is the time of arrival."""
+        """Add the result of a conclude job's reply to the run; for an error, a fault. It arrived at `at_s`."""
         self.conclude_ms = reply.worker_s * 1e3
         if reply.error is not None:
             self._add_error(reply.error)

@@ -20,7 +20,7 @@ def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
 
 
 def early_end_reason(report: RunFinished) -> Reason | None:
-    """Return the reason for a run whose pulses ended although the board may not have left; None for a regular end."""
+    """Return a reason if the pulses of a run ended although the board may not have left; None for a normal end."""
     if report.reason in _AS_PLANNED:
         return None
     return Reason(

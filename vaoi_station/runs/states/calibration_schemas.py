@@ -29,7 +29,7 @@ class CameraDrift(Schema):
 
 
 class CameraMoment(Schema):
-    """Displacement of one camera, as estimated from one run."""
+    """Displacement of one camera in one run."""
 
     run: str
     time: str

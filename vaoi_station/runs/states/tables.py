@@ -101,7 +101,7 @@ class Table(Generic[S, E]):
             raise StateError(f"The {self.what} is {state}; {event!s} is not possible now.", action=action) from None
 
     def allows(self, state: S, event: E) -> bool:
-        """Return whether an event is legal in a state."""
+        """Return whether the table permits this event in this state."""
         return (state, event) in self.steps
 
 

@@ -18,7 +18,7 @@ from vaoi_station.stitching.work import StitchSetup
 
 
 class Priority(IntEnum):
-    """Order in which jobs are given to workers, lowest value first: results come before pictures and checks."""
+    """Order in which waiting jobs are given to workers, lowest value first: results before pictures and checks."""
 
     CONCLUDE = 0
     LINK = 1
@@ -72,7 +72,10 @@ class LinkJob:
 
 @dataclass(frozen=True)
 class GatherJob:
-    """Take over evidence that another worker found; sent in advance to the worker that will conclude the run."""
+    """Take over evidence that another worker found.
+
+    The job is sent to the worker that will conclude the run, before the run is complete.
+    """
 
     context: RunContext
     linked: Mapping[Task, Linked]
@@ -210,7 +213,7 @@ class Linked:
 
     @classmethod
     def of(cls, evidence: Evidence, worker_s: float) -> Linked:
-        """Pickle the evidence of a task; `worker_s` is the time that the worker took."""
+        """Pickle the evidence of a task. `worker_s` is the time that the worker needed for the task."""
         return cls(pickle.dumps(evidence, pickle.HIGHEST_PROTOCOL), worker_s)
 
     @property

@@ -215,7 +215,7 @@ class WorkerPool:
             self._report(queued.job, message)
 
     def _report(self, job: Job, reply: Reply) -> None:
-        """Report the outcome of a job as an event, except for gather jobs, which only the pool itself submits."""
+        """Report the outcome of a job as an event. Gather jobs are not reported, because only the pool submits them."""
         if self._events is not None and not isinstance(job, GatherJob):
             self._events.worker_reply(job, reply)
 
@@ -277,7 +277,7 @@ class WorkerPool:
             self._report(queued.job, _refused(InternalError(fault, code="worker-lost")))
 
     def _retry(self, queued: Queued) -> bool:
-        """Put the job of a worker that has died at the front of its queue; return False if the job must be given up."""
+        """Put the job of a dead worker at the front of its queue. Return False if the job must be given up."""
         queued.deaths += 1
         # A check cannot be repeated: its evidence was lost with the worker. The next run is checked again.
         if queued.deaths >= MAX_ATTEMPTS or isinstance(queued.job, CheckJob):

@@ -85,7 +85,7 @@ class JobQueues:
         self.drop(Priority.GATHER, run)
 
     def emptied(self) -> list[Queued]:
-        """Remove and return all waiting jobs."""
+        """Remove all waiting jobs from the queues and return them."""
         left = [queued for queue in self._queues.values() for queued in queue]
         for queue in self._queues.values():
             queue.clear()

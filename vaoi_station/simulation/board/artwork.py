@@ -113,7 +113,7 @@ def _paint_mask_texture(canvas: Canvas, seed: int) -> None:
 
 
 def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
-    """Paint the silkscreen: outlines and names of the parts, dots at pin 1, and the lettering of the board."""
+    """Paint the silkscreen: outlines and names of the parts, a dot at pin 1 of each, and the lettering of the board."""
     outlines = []
     for part in parts:
         w, h = part.package.body

@@ -171,7 +171,7 @@ class Canvas:
 
 
 def _supersample(offset: Plane) -> tuple[Plane, Plane]:
-    """Subdivide pixel offsets (n,) into finer offsets (k,).
+    """Divide each of n pixels into smaller steps, given their offsets (n,).
 
     Returns the fine offsets, and a matrix (n, k) of hat functions that sums fine samples to pixels.
     """

@@ -42,7 +42,7 @@ class Package:
 
     @property
     def small(self) -> bool:
-        """Whether the package is a chip resistor or capacitor; such parts are placed in groups."""
+        """Whether the package is that of a chip resistor or capacitor. Such parts are placed in groups."""
         return self.finish in (Finish.RESISTOR, Finish.CERAMIC)
 
     @property

@@ -65,7 +65,7 @@ class VisibleBody:
     top_px: Floats
 
     def reach_mm(self, light: LightSection) -> Floats:
-        """Return the vector (2,) in mm from the end of the body's shadow on the board to the body."""
+        """Return the vector (2,), mm, from the end of the body's shadow on the board to the point that casts it."""
         length = self.body.height_mm / math.tan(math.radians(light.elevation_deg))
         return length * np.array(light.direction)
 

@@ -47,7 +47,7 @@ _ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
 
 @dataclass
 class _Counts:
-    """Counts of the camera's frames and losses, the time of the last complete frame, and the last temperature."""
+    """Counts of the camera's frames and connection losses, time of the last complete frame, and last temperature."""
 
     delivered: int = 0
     incomplete: int = 0
@@ -93,12 +93,12 @@ class AravisCamera:
         connection.start(self._on_slot, share)
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
-        """Start the supervisor. Filled slots, losses and returns of the camera are put into the queue `arrivals`."""
+        """Start the supervisor. It puts arrivals of frames, and losses and returns of the camera, into `arrivals`."""
         self._arrivals = arrivals
         self._thread.start()
 
     def queue(self, slot: Slot) -> None:
-        """Give a slot to the stream, or keep it until the camera is back if the camera is lost."""
+        """Give a slot to the stream. While the camera is lost, keep the slot until the camera is back."""
         with self._lock:
             if self._connection is None:
                 self._waiting.append(slot)
@@ -155,7 +155,7 @@ class AravisCamera:
             connection.close(gone=self._is_gige and not gvcp.is_reachable(self._identity.address, tries=1))
 
     def _on_slot(self, result: SlotResult) -> None:
-        """Count a slot in which a frame has ended, complete or not, and report it as an arrival."""
+        """Count a slot in which a frame has ended, complete or incomplete, and report the frame as an arrival."""
         # Called by the pulling thread and by any thread that takes slots back.
         with self._counting:
             if result.whole:
@@ -186,7 +186,7 @@ class AravisCamera:
                 self._on_loss(error)
 
     def _reopen_when_due(self) -> None:
-        """Try to open the camera if the back-off allows it. End the back-off if the camera has been unplugged."""
+        """Try to open the camera if its back-off permits an attempt. An unplugged camera ends the back-off."""
         if self._backoff.remaining_s() > 0:
             if self._is_gige and not gvcp.is_reachable(self._identity.address):
                 self._backoff.reset()
@@ -278,7 +278,7 @@ class AravisCamera:
         return connection, reading
 
     def _locate(self) -> str:
-        """Return the camera's last address if a camera replies there, else the address found by its serial number."""
+        """Return the camera's last address if it replies there, else the address found by its serial number."""
         if self._is_gige and gvcp.is_reachable(self._identity.address, tries=1):
             return self._identity.address
         if self.config.serial is None:

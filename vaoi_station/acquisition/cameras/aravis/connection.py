@@ -81,7 +81,7 @@ class Connection:
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
     def configure(self, share: PortShare) -> None:
-        """Write all settings and read them back. A GigE camera also gets packet size and packet delay.
+        """Write all settings and read them back. For a GigE camera, also set packet size and packet delay.
 
         Raises:
             DeviceError: the camera refuses or ignores a setting, or its frames have another size than the slots.
@@ -104,7 +104,7 @@ class Connection:
             )
 
     def start(self, on_slot: Callable[[SlotResult], None], share: PortShare) -> None:
-        """Create the stream and start the acquisition. `on_slot` is called when a frame has ended in a slot.
+        """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot.
 
         Raises:
             DeviceError: the stream cannot be created.
@@ -135,7 +135,7 @@ class Connection:
         return {} if stream is None else stream.counters()
 
     def traffic(self) -> int:
-        """Return the sum of the stream's counters. It grows with everything that the camera sends."""
+        """Return the sum of the stream's counters. It increases with each packet that the camera sends."""
         return sum(self.counters().values())
 
     def read_clock(self, epoch_ns: int) -> ClockReading:
@@ -157,7 +157,7 @@ class Connection:
         return not self.is_gige or bool(self._camera.get_device().is_controller())
 
     def warning(self, share: PortShare) -> str:
-        """Return a text that warns of a cause of lost frames under load; an empty text if there is no such cause."""
+        """Return a warning if the set-up can lose frames under load, with its cause; an empty text if it cannot."""
         if not self.is_gige:
             found = version()
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."

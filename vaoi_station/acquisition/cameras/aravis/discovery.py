@@ -1,4 +1,4 @@
-"""Find and open cameras by address or serial number; the first camera found is never taken without this check."""
+"""Find and open a camera by its address or serial number. The code never takes just any camera that replies."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FoundDevice:
 
 
 def search() -> tuple[FoundDevice, ...]:
-    """Return all cameras that reply now. The search takes about two seconds."""
+    """Return all cameras that reply to a search now. The search takes about two seconds."""
     library = aravis()
     library.update_device_list()
     listed = range(library.get_n_devices())
@@ -97,7 +97,7 @@ def require_reply(config: CameraConfig, address: str) -> None:
 
 
 def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
-    """Return the error for a camera that does not reply at its address; `why` gives the cause in brackets."""
+    """Return the error for a camera that does not reply at its address. `why` is the cause, a text in brackets."""
     return DeviceError(
         f"{config.label}: there is no camera at {address} ({why}).",
         action="Check its cable, its power and its address in station.toml.",

@@ -1,4 +1,4 @@
-"""Send requests of the GigE Vision control protocol (GVCP) directly, those that need no control of the camera.
+"""Send the GVCP requests (GigE Vision control protocol) that are permitted without control of the camera.
 
 Aravis tries an absent camera five times for 0.5 s and holds its lock during this time, and it lists only one of two
 cameras with the same name. So this module sends three requests without Aravis: READREG of the protocol version
@@ -37,7 +37,7 @@ _ids = count(1)
 
 
 class Control(Enum):
-    """State of a camera's control channel, as the camera reports it: whether an application controls the camera."""
+    """Whether an application controls a camera, as the camera itself reports it (control channel privilege)."""
 
     ABSENT = "absent"
     """The camera does not reply."""

@@ -68,7 +68,7 @@ def version() -> tuple[int, int, int]:
 
 
 def _gi() -> Any:
-    """Import the package `gi` from this environment; if it has none, from the distribution's directory."""
+    """Import the package `gi` from this environment; if it is not there, from the distribution's directory."""
     if "gi" in sys.modules or importlib.util.find_spec("gi") is not None:
         import gi
 

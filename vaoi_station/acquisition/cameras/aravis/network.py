@@ -33,7 +33,7 @@ _SIOCGIFADDR, _SIOCGIFNETMASK = 0x8915, 0x891B
 
 @dataclass(frozen=True)
 class PacketLimits:
-    """A camera's limits of the packet size, in bytes."""
+    """The smallest and largest packet size that a camera accepts, and the step between sizes, in bytes."""
 
     smallest: int
     largest: int
@@ -114,7 +114,7 @@ def check_budget(port: str, payloads: list[int], packet: int, link_mbit_s: float
 
 
 def mtu_to(address: str) -> int:
-    """Return the MTU (largest packet, bytes) that this computer uses on its route to an address."""
+    """Return the MTU (size of the largest packet, in bytes) on the network route from this computer to an address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect((address, CONTROL_PORT))
         return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)

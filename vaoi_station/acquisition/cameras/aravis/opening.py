@@ -1,4 +1,4 @@
-"""Open all cameras of a station, configure them for the ports they share, and check that they wait for the trigger."""
+"""Open all cameras of a station, set them up for the ports that they share, and check that they await the trigger."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def error_text(error: Exception) -> str:
 
 
 def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Setting]:
-    """Pass on settings from a generator, and turn GLib errors inside the generator into DeviceErrors."""
+    """Yield settings from a generator; turn each GLib error that the generator raises into a DeviceError."""
     try:
         yield from settings
     except glib_error() as error:
@@ -185,7 +185,7 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
 
 
 def feature_setting(device: Any, feature: str, value: Value) -> Setting:
-    """Return a setting for a feature given by its GenICam name. A float feature also accepts a whole number."""
+    """Return the setting of a feature, given by its GenICam name. A float feature also accepts a whole number."""
     if type(value) is int and isinstance(device.get_feature(feature), aravis().GcFloat):
         value = float(value)
     kind = _KINDS[type(value)]

@@ -82,7 +82,7 @@ class SlotStream:
         self._thread.start()
 
     def queue(self, slot: Slot) -> None:
-        """Give a slot's memory to the stream. Frames fill slots in the order in which the slots were queued."""
+        """Give a slot's memory to the stream. Frames fill slots in the order in which the slots were given."""
         buffer = aravis().Buffer.new(slot.memory.nbytes, slot.memory.ctypes.data)
         with self._lock:
             # The hash of a PyGObject is its C pointer, and a popped buffer may have a new Python wrapper.

@@ -14,14 +14,14 @@ _WRAP = 1 << 32
 
 
 class TickClock:
-    """The clock fit of one boot of the controller, from replies to CLOCK."""
+    """The fit of the controller's clock, from one reset of the controller to the next."""
 
     def __init__(self, name: str = "controller") -> None:
         self.model = ClockModel(name)
         self._known = False
 
     def add(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
-        """Add a reply: its tick was read between the first sending of the request and the arrival of the reply."""
+        """Add a reply to CLOCK. Its tick was read at a host time between `sent_s` (first request) and `received_s`."""
         # The midpoint is used, with half the round trip as bound: the split of the delay between both ways is unknown.
         host_s = (sent_s + received_s) / 2
         reading = ClockReading(self.device_s(tick, host_s), host_s, (received_s - sent_s) / 2)
@@ -30,7 +30,7 @@ class TickClock:
         return reading
 
     def device_s(self, tick: int, near_host_s: float) -> float:
-        """Return seconds since the controller's boot for a tick within 17 minutes of a host time."""
+        """Return seconds since the controller's reset, for a tick that occurred within 17 minutes of a host time."""
         # Before the first reading there is nothing to count wraps from. Any origin will do: the fit finds the offset.
         if not self._known:
             return tick * TICK_S

@@ -1,4 +1,4 @@
-"""Restores the order of events: each is passed on once, by number, despite loss and repetition on the serial port."""
+"""Restore the order of events: pass each on once, by its number, although the port may lose or repeat events."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from vaoi_station.acquisition.controller.protocol.messages import Event
 
 
 class EventOrder:
-    """A reorder buffer for the events of one boot of the controller."""
+    """A buffer that restores the order of the controller's events, from one reset of the controller to the next."""
 
     def __init__(self) -> None:
         self.next_number = 0
@@ -16,22 +16,25 @@ class EventOrder:
         """All events before this number have occurred."""
 
     def add(self, event: Event) -> list[Event]:
-        """Add an event; return all events that are now complete in order: none if it is a repeat or comes too early."""
+        """Add an event, and return the events that can be passed on now, in order.
+
+        Return none if the event is a repeat, or if an earlier event is missing.
+        """
         if event.number >= self.next_number:
             self._early[event.number] = event
             self.announce(event.number + 1)
         return self._release()
 
     def announce(self, count: int) -> None:
-        """Take note that the controller has numbered `count` events."""
+        """Record that the controller has numbered `count` events so far, so that lost events are noticed."""
         self._announced = max(self._announced, count)
 
     def missing(self) -> int | None:
-        """Return the number of the next event if it was lost and must be read again; None if no event was lost."""
+        """Return the number of the next event if it was lost and must be read again; None if no event is missing."""
         return self.next_number if self.next_number < self._announced else None
 
     def skip_to(self, number: int) -> tuple[int, list[Event]]:
-        """Give up events before `number` that have not arrived; return their count and the events now complete."""
+        """Give up the missing events before `number`. Return their count, and the events that can be passed on now."""
         lost = sum(k not in self._early for k in range(self.next_number, number))
         # Events that arrived early are not lost: they are passed on before those that follow the gap.
         waiting = [self._early.pop(k) for k in sorted(self._early) if k < number]

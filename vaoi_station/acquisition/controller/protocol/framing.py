@@ -32,7 +32,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(frame: bytes) -> Message | None:
-    """Return the message of a frame without its delimiter; None if the frame is damaged."""
+    """Return the message in a frame without its delimiter; None if the frame is damaged."""
     # The length is checked first: the firmware has no longer frames, and noise may be of any length.
     content = uncob(frame) if len(frame) <= _CONTENT_LONGEST + 1 else None
     if content is None or len(content) < 4 or crc16(content[:-2]) != int.from_bytes(content[-2:], "little"):
@@ -49,7 +49,7 @@ class FrameReader:
         """Count of damaged frames."""
 
     def feed(self, data: bytes) -> list[Message]:
-        """Return the messages that these bytes complete."""
+        """Process received bytes, and return the messages that are complete with them."""
         self._bytes += data
         *frames, rest = self._bytes.split(b"\0")
         # Noise without zeros must not fill the memory. What is kept of it is still too long for a frame.
@@ -60,18 +60,18 @@ class FrameReader:
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected."""
+    """Return the checksum CRC-16/CCITT-FALSE: polynomial 0x1021, start value 0xFFFF, bits not reflected."""
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def cobs(content: bytes) -> bytes:
-    """Encode at most 253 bytes so that no zero occurs."""
+    """Encode at most 253 bytes by COBS, so that the result contains no zero byte."""
     # Blocks of 254 bytes without a zero, which COBS treats specially, cannot occur in so short a content.
     return b"".join(bytes([len(part) + 1]) + part for part in content.split(b"\0"))
 
 
 def uncob(frame: bytes) -> bytes | None:
-    """Decode a frame; return None if a code points beyond the frame's end, or if the frame contains a zero."""
+    """Decode a COBS frame. Return None if the frame is damaged: a code points beyond its end, or it contains a zero."""
     parts: list[bytes] = []
     at = 0
     while at < len(frame):

@@ -35,7 +35,7 @@ HEARTBEAT_S = 0.25
 
 @dataclass(frozen=True)
 class Replied:
-    """A request that was carried out between its first sending and its reply."""
+    """A request that the controller carried out, at a time between its first sending and its reply."""
 
     request: Request
     payload: bytes
@@ -53,7 +53,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Unanswered:
-    """A request whose outcome is unknown: no transmission had a reply, or the controller was reset.
+    """A request without a known outcome: no transmission had a reply, or the controller was reset.
 
     It may also be a request that the link made itself, such as BEAT; the controller does not reply then either.
     """
@@ -63,21 +63,21 @@ class Unanswered:
 
 @dataclass(frozen=True)
 class EventReceived:
-    """The next event of the controller, in order of number."""
+    """The next event of the controller. Events are passed on in the order of their numbers."""
 
     event: Event
 
 
 @dataclass(frozen=True)
 class EventsLost:
-    """Events that the controller overwrote before they could be read; `count` is their number."""
+    """A number (`count`) of events that the controller overwrote in its memory before they could be read."""
 
     count: int
 
 
 @dataclass(frozen=True)
 class Restarted:
-    """A reset of the controller since its last message; it has lost its configuration."""
+    """A reset of the controller since its last message. The controller has lost its configuration."""
 
     boots: int
 
@@ -100,7 +100,7 @@ class _Pending:
 
 
 class Link:
-    """The state machine: takes received bytes and the time, returns bytes to send and notifications."""
+    """The state machine of a serial link: it takes received bytes and the time, and returns bytes and notifications."""
 
     def __init__(self, *, heartbeat: bool = False, first_sequence: int = 0) -> None:
         self.heartbeat = heartbeat
@@ -133,12 +133,12 @@ class Link:
 
     @property
     def up_to_date(self) -> bool:
-        """Whether every event that is known to have occurred has been passed on."""
+        """Whether all events that the controller is known to have numbered were passed on."""
         return not self._out_of_sync and self._order.missing() is None
 
     @property
     def status_is_outdated(self) -> bool:
-        """Whether an event was passed on that occurred after the newest status."""
+        """Whether an event was passed on that is newer than the newest status."""
         return self.status is not None and self._order.next_number > self.status.events_next
 
     def request(self, request: Request) -> None:
@@ -151,12 +151,12 @@ class Link:
         self._pending, self._yielding = None, False
 
     def skip_history(self) -> None:
-        """Discard the events up to the newest status, which belong to an earlier process."""
+        """Discard the events before the newest status. They belong to a process that used the controller earlier."""
         if self.status is not None:
             self._order.skip_to(self.status.events_next)
 
     def outgoing(self, now_s: float) -> bytes:
-        """Return the bytes to send now: the next request, the pending one again, or nothing."""
+        """Return the bytes to send now: the next request, a repetition of the pending one, or no bytes."""
         if self._pending is None:
             self._pending = self._next_request(now_s)
             if self._pending is None:
@@ -171,7 +171,7 @@ class Link:
         return encode(Message(self._pending.request.type, self._pending.sequence, self._pending.request.payload))
 
     def receive(self, data: bytes, now_s: float) -> list[Notification]:
-        """Process received bytes; call it also without bytes, so that overdue replies are noticed."""
+        """Process received bytes. It is also called without bytes, so that missing replies are noticed."""
         news = [item for message in self._reader.feed(data) for item in self._on_message(message, now_s)]
         pending = self._pending
         if pending is not None and pending.tries >= MAX_TRIES and now_s - pending.last_s >= RETRY_S:
@@ -181,7 +181,7 @@ class Link:
         return news
 
     def _next_request(self, now_s: float) -> _Pending | None:
-        """Take the next request. The link's internal requests come first, except once after one had no reply."""
+        """Choose the next request. The link's internal requests come first, except after one that had no reply."""
         # Giving up takes longer than the interval of the heartbeat, so the next one is always due. Without this rule a
         # silent controller would be sent nothing but BEAT, and no caller would ever get an outcome.
         own = None if self._yielding and self._queue else self._own_request(now_s)
@@ -196,7 +196,7 @@ class Link:
         return None
 
     def _own_request(self, now_s: float) -> _Pending | None:
-        """Make the most urgent internal request: a heartbeat, STATUS, or READ_EVENT for a lost event."""
+        """Make the most urgent internal request: a heartbeat (BEAT), STATUS, or READ_EVENT for a lost event."""
         # The heartbeat goes first, because the controller switches everything off without it.
         if self.heartbeat and now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_S
@@ -237,7 +237,7 @@ class Link:
         return news
 
     def _on_event(self, message: Message) -> list[Notification]:
-        """Put an event in order; the sequence number of its message is the low byte of the boot counter."""
+        """Add an event to the order of events. Its sequence number is the low byte of the controller's boot counter."""
         try:
             event = Event.unpack(message.payload)
         except ValueError:
@@ -282,7 +282,7 @@ class Link:
         return []
 
     def _on_boot_count(self, boots: int) -> list[Notification]:
-        """Compare the boot counter; after a reset, return all queued requests as unanswered."""
+        """Compare the boot counter with the last one. After a reset, return all queued requests as unanswered."""
         if self.boots == boots:
             return []
         # Queued requests were meant for the configuration before the reset. Their callers decide what to do.

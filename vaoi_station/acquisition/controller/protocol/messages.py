@@ -1,4 +1,4 @@
-"""The structs of the protocol, version 1.0: little-endian, packed; ticks of 0.5 µs.
+"""The binary messages of the protocol, version 1.0: little-endian, without padding, in ticks of 0.5 µs.
 
 `hw/firmware/logic/link/protocol.h` defines the same structs in C. `hw/protocol_vectors.json` has examples that both
 must encode to the same bytes.
@@ -42,7 +42,7 @@ class Type(IntEnum):
 
 
 class Reason(IntEnum):
-    """The reason of a refusal."""
+    """The reason for which the controller refuses a request."""
 
     UNKNOWN = 1
     LENGTH = 2
@@ -65,7 +65,7 @@ class State(IntEnum):
 
 
 class Fault(IntEnum):
-    """The cause of the safe state."""
+    """The fault for which the controller went into its safe state."""
 
     NONE = 0
     HEARTBEAT = 1
@@ -74,7 +74,7 @@ class Fault(IntEnum):
 
 
 class Pacing(IntEnum):
-    """The quantity that sets the spacing of rows: time or belt distance."""
+    """The quantity that sets the distance of two rows: a time, or a distance of the belt."""
 
     TIME = 0
     DISTANCE = 1
@@ -92,7 +92,7 @@ class Kind(IntEnum):
 
 
 class Suppressed(IntEnum):
-    """The reason why a run or a pulse was left out."""
+    """The reason why a run was not started, or a pulse was not fired."""
 
     BOUNCE = 1
     GAP = 2
@@ -115,7 +115,7 @@ S = TypeVar("S", bound="_Wire")
 
 @dataclass(frozen=True)
 class _Wire:
-    """The base class of the protocol's structs; it converts them to bytes and back."""
+    """Base class of the protocol's messages. It converts them to bytes and back."""
 
     LAYOUT: ClassVar[Struct]
     GROWS: ClassVar[bool] = False
@@ -136,7 +136,7 @@ class _Wire:
 
 @dataclass(frozen=True)
 class Timing(_Wire):
-    """The timing of rows; delay, period and tail are ticks, or encoder counts if paced by distance."""
+    """The timing of the rows. Delay, period and tail are ticks or, if the belt sets the spacing, encoder counts."""
 
     LAYOUT = Struct("<BBHIIIIIIH")
     pacing: int
@@ -162,7 +162,7 @@ class Step(_Wire):
 
 @dataclass(frozen=True)
 class Ident(_Wire):
-    """The controller's identity, versions and limits."""
+    """The identity of the controller, the versions of its hardware and firmware, and its limits."""
 
     LAYOUT = Struct("<8BII8s8sHH4HHBB")
     GROWS = True
@@ -230,7 +230,7 @@ class Event(_Wire):
 
 @dataclass(frozen=True)
 class ClockReply(_Wire):
-    """The tick at which the controller answered CLOCK."""
+    """The tick that the controller's counter showed when it replied to CLOCK."""
 
     LAYOUT = Struct("<II")
     nonce: int
@@ -239,7 +239,7 @@ class ClockReply(_Wire):
 
 @dataclass(frozen=True)
 class Nak(_Wire):
-    """A refusal: the request's type, reason, field and nearest allowed value."""
+    """A refusal: type of the refused request, reason, number of the field, and nearest allowed value."""
 
     LAYOUT = Struct("<BBBxI")
     request: int
@@ -257,32 +257,35 @@ class Request:
 
 
 def set_step(index: int, step: Step) -> Request:
-    """Return the request that sets one step of the program."""
+    """Return the request that sets step number `index` of the light program."""
     return Request(Type.STEP, bytes([index]) + step.pack())
 
 
 def number_request(kind: Type, number: int) -> Request:
-    """Return a request whose payload is one number: CLOCK, COMMIT, READ_EVENT or ACK_EVENTS."""
+    """Return a request whose content is one number: CLOCK, COMMIT, READ_EVENT or ACK_EVENTS."""
     return Request(kind, number.to_bytes(4, "little"))
 
 
 def arm(run: int, config_crc: int) -> Request:
-    """Return the ARM request; the controller refuses it if its configuration has another checksum."""
+    """Return the request to arm. The controller refuses it if its configuration has another checksum."""
     return Request(Type.ARM, run.to_bytes(2, "little") + config_crc.to_bytes(4, "little"))
 
 
 def fire_one(nonce: int, step: Step, trigger_width: int) -> Request:
-    """Return the request for one pulse without a row; the controller fires only once for repeats of one nonce."""
+    """Return the request for one pulse that belongs to no row.
+
+    The controller fires once for each value of `nonce`, even if the request is repeated.
+    """
     return Request(Type.FIRE_ONE, nonce.to_bytes(2, "little") + step.pack() + trigger_width.to_bytes(2, "little"))
 
 
 def config_crc(timing: Timing, steps: Sequence[Step]) -> int:
-    """Return the CRC-32 (that of zlib) of the timing and its steps, as they are sent."""
+    """Return the checksum (CRC-32 as in zlib) of the timing and the steps, computed from the bytes that are sent."""
     return zlib.crc32(b"".join([timing.pack(), *(step.pack() for step in steps)]))
 
 
 def configuration(timing: Timing, steps: Sequence[Step]) -> list[Request]:
-    """Return all requests that activate a configuration; ValueError if the number of steps differs."""
+    """Return all requests that set and activate a configuration; ValueError if there are too many or too few steps."""
     if timing.steps != len(steps):
         raise ValueError(f"timing.steps is {timing.steps}, but there are {len(steps)} steps")
     # COMMIT comes last: until then the firmware keeps its old configuration, so a half sent one has no effect.

@@ -1,4 +1,4 @@
-"""Checks of the controller's identity, and texts for its refusals."""
+"""Check the controller's identity, and describe its refusals as sentences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FIRST_STEP = 16
 
 
 def check_ident(payload: bytes) -> Ident:
-    """Read the reply to IDENT; raise DeviceError if the device is not our controller or its firmware is too old."""
+    """Read the reply to IDENT. Raise DeviceError for any other device, and for firmware that is too old."""
     # The first two bytes are the protocol's version in every version of the protocol; the rest may differ.
     if payload[:1] != bytes([VERSION[0]]):
         spoken = ".".join(str(number) for number in payload[:2])

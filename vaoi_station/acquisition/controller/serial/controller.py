@@ -1,4 +1,4 @@
-"""The controller at a serial port: one thread uses the port; other threads pass jobs to it."""
+"""The controller at a serial port. One thread uses the port; other threads give it jobs through a queue."""
 
 from __future__ import annotations
 
@@ -25,12 +25,16 @@ PACE = BackoffPolicy(first_s=0.1, longest_s=1.0, proven_s=5.0)
 
 
 def open_serial_controller(config: StationConfig) -> SerialController:
-    """Open the controller of `[controller]`; DeviceError gives the reason if it cannot be used."""
+    """Open the controller of `[controller]` in station.toml.
+
+    Raises:
+        DeviceError: the controller cannot be used; the message has the reason.
+    """
     return SerialController(config.controller)
 
 
 class SerialController:
-    """A `Controller` at a serial port; the constructor opens, identifies and disarms it."""
+    """A `Controller` at a serial port. The constructor opens the port, identifies the controller and disarms it."""
 
     def __init__(self, config: ControllerConfig) -> None:
         self._waker = Waker()
@@ -59,7 +63,7 @@ class SerialController:
         self._do(lambda: self._supervisor.arm(plan))
 
     def disarm(self) -> None:
-        """Ignore the barrier; a controller that is not reachable is disarmed when it is back."""
+        """Ignore the barrier. A controller that cannot be reached now is disarmed as soon as it replies again."""
         supervisor = self._supervisor
         with supervisor.lock:
             supervisor.guard_tripped = False
@@ -98,7 +102,7 @@ class SerialController:
 
     @property
     def clock_bound_s(self) -> float:
-        """Largest error of the clock fit."""
+        """The largest error of the clock fit at this moment, in s."""
         return self._supervisor.timebase.bound_s()
 
     def close(self) -> None:
@@ -112,7 +116,7 @@ class SerialController:
         self._release()
 
     def _do(self, job: Callable[[], T]) -> T:
-        """Let the controller's thread do a job; raise DeviceError at once while the controller is not reachable."""
+        """Let the controller's thread do a job, and wait for it. Raise DeviceError at once if it is not reachable."""
         if self._thread is None:
             return job()
         with self._supervisor.lock:
@@ -150,7 +154,7 @@ class SerialController:
                 self._closing.wait(self._backoff.record_failure())
 
     def _serve(self) -> None:
-        """Carry out jobs and receive events until the connection fails."""
+        """Do jobs and receive events, in the controller's thread, until the connection fails."""
         self._broken = None
         while not self._closing.is_set():
             try:
@@ -163,7 +167,7 @@ class SerialController:
                     raise self._broken
 
     def _try(self, job: Callable[[], T]) -> T:
-        """Run a job; a failure of the connection in it also ends `_serve`."""
+        """Do a job, and set its outcome. If the connection fails during the job, `_serve` ends too."""
         try:
             return job()
         # A refusal is a valid reply, so the connection works.
@@ -174,7 +178,7 @@ class SerialController:
             raise
 
     def _fail_jobs(self, error: DeviceError) -> None:
-        """Refuse jobs from now on, and fail those that wait."""
+        """Refuse all jobs from now on with this error, and end the waiting jobs with it."""
         self._supervisor.mark_lost(error)
         while True:
             try:

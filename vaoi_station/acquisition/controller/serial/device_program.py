@@ -1,4 +1,4 @@
-"""Translation of a trigger plan and the lights of station.toml into the firmware's configuration.
+"""Translate a trigger plan, and the lights of station.toml, into the firmware's configuration.
 
 Values beyond the firmware's limits are refused here, in the units of `station.toml`. A refusal by the firmware itself
 is translated back into these units.
@@ -47,7 +47,7 @@ _LARGEST = {2: 0xFFFF, 9: 0xFFFF}
 
 @dataclass(frozen=True)
 class DeviceProgram:
-    """A configuration of the firmware, and the names of the lights of its steps."""
+    """A configuration of the firmware, with the name of the light that each of its steps belongs to."""
 
     timing: Timing
     steps: tuple[Step, ...]
@@ -55,7 +55,7 @@ class DeviceProgram:
 
     @property
     def crc(self) -> int:
-        """Checksum by which the firmware identifies the configuration."""
+        """The checksum by which the firmware identifies this configuration."""
         return config_crc(self.timing, self.steps)
 
     def light(self, row: int) -> str:
@@ -64,7 +64,11 @@ class DeviceProgram:
 
 
 def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
-    """Make the configuration for a plan; raise InputError if a light is unknown or beyond the firmware limits."""
+    """Translate a plan.
+
+    Raises:
+        InputError: a light is unknown, or a value is beyond the firmware's limits.
+    """
     lights = tuple(plan.lights) or config.light_sequence
     if len(lights) > ident.program_steps:
         limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
@@ -87,7 +91,10 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
 
 
 def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None) -> Step:
-    """Make the step of a light; raise InputError if it exceeds the firmware's limits.
+    """Translate a light into a step of the firmware.
+
+    The limit of the duty cycle is checked only if `period_s` is given.
+    Raises InputError if a value is beyond the firmware's limits.
 
     The limit of the duty cycle is checked only if `period_s` is given.
     """
@@ -114,7 +121,7 @@ def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: floa
 
 
 def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
-    """Translate a refused COMMIT into the terms of `station.toml`; None if none of its values caused the refusal."""
+    """Translate a refused COMMIT into the terms of `station.toml`. Return None if no value of that file caused it."""
     if nak.request != Type.COMMIT:
         return None
     if nak.reason == Reason.RANGE and nak.field in _FIELDS:

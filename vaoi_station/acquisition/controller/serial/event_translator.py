@@ -1,4 +1,4 @@
-"""Translation of the firmware's events into those of the controller's interface, numbered by the host."""
+"""Translate the firmware's events into those of the controller's interface, with numbers that the host assigns."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _FAULTS: dict[int, tuple[str, str]] = {
 
 
 class EventTranslator:
-    """Translates events in order; keeps track of the run under way, so that every run that begins also ends."""
+    """Translator of events, in their order. It follows the run under way, so that each run that begins also ends."""
 
     def __init__(self) -> None:
         self._put: Callable[[ControllerEvent | DeviceFault], None] | None = None
@@ -69,11 +69,11 @@ class EventTranslator:
         return self._running
 
     def start(self, put: Callable[[ControllerEvent | DeviceFault], None]) -> None:
-        """Pass events on to `put` from now on; earlier ones were dropped."""
+        """Pass events to `put` from now on. Events before this call are dropped."""
         self._put = put
 
     def set_lights(self, light: Callable[[int], str], single: str) -> None:
-        """Set the names of the lights of rows and of single pulses."""
+        """Set the names of the lights: those of the rows, and the one of single pulses."""
         self._light, self._single_light = light, single
 
     def translate(self, event: Event, time_s: float) -> None:
@@ -94,7 +94,7 @@ class EventTranslator:
             self.report_fault(DeviceError(message, action=action, code="controller-safe"))
 
     def end(self, reason: str) -> bool:
-        """End the run under way, because its end will not be reported; return False if no run is under way."""
+        """End the run under way, whose end the controller will not report. Return False if no run is under way."""
         if not self._running:
             return False
         self._end(self._time_s, self._rows, reason)

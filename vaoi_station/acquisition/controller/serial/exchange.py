@@ -1,4 +1,4 @@
-"""Requests and replies over one serial port: drives the protocol's `Link` while a caller waits for a reply."""
+"""Exchange requests and replies over one serial port: run the protocol's `Link` while a caller awaits a reply."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ IDENTIFY_S = 4.0
 
 
 class SilentError(DeviceError):
-    """A port that exists, but where no controller replies."""
+    """The serial port exists, but no controller replies there."""
 
     code = "controller-silent"
 
 
 class PortLostError(DeviceError):
-    """A port that has disappeared while it was open."""
+    """The serial port disappeared while it was open."""
 
     code = "port-lost"
 
 
 class ResetError(DeviceError):
-    """A reset of the controller, which has lost its configuration."""
+    """The controller was reset, and has lost its configuration."""
 
     code = "controller-reset"
 
 
 class RefusalError(DeviceError):
-    """A request that the controller refused."""
+    """The controller refused the request."""
 
     code = "controller-refused"
 
@@ -53,7 +53,7 @@ class RefusalError(DeviceError):
 
     @classmethod
     def of(cls, nak: Nak) -> RefusalError:
-        """Make the error of a refusal."""
+        """Return the error that describes a refusal (NAK message) of the controller."""
         error = cls(describe(nak), action="Check [line] and [controller] in station.toml.")
         error.nak = nak
         return error
@@ -64,7 +64,10 @@ OnNotification = Callable[[EventReceived | EventsLost, float], None]
 
 
 class Exchange:
-    """Sends requests over one open port and waits for their replies; for one thread. The link outlives the port."""
+    """Sends requests over one open port and waits for the replies. Used by one thread.
+
+    The protocol's `link` is kept when the port is closed and opened again.
+    """
 
     def __init__(self, port: Port, link: Link, on_notification: OnNotification, name: str) -> None:
         self.port, self.link, self._on_notification, self._name = port, link, on_notification, name
@@ -73,7 +76,7 @@ class Exchange:
 
     @property
     def silence_s(self) -> float:
-        """Time since the last valid message."""
+        """Time since the last valid message of the controller, in s."""
         return time.monotonic() - self._last_message_s
 
     def request(self, request: Request) -> Replied:
@@ -94,7 +97,7 @@ class Exchange:
                     raise RefusalError.of(item.nak)
 
     def read_status(self) -> Status:
-        """Read the present status, after all events up to it have been passed on."""
+        """Read the present status. All events that occurred before it are passed on first."""
         self.request(Request(Type.STATUS))
         while not self.link.up_to_date:
             self.poll()
@@ -103,7 +106,7 @@ class Exchange:
         return self.link.status
 
     def poll(self) -> list[Notification]:
-        """Send what is due and process what arrives within `POLL_S`.
+        """Send what is due, and process what arrives within `POLL_S`.
 
         Raises:
             SilentError: a request had no reply; this may be a heartbeat, which no caller requested.
@@ -144,7 +147,11 @@ class Exchange:
         return news
 
     def identify(self) -> bytes:
-        """Request IDENT until the controller replies; return the payload, or raise DeviceError."""
+        """Request IDENT until the controller replies, and return the content of the reply.
+
+        Raises:
+            DeviceError: the controller does not reply in time.
+        """
         give_up_s = time.monotonic() + IDENTIFY_S
         while time.monotonic() < give_up_s:
             try:

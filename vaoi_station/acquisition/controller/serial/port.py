@@ -1,4 +1,4 @@
-"""A serial port: opened exclusively, read by one thread that others can wake, closed without resetting the board.
+"""A serial port: one thread reads, other threads can wake it. The controller is not reset when the port is closed.
 
 pyserial only opens and configures the port. Reading and writing go through the descriptor, so that one `poll` waits for
 bytes and for a wake-up.
@@ -23,19 +23,19 @@ _CONTROL_FLAGS = 2
 
 
 class Waker:
-    """Ends the present or next `Port.read` from another thread; a pipe, because `poll` can wait for it."""
+    """A pipe by which another thread ends the present, or the next, `Port.read`. `poll` can wait for a pipe."""
 
     def __init__(self) -> None:
         self.handle, self._write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def wake(self) -> None:
-        """End the present or next read; callable from any thread."""
+        """End the present read, or the next one. Any thread may call this method."""
         # A full pipe wakes the reader too.
         with contextlib.suppress(BlockingIOError):
             os.write(self._write_end, b"\0")
 
     def clear(self) -> None:
-        """Empty the pipe after a wake-up."""
+        """Remove the wake-ups from the pipe, after a read has ended."""
         with contextlib.suppress(BlockingIOError):
             os.read(self.handle, 4096)
 
@@ -46,10 +46,14 @@ class Waker:
 
 
 class Port:
-    """An open serial port; OSError from any method means that the device has gone."""
+    """An open serial port. Its methods raise OSError if the device has disappeared."""
 
     def __init__(self, name: str, baud: int, waker: Waker) -> None:
-        """Open a port; if that fails, raise DeviceError with the reason and the action."""
+        """Open a port.
+
+        Raises:
+            DeviceError: the port cannot be opened; the error has the reason and the action.
+        """
         try:
             self._serial = serial.Serial(name, baud, exclusive=True)
             _keep_dtr(self._serial.fileno())
@@ -64,7 +68,7 @@ class Port:
         """Count of bytes received since the port was opened."""
 
     def read(self, wait_s: float) -> bytes:
-        """Return the bytes that have arrived; empty after `wait_s`, or when woken."""
+        """Return the bytes that have arrived. Return none if `wait_s` passes, or if another thread wakes the read."""
         ready = {handle for handle, _ in self._incoming.poll(wait_s * 1000)}
         if self._waker.handle in ready:
             self._waker.clear()
@@ -78,7 +82,7 @@ class Port:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all bytes."""
+        """Send all of these bytes."""
         # Not pyserial's write: it measures its timeout over the whole call, so a process that was stopped (SIGSTOP)
         # within it would find a stuck port.
         while data:
@@ -93,7 +97,7 @@ class Port:
 
 
 def _keep_dtr(handle: int) -> None:
-    """Keep DTR up when the port is closed."""
+    """Keep the signal DTR set when the port is closed, because some boards reset when it changes."""
     # An edge of DTR resets boards like the Arduino Nano (pyserial #124, grbl #160). The kernel drops it at the last
     # close if HUPCL is set.
     flags = termios.tcgetattr(handle)

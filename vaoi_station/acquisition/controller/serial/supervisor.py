@@ -1,4 +1,4 @@
-"""Keeps the controller in the wanted state and restores it after failures, all in one thread.
+"""Keep the controller in the wanted state, and restore this state after failures. One thread does all of it.
 
 What has to be done follows from the controller's own status, never from what the host remembers of it: a reset or
 another process may have changed it.
@@ -101,7 +101,7 @@ class Supervisor:
     # --- connecting and disconnecting
 
     def connect(self) -> None:
-        """Open the port if it is closed; identify the controller, fit its clock, and bring it into the wanted state."""
+        """Open the port if it is closed, identify the controller, fit its clock, and set the wanted state."""
         if self._exchange is None:
             port = Port(self._config.port, self._config.baud, self._waker)
             self._exchange = Exchange(port, self.link, self._on_notification, self._config.port)
@@ -119,7 +119,7 @@ class Supervisor:
                     return
 
     def mark_lost(self, error: DeviceError) -> None:
-        """Refuse requests from now on, for this reason."""
+        """Refuse requests from now on. `error` is the reason."""
         self.link.drop_requests()
         with self.lock:
             self.unavailable = error
@@ -131,12 +131,12 @@ class Supervisor:
             exchange.port.close()
 
     def drop_arming(self) -> None:
-        """Set the wanted state to disarmed and end the run; the controller itself is disarmed at the next chance."""
+        """Set the wanted state to disarmed, and end the run. The controller is disarmed when it can be reached."""
         self.arming = None
         self.translator.end("disarmed")
 
     def _start_timebase(self, exchange: Exchange) -> None:
-        """Begin the clock fit of a new boot; skip the events of an earlier process."""
+        """Begin the clock fit after a reset of the controller. Skip the events of a process that used it earlier."""
         if self._boots is None:
             exchange.request(Request(Type.STATUS))
             self.link.skip_history()
@@ -148,7 +148,7 @@ class Supervisor:
             self.publish_reading(self.read_clock())
 
     def _apply(self, arming: Arming | None) -> None:
-        """Bring the controller into the wanted state if it is not."""
+        """Bring the controller into the wanted state, unless it is already in it."""
         exchange = self._exchange_or_error()
         status = exchange.read_status()
         self.link.heartbeat = arming is not None
@@ -170,7 +170,7 @@ class Supervisor:
         exchange.request(arm(arming.number, program.crc))
 
     def _report_reset(self) -> None:
-        """Report a reset with its cause and its effect; pulses that were fired stay in the run."""
+        """Report a reset with its cause and its effect. The run keeps the pulses that were fired before the reset."""
         causes = [words for bit, words in _RESET_CAUSES.items() if self.ident.reset_cause & bit]
         with self.lock:
             cost = (
@@ -192,7 +192,7 @@ class Supervisor:
     # --- requests
 
     def arm(self, plan: TriggerPlan) -> None:
-        """See `Controller.arm`."""
+        """Arm the controller; see `Controller.arm`."""
         program = make_program(plan, self._config, self.ident)
         self._number = (self._number + 1) % 0x10000
         # A new number for each arming: after a reconnection the status shows whether the firmware is still in this one.
@@ -209,7 +209,7 @@ class Supervisor:
         self._checked_status = exchange.read_status()
 
     def disarm(self) -> None:
-        """See `Controller.disarm`."""
+        """Disarm the controller; see `Controller.disarm`."""
         exchange = self._exchange_or_error()
         exchange.request(Request(Type.DISARM))
         self._checked_status = exchange.read_status()
@@ -218,7 +218,7 @@ class Supervisor:
         self.link.heartbeat = False
 
     def fire_one(self) -> None:
-        """See `Controller.fire_one`."""
+        """Fire one pulse; see `Controller.fire_one`."""
         if self.arming is not None:
             raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
         name = next(iter(self._config.light_sequence), "")
@@ -235,14 +235,14 @@ class Supervisor:
             raise StateError(why, action="Fire again in a moment.") from refusal
 
     def read_clock(self) -> ClockReading:
-        """See `Controller.read_clock`."""
+        """Compare the controller's clock with the host's; see `Controller.read_clock`."""
         replied = self._exchange_or_error().request(number_request(Type.CLOCK, randrange(1 << 32)))
         return self.timebase.add_reply(ClockReply.unpack(replied.payload).tick, replied.sent_s, replied.received_s)
 
     # --- events
 
     def poll(self) -> None:
-        """Receive events for a moment, and restore the wanted state if the controller has left it."""
+        """Receive events for a moment. If the controller is not in the wanted state any more, restore the state."""
         exchange, before = self._exchange_or_error(), self.link.status
         exchange.poll()
         self._check_status()
@@ -268,7 +268,7 @@ class Supervisor:
             self.translator.translate(event, self.timebase.time_s(event.tick, now_s))
 
     def _check_status(self) -> None:
-        """Evaluate a new status: end a run whose end was lost; arm the controller again if it is not armed."""
+        """Evaluate a new status. End a run whose end was lost, and arm the controller again if it is not armed."""
         status = self.link.status
         # A status says something about the run only after all events before it, and none after it, were passed on.
         if status is None or status is self._checked_status or self.link.status_is_outdated or not self.link.up_to_date:

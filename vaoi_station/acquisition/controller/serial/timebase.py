@@ -1,4 +1,4 @@
-"""Seconds of the controller's clock across all its resets.
+"""One time axis, in s, for the controller's clock across all its resets.
 
 A reset sets the tick counter to 0. Each boot gets a separate interval on one time axis, far enough from the one
 before that a clock fit recognises the jump (`acquisition.clocks`).
@@ -19,7 +19,7 @@ REPLY_BYTES = 14
 
 
 class Timebase:
-    """Conversion of ticks to seconds, from replies to CLOCK."""
+    """Converter from the controller's ticks to seconds on the time axis, based on replies to CLOCK."""
 
     def __init__(self, baud: int) -> None:
         byte_s = BITS_PER_BYTE / baud
@@ -28,12 +28,12 @@ class Timebase:
         self._origin_s = self._latest_s = 0.0
 
     def restart(self) -> None:
-        """Begin the interval of a new boot."""
+        """Begin a new interval of the time axis after a reset of the controller."""
         self._clock = TickClock()
         self._origin_s = self._latest_s + BOOT_SPACING_S
 
     def add_reply(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
-        """Add a reply to CLOCK; return it as a reading of the common time axis."""
+        """Add a reply to CLOCK. Return it as a clock reading whose device time is on the time axis."""
         # The tick was read after the whole request had arrived and before the reply began, which narrows the bound.
         earliest_s, latest_s = sent_s + self._request_s, received_s - self._reply_s
         # A reply faster than the baud rate allows shows a pseudo terminal or native USB; byte times do not apply.
@@ -43,7 +43,7 @@ class Timebase:
         return ClockReading(self._at(reading.device_s), reading.host_s, reading.bound_s)
 
     def time_s(self, tick: int, near_host_s: float) -> float:
-        """Return the time on the axis of a tick within 17 minutes of a host time."""
+        """Return the time on the time axis, for a tick that occurred within 17 minutes of a host time."""
         return self._at(self._clock.device_s(tick, near_host_s))
 
     def drift_ppm(self) -> float:
