@@ -308,7 +308,7 @@ def read_config(path: Path) -> StationConfig:
 
 
 def _absolute(section: BaseModel, base: Path) -> dict[str, Any]:
-    """Return the paths of a table and of its nested tables, resolved from the directory of the file."""
+    """Return the paths of a table and of its nested tables as absolute paths; relative ones begin at folder `base`."""
     changed: dict[str, Any] = {}
     for key in type(section).model_fields:
         value = getattr(section, key)

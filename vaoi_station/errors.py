@@ -52,7 +52,7 @@ class InputError(VaoiError):
 
 
 class NotFoundError(VaoiError):
-    """The requested object does not exist."""
+    """The object that was requested does not exist."""
 
     code = "not-found"
     status = 404
@@ -73,7 +73,7 @@ class StateError(VaoiError):
 
 
 class BusyError(VaoiError):
-    """A resource is used up at the moment: the ring is full, or too many callers wait."""
+    """A resource is used up at present: the ring is full, or too many callers wait."""
 
     code = "busy"
     status = 503

@@ -50,7 +50,7 @@ class Station:
 
     @property
     def coordinator(self) -> StationCoordinator:
-        """The coordinator of the running station. Raises `StateError` while the station is not running."""
+        """The coordinator of the running station. Access raises `StateError` while the station is not running."""
         if self._coordinator is None:
             raise StateError("The station is not running.", action="Start it.")
         return self._coordinator
@@ -94,7 +94,7 @@ class Station:
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def wind_down(self) -> None:
-        """Film no more boards, and wait up to `GRACE_S` for unfinished runs to end. Requests are still answered."""
+        """Film no more boards, and wait up to `GRACE_S` for the unfinished runs to end. Requests are still answered."""
         if self._coordinator is not None and not self._wound_down:
             self._wound_down = True
             self._coordinator.wind_down(GRACE_S)

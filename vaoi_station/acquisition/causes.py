@@ -1,4 +1,4 @@
-"""Derive from the frame ids of a camera why a frame is missing and whether frames are exchanged.
+"""Find out from the frame ids of a camera why a frame is missing, and whether two frames are exchanged.
 
 A time stamp shows to which pulse a frame belongs. A frame id shows what was lost: a camera counts the frames that it
 sends. A gap in the ids is therefore a loss in transfer, and a missing frame without a gap was never exposed.
@@ -95,7 +95,7 @@ def find_gaps(
 
 
 def explain_missing(row: int, numbered: AbstractSet[int], gaps: Sequence[Gap]) -> str:
-    """Return why a row has no frame.
+    """Return a text that states why a row has no frame.
 
     Args:
         row: the missing row.

@@ -22,7 +22,7 @@ RESOLUTION_S = 1e-7
 
 
 class ClockError(DeviceError):
-    """The error raised while a clock model is not accurate enough yet; more readings may improve it."""
+    """A clock model is not accurate enough yet. More readings may improve it."""
 
     code = "clock-unknown"
 
@@ -41,7 +41,7 @@ class ClockModel:
     """The mapping from one device's clock to the host's, updated with every reading."""
 
     def __init__(self, name: str, keep: int = 60) -> None:
-        """Start without readings; later, fit at most the latest `keep` readings."""
+        """Create a model without readings. It will fit at most the latest `keep` readings."""
         self.name = name
         self._readings: deque[ClockReading] = deque(maxlen=keep)
         self._device0_s = self._host0_s = 0.0
@@ -75,7 +75,7 @@ class ClockModel:
         return self._device0_s + (host_s - self._host0_s) / (1 + self._slope)
 
     def bound_s(self, device_s: float | None = None) -> float:
-        """Return the largest error of `host_s` at a device time; by default at the time of the newest reading.
+        """Return the bound of the error of `host_s` at a device time, in s; by default at the newest reading.
 
         The bound is infinite before the first reading.
         """
@@ -103,7 +103,7 @@ class ClockModel:
             )
 
     def _fit(self) -> None:
-        """Fit the line by weighted least squares; the prior on the drift acts like one more reading."""
+        """Fit the line by weighted least squares. The prior of the drift is included like one more reading."""
         weights = [1 / max(r.bound_s, RESOLUTION_S) ** 2 for r in self._readings]
         total = sum(weights)
         newest = self._readings[-1]

@@ -1,4 +1,4 @@
-"""The clock of a simulated or replayed device, which has an offset and a drift against `time.monotonic()`."""
+"""The clock of a simulated or replayed device. Its time differs from `time.monotonic()` by an offset and a drift."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 
 @dataclass(frozen=True)
 class DeviceClock:
-    """A clock with device time = offset + (host time − origin) · (1 + drift)."""
+    """A simulated clock: device time = offset + (host time − origin) · (1 + drift)."""
 
     offset_s: float = 0.0
     drift_ppm: float = 0.0
@@ -36,7 +36,7 @@ class DeviceClock:
         return ClockReading(device_s, (asked_s + answered_s) / 2, (answered_s - asked_s) / 2)
 
     def read_exactly(self) -> ClockReading:
-        """Read the clock with an error bound of 0, for devices whose times are computed from the host's clock."""
+        """Read the clock with an error bound of 0, for replayed devices: their times come from the host's clock."""
         host_s = time.monotonic()
         return ClockReading(self.device_s(host_s), host_s, 0.0)
 

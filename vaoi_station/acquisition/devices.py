@@ -48,7 +48,7 @@ class Feedback:
             self._change.wait_for(lambda: self._has_memory or stop())
 
     def wake(self) -> None:
-        """Wake all waiting threads, so that they evaluate their `stop` again."""
+        """Wake all waiting threads, so that each evaluates its function `stop` again."""
         with self._change:
             self._change.notify_all()
 

@@ -15,7 +15,7 @@ class _Outage:
 
 
 class Outages:
-    """The latest outages of every camera, in host time. A camera is *away* during its outage."""
+    """The latest outages of every camera, by host time. During an outage the camera is called *away*."""
 
     def __init__(self, keep: int = 20) -> None:
         """Keep at most `keep` outages per camera."""
@@ -31,7 +31,7 @@ class Outages:
             outage.until_s = min(outage.until_s, at_s)
 
     def is_away(self, camera: int) -> bool:
-        """Whether a camera is away now: an outage began and has not ended."""
+        """Return whether a camera is away at present."""
         return any(math.isinf(outage.until_s) for outage in self._outages[camera])
 
     def count_ended(self, camera: int, host_s: float) -> int:

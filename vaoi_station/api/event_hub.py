@@ -34,17 +34,17 @@ LISTEN_S = 1.0
 
 
 class ThreadLimit:
-    """A pool that runs blocking calls in a limited number of threads."""
+    """A limited number of threads that run blocking calls."""
 
     def __init__(self, threads: int) -> None:
         self._limiter = anyio.CapacityLimiter(threads)
 
     async def ask(self, call: Callable[..., T], *args: object) -> T:
-        """Run a blocking call in a thread of the pool, after waiting until a thread is free."""
+        """Run a blocking call in a thread of the pool. If all threads are busy, wait until one is free."""
         return await anyio.to_thread.run_sync(partial(call, *args), limiter=self._limiter)
 
     async def listen(self, call: Callable[..., T], *args: object) -> T:
-        """Run a blocking call that only reads. A cancelled caller does not wait until the call has ended."""
+        """Run a blocking call that changes nothing. If the request is cancelled, do not wait for the call's end."""
         task = partial(call, *args)
         return await anyio.to_thread.run_sync(task, limiter=self._limiter, abandon_on_cancel=True)
 
@@ -64,7 +64,7 @@ class EventHub:
 
     @asynccontextmanager
     async def listening(self) -> AsyncIterator[None]:
-        """Listen for events while the application runs."""
+        """Listen for new events, and wake waiting requests, while the application runs."""
         self._wakeup = asyncio.Event()
         self._newest = (await self._readers.ask(self._coordinator.snapshot)).last_event
         task = asyncio.create_task(self._listen())

@@ -23,7 +23,7 @@ are RFC 3339 in UTC. Cameras, rows and views count from 0. Every refusal is a pr
 
 
 def install(app: FastAPI) -> None:
-    """Make the app publish the simplified OpenAPI document."""
+    """Make the application publish the simplified OpenAPI document."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:

@@ -31,7 +31,7 @@ class Assets(StaticFiles):
 
 
 def install(app: FastAPI) -> None:
-    """Add the pages to the app; they are not part of the OpenAPI document."""
+    """Add the pages to the application. They are not part of the OpenAPI document."""
     app.mount("/web", Assets(directory=WEB), name="web")
 
     @app.get("/", include_in_schema=False)

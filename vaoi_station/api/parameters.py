@@ -1,4 +1,4 @@
-"""Path and query parameters that several routes share, with their limits."""
+"""Path and query parameters that several routes use, with their limits."""
 
 from __future__ import annotations
 

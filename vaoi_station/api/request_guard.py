@@ -56,7 +56,7 @@ class RequestGuard:
         self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check a request, pass it on, and add the security headers to its reply."""
+        """Check a request. If it is permitted, pass it on, and add the security headers to its reply."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -86,7 +86,7 @@ class RequestGuard:
                 await body(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> Response | None:
-        """Return a refusal if the host or the origin is not allowed, else None. The body of the request is not read."""
+        """Return a refusal if the request's host or origin is not permitted, else None. The body is not read."""
         headers, path = Headers(scope=scope), scope["path"]
         if not addressed(headers.get("host", ""), self._names):
             detail = f"The request was addressed to {headers['host']!r:.100}, which is not a name of this station."

@@ -1,4 +1,4 @@
-"""The objects that the routes share."""
+"""The objects that all routes use."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Cov
 
 
 def picture_query(px_per_mm: float | None, min_coverage: float) -> str:
-    """Return the query part of an image's address: the parameters of the list of views to which its index k refers."""
+    """Return the query parameters for the address of an image: those of the list in which the image has index k."""
     # Default values are omitted: one image then has one address, which caches can use.
     asked = {"px_per_mm": px_per_mm} if px_per_mm is not None else {}
     if min_coverage != DEFAULT_COVERAGE:

@@ -1,1 +1,1 @@
-"""Benchmarks of `vaoi bench`: stitching speed here, a whole station in real time in `station`, errors in `accuracy`."""
+"""Benchmarks of `vaoi bench`: speed of stitching; in `station` a whole station; in `accuracy` errors."""

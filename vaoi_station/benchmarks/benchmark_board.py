@@ -1,4 +1,4 @@
-"""The board that a benchmark runs on: a board of the twin or a recording, with all frames in memory."""
+"""The board on which a benchmark runs: a board of the twin, or a recording. All frames are in memory."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def _paper(board: BenchmarkBoard) -> Any:
 
 
 def _ready_ms(board: BenchmarkBoard) -> float:
-    """Return the wall time, ms, from the last frame to the result, when all tasks of earlier rows are already done."""
+    """Return the wall time, ms, from the last frame to the result, if all other tasks were done before."""
     times_s = board.head.row_times_s()
     runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
     present = list(board.frames)

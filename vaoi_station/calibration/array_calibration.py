@@ -23,7 +23,7 @@ from vaoi_station.model import Calibration, CameraHead, Distortion
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The results of all cameras of an array: calibrated, or refused with reasons."""
+    """The calibration results of all cameras of an array. Each camera is calibrated or refused with a reason."""
 
     cameras: tuple[CameraResult, ...]
     limits: Limits
@@ -153,7 +153,7 @@ def _layout_hint(
     marks_mm: Floats,
     limits: Limits,
 ) -> str:
-    """Describe the changes of the layout with which all cameras can be calibrated. Return "" if there is none."""
+    """Return a sentence that names changes of the layout with which all cameras would be calibrated; "" if none."""
     fitting = [
         way
         for way, changed in vary_layout(marks_mm, heads)

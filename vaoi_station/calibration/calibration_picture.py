@@ -44,7 +44,7 @@ def _enlargement(cameras: Sequence[CameraResult]) -> int:
 
 
 def _tile(result: CameraResult, factor: int, limit_px: float) -> Picture:
-    """Draw one camera: caption, frame and marks."""
+    """Draw the tile of one camera: caption, frame and marks."""
     grey = result.detected.grey
     scale = _WIDTH / grey.shape[1]
     size = (_WIDTH, max(round(grey.shape[0] * scale), 1))

@@ -124,7 +124,7 @@ def calibrate_camera(
 
 
 def _check_size(appearance: MarkAppearance, head: CameraHead) -> tuple[str, str] | None:
-    """Return reason and remedy if the marks are too small or too large in the frame to be measured, else None."""
+    """Return reason and remedy if marks of this size in px cannot be measured; None if they can."""
     most = min(head.width, head.height) / 2
     if _MIN_SIZE_PX <= appearance.size_px <= most:
         return None
@@ -138,7 +138,7 @@ def _check_size(appearance: MarkAppearance, head: CameraHead) -> tuple[str, str]
 def _check_frame(
     detected: DetectedMarks, hypothesis: Hypothesis | None, due: tuple[MarkObservation, ...]
 ) -> tuple[str, str] | None:
-    """Return reason and remedy if the frame has too few usable marks, else None."""
+    """Return reason and remedy if a frame has too few usable marks; None if it has enough."""
     known = 0 if hypothesis is None else len(hypothesis.pairs)
     if detected.contrast < _MIN_CONTRAST:
         return (
@@ -275,7 +275,7 @@ def _with_residuals(
 
 
 def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: Fit) -> tuple[str, ...]:
-    """List the warnings for a calibrated camera."""
+    """Return the warnings for a calibrated camera, as sentences."""
     notes = [
         f"the mark expected at ({m.expected_px[0]:.0f}, {m.expected_px[1]:.0f}) px is {m.note}; not used"
         for m in marks

@@ -39,7 +39,7 @@ def draw_difference(difference: CalibrationDifference, heads: Sequence[CameraHea
 
 
 def largest_px(difference: CalibrationDifference) -> float:
-    """Return the largest difference of all cameras, at least 1e-9, so that it can be a divisor."""
+    """Return the largest difference of all cameras. It is at least 1e-9, so that a division by it is possible."""
     return max(*difference.max_px, 1e-9)
 
 
@@ -56,7 +56,7 @@ def round_down(value: float) -> float:
 
 
 def _tile(difference: CalibrationDifference, camera: int, head: CameraHead, top_px: float, factor: float) -> Picture:
-    """Draw one camera: caption, and its frame within a margin."""
+    """Draw the tile of one camera: a caption, and the differences over its frame."""
     scale, d_px = WIDTH / head.width, difference.difference_px[camera]
     size = (WIDTH, max(round(head.height * scale), 1))
     lengths = np.sqrt((d_px**2).sum(-1)).astype(np.float32)

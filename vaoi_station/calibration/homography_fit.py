@@ -108,7 +108,7 @@ def estimate_homography(target: Floats, source: Floats) -> Floats | None:
 
 
 def _find_collinearity(marks_mm: Floats) -> Failure | None:
-    """Return a failure if all marks, or all except one, lie on one line; they determine no plane then."""
+    """Return a failure if all marks, or all except one, lie on one line. Such marks do not determine N_i."""
     offsets = marks_mm - marks_mm.mean(0)
     spread = np.linalg.svd(offsets, compute_uv=False) / np.sqrt(len(offsets))
     if spread[1] < 0.02 * spread[0]:
@@ -122,7 +122,7 @@ def _find_collinearity(marks_mm: Floats) -> Failure | None:
 
 
 def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
-    """Adjust the eight entries of N (source normalised) and the coefficients of `lens` by Gauss-Newton."""
+    """Estimate the eight entries of N (with normalised source) and the coefficients of `lens` by Gauss-Newton."""
     normal_from_mm = _normalizer(marks_mm)
     p, order = apply(normal_from_mm, marks_mm), len(lens.radial)
     h = estimate_homography(px, p)
@@ -153,7 +153,10 @@ def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
 
 
 def _denormalize(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats, Floats]:
-    """Compute N = H·T with N_33 = 1 (T is `normal_from_mm`), and the Jacobian of all parameters by those of the fit."""
+    """Convert a fit in normalised coordinates to N = H·T, scaled so that N_33 = 1.
+
+    T is `normal_from_mm`. Also return the Jacobian of all parameters by those of the normalised fit.
+    """
     full = h @ normal_from_mm
     n = full / full[2, 2]
     # d vec(H·T) / d vec(H), row-major.
@@ -165,7 +168,7 @@ def _denormalize(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats,
 
 
 def _is_significant(less: Fit, more: Fit) -> bool:
-    """Return whether one more coefficient lowers the sum of squares by more than noise does."""
+    """Return whether one more lens coefficient reduces the sum of squares more than noise would."""
     gain = float((less.residuals_px**2).sum() - (more.residuals_px**2).sum())
     return gain > _SIGNIFICANT * more.sigma_px**2
 
@@ -181,7 +184,7 @@ def _homography_jacobian(h: Floats, p: Floats) -> Floats:
 
 
 def _lens_jacobian(lens: Lens, raw_px: Floats) -> Floats:
-    """Compute the derivative (k, 2, q) of undistorted pixels by the radial coefficients."""
+    """Compute the derivative (k, 2, q) of undistorted pixels (k, 2) by the q radial coefficients."""
     offset = raw_px - lens.center_px
     rho2 = (offset**2).sum(1) / lens.radius_px**2
     columns = [offset * (rho2 ** (k + 1))[:, None] for k in range(len(lens.radial))]
@@ -189,7 +192,7 @@ def _lens_jacobian(lens: Lens, raw_px: Floats) -> Floats:
 
 
 def _normalizer(points: Floats) -> Floats:
-    """Compute the similarity (3, 3) that maps points to mean 0 and mean distance √2."""
+    """Return the similarity (3, 3) that maps points to a mean of 0 and a mean distance of √2 from the origin."""
     middle = points.mean(0)
     size = float(np.hypot(*(points - middle).T).mean()) / np.sqrt(2)
     k = 1 / max(size, 1e-12)

@@ -132,7 +132,7 @@ def measure_blur_px(grey: NDArray[np.uint8], px: Floats, size_px: float) -> floa
 
 
 def _steepest_edge_blur(patch: NDArray[np.uint8], contrast: float) -> float:
-    """Measure the blur (standard deviation, px) of the steepest edges of a patch with a given contrast."""
+    """Measure the blur at the steepest edges of a patch, as a standard deviation in px."""
     # The smoothing suppresses noise in the slopes. Its variance, 1 px², and that of a difference over two pixels,
     # 1/3 px², are subtracted.
     smooth = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), 1.0)
@@ -150,7 +150,7 @@ def score_limit(scores: Floats) -> float:
 
 
 def _reject_outliers(marks: list[Mark]) -> tuple[list[Mark], tuple[tuple[tuple[float, float], str], ...]]:
-    """Separate the marks into accepted ones, and positions of rejected ones with the reason."""
+    """Return the accepted marks, and the positions of the rejected ones with the reason."""
     # With one or two marks the median of the scores is not meaningful.
     if len(marks) < 3:
         return marks, ()

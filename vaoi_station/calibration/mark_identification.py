@@ -64,7 +64,7 @@ def find_hypotheses(
 
 
 def find_rival(options: tuple[Hypothesis, ...], chosen: Hypothesis) -> Hypothesis | None:
-    """Return another hypothesis that explains a frame as well as the chosen one, or None."""
+    """Return another hypothesis that explains the frame as well as the chosen one; None if there is none."""
     others = (h for h in options if h is not chosen and np.hypot(*(h.offset_mm - chosen.offset_mm)) > _APART_MM)
     return next((h for h in others if h.score >= chosen.score - _EQUAL_SCORE and len(h.pairs) >= 4), None)
 
@@ -87,13 +87,13 @@ def _best(options: tuple[Hypothesis, ...], expected_mm: Floats) -> Hypothesis | 
 
 
 def _to_layout_indices(pairs: NDArray[np.int_], near: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Replace indices of nearby marks by indices of the whole layout."""
+    """Convert pairs with indices of nearby marks to pairs with indices of the whole layout."""
     return np.column_stack([near[pairs[:, 0]], pairs[:, 1]])
 
 
 @dataclass(frozen=True, eq=False)
 class _Matching:
-    """Matching of one frame with the part of the layout that it can show."""
+    """The matching of one frame with the part of the layout that this frame can show."""
 
     seen: Floats
     marks: Floats
@@ -102,7 +102,7 @@ class _Matching:
     size_px: float
 
     def from_pairs(self) -> NDArray[np.complex128]:
-        """Compute similarities (h, 2), as complex factor a and shift b with px = a·mm + b, from matching pairs."""
+        """Compute a similarity from each matching pair: a (h,) and b (h,), with px = a·mm + b in complex numbers."""
         seen, marks = self.seen @ np.array([1, 1j]), self.marks @ np.array([1, 1j])
         between = (marks[None, :] - marks[:, None]) * self.nominal[0, 0]
         found = []
@@ -130,7 +130,7 @@ class _Matching:
         return [(int(first[k]), int(second[k])) for k in chosen]
 
     def _offset_mm(self, similarities: NDArray[np.complex128]) -> Floats:
-        """Compute the centre of the view under hypotheses, minus its nominal position, (h, 2) mm."""
+        """Return how far the centre of the view lies from its nominal position under each hypothesis, (h, 2) mm."""
         middle = complex((self.head.width - 1) / 2, (self.head.height - 1) / 2)
         place = (middle - similarities[:, 1]) / similarities[:, 0]
         design = (middle - complex(self.nominal[0, 2], self.nominal[1, 2])) / self.nominal[0, 0]
@@ -154,14 +154,14 @@ class _Matching:
         return sorted((h for h in refined if h is not None), key=lambda h: -h.score)
 
     def _scores(self, similarities: NDArray[np.complex128]) -> Floats:
-        """Compute the scores (h,) of hypotheses."""
+        """Return the scores (h,) of h hypotheses."""
         px, near, _ = self._matches(similarities)
         # A mark cut by the frame's border is not detected, so it does not count as missing.
         expected = is_in_frame(self.head, px, 0.75 * self.size_px)
         return np.asarray(near.sum(1) - _MISSING_COST * (expected & ~near).sum(1), dtype=np.float64)
 
     def _matches(self, similarities: NDArray[np.complex128]) -> tuple[Floats, NDArray[np.bool_], NDArray[np.int_]]:
-        """Match all marks of the layout under hypotheses (h, 2).
+        """Match all k marks of the layout under h hypotheses.
 
         Returns the predicted positions (h, k, 2) px, whether a mark was detected there (h, k), and the indices (h, k)
         of the nearest detected marks.

@@ -62,7 +62,7 @@ class Client:
         return self._exchange(urllib.request.Request(_with_query(url, query)))
 
     def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
-        """Request a PNG; return its bytes and its pixels."""
+        """Request a PNG image. Return its bytes and its pixels."""
         content = self.content(path)
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
         # OpenCV returns None instead of raising for bytes that it cannot decode.
@@ -89,7 +89,7 @@ class Client:
 
 @contextmanager
 def _translated_errors() -> Iterator[None]:
-    """Convert refusals and failed connections to the errors of this package."""
+    """Convert refusals of the station, and failed connections, to the errors of this package."""
     try:
         yield
     except urllib.error.HTTPError as refusal:

@@ -1,4 +1,4 @@
-"""Run the station on the twin, board after board, until Ctrl-C."""
+"""Run the station on the twin, and let board after board pass, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run_continuously(scenario: Path, port: int | None, report: Callable[[str], N
 
 
 def describe_run(number: int, run: dict[str, Any]) -> str:
-    """Describe one run in a line."""
+    """Return one line of text that describes a run."""
     counts, timings, belt = run["counts"], run.get("timings"), run.get("belt")
     words = [f"board {number}: {run['verdict']}", f"{counts['ok']} of {run['rows'] * run['cameras']} frames"]
     if belt:

@@ -15,7 +15,7 @@ from vaoi_station.simulation import Passage
 
 @dataclass(frozen=True, eq=False)
 class ServiceReplies:
-    """The service's JSON replies for one run: `runs/{id}`, and its matrices, which are {} if the run has none."""
+    """The replies of the service about one run: the document of the run, and its matrices ({} if it has none)."""
 
     run: dict[str, Any]
     matrices: dict[str, Any]

@@ -47,7 +47,7 @@ class Service:
 
     @property
     def log(self) -> str:
-        """The last lines that the service wrote."""
+        """The last lines of the log that the service wrote."""
         return "".join(self._log)
 
     def __enter__(self) -> Service:
@@ -91,7 +91,7 @@ class Service:
         self.address = address
 
     def _read(self, lines: IO[str]) -> None:
-        """Read the log until it ends; a full pipe would block the service."""
+        """Read the service's log until it ends. Otherwise the pipe would become full and block the service."""
         with lines:
             for line in lines:
                 self._log.append(line)

@@ -87,7 +87,7 @@ def to_toml(config: StationConfig) -> str:
 
 
 def _table(path: tuple[str, ...], content: dict[str, Any]) -> list[str]:
-    """Return the TOML lines of a table and of the tables inside it; `path` holds the keys that lead to the table."""
+    """Return the TOML lines of a table and of all tables inside it. `path` lists the keys that lead to the table."""
     # Plain keys come first: in TOML every key after a table header belongs to that table.
     inner = {k: v for k, v in content.items() if isinstance(v, dict)}
     many = {k: v for k, v in content.items() if isinstance(v, list) and v and isinstance(v[0], dict)}

@@ -48,7 +48,7 @@ def wait_for_run(client: Client, after: str | None) -> dict[str, Any]:
 
 
 def poll(client: Client, after: str | None) -> dict[str, Any] | None:
-    """Wait for the run after `after` with one long poll; return None if no run finishes before its time-out."""
+    """Wait by one long poll for the first run after the run `after`. Return None if no run finishes in time."""
     run = client.get("/runs/next", after=after, timeout=POLL_S)
     if run is None and after is None:
         run = _latest(client)

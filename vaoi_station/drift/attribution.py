@@ -31,7 +31,7 @@ them, and a camera that was shifted instead of turned shows no keystone distorti
 
 @dataclass(frozen=True, eq=False)
 class Attribution:
-    """The most likely displacements of n cameras, their covariance, and the cameras that may have moved instead."""
+    """The most likely displacements of n cameras with covariances, and the cameras that may have moved instead."""
 
     displacement_px: Floats
     """(n, 3) displacement x, y and turn of each camera."""

@@ -1,4 +1,4 @@
-"""The evidence of a finished run, prepared for `equations`: links on the bare board, fiducials and initial values."""
+"""Collect what `equations` needs from a finished run: links on the bare board, fiducials and initial values."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def prepare_evidence(
 
 
 def subsample_links(e: Evidence) -> Evidence:
-    """Choose an even subset of the links of a pair of rows. Evidence of other kinds is returned as it is."""
+    """Reduce the links of a pair of rows to an evenly spaced subset. Return other kinds of evidence unchanged."""
     # Links within one camera do not show its displacement. They determine the motion of the rows, and few are enough.
     if not isinstance(e, Links) or e.task.kind != "rows" or len(e.a_px) <= _LINKS_OF_ROWS:
         return e
@@ -144,7 +144,7 @@ def _fiducials(
 
 
 def _pixels_of(points: FiducialPoints, s: Detections, camera: Camera) -> Floats:
-    """Find the pixels of the detections `s` from which the fiducial points were made."""
+    """Find the pixels of those detections `s` from which the fiducial points were made."""
     ground = camera.ground(s.px)
     off = np.hypot(*np.moveaxis(ground[None] - points.ground_mm[:, None], 2, 0))
     return np.asarray(s.px[off.argmin(1)])

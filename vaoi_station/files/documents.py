@@ -122,7 +122,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def _causes(faults: Sequence[ErrorDetails]) -> Iterator[ErrorDetails]:
-    """Yield the faults. A list that is too short only because its items were refused is not reported as a fault."""
+    """Yield the faults. An array that is too short only because its items were refused is not reported."""
     for fault in faults:
         inside = (other["loc"][: len(fault["loc"])] == fault["loc"] for other in faults if other is not fault)
         if fault["type"] != "too_short" or not any(inside):

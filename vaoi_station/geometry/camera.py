@@ -39,7 +39,7 @@ class Camera:
 
     @cached_property
     def row_from_image(self) -> Projective:
-        """The inverse of N_i: homography from undistorted pixels to mm in the calibrated plane."""
+        """The inverse of N_i: the homography from undistorted pixels to row coordinates, mm."""
         return self.image_from_row.inverse()
 
     @cached_property
@@ -122,7 +122,7 @@ class Camera:
 
     @cached_property
     def _viewpoint(self) -> tuple[float, float, float]:
-        """The foot (x, y) and the inverse working distance, for the compiled kernels.
+        """The foot (x, y), mm, and the inverse working distance, 1/mm, as compiled functions take them.
 
         The inverse is 0 for an unknown distance, so that heights have no effect.
         """
@@ -147,7 +147,7 @@ class Camera:
 
 
 def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Prepare points and heights for the compiled kernels.
+    """Convert points and heights to the form that compiled functions take.
 
     Returns points (k, 2), heights (k,) or one height (1,) for all points, and an uninitialised output array in the
     shape of the points.
@@ -160,7 +160,7 @@ def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats
 
 
 def _foot_of(n: Floats, principal_point_px: tuple[float, float], distance_mm: float) -> Floats:
-    """Compute the foot of a camera from its homography, principal point and working distance.
+    """Compute the camera's foot (2,), mm, from its homography, principal point and working distance.
 
     A fixed-point iteration finds the focal length that fits the distance.
     """

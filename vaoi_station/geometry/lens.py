@@ -65,7 +65,7 @@ class Lens:
 
     @cached_property
     def shape(self) -> tuple[float, float, float, float, float]:
-        """The lens as (x0, y0, R, edge, furthest), in the form that `geometry.projection_kernels` takes.
+        """The lens as (x0, y0, R, edge, furthest), as the functions of `geometry.projection_kernels` take it.
 
         It contains the centre, the radius R, and the raw and the undistorted ρ of the turning point (∞ without one).
         """

@@ -1,4 +1,4 @@
-"""A running station over REST (docs/rest.md): its runs and their component images as numpy arrays."""
+"""A running station, used over REST (docs/rest.md): its runs, and component images as numpy arrays."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class StationRun:
 
     @property
     def status(self) -> Status:
-        """Verdict of the run: ok, degraded or failed."""
+        """The verdict of the run: ok, degraded or failed."""
         return self.result.status
 
     @property

@@ -1,4 +1,4 @@
-"""A stitched run: matrices, verdict, and images of components from the recorded frames."""
+"""A stitched run with its recorded frames: matrices, verdict, and images of components."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class StitchedRun:
 
     @property
     def status(self) -> Status:
-        """Verdict of the run: ok, degraded or failed."""
+        """The verdict of the run: ok, degraded or failed."""
         return self.result.status
 
     @property

@@ -29,7 +29,7 @@ class Fiducial(FrozenModel):
 
 
 class Component(FrozenModel):
-    """One component. Centre and size of its footprint before rotation are in CAD units, its rotation is in degrees."""
+    """One component. Centre and size of its footprint before rotation are in CAD units, its rotation in degrees."""
 
     ref: Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
     center: Point

@@ -50,7 +50,7 @@ def _parse_matrix(value: Any) -> NDArray[np.float64]:
 
 
 def _is_singular(m: NDArray[np.float64]) -> bool:
-    """Return whether a matrix is singular, apart from rounding errors."""
+    """Return whether a matrix has no inverse, apart from rounding errors."""
     # Entries have the units px, mm and 1/mm, so rows and columns are scaled to 1 before the determinant is compared.
     for axis in (1, 0):
         size = np.abs(m).max(axis=axis, keepdims=True)

@@ -42,7 +42,7 @@ _NAME, _NOTE = (12, 700), (11, 400)
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """The part of the sheet that shows one component: its picture and its label."""
+    """One component on the sheet: its picture and its label."""
 
     picture: NDArray[Any] | None
     """(h, w) or (h, w, 3) pixels, 8 or 16 bit; None if no frame shows the component."""
@@ -53,7 +53,7 @@ class Tile:
 
     @property
     def span(self) -> tuple[int, int]:
-        """Number of cells that the tile takes along x and y."""
+        """The number of cells that the tile occupies along x and y."""
         if self.picture is None:
             return 1, 1
         sides = self.picture.shape[1::-1]
@@ -85,12 +85,12 @@ def contact_sheet(tiles: Sequence[Tile], title: str, status: Status, facts: Sequ
 
 
 def _step(axis: int) -> int:
-    """Return the distance in px from one cell to the next, along x (axis 0) or y (axis 1)."""
+    """Return the distance in px between neighbouring cells, along x (axis 0) or y (axis 1)."""
     return CELL_PX + GAP_PX + (LABEL_PX if axis else 0)
 
 
 def _places(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Choose the column and row of every tile: the first place from the top where all of its cells are free."""
+    """Choose a place for each tile: the highest column and row at which all cells of the tile are free."""
     taken: set[tuple[int, int]] = set()
     places = []
     for columns, rows in spans:
@@ -146,7 +146,7 @@ def _fitted(picture: NDArray[Any], box: tuple[int, int]) -> Canvas:
 
 
 def _fitted_size(sides: Sequence[int], box: tuple[int, int]) -> tuple[int, int]:
-    """Return the width and height to which a picture with these sides is scaled to fit into a box."""
+    """Return the width and height of a picture after it is scaled to fit into a box. `sides` are those before."""
     scale = min(box[0] / sides[0], box[1] / sides[1], MAGNIFIED)
     return max(round(sides[0] * scale), 1), max(round(sides[1] * scale), 1)
 
@@ -171,14 +171,14 @@ def _font() -> Any:
 def _write(
     sheet: Canvas, text: str, x: int, baseline: int, size: int, weight: int, colour: tuple[int, int, int]
 ) -> int:
-    """Write a text on the sheet, from column x; return the column where the text ends."""
+    """Write a text on the sheet, beginning at column x. Return the column at which the text ends."""
     if text:
         cv2.putText(sheet, text, (x, baseline), colour, _font(), size, weight)
     return x + _width(text, size, weight)
 
 
 def _width(text: str, size: int, weight: int) -> int:
-    """Measure the width of a text in px."""
+    """Return the width of a text in px."""
     if not text:
         return 0
     x, _, width, _ = cv2.getTextSize((1, 1), text, (0, 0), _font(), size, weight)

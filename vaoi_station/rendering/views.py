@@ -74,12 +74,12 @@ class View:
 
     @property
     def crop_from_cad(self) -> Projective:
-        """Transform from CAD coordinates to the picture's pixels."""
+        """Transform from CAD coordinates to pixels of the picture."""
         return Projective(self.crop_matrix, System.CROP, System.CAD)
 
     @property
     def cad_from_crop(self) -> Projective:
-        """Transform from the picture's pixels to CAD coordinates."""
+        """Transform from pixels of the picture to CAD coordinates."""
         return self.crop_from_cad.inverse()
 
     @property
@@ -89,7 +89,7 @@ class View:
 
 
 class _Pairs(NamedTuple):
-    """k pairs of a component and a frame, all frames from one camera."""
+    """k pairs of a component and a frame. All frames are from one camera."""
 
     component: NDArray[np.int_]
     """(k,) number of the component."""
@@ -286,7 +286,7 @@ def _tiles(camera: Camera, matrices: Floats, size: Floats) -> list[tuple[Tile, .
 
 
 def _cuts(length: int) -> NDArray[np.int_]:
-    """Return the positions at which a side of this length is cut into tiles, both ends included."""
+    """Return the positions, both ends included, at which a side of this length is cut into tiles."""
     return np.asarray(np.linspace(0, length, -(-length // _TILE_PX) + 1).round(), dtype=np.int_)
 
 

@@ -31,12 +31,12 @@ class FramePair:
 
     @property
     def a(self) -> FrameKey:
-        """The first frame."""
+        """The first frame of the pair, as (camera, row)."""
         return self.links.task.a
 
     @property
     def b(self) -> FrameKey:
-        """The second frame."""
+        """The second frame of the pair, as (camera, row)."""
         return self.links.task.b or self.links.task.a
 
     @property

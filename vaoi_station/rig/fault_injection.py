@@ -24,7 +24,7 @@ _ROW_FAULTS = ("kill", "stall", "reset")
 
 
 def frame_faults_of(faults: Sequence[Fault]) -> FrameFaults:
-    """Return the faults of frames, which the virtual line injects: packet loss and ignored pulses."""
+    """Return those faults that concern frames: packet loss and ignored pulses. The virtual line injects them."""
     return FrameFaults(
         loss=max((f.share for f in faults if f.kind == "loss"), default=0.0),
         ignored=frozenset((f.board, f.row, f.camera) for f in faults if f.kind == "ignored"),
@@ -60,7 +60,7 @@ class FaultInjector:
         """Faults that could not be injected, one sentence each."""
 
     def set_process_source(self, processes: Callable[[], Mapping[str, int]]) -> None:
-        """Set the function that returns the station's processes: name → pid."""
+        """Set the function that returns the station's processes as {name: process id}."""
         self._processes = processes
 
     def attach(self, devices: Devices) -> None:
@@ -78,7 +78,7 @@ class FaultInjector:
             {"kill": self._kill, "stall": self._stall, "reset": self._reset}[fault.kind](fault)
 
     def finish(self) -> None:
-        """Wait until the injected faults are over, and record the faults that never happened in `failed`."""
+        """Wait until the injected faults are over. Record the faults that never happened in `failed`."""
         for thread in self._threads:
             thread.join()
         for fault in self._faults:

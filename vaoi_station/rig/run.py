@@ -45,7 +45,7 @@ READY_TIMEOUT_S = 30.0
 
 @dataclass(frozen=True)
 class Plan:
-    """The settings of one rig run: scenario, number of boards, faults, workers."""
+    """The settings of one rig run: scenario, number of boards, faults and workers."""
 
     scenario: Scenario
     name: str

@@ -15,7 +15,7 @@ _READY = ("armed", "filming")
 
 
 class StatusWatch:
-    """Watch of the station's status, as a context manager: a thread polls `GET station` and keeps the replies."""
+    """Watch of the station's status, as a context manager. A thread requests the status and keeps the replies."""
 
     def __init__(self, client: Client) -> None:
         self._client = client

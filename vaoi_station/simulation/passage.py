@@ -179,7 +179,7 @@ class Passage:
         return passage_truth(self.twin, self.pinholes, [self.pose(t) for t in self.pulse_times_s])
 
     def _check_absent(self) -> None:
-        """Raise InputError if the scenario declares a part absent that the board does not have."""
+        """Raise InputError if the scenario calls a part absent that the board does not have."""
         known = {p.ref for p in self.twin.parts}
         for n, fault in enumerate(self.twin.scenario.faults.absent_parts):
             if fault.ref not in known:

@@ -30,7 +30,7 @@ class Section(Strict):
 
 
 class ArraySection(Section):
-    """The camera array: its design, its mounting errors, and the properties of its lenses and sensors."""
+    """The camera array: design, mounting errors, lenses and sensors."""
 
     cameras: Annotated[int, Field(ge=1, le=64)] = 3
     width_px: Annotated[int, Field(ge=32, le=16384)] = 1392
@@ -187,7 +187,7 @@ class LightSection(Section):
 
 
 class OnBoard(Section):
-    """Base class of faults of one board. A fault without a board number applies to every board."""
+    """Base class of the faults of one board. A fault without a board number applies to every board."""
 
     board: Index | None = None
 

@@ -25,7 +25,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 
 @dataclass(frozen=True)
 class Exposure:
-    """One frame to be transferred."""
+    """One frame that will be transferred, with the times of its transfer."""
 
     frame_id: int
     time_s: float
@@ -60,7 +60,7 @@ class VirtualCamera:
         self._thread.start()
 
     def expose(self, exposure: Exposure) -> None:
-        """Schedule a frame for transfer at the times that the exposure states."""
+        """Schedule the transfer of a frame, for the times that are stored in `exposure`."""
         with self._change:
             # The running number keeps the order of exposures whose transfers begin at the same time.
             heapq.heappush(self._coming, (exposure.begin_s, next(self._order), exposure))
@@ -115,7 +115,7 @@ class VirtualCamera:
         return Arrival(self.number, slot.number, True, exposure.frame_id, exposure.time_s, now_s)
 
     def _next(self) -> Exposure | None:
-        """Wait until the next transfer begins and return it; None when the camera is closed."""
+        """Wait until the next transfer begins, and return it. Return None if the camera is closed."""
         with self._change:
             while not self._closing:
                 wait_s = self._coming[0][0] - time.monotonic() if self._coming else None

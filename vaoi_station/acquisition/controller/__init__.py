@@ -1,1 +1,1 @@
-"""The trigger controller: one interface, and one module or folder per backend."""
+"""The trigger controller: one interface, and one module or folder for each kind of controller."""

@@ -105,10 +105,10 @@ EventQueue = SimpleQueue[ControllerEvent | DeviceFault | ClockReading]
 
 
 class Controller(Protocol):
-    """A trigger controller; it stays armed for one board after another until it is disarmed."""
+    """A trigger controller. Once armed, it films one board after another until it is disarmed."""
 
     def start(self, events: EventQueue) -> None:
-        """Begin to report events.
+        """Begin to put events into the queue `events`.
 
         After a jump of its clock, the controller puts clock readings into the queue before the first event with the
         new time.
@@ -124,7 +124,7 @@ class Controller(Protocol):
         """
 
     def fire_one(self) -> None:
-        """Trigger all cameras and LEDs once, now, whatever the state of the barrier: a run of one pulse.
+        """Trigger all cameras and LEDs once, now, whether or not a board is at the barrier: a run of one pulse.
 
         Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board. The firmware reports
         `FIRE_ONE` as one pulse without a row; the serial backend turns it into these two events.

@@ -1,4 +1,4 @@
-"""A controller that replays recordings: it fires at the recorded times, or as soon as the last row was processed.
+"""A controller that replays recordings. It fires at the recorded times, or when the last row was processed.
 
 Device times are the recording's trigger times shifted by a whole number of ns per run. The results are therefore
 exactly those of the recording when it is stitched from its files.
@@ -80,7 +80,7 @@ class ReplayController:
         self._thread: threading.Thread | None = None
 
     def start(self, events: EventQueue) -> None:
-        """Begin to report events."""
+        """Begin to put events into the queue `events`."""
         self._events = events
         self._thread = threading.Thread(target=self._play_all, name="controller")
         self._thread.start()
@@ -111,7 +111,7 @@ class ReplayController:
         return self._clock.read_exactly()
 
     def health(self) -> str:
-        """Return the number of runs that were played."""
+        """Return a sentence with the number of runs that were played."""
         return f"replay: {self._played} runs played"
 
     def close(self) -> None:
@@ -197,7 +197,7 @@ class ReplayController:
         self._events.put(event)
 
     def _wait_until(self, device_s: float, stop: Callable[[], bool]) -> bool:
-        """Wait until a device time, or until the pace allows the next pulse; return False if stopped."""
+        """Wait until a device time, or until the pace permits the next pulse. Return False if `stop()` becomes true."""
         if self._pace is not None:
             self._pace.before_pulse(stop)
             return not stop()

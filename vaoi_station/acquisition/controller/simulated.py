@@ -26,7 +26,7 @@ Edge = tuple[float, bool]
 
 
 class DrivenLine(Protocol):
-    """The methods of the simulated line that the controller calls, from its threads or its callers' threads."""
+    """The methods of the simulated line that a simulated controller calls."""
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
         """Return the plan with the line's lights filled in. Raise InputError if the line cannot follow the plan."""
@@ -48,7 +48,7 @@ class SimulatedController:
     """A `Controller` that follows a `TriggerRule` and calls the simulated line instead of setting pins."""
 
     def __init__(self, clock: DeviceClock, line: DrivenLine) -> None:
-        """Connect the controller, with its clock, to a simulated line."""
+        """Create a controller for a simulated line. `clock` is the controller's simulated clock."""
         self.clock = clock
         self._line = line
         self._numbers = count()

@@ -90,7 +90,7 @@ class TriggerRule:
                 return events
 
     def stop(self, now_s: float) -> list[ControllerEvent]:
-        """End the run under way because the controller is disarmed."""
+        """End the run under way, because the controller is disarmed."""
         if self._passage is None:
             return []
         return self._end(now_s, "disarmed")

@@ -24,7 +24,7 @@ QUESTIONING_KINDS: frozenset[Kind] = frozenset({"runs-freely", "exchanged", "off
 
 
 class TriggerFinding(FrozenModel):
-    """A deviation from the rule of one frame per pulse, found for one camera or for one row of it."""
+    """A violation of the rule "one frame per pulse", found for a camera or for one row of a camera."""
 
     camera: int
     row: int | None
@@ -34,7 +34,7 @@ class TriggerFinding(FrozenModel):
 
 
 class CameraProof(FrozenModel):
-    """The figures of the proof for one camera."""
+    """The measured values of the proof for one camera."""
 
     camera: int
     pulses: int
@@ -105,7 +105,7 @@ def questioned_rows(proof: TriggerProof, camera: int, rows: AbstractSet[int]) ->
 
 
 class _CameraCheck:
-    """The checks of the frames of one camera; each check returns its findings."""
+    """The checks of one camera's frames. Each check returns its findings."""
 
     def __init__(
         self,

@@ -30,7 +30,7 @@ MAX_FINISHED = 4
 
 @dataclass(frozen=True)
 class Limits:
-    """Tolerances and waiting times of the recorder."""
+    """The tolerances and the waiting times of the recorder."""
 
     tolerance_s: float = 0.010
     """Largest accepted difference between time stamp and pulse, in addition to the error bounds of both clocks. The sum
@@ -76,7 +76,7 @@ MoveToBay = Callable[[int, int, int], int | None]
 
 
 class Recorder:
-    """Assigns arriving frames to pulses and settles the runs; it keeps all runs that are open or recently finished."""
+    """Assigns arriving frames to pulses, and settles the runs. It holds all runs that are open or finished recently."""
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ class Recorder:
         return min((t for t in times if t > after_s), default=None)
 
     def _assign_waiting(self, now_s: float) -> list[Outcome]:
-        """Assign or refuse the waiting frames that can be decided now; return their outcomes."""
+        """Assign or refuse those waiting frames about which a decision is possible now; return the outcomes."""
         out: list[Outcome] = []
         waiting, self._waiting = self._waiting, []
         for arrival, host_s in waiting:

@@ -125,7 +125,7 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages)
 
 
 def _annotate(run: RunRecord, camera: int, proof: TriggerProof) -> None:
-    """Write the findings into the cause of every complete frame that they put in question."""
+    """Add each finding to the cause of every good frame that it puts in question."""
     complete = {row for n, row in run.frames if n == camera and run.frames[n, row].verdict is Verdict.OK}
     for row, text in questioned_rows(proof, camera, complete).items():
         run.frames[camera, row] = run.frames[camera, row].model_copy(update={"cause": text})

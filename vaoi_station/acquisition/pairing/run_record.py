@@ -1,4 +1,4 @@
-"""The state of one run while it is filmed: the observed pulses, and the frames assigned to them."""
+"""The record of one run during filming: the pulses that were reported, and the frames assigned to them."""
 
 from __future__ import annotations
 
@@ -93,11 +93,11 @@ class RunRecord:
         return row, host_s - self.pulses[row].host_s
 
     def open_rows(self, camera: int) -> list[int]:
-        """Return the rows that were not skipped and of which no frame of this camera has arrived."""
+        """Return the rows of which no frame of this camera has arrived. Rows without a pulse are left out."""
         return [r for r in range(self.rows) if (camera, r) not in self.taken and r not in self.skipped]
 
     def lights(self) -> tuple[str, ...] | None:
-        """Return the light pattern of every row; None if no pattern has a name."""
+        """Return the name of each row's light pattern; None if no pattern has a name."""
         names = tuple(self.pulses[r].pulse.light if r in self.pulses else "" for r in range(self.rows))
         return names if any(names) else None
 

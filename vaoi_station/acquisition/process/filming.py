@@ -34,7 +34,7 @@ STOP_S = 5.0
 
 @dataclass(frozen=True)
 class FilmingHandlers:
-    """The functions that filming calls with its results, always in the thread of the caller."""
+    """The functions that filming calls with its results. They are always called in the caller's thread."""
 
     run_finished: Callable[[RunFinished, Ring, int], None]
     """Called with a finished run, the ring and the generation of the run's bay. The bay is reused after the return."""
@@ -98,7 +98,7 @@ class FilmingProcess:
             raise DeviceError(what, action="Read its output above; then start again.") from error
 
     def dispatch(self, report: object, *, fatal: bool) -> None:
-        """Call the handler of a report; if `fatal`, raise a reported fault instead of showing it."""
+        """Call the handler of a report. If `fatal`, raise an error for a reported fault instead."""
         if isinstance(report, FrameSettled):
             slot = report.frame.slot
             if self.handlers.frame_settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
@@ -155,7 +155,7 @@ def fire_steadily(process: FilmingProcess, pulses: int, period_s: float) -> None
 
 @contextmanager
 def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterator[FilmingProcess]:
-    """Start the acquisition process with a ring; stop it and remove the ring at the end."""
+    """Start the acquisition process with a new ring. At the end, stop the process and remove the ring."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:

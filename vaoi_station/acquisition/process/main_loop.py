@@ -77,7 +77,7 @@ def run_acquisition(
 
 
 class _ControllerDisarmed:
-    """A marker in the inbox; it follows the last event that the controller reported before it was disarmed."""
+    """A marker in the inbox. All events from before the controller was disarmed are in front of it."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class _PolledClock:
 
 
 class _MainLoop:
-    """The loop that passes every message of the inbox to the session, and the threads that fill the inbox."""
+    """The loop that passes each message of the inbox to the session, and the threads that fill the inbox."""
 
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
@@ -155,7 +155,7 @@ class _MainLoop:
             self._try(self._retry_waiting)
 
     def _try(self, step: Callable[[float], None]) -> None:
-        """Carry out a step; if it raises an error, report the error to the station."""
+        """Call a function. If it raises an error, report the error to the station."""
         try:
             step(time.monotonic())
         except VaoiError as error:
@@ -194,7 +194,7 @@ class _MainLoop:
             raise InternalError(f"the acquisition process has no handler for {item!r}.")
 
     def _add_polled(self, polled: _PolledClock) -> None:
-        """Add a polled reading to the model of its clock, or report the error of the attempt."""
+        """Add a reading to the model of its clock; if the attempt to read failed, report the error."""
         clock = self._clocks[polled.number]
         # The loss of a camera has been reported already. A second report would end an arming that works without it.
         if isinstance(polled.result, ClockReading):

@@ -39,7 +39,7 @@ class Disarm:
 
 @dataclass(frozen=True)
 class FireOne:
-    """Fire one pulse now, independent of the barrier: a run of one row in the next grant. Refused while armed."""
+    """Fire one pulse now, independent of the barrier: a run of one row, in the next granted bay. Refused if armed."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,10 @@ def export_run(
 
 
 def recording_head(finished: RunFinished) -> RecordingHead:
-    """Return the head of the recording; faults and the proof are in `x_` keys, which other readers ignore."""
+    """Return the head of the recording of a finished run.
+
+    Faults and the proof are stored under `x_` keys, which other readers ignore.
+    """
     document = finished.head.model_dump(mode="json", exclude_none=True)
     document["x_run"] = finished.run
     document["x_ended"] = finished.reason

@@ -1,4 +1,4 @@
-"""Build the reports of finished runs and of faults."""
+"""Build the reports of finished runs and of device faults."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vaoi_station.model import RecordingHead, Verdict
 
 
 def finished_report(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
-    """Return the report of a finished run; frames that are not complete count as missing in its head."""
+    """Return the report of a finished run. In its head, all frames that are not good are listed as missing."""
     record = finished.record
     assert record.run is not None
     assert record.bay is not None
@@ -41,7 +41,7 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
 
 
 def trouble_report(error: VaoiError, device: str = "") -> Trouble:
-    """Return an error as a report, which always has an action; the message begins with the name of the device."""
+    """Return the report of an error, with an action. The message begins with the name of the device."""
     named = not device or error.message.startswith(f"{device}:")
     message = error.message if named else f"{device}: {error.message}"
     return Trouble(error.code, message, error.action or "Read the station's log, then arm again.")

@@ -180,7 +180,7 @@ class Session:
         self._apply(self._recorder.settle(now_s), now_s)
 
     def handle_event(self, event: ControllerEvent, now_s: float) -> None:
-        """Handle an event of the controller."""
+        """Process an event of the controller."""
         self._recorder.note_controller_time(event.time_s)
         if self._is_outdated(event):
             return
@@ -218,7 +218,7 @@ class Session:
         return late
 
     def handle_arrival(self, arrival: Arrival, now_s: float) -> None:
-        """Handle a slot that a camera has delivered."""
+        """Process the arrival of a frame: a slot that a camera has delivered."""
         self._slot_queue.mark_returned(arrival.slot)
         self._apply(self._recorder.add_arrival(arrival, now_s), now_s)
 
@@ -235,7 +235,7 @@ class Session:
         return number > 0 and self._recorder.outages.is_away(number - 1)
 
     def _begin_run(self, now_s: float) -> None:
-        """Begin a run with the first pulse of a passage."""
+        """Begin a run, when the first pulse of a board was fired."""
         if self._run is not None:
             self._end_run(self._run.rows, "the controller did not report its end", now_s)
             self._load_while_waiting()
@@ -260,7 +260,7 @@ class Session:
         self._load_next()
 
     def _apply(self, outcomes: Iterable[Outcome], now_s: float) -> None:
-        """Carry out and report the decisions of the recorder."""
+        """Carry out the recorder's decisions, and report them to the station."""
         for outcome in outcomes:
             if isinstance(outcome, Unassigned):
                 self._slot_queue.recycle(outcome.slot)
@@ -279,7 +279,7 @@ class Session:
             self._return_grants()
 
     def _finish(self, finished: Finished, now_s: float) -> None:
-        """Report the end of a run."""
+        """Report the end of a run, and close its bay."""
         bay = finished.record.bay
         assert bay is not None
         # The slots are taken back first: after the report the station may give the bay to another board.

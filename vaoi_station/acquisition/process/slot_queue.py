@@ -14,7 +14,7 @@ from vaoi_station.acquisition.ring.ring import Ring
 
 
 class SlotQueue:
-    """Moves slots between ring and cameras; used by one thread."""
+    """Moves slots between the ring and the cameras. Used by one thread only."""
 
     def __init__(self, ring: Ring, cameras: Sequence[CameraDevice]) -> None:
         self._ring, self._cameras = ring, cameras
@@ -30,7 +30,7 @@ class SlotQueue:
         return self._loaded
 
     def load(self, bay: int) -> None:
-        """Queue every slot of a bay, except those that a camera still writes to."""
+        """Queue every slot of a bay in the cameras, except those to which a camera still writes."""
         self._loaded = bay
         for camera in range(len(self._cameras)):
             for k in range(self._ring.layout.slots_per_camera):

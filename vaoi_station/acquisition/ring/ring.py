@@ -106,7 +106,7 @@ class Ring:
 
     @property
     def owned(self) -> bool:
-        """Whether this process created the file and will unlink it."""
+        """Whether this process created the file, so that it will also unlink it."""
         # A forked child inherits the object, but must not unlink the file of its parent.
         return self._owner_pid == os.getpid()
 
@@ -155,7 +155,7 @@ class Ring:
         return int(self._bays["generation"][bay])
 
     def check_generation(self, bay: int, generation: int) -> None:
-        """Raise GoneError if the bay was given to another board; call it before *and after* reading pixels."""
+        """Raise GoneError if the bay was given to another board. Call it both before and after reading pixels."""
         now = self.generation(bay)
         if now != generation:
             raise GoneError(
@@ -178,7 +178,7 @@ class Ring:
         self.write_slot_record(slot, EMPTY, NO_ROW, None)
 
     def write_slot_record(self, slot: int, state: int, row: int, frame_id: int | None) -> None:
-        """Write into the slot table what a slot holds, for tester software that reads the ring."""
+        """Write into the slot table what a slot contains. Tester software that reads the ring uses this table."""
         self._require_writable("write to")
         bay = self.layout.place(slot)[0]
         self._slots[slot] = (self.generation(bay), state, row, frame_id or 0, 0)
@@ -190,7 +190,7 @@ class Ring:
         return int(entry["generation"]), int(entry["state"]), int(entry["row"]), int(entry["frame_id"])
 
     def close(self) -> None:
-        """Unmap the ring; the owner also unlinks the file. Views that are still held keep their memory."""
+        """Unmap the ring; the owner also unlinks the file. Arrays that still refer to the memory stay valid."""
         if self._map is None:
             return
         if self.owned:

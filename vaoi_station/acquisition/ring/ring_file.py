@@ -134,7 +134,7 @@ def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
 
 
 def open_existing(path: Path, writable: bool) -> int:
-    """Open the file of an existing ring; return its descriptor."""
+    """Open the file of an existing ring, and return its file descriptor."""
     try:
         return os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
     except FileNotFoundError:

@@ -141,7 +141,7 @@ class RingLayout:
         return self.first_slot + self.slots * self.slot_bytes
 
     def slot(self, bay: int, camera: int, k: int) -> int:
-        """Return the number of the k-th slot of a camera in a bay."""
+        """Return the number of the slot with index k, among the slots of one camera in one bay."""
         limits = (("bay", bay, self.bays), ("camera", camera, self.cameras), ("slot", k, self.slots_per_camera))
         for what, value, count in limits:
             if not 0 <= value < count:
@@ -149,7 +149,7 @@ class RingLayout:
         return (bay * self.cameras + camera) * self.slots_per_camera + k
 
     def place(self, slot: int) -> tuple[int, int, int]:
-        """Return bay, camera and index k of a slot number; the inverse of the method `slot`."""
+        """Return bay, camera and index k for the number of a slot. This is the inverse of `slot`."""
         if not 0 <= slot < self.slots:
             raise InputError.field("ring", "slot", slot, f"0 … {self.slots - 1}")
         rest, k = divmod(slot, self.slots_per_camera)

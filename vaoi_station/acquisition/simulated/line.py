@@ -91,7 +91,7 @@ class SimulatedLine:
         self._thread.start()
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
-        """Return the plan with the scenario's lights; raise InputError if it differs from the scenario's plan."""
+        """Return the plan with the scenario's lights. Raise InputError if it differs from the scenario's plan."""
         return accept_plan(plan, self._plan)
 
     def set_armed(self, armed: bool) -> None:
@@ -107,7 +107,7 @@ class SimulatedLine:
             self._change.notify()
 
     def fire(self, event: PulseFired) -> None:
-        """Expose all cameras for a pulse of a board."""
+        """Expose all cameras, for a pulse that was fired during a passage."""
         board, row = self._board, event.index
         if board is None or not self._agrees(board, event):
             error = InternalError(f"pulse {row} was fired at {event.time_s} s, when the twin did not expect one.")
@@ -193,7 +193,7 @@ class SimulatedLine:
         return len(self._ready) < AHEAD and (self._boards == 0 or self._prepared < self._boards)
 
     def _prepare(self) -> None:
-        """Render one frame, or begin the next board."""
+        """Render one frame; if all frames of the board are rendered, begin with the next board."""
         if not self._ready or self._ready[-1].ready:
             passage = self._twin.passage(self._prepared)
             self._ready.append(SimulatedBoard(passage, self._plan, len(self._cameras)))

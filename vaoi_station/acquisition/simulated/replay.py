@@ -66,7 +66,7 @@ class FastPace:
         self._feedback.wait_for_frames(self._expected, stop, ROW_TIMEOUT_S)
 
     def frames_coming(self, frames: int) -> None:
-        """Add `frames` to the count of frames that are to be done before the next pulse."""
+        """Add `frames` to the number of frames that must be done before the next pulse."""
         self._expected += frames
 
     def wake(self) -> None:
@@ -113,7 +113,7 @@ def _decode(recording: Recording, formats: tuple[str, ...]) -> Pixels:
 
 
 def _check(recording: Recording, config: StationConfig) -> None:
-    """Raise InputError for a recording that this station could not have made."""
+    """Raise InputError for a recording that does not have this station's cameras and line."""
     head, where = recording.head, recording.directory / "recording.json"
     if len(head.cameras) != len(config.cameras):
         raise InputError.field(where, "cameras", len(head.cameras), f"{len(config.cameras)}, as in station.toml")

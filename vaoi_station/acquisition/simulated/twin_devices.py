@@ -53,7 +53,7 @@ def scenario_plan(twin: Twin) -> TriggerPlan:
 
 
 def check_scenario(config: StationConfig) -> None:
-    """Raise InputError for a scenario that is absent, invalid, or of another station."""
+    """Raise InputError for a scenario that is absent, invalid, or made for another station."""
     assert config.simulation is not None
     scenario = read_scenario(config.simulation.scenario)
     _check(scenario, config)

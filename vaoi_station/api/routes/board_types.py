@@ -1,4 +1,4 @@
-"""`board-types`: store, read and delete board types."""
+"""Routes under `board-types`: store, read and delete board types."""
 
 from __future__ import annotations
 

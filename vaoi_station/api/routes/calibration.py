@@ -1,4 +1,4 @@
-"""`calibration`: the calibration in use, and the drift of each camera."""
+"""Routes under `calibration`: the calibration in use, and the drift of each camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`runs/{id}/components/…`: positions of components, the frames that show them, and their temporary images."""
+"""Routes under `runs/{id}/components`: positions of components, frames that show them, temporary images."""
 
 from __future__ import annotations
 

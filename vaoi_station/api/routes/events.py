@@ -1,4 +1,4 @@
-"""`events`: the event log as server-sent events that can be resumed."""
+"""Routes under `events`: the event log as server-sent events. A client can resume the stream."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`runs/{id}/frames/{camera}/{row}`: frames as delivered by the cameras."""
+"""Routes under `runs/{id}/frames/{camera}/{row}`: frames as the cameras delivered them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`runs`: list runs, wait for the next one, return results, and hold or release the frames of runs."""
+"""Routes under `runs`: list runs, wait for the next one, return results, hold and release frames."""
 
 from __future__ import annotations
 

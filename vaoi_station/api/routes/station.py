@@ -1,4 +1,4 @@
-"""`station`: state, arm and disarm."""
+"""Routes under `station`: return its state, arm it, disarm it."""
 
 from __future__ import annotations
 

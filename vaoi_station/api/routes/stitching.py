@@ -1,4 +1,4 @@
-"""`board-types/{name}/reference` and `…/method`: reference and stitching method of a board type."""
+"""Routes under `board-types/{name}/reference` and `…/method`: reference and stitching method of a board type."""
 
 from __future__ import annotations
 

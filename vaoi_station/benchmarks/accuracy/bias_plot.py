@@ -16,7 +16,7 @@ _OURS, _THEIRS, _AXIS, _INK = "#0b6e4f", "#c0392b", "#bbbbbb", "#222222"
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel of the plot: the errors of our method and of another method over the sub-pixel fraction.
+    """One panel of the plot: the errors of two methods over the sub-pixel fraction of the true position.
 
     Attributes:
         name: caption of the panel.

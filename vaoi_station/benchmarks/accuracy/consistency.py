@@ -124,7 +124,7 @@ def summarise_runs(runs: Sequence[RunErrors]) -> Consistency:
 
 
 def _ignore(line: str) -> None:
-    """Discard a line of progress. This is the default of the `report` arguments."""
+    """Do nothing with a line of progress. This is the default of the `report` arguments."""
 
 
 def twin_runs(

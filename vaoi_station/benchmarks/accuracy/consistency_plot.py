@@ -1,4 +1,4 @@
-"""Draw real errors over predicted errors as SVG: one point per run, and the distribution of normalised lengths."""
+"""Draw real errors over predicted errors, one point per run, and the distribution of normalised errors, as SVG."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ class MarkCurve:
 
 @dataclass(frozen=True)
 class MarkFigures:
-    """Results of `vaoi bench --marks`."""
+    """The results of `vaoi bench --marks`: errors of marks, and curves of bias."""
 
     rows: tuple[MarkErrors, ...]
     curves: tuple[MarkCurve, ...]
@@ -226,7 +226,7 @@ def _whole_frame_ms(board: BenchmarkBoard) -> float:
 
 
 def _renamed(row: dict[str, Any], name: str, key: str) -> dict[str, Any]:
-    """Return a copy of `row` in which the entry `name` has the name `key`. The order of the entries is kept."""
+    """Return a copy of the dictionary `row` with the key `name` changed to `key`, in the same order."""
     return {key if k == name else k: v for k, v in row.items()}
 
 

@@ -47,13 +47,13 @@ class BiasCurve:
 
     @property
     def largest_px(self) -> float:
-        """Largest bias at any fraction."""
+        """The largest bias over all sub-pixel fractions."""
         return max(abs(e) for e in self.error_px)
 
 
 @dataclass(frozen=True)
 class BiasFigures:
-    """Results of `vaoi bench --links`."""
+    """The results of `vaoi bench --links`: curves of the bias of links."""
 
     curves: tuple[BiasCurve, ...]
 

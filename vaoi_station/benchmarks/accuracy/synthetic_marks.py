@@ -99,7 +99,7 @@ def _covered(shape: Shape, x: Floats, y: Floats, size: float) -> Floats:
 
 
 def _within_diagonal(cells: Floats) -> Floats:
-    """Return the share of a sample inside an outline at 45°. `cells`: distance to it along an axis, in samples."""
+    """Return the share of a sample inside an outline at 45°. `cells` is its distance along an axis, in samples."""
     # Integral of the triangular width of a unit square along its diagonal.
     t = np.clip(cells, -1, 1)
     return np.asarray(np.where(t < 0, 1 - (1 + t) ** 2 / 2, (1 - t) ** 2 / 2))

@@ -30,7 +30,7 @@ _SAMPLE_S = 0.005
 
 @dataclass(frozen=True)
 class ScalingFigures:
-    """Figures of stitching one board. Times are CPU time of one thread, without compilation."""
+    """The results for stitching one board. Times are CPU time of one thread, without compilation."""
 
     frames: int
     rows: int
@@ -146,7 +146,7 @@ def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
 
 
 class _PeakMemory:
-    """The peak of this process's private memory above its value on entry, sampled by a thread."""
+    """Sampler, in a thread, of this process's private memory. It keeps the largest increase since its start."""
 
     def __init__(self) -> None:
         self.bytes = 0

@@ -35,7 +35,7 @@ RUN_LIMIT_S = 180.0
 
 @dataclass(frozen=True)
 class BoardFigures:
-    """Figures of the run of one board."""
+    """The measured values for the run of one board."""
 
     state: str
     status: str
@@ -92,7 +92,7 @@ class RateFigures:
 
 
 class StationUsage(NamedTuple):
-    """Use of the machine while the boards passed. The keys of the mappings are process names."""
+    """The use of the computer while the boards passed. The keys of the mappings are names of processes."""
 
     load_before: float
     boards_missed: int

@@ -135,7 +135,7 @@ def _columns(design: ArrayDesign) -> Floats:
 
 
 def _line(span: float, count: int) -> Floats:
-    """Compute evenly spaced positions within a span, such that displaced marks still lie in the span."""
+    """Return `count` evenly spaced positions. Marks may be displaced from them and still lie within the span."""
     if span <= 0:
         raise InputError(
             f"the view leaves {span:.1f} mm for marks after tolerance and mark size.",
@@ -150,7 +150,7 @@ def _least_gap(line: Floats) -> float:
 
 
 def _off_grid(n: int) -> tuple[float, float]:
-    """Compute the direction and relative size of the displacement of mark n, as a vector of length 1 or less."""
+    """Return how mark n is displaced from the grid: direction and relative size, as a vector of length ≤ 1."""
     # Multiples of irrational numbers modulo 1 have no pattern and, unlike random numbers, no seed or library version.
     angle, length = 2 * math.pi * ((n + 1) * _GOLDEN % 1.0), math.sqrt((n + 1) * _GOLDEN * math.e % 1.0)
     return length * math.cos(angle), length * math.sin(angle)

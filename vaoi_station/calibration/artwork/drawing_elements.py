@@ -1,4 +1,4 @@
-"""Shapes that the artwork contains in all formats: the cross of a mark and the scale bar."""
+"""Shapes that the artwork contains in every file format: the cross of a mark, and the scale bar."""
 
 from __future__ import annotations
 

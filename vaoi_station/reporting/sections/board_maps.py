@@ -30,7 +30,7 @@ class BoardDrawing:
         self.width, self.height = (float(v) for v in span * self.scale + 2 * _MARGIN)
 
     def at(self, cad: Floats) -> Floats:
-        """Convert CAD points (k, 2) to user units (k, 2)."""
+        """Convert CAD points (k, 2) to SVG user units (k, 2) of the drawing."""
         x, y = ((np.asarray(cad, dtype=np.float64) - self._low) * self.scale + _MARGIN).T
         # SVG's y axis points down; a CAD system with y up is mirrored here.
         return np.stack([x, self.height - y if self.board_type.y_axis == "up" else y], -1)

@@ -23,7 +23,7 @@ def picture_store(stitched: StitchedRun) -> str:
 
 
 def picture_id(key: FrameKey) -> str:
-    """Return the id of a thumbnail in the document."""
+    """Return the id of a frame's thumbnail, by which the page refers to it."""
     return f"f{key[0]}-{key[1]}"
 
 

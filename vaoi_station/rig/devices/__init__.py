@@ -1,1 +1,1 @@
-"""Emulate devices: the firmware on its chip, GigE Vision cameras on loopback addresses."""
+"""Emulate devices: the controller's firmware on its chip, and GigE Vision cameras on loopback addresses."""

@@ -46,7 +46,7 @@ def _split(description: str) -> tuple[str, str, str]:
 
 
 def _number(source: str, name: str) -> int:
-    """Return the number of the trigger source `name` in the enumeration `source`."""
+    """Return the number of a trigger source in the enumeration `source`, a part of the description."""
     found = re.search(_ENTRY.format(name), source, re.DOTALL)
     if found is None:
         raise InternalError(f"Aravis' fake camera has no trigger source {name}.")

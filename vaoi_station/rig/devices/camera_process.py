@@ -136,7 +136,7 @@ class CameraProcess:
         self._ready.put(False)
 
     def _stderr_tail(self) -> str:
-        """Kill the process and return the end of its standard error."""
+        """Kill the process, and return the last lines of its standard error."""
         process = self._process
         if process is None or process.stderr is None:
             return ""

@@ -25,7 +25,7 @@ STOP_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True)
 class Edge:
-    """A change of one output of the chip."""
+    """A change of the level of one output pin of the chip."""
 
     cycle: int
     pin: str

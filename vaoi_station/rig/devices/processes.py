@@ -1,4 +1,4 @@
-"""Set the priority of processes that emulate devices, and stop such processes."""
+"""Set the priority of processes that emulate devices, and stop these processes."""
 
 from __future__ import annotations
 

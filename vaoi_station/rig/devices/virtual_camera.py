@@ -140,7 +140,7 @@ class VirtualCamera:
 
 
 class _FrameFile:
-    """Frames in a memory-mapped file, one after the other. Without a file all frames are black."""
+    """Frames in a memory-mapped file, one after another. Without a file all frames are black."""
 
     def __init__(self, path: Path | None = None) -> None:
         self._bytes: NDArray[np.uint8] = np.zeros(0, np.uint8)
@@ -180,7 +180,7 @@ _FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32
 
 
 def _aravis() -> tuple[Any, ctypes.CDLL]:
-    """Return Aravis' binding and the C library with its argument types."""
+    """Return the Python binding of Aravis, and its C library with declared argument types."""
     # PyGObject's set_fill_pattern crashes before Aravis 0.9.1; through ctypes the function works.
     library = shared_library()
     library.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, _FILL, ctypes.c_void_p]

@@ -27,7 +27,7 @@ from vaoi_station.simulation import Scenario, Twin, calibration_board
 
 @dataclass(frozen=True)
 class FrameRequest:
-    """A request for one frame of every camera at one time."""
+    """A request to render one frame of every camera for one moment."""
 
     board: int | None
     """Number of the board; None: the calibration board, which lies under the cameras while no board passes."""

@@ -26,7 +26,7 @@ class Fault:
     who: str = "station"
 
     def at(self, board: int, row: int) -> bool:
-        """Whether the fault begins with the pulse of this row of this board."""
+        """Return whether the fault begins at the pulse of this row of this board."""
         return (self.board, self.row) == (board, row)
 
 
@@ -85,7 +85,7 @@ def parse_fault(text: str) -> Fault:
 
 
 def check_faults(faults: Sequence[Fault], cameras: int, boards: int) -> None:
-    """Raise InputError if a fault names a board or a camera that does not exist in this rig run."""
+    """Raise InputError if a fault names a board or a camera that this rig run does not have."""
     for fault in faults:
         _, keys, _ = KINDS[fault.kind]
         for key, count in (("camera", cameras), ("board", boards)):

@@ -42,7 +42,7 @@ _FORMAT = 1
 
 
 class BoardMetadata(Strict):
-    """Times, lights and truth of a rendered board. All times are seconds since the start of the passage."""
+    """Times, lights and truth of a rendered board. All times are in seconds since the start of the passage."""
 
     board: int
     cameras: int

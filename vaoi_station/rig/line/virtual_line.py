@@ -49,7 +49,7 @@ armed the camera.
 
 @dataclass(frozen=True)
 class Lighting:
-    """The lights of the station: which LED channels belong to each light, and the exposures of the cameras."""
+    """The lights of the station: the LED channels of each light, and the exposure times of the cameras."""
 
     channels: dict[str, tuple[int, ...]]
     """Name of the light → its LED channels."""
@@ -224,7 +224,7 @@ class VirtualLine:
             self._render_late(FrameRequest(passage.rendered.metadata.board, t, light_name, len(passage.fired)), pulse)
 
     def _mismatch(self, passage: BoardPassage, row: int | None, pulse: Pulse) -> str:
-        """Return a text that describes how the pulse differs from what was rendered; empty if it does not."""
+        """Return a text on how a pulse differs from the one that was rendered; empty if it does not differ."""
         if row is None:
             return "fired at a time for which no frame was rendered"
         light = passage.rendered.metadata.lights[row]
@@ -246,7 +246,7 @@ class VirtualLine:
             fired.outcomes[camera] = "dead"
 
     def _outcome(self, passage: BoardPassage, row: int, camera: int) -> tuple[FrameOutcome, float]:
-        """Decide the outcome of a frame; return it with the share of the frame's packets that is lost, 0 to 1."""
+        """Decide the outcome of a frame. Return it with the share of the frame's packets that is lost, 0 to 1."""
         if (camera, row) in passage.rendered.metadata.lost:
             return "lost", 1.0
         return ("hit", LOST_PACKET_SHARE) if self._random.random() < self._frame_faults.loss else ("sent", 0.0)

@@ -89,7 +89,7 @@ class Recovery(Strict):
 
 
 class Load(Strict):
-    """Average number of CPU cores in use, for each kind of process: CPU time divided by the measured time `over_s`."""
+    """The average number of busy CPU cores, by kind of process: CPU time divided by the measured time `over_s`."""
 
     over_s: float
     station: float

@@ -101,7 +101,7 @@ def _compare(
 
 
 def _identify(pixels: NDArray[np.uint8], frames: NDArray[np.uint8], camera: int, row: int) -> str:
-    """Return a text that states which rendered frame of the board has these pixels, if any."""
+    """Return a text that states which rendered frame of the board has these pixels; empty if none has."""
     for other, of_row in enumerate(frames):
         for place, frame in enumerate(of_row):
             if np.array_equal(pixels, frame):

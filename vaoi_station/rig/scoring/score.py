@@ -37,7 +37,7 @@ class Outage:
     reason: str
 
     def covers(self, fired_ns: int, camera: int) -> bool:
-        """Whether a frame of a camera, fired at `fired_ns` of CLOCK_MONOTONIC, may be lost by this outage."""
+        """Return whether this outage may have lost a frame of a camera, fired at `fired_ns` of CLOCK_MONOTONIC."""
         flight_ns = round(IN_FLIGHT_S * 1e9)
         return self.camera in (None, camera) and self.from_ns - flight_ns <= fired_ns <= self.until_ns
 

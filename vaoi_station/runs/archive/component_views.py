@@ -87,7 +87,7 @@ def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: boo
 
 
 def _view_counts(finished: FinishedRun) -> Counter[str]:
-    """Count the views of each component: the complete frames that show at least half of the component."""
+    """Return for each component the number of complete frames that show at least half of it."""
     stitch = finished.stitch
     if stitch is None or stitch.cad_matrix is None:
         return Counter()

@@ -244,7 +244,7 @@ class Archive:
         self._events.add("run", summary_line(finished.detail), state=finished.detail.state, run=finished.detail.id)
 
     def _number_of(self, run: str) -> int:
-        """Return the finish number of a run. For a run that has not ended, return that of the last announced run."""
+        """Return the finish number of a run; for a run that has not ended, that of the latest announced run."""
         try:
             return self.get(run).finish_number
         except StateError:

@@ -48,11 +48,11 @@ _ABSENT = frozenset(
 
 
 class Process(Protocol):
-    """The attributes and methods of a process that the link uses; `multiprocessing.Process` has them."""
+    """The attributes and methods of a process that the link uses. `multiprocessing.Process` has all of them."""
 
     @property
     def pid(self) -> int | None:
-        """Process id."""
+        """The process id."""
 
     @property
     def sentinel(self) -> int:
@@ -63,7 +63,7 @@ class Process(Protocol):
         """Exit code of the process; None while it runs."""
 
     def kill(self) -> None:
-        """End the process at once."""
+        """Kill the process at once."""
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until the process has ended, or `timeout` seconds have passed."""
@@ -102,7 +102,7 @@ def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) 
 
 @dataclass
 class _Attempt:
-    """One acquisition process, from its start to its end."""
+    """The data about one acquisition process, from its start to its end."""
 
     process: Process
     connection: Connection[Any, Any]
@@ -138,7 +138,7 @@ class _Attempt:
 
 
 def longest_pause_s(cause: str) -> float:
-    """Return the longest pause before a restart. `cause` is the code of the last trouble, "" if there was none."""
+    """Return the longest pause before a restart. `cause` is the code of the last trouble; "" means none."""
     return PLUGGED_S if cause in _ABSENT else PACE.longest_s
 
 
@@ -167,7 +167,10 @@ class AcquisitionLink:
         self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
 
     def start(self, events: StationEvents, warm: Callable[[], bool] = lambda: True) -> None:
-        """Start the process as soon as `warm` returns True, or after `WARM_S`, and report its messages to `events`."""
+        """Start the process once `warm` returns True, that is, all workers are ready, or after `WARM_S`.
+
+        Messages of the process are reported to `events`.
+        """
         self._events, self._warm = events, warm
         # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before
         # it waits: without this call an interpreter that exits early would hang.

@@ -1,4 +1,4 @@
-"""Runs that have not ended: their tasks go to the workers as frames arrive, and their results to the archive."""
+"""Runs that have not ended. Their tasks go to the workers as frames arrive; their results go to the archive."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class ActiveRuns:
         return self._conclude_if_complete(progress)
 
     def give_up(self, progress: Progress, reason: Reason) -> list[Progress]:
-        """End a run without a result."""
+        """End a run without a result, for a reason."""
         progress.add_fault(reason)
         progress.unstitchable = True
         return self._conclude_if_complete(progress)

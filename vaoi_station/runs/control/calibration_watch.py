@@ -62,7 +62,7 @@ class CalibrationWatch:
         )
 
     def checked(self, job: CheckJob, reply: Reply) -> None:
-        """Store the outcome of a check, and publish events for drifts that begin or end with it."""
+        """Store the result of a drift check, and publish an event for each drift that begins or ends with it."""
         run, digest = job.run, job.calibration
         if reply.error is not None:
             if not isinstance(reply.error, StateError):  # a StateError means that the station stops: no trouble
@@ -83,7 +83,7 @@ class CalibrationWatch:
         self._publish_changes(before, run)
 
     def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
-        """Publish events for new and for ended drifts. `before` contains the drifts before this check."""
+        """Publish an event for each new or ended drift. `before` lists the drifts before this check."""
         known, now = {d.camera for d in before}, {d.camera for d in self._drifts}
         for d in self._drifts:
             if d.camera not in known:

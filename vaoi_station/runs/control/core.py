@@ -118,7 +118,7 @@ class Core:
                 raise InternalError(f"No part of the station expects the answer of {job}.")
 
     def worker_ended(self, description: str) -> None:
-        """Publish that a worker process has ended. The pool restarts it."""
+        """Publish that a worker process has ended. The pool then restarts the process."""
         self._events.add("process", description)
 
     def workers_ready(self) -> None:
@@ -212,7 +212,7 @@ class Core:
     # --- runs
 
     def _salvage(self, progress: Progress) -> None:
-        """Stitch the frames that had arrived of a run when the acquisition process ended."""
+        """Stitch a run from the frames that had arrived when the acquisition process ended."""
         reason = Reason(
             code="acquisition-lost",
             message="The acquisition process ended while the board was filmed; this is what had arrived.",
@@ -228,7 +228,7 @@ class Core:
             self._after_runs(self.runs.give_up(progress, reason))
 
     def _after_runs(self, ended: list[Progress]) -> None:
-        """Mark the memory of ended runs as evictable, grant it if needed, and complete a stop that waits for runs."""
+        """Mark the memory of ended runs as evictable, grant memory if it is needed, and complete a stop that waits."""
         for progress in ended:
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()

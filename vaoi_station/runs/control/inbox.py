@@ -18,7 +18,10 @@ T = TypeVar("T")
 
 
 class Inbox:
-    """Queue of functions, and the thread that calls them in order. The thread also calls `tick` every `tick_s`."""
+    """A queue of functions, and the thread that calls them one after another.
+
+    The thread also calls `tick` every `tick_s` seconds.
+    """
 
     def __init__(self, tick: Callable[[], None], tick_s: float = 0.5) -> None:
         self._tick, self._tick_s = tick, tick_s
@@ -102,7 +105,7 @@ class Inbox:
                 _log.exception("a message to the coordinator failed")
 
     def _next(self, until_s: float) -> Callable[[], Any] | None:
-        """Return the next message, or None if the time `until_s` of the next tick comes first.
+        """Return the next message; None if the time `until_s` of the next tick comes before it.
 
         A tick that is due comes before waiting messages.
         """

@@ -35,7 +35,7 @@ RENDER_LIMIT_S = 60.0
 
 
 class ViewRequest(NamedTuple):
-    """Request for one temporary image: address of the component, index k of the view, and the choice of views.
+    """The request for one temporary image: the component's address, the index k of the view, and how views are chosen.
 
     Views are chosen as `StationCoordinator.views` describes.
     """
@@ -136,7 +136,7 @@ class FrameAccess:
 
     @contextmanager
     def lease(self, run: str, purpose: str) -> Iterator[Bay]:
-        """Keep the run's frames in memory inside the context; `GoneError` if they are no longer in memory."""
+        """Keep a run's frames in memory in a `with` block. Raise GoneError if they are no longer in memory."""
         holder = f"{OWN}{next(self._uses)}"
         bay, _ = self.take_lease(run, holder, purpose)
         try:

@@ -54,7 +54,7 @@ def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig])
 
 
 def not_connected(label: str, why: str) -> str:
-    """Return a message that a camera is not connected, and `why`.
+    """Return the message that a camera is not connected, with the cause `why`.
 
     Drivers may begin their message with the camera's name; it is removed there, so that the name appears once.
     """

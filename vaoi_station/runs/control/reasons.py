@@ -16,7 +16,7 @@ _WORD = re.compile(r"[a-z]+(?=[ :])")
 
 
 def sentence(text: str) -> str:
-    """Capitalize the first letter of a text, unless the text begins with a file name, a field name or a number."""
+    """Write the first letter of a text as a capital, unless the text begins with a file, a field or a number."""
     return text[0].upper() + text[1:] if _WORD.match(text) else text
 
 
@@ -77,5 +77,5 @@ class Reasons:
             self._reasons.pop(key, None)
 
     def all(self) -> tuple[Reason, ...]:
-        """Return all present reasons and troubles, oldest first."""
+        """Return all present reasons and troubles, the oldest first."""
         return tuple(self._reasons.values())

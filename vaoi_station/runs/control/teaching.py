@@ -1,4 +1,4 @@
-"""Board types, the references that are taught for them, and the methods by which their runs are stitched."""
+"""Board types, the references that are kept for them, and the methods by which their runs are stitched."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ class BoardTypeService:
         return self._references.set_method(self.get(board_type).name, method)
 
     def _sweep(self) -> None:
-        """Delete the files of references that no board type, no unfinished run and no order uses."""
+        """Delete the files of references that are used by no board type, no unfinished run and no order."""
 
         def in_use() -> set[str]:
             under_way = {p.order.reference.run for p in self._core.runs.active.values() if p.order.reference}

@@ -57,7 +57,7 @@ class StopRequest:
 
 
 def _ignore_signal(_number: int, _frame: FrameType | None) -> None:
-    """Do nothing. This handler replaces the default action, which would end the process.
+    """Do nothing. This handler replaces the default action of the signal, which would end the process.
 
     The interpreter has already written the signal number into the socket.
     """

@@ -17,7 +17,7 @@ Use = Literal["free", "granted", "filming", "stitching", "finished"]
 
 
 class BayRing(Protocol):
-    """The method of the ring that the assignment of bays uses."""
+    """The one method of the ring that is needed to assign bays."""
 
     def claim(self, bay: int) -> int:
         """Set all pixels of a bay to zero, and return the bay's new generation."""
@@ -37,7 +37,7 @@ class Bay:
 
 @dataclass(frozen=True)
 class GrantedBay:
-    """A bay that was granted to a coming run, and the id of the run that was evicted for it (None: it was free)."""
+    """A bay that was granted to a coming run, and the run that was evicted for it (None if the bay was free)."""
 
     bay: Bay
     evicted: str | None

@@ -34,7 +34,7 @@ class Order:
     """Film boards although a camera is not connected, as the caller allowed."""
 
     def shown(self, runs_left: int | None) -> ArmedWith:
-        """Return the order as the status page shows it."""
+        """Return the part of the order that the status page shows."""
         return ArmedWith(
             board_type=self.board_type.name,
             board_id=self.board_id,
@@ -89,7 +89,7 @@ class Orders:
         return self.order is not None and self.runs_left != 0
 
     def shown(self) -> ArmedWith | None:
-        """Return the order in force as the status page shows it; None if no order is in force."""
+        """Return the part of the order in force that the status page shows; None if no order is in force."""
         return None if self.order is None else self.order.shown(self.runs_left)
 
 

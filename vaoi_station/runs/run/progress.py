@@ -68,7 +68,7 @@ class Progress:
 
     @property
     def context(self) -> RunContext:
-        """Id of the run, with the bay and the generation of its frames."""
+        """The id of the run, with the number of its bay and the generation of the bay."""
         return self.opening.context
 
     @property
@@ -107,7 +107,7 @@ class Progress:
         return self._jobs_for(key[0], possible_tasks(key, self.linkable, self._times_s(), self.order.setup))
 
     def filmed(self, report: RunFinished) -> list[LinkJob]:
-        """Record the final report of the acquisition process; return jobs for canonical tasks not requested so far."""
+        """Record the final report of the acquisition process; return jobs for the canonical tasks still needed."""
         self.advance(RunStep.FILMED)
         self.recorded = report
         self.frames = {(f.camera, f.row): f for f in report.frames}

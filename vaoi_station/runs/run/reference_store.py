@@ -51,12 +51,12 @@ class ReferenceStore:
         return None if method is None else _METHOD.validate_python(method)
 
     def set_method(self, board_type: str, method: MethodName | None) -> None:
-        """Set the method of a board type; with None, the station's method applies."""
+        """Set the stitching method of a board type. With None, the station's method applies."""
         kept = self._kept
         (kept.drop_method(board_type) if method is None else kept.keep_method(board_type, method)).result()
 
     def path_of(self, run: str) -> Path:
-        """Return the directory of a run that is kept as a reference, whether or not it exists."""
+        """Return the directory of the reference made from a run. The directory may not exist."""
         return self._directory / run
 
     def record(self, board_type: str) -> ReferenceRecord | None:

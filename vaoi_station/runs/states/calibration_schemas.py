@@ -45,7 +45,7 @@ class CameraMoment(Schema):
 
 
 class CameraCalibration(Schema):
-    """State of one camera since its calibration, and its displacement in the latest runs."""
+    """The state of one camera since its calibration, and its displacement in each of the latest runs."""
 
     camera: int
     name: str

@@ -33,7 +33,7 @@ class RunIds:
         self._last_ms = _number(last.partition("-")[0]) if last else 0
 
     def next(self) -> str:
-        """Return a new id, which sorts after the previous one even if the clock was set back."""
+        """Return a new id, which sorts after the previous one even if the machine's clock was set back."""
         self._last_ms = max(self._last_ms + 1, time.time_ns() // 1_000_000)
         # The random part makes ids unique across stations, and after the database of a station was replaced.
         chance = _text(secrets.randbelow(32**_RANDOM_DIGITS), _RANDOM_DIGITS)

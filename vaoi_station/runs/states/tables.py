@@ -36,7 +36,7 @@ class StationState(StrEnum):
 
 
 class StationStep(StrEnum):
-    """Event that may change the state of the station."""
+    """An event that may change the state of the station."""
 
     READY = "ready"
     ARM = "arm"
@@ -70,7 +70,7 @@ class RunState(StrEnum):
 
 
 class RunStep(StrEnum):
-    """Event that changes the state of a run."""
+    """An event that changes the state of a run."""
 
     FILMED = "filmed"
     STITCHED = "stitched"

@@ -54,7 +54,7 @@ class LinkJob:
 
     @property
     def run(self) -> str:
-        """Id of the run."""
+        """The id of the run."""
         return self.context.run
 
     @property
@@ -85,7 +85,7 @@ class GatherJob:
 
     @property
     def run(self) -> str:
-        """Id of the run."""
+        """The id of the run."""
         return self.context.run
 
     def __str__(self) -> str:
@@ -115,7 +115,7 @@ class ConcludeJob:
 
     @property
     def run(self) -> str:
-        """Id of the run."""
+        """The id of the run."""
         return self.context.run
 
     def without(self, there: Collection[Task]) -> ConcludeJob:

@@ -96,7 +96,7 @@ class WorkerPool:
             self._queues.runs[opening.context.run] = opening
 
     def close_run(self, run: str) -> None:
-        """Close a run: drop its waiting link and gather jobs, and have the workers discard its data."""
+        """Close a run: drop its waiting link and gather jobs, and make the workers discard what they hold for it."""
         with self._lock:
             self._queues.forget(run)
             for worker in self._workers:
@@ -220,7 +220,7 @@ class WorkerPool:
             self._events.worker_reply(job, reply)
 
     def _supervise(self, worker: Worker) -> None:
-        """Reap a worker that has died; kill a worker that hangs."""
+        """Reap a worker that has died, and kill a worker that hangs."""
         if worker.process is None:
             return
         if worker.process.is_alive():

@@ -79,7 +79,7 @@ class JobQueues:
         self._queues[queued.job.priority].appendleft(queued)
 
     def forget(self, run: str) -> None:
-        """Close a run: drop its waiting link and gather jobs."""
+        """Drop the waiting link and gather jobs of a closed run."""
         self.runs.pop(run, None)
         self.drop(Priority.LINK, run)
         self.drop(Priority.GATHER, run)
@@ -119,7 +119,7 @@ class JobQueues:
             self._queues[Priority.GATHER].append(Queued(GatherJob(job.context, linked)))
 
     def drop(self, priority: Priority, run: str) -> None:
-        """Drop the waiting jobs of one run that have this priority."""
+        """Drop the waiting jobs of one run and one priority."""
         self._queues[priority] = deque(q for q in self._queues[priority] if q.job.run != run)
 
     def choose(self, worker: Worker) -> Queued | None:

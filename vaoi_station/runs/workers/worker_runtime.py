@@ -179,7 +179,7 @@ class WorkerRuntime:
         return encode(crop, job.format)
 
     def _guarded(self, bay: int, generation: int, work: Callable[[], T]) -> T:
-        """Call `work`, which reads frames of a bay, and return its value; `GoneError` if the bay has a later run.
+        """Call `work`, which reads frames of a bay, and return its value. Raise GoneError if the bay has a later run.
 
         Frames are read without a copy and without a lock. Therefore the generation of the bay is checked before and
         after: a value from frames that were overwritten meanwhile is discarded.

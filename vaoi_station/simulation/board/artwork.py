@@ -196,7 +196,7 @@ def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
 
 
 def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:
-    """Scale the photograph that the scenario names to the outline of the board, and paint it on the canvas."""
+    """Scale the photograph that the scenario names to the size of the board, and paint it on the canvas."""
     assert section.photograph is not None
     image = read_image(section.photograph)
     if min(image.shape[:2]) < 16:

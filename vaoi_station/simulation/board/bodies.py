@@ -88,7 +88,7 @@ def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
 
 
 def _outline(part: Part) -> Floats:
-    """Return the outline of a part's body, (k, 2) mm, in the local coordinates of the part."""
+    """Return the outline of a part's body, (k, 2) mm, in coordinates of the part."""
     w, h = part.package.body
     if part.package.round:
         a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
@@ -201,12 +201,12 @@ _PAINTERS = {
 
 
 def _code(part: Part, length: int, line: int = 0) -> str:
-    """Return random lettering of a given length for a part. It depends only on the part's name and on `line`."""
+    """Return random lettering of a given length for a part. The same part's name and `line` give the same text."""
     g = np.random.default_rng([line, *part.ref.encode()])
     return "".join(g.choice(list("ABCDEFGHKLMNPRSTUVXZ0123456789"), length))
 
 
 def _digits(part: Part) -> str:
-    """Return a random three-digit value code for a part. It depends only on the part's name."""
+    """Return a random three-digit value code for a part. The same part's name gives the same code."""
     g = np.random.default_rng([9, *part.ref.encode()])
     return f"{g.integers(10, 99)}{g.integers(0, 5)}"

@@ -207,7 +207,7 @@ def _step(depth: Plane) -> Plane:
 
 
 def _span(offset: Plane, width: float) -> Plane:
-    """Compute the share that an interval of `width` about 0 has in a hat function centred at each offset."""
+    """Compute which share of a hat function at each offset lies in an interval of `width` about 0."""
     return np.asarray(_step(offset + width / 2) - _step(offset - width / 2))
 
 

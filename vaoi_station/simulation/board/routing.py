@@ -134,7 +134,7 @@ class _Router:
         return not self.taken[y, x].any()
 
     def _add_trace(self, path: Floats, *, via: bool) -> None:
-        """Add a trace, and mark the cells of the trace and of its clearance as occupied."""
+        """Add a trace and its via, and mark the cells that they and their clearance occupy."""
         self.traces.append(path)
         width = max(round(2 * _CLEARANCE_MM * _CELLS_PER_MM), 2) + 1
         cv2.polylines(self.taken, [self._cells(path)], False, 1, width)

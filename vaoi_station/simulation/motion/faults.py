@@ -19,7 +19,7 @@ class BarrierBounceTime:
 
 @dataclass(frozen=True)
 class PassageFaults:
-    """The faults of one board during its passage."""
+    """The faults of one board during its passage, and functions that give those of one camera and row."""
 
     section: FaultSection
     board_number: int
@@ -77,7 +77,7 @@ class PassageFaults:
 
     @property
     def bounces(self) -> tuple[BarrierBounceTime, ...]:
-        """The bounces of the barrier, sorted by time."""
+        """The bounces of the barrier's signal, sorted by time."""
         found = [
             BarrierBounceTime(self.blocked_s + f.at_s, f.duration_s)
             for f in self.section.bounces

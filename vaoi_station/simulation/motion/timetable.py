@@ -61,7 +61,7 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
     way = replace(way, start_along_mm=barrier - half - lead)
 
     def passes(offset_mm: float) -> float:
-        """Return the time at which a point `offset_mm` ahead of the board's centre reaches the barrier."""
+        """Return the time at which the barrier is reached by a point `offset_mm` ahead of the board's centre."""
         return _crossing(lambda t: belt.direction * way.center(t)[1] + offset_mm - barrier)
 
     blocked, clear = passes(half), passes(-half)

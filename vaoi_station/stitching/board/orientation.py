@@ -46,7 +46,7 @@ class Orientation:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the edges show that the board is turned by 180°."""
+        """Whether the edges show that the board lies turned by 180°."""
         return _stands_out(self.evidence, self.turned, self.as_placed)
 
     @property

@@ -66,9 +66,9 @@ class OutlineShift:
 
     @property
     def excess_mm(self) -> float:
-        """Length of the part of the shift that neither machining nor noise explains.
+        """The part of the shift that neither machining nor noise explains, as a length in mm.
 
-        The part consists of those components, along the principal axes of the covariance, that exceed the limits.
+        It consists of the components of the shift, along the principal axes of its covariance, that exceed the limits.
         """
         sigma, way = np.linalg.eigh(self.covariance)
         along = np.abs(way.T @ self.mm)
@@ -77,7 +77,7 @@ class OutlineShift:
 
     @property
     def turned_mm(self) -> float:
-        """Displacement by the turn at the ends of the board; 0 if machining or noise explain the turn."""
+        """By how many mm the turn of the outline displaces the ends of the board; 0 if it may be noise or machining."""
         turned = abs(self.turn_rad) * self.arm_mm
         return turned if turned > max(_TURN_LIMIT_MM, _LIMIT_SIGMAS * self.turn_sigma_rad * self.arm_mm) else 0.0
 

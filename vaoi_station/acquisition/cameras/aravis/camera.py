@@ -106,7 +106,7 @@ class AravisCamera:
                 self._connection.stream.queue(slot)
 
     def take_back(self) -> list[int]:
-        """Withdraw the unused slots and return their numbers. After the call no frame is written into any of them."""
+        """Take back the unused slots and return their numbers. After the call no frame is written to these slots."""
         with self._lock:
             unused, self._waiting = self._waiting, []
             if self._connection is not None:

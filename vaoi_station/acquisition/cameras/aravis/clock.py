@@ -26,7 +26,7 @@ FAKE_VENDOR = "Aravis"
 
 @dataclass(frozen=True)
 class CameraClock:
-    """The clock of one camera, in ns since an epoch that the camera chooses."""
+    """The clock of one camera, in ns. The camera chooses the time at which its clock is 0."""
 
     read_ns: Callable[[], int]
     remote: bool = True
@@ -76,7 +76,7 @@ def _latch(device: Any, command: str, value: str, ns_per_tick: float) -> Callabl
 
 
 def _ns_per_tick(camera: Any, command: str) -> float:
-    """Return the length of a clock tick in ns. Aravis gives time stamps of frames in ns, so readings need ns too."""
+    """Return the length of a clock tick in ns, because Aravis gives the time stamps of frames in ns."""
     if command != "GevTimestampControlLatch":
         return 1.0
     hertz = camera.get_device().get_timestamp_tick_frequency()

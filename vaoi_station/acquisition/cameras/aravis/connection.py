@@ -1,4 +1,4 @@
-"""One connection to one camera, from its opening to its loss. After a loss a new `Connection` replaces it.
+"""One connection to one camera, from its opening to its loss. A new `Connection` follows after a loss.
 
 In Aravis only pushing and popping of buffers is thread-safe. So all access to the camera is guarded by one lock. The
 stream's buffers are popped by one thread only, without this lock.
@@ -49,7 +49,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class PortShare:
-    """How a camera shares a network port: cameras on the port, speed of the port, receive buffer."""
+    """The network port that a camera uses: number of cameras on it, speed, and receive buffer."""
 
     cameras: int = 1
     """Number of cameras on the port, including this one."""
@@ -130,7 +130,7 @@ class Connection:
         return self._stream
 
     def counters(self) -> dict[str, int]:
-        """Return the stream's counters by name; an empty dict before `start` and after `close`."""
+        """Return the stream's counters by name. The dictionary is empty before `start` and after `close`."""
         stream = self._stream
         return {} if stream is None else stream.counters()
 
@@ -241,7 +241,7 @@ class Connection:
 
     @contextlib.contextmanager
     def _device_access(self, trouble: str) -> Iterator[None]:
-        """Hold the camera's lock inside a `with` block, and turn GLib errors into DeviceErrors that name the camera."""
+        """Hold the camera's lock in a `with` block. GLib errors in it become DeviceErrors that name the camera."""
         with self._lock:
             if self._camera is None:
                 raise DeviceError(f"{self.config.label}: is closed.", code="camera-lost")

@@ -19,7 +19,7 @@ OPENING_LOCK = threading.Lock()
 
 @dataclass(frozen=True)
 class FoundDevice:
-    """A device that replied to the search."""
+    """A device that replied to the search, with its address and identity."""
 
     serial: str
     address: str

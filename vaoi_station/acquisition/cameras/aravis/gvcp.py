@@ -56,12 +56,12 @@ class DiscoveredCamera:
 
 
 def command(number: int, request_id: int, content: bytes = b"") -> bytes:
-    """Return the datagram of a command that requires an acknowledgement."""
+    """Return the bytes of a command that the camera must acknowledge."""
     return _HEADER.pack(_KEY, _ACKNOWLEDGE, number, len(content), request_id) + content
 
 
 def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
-    """Return whether a datagram acknowledges a command.
+    """Return whether received bytes acknowledge a command.
 
     A refusal counts as an acknowledgement, because it proves that the camera is present.
 
@@ -142,7 +142,7 @@ def _read_register(address: str, register: int, timeout_s: float, tries: int) ->
 
 
 def _request_register(client: socket.socket, register: int) -> bytes | None:
-    """Send one READREG and return its content; empty bytes after a refusal, None without a reply in time."""
+    """Send one READREG request and return the content of the register; b"" after a refusal, None without a reply."""
     request_id = _next_id()
     try:
         client.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))

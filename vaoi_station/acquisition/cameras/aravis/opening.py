@@ -51,7 +51,7 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
 
 
 def socket_bytes(camera: CameraConfig, period_s: float) -> int:
-    """Return the wanted size, bytes, of the kernel's receive buffer: room for all frames of `STALL_S`, at least two."""
+    """Return the wanted size of the kernel's receive buffer, bytes: room for all frames of `STALL_S`, at least two."""
     return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
 
 
@@ -69,7 +69,7 @@ def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
 
 
 def _check_distinct(connections: Sequence[Connection]) -> None:
-    """Raise InputError if two `[[cameras]]` entries of station.toml open the same device (same serial number)."""
+    """Raise InputError if two `[[cameras]]` tables of station.toml open the same device (equal serial numbers)."""
     counts = Counter(connection.identity.serial for connection in connections)
     for serial, count in counts.items():
         if count > 1:

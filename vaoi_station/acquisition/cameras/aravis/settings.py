@@ -43,7 +43,7 @@ class Setting:
     """Whether a later setting of the same feature replaces this one, so that it cannot be compared at the end."""
 
     def matches(self, got: object) -> bool:
-        """Return whether a value that was read back is the wanted one, within the tolerance."""
+        """Return whether a value that was read back equals the wanted one, within the tolerance."""
         if isinstance(self.wanted, bool | str | tuple):
             return got == self.wanted
         return isinstance(got, int | float) and math.isclose(got, self.wanted, rel_tol=1e-6, abs_tol=self.tolerance)
@@ -110,7 +110,7 @@ def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Sett
 
 
 def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the settings of binning, pixel format, region, exposure and gain, with automatic controls turned off."""
+    """Yield the settings of binning, pixel format, region, exposure and gain. Automatic controls are switched off."""
     x, y = config.offset_px
     region = (x, y, config.width, config.height)
     device = camera.get_device()
@@ -146,14 +146,14 @@ def _region(camera: Any) -> tuple[int, int, int, int]:
 
 
 def _named_features(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the features that station.toml sets by name, in the order of the file."""
+    """Yield the settings of those features that station.toml sets by name, in the order of that file."""
     device = camera.get_device()
     for feature, value in config.features.items():
         yield feature_setting(device, feature, value)
 
 
 def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the settings that give one frame per trigger pulse, following the recipe of the camera's make."""
+    """Yield the settings that make the camera send one frame per trigger pulse, by the recipe for its make."""
     device = camera.get_device()
     recipe = recipe_for(camera.get_vendor_name() or "")
     line = config.trigger_line or recipe.line

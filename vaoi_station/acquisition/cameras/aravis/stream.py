@@ -35,7 +35,7 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Size and pixel format of a complete frame."""
+    """The size and the pixel format that a complete frame must have."""
 
     width: int
     height: int
@@ -57,10 +57,10 @@ class SlotResult:
 
 
 class SlotStream:
-    """A stream of frames into slots: its buffers, and the thread that pulls the filled buffers."""
+    """A stream of frames into slots. A thread takes the filled slots from the stream and reports them."""
 
     def __init__(self, stream: Any, kind: FrameFormat, on_slot: Callable[[SlotResult], None], name: str) -> None:
-        """Start the pulling thread.
+        """Create the stream of slots and start its thread.
 
         Args:
             stream: the `Aravis.Stream`.
@@ -111,7 +111,7 @@ class SlotStream:
         return unused
 
     def close(self) -> list[Slot]:
-        """End the pulling thread and return the unused slots. After the call no frame is written into any slot."""
+        """End the thread and return the unused slots. After this call no frame is written into any slot."""
         # The `Aravis.Stream` ends when the connection drops the last reference to it, because its end may access the
         # camera.
         if self._ending.is_set():

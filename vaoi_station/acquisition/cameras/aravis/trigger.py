@@ -40,6 +40,6 @@ GENERIC = Recipe("Line0", off_while_changing=True)
 
 
 def recipe_for(vendor: str) -> Recipe:
-    """Return the recipe for a vendor's name; the generic recipe if the vendor is unknown."""
+    """Return the recipe for a vendor's name. An unknown vendor gets the generic recipe."""
     name = vendor.casefold()
     return next((recipe for start, recipe in RECIPES.items() if name.startswith(start)), GENERIC)

@@ -16,7 +16,7 @@ _CONTENT_LONGEST = 2 + PAYLOAD_LONGEST + 2
 
 @dataclass(frozen=True)
 class Message:
-    """A message of the host or of the controller."""
+    """One message of the host or of the controller: type, sequence number and content."""
 
     type: int
     sequence: int
@@ -41,7 +41,7 @@ def decode(frame: bytes) -> Message | None:
 
 
 class FrameReader:
-    """Splits a stream of bytes into messages; after a damaged frame it continues behind the next zero."""
+    """Reader that splits received bytes into messages. After a damaged frame it continues after the next zero byte."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()

@@ -45,7 +45,7 @@ class Replied:
 
 @dataclass(frozen=True)
 class Refused:
-    """A request that the controller refused."""
+    """A request that the controller refused, with the reason."""
 
     request: Request
     nak: Nak
@@ -88,7 +88,7 @@ Notification = Replied | Refused | Unanswered | EventReceived | EventsLost | Res
 
 @dataclass
 class _Pending:
-    """A request that waits to be sent, or for its reply."""
+    """A request that waits to be sent, or that waits for its reply."""
 
     request: Request
     internal: bool
@@ -142,11 +142,11 @@ class Link:
         return self.status is not None and self._order.next_number > self.status.events_next
 
     def request(self, request: Request) -> None:
-        """Queue a request; a later `receive` returns its outcome."""
+        """Queue a request. A later call of `receive` returns its outcome."""
         self._queue.append(_Pending(request, internal=False))
 
     def drop_requests(self) -> None:
-        """Forget all requests without a notification, because the port is gone."""
+        """Forget all requests without reporting an outcome, because the port has disappeared."""
         self._queue.clear()
         self._pending, self._yielding = None, False
 

@@ -153,7 +153,7 @@ class Timing(_Wire):
 
 @dataclass(frozen=True)
 class Step(_Wire):
-    """The light of one row: bit k of `channels` is LED channel k, `width` its on-time in ticks."""
+    """The light of one row: bit k of `channels` stands for LED channel k, and `width` is its on-time in ticks."""
 
     LAYOUT = Struct("<BxH")
     channels: int
@@ -191,7 +191,7 @@ class Ident(_Wire):
 
 @dataclass(frozen=True)
 class Status(_Wire):
-    """The controller's state; the reply to STATUS and BEAT."""
+    """The state of the controller, sent in reply to STATUS and BEAT."""
 
     LAYOUT = Struct("<4BHH6I6H")
     GROWS = True
@@ -217,7 +217,7 @@ class Status(_Wire):
 
 @dataclass(frozen=True)
 class Event(_Wire):
-    """An event; hw/protocol.md defines `detail`, `index` and `value` for each kind."""
+    """An event of the controller. hw/protocol.md defines `detail`, `index` and `value` for each kind of event."""
 
     LAYOUT = Struct("<IIBBHI")
     number: int
@@ -250,7 +250,7 @@ class Nak(_Wire):
 
 @dataclass(frozen=True)
 class Request:
-    """A request of the host, before it has a sequence number."""
+    """A request of the host that has no sequence number yet."""
 
     type: Type
     payload: bytes = b""

@@ -58,7 +58,7 @@ def _dotted(version: tuple[int, ...]) -> str:
 
 
 def describe(nak: Nak) -> str:
-    """Return a sentence on why a request was refused, with field and limit."""
+    """Return a sentence that states why the controller refused a request, with the field and its limit."""
     request = Type(nak.request).name if nak.request in set(Type) else f"request {nak.request:#04x}"
     texts = {
         Reason.UNKNOWN: "this firmware does not know it",

@@ -52,7 +52,7 @@ class SerialController:
             raise
 
     def start(self, events: EventQueue) -> None:
-        """Begin to report events."""
+        """Begin to put events into the queue `events`."""
         self._supervisor.publish_reading = events.put
         self._supervisor.translator.start(events.put)
         self._thread = threading.Thread(target=self._work, name="controller")
@@ -97,7 +97,7 @@ class SerialController:
 
     @property
     def ident(self) -> Ident:
-        """Versions, limits and boot counter of the controller."""
+        """The controller's identity: versions, limits and boot counter."""
         return self._supervisor.ident
 
     @property

@@ -59,7 +59,7 @@ class DeviceProgram:
         return config_crc(self.timing, self.steps)
 
     def light(self, row: int) -> str:
-        """Return the name of a row's light; empty if lights have no names."""
+        """Return the name of a row's light; an empty text if the lights have no names."""
         return self.lights[row % len(self.lights)] if self.lights else ""
 
 

@@ -65,7 +65,7 @@ class EventTranslator:
 
     @property
     def running(self) -> bool:
-        """Whether a run has begun and not ended."""
+        """Whether a run is under way."""
         return self._running
 
     def start(self, put: Callable[[ControllerEvent | DeviceFault], None]) -> None:
@@ -77,7 +77,7 @@ class EventTranslator:
         self._light, self._single_light = light, single
 
     def translate(self, event: Event, time_s: float) -> None:
-        """Translate the next event of the firmware."""
+        """Translate the next event of the firmware, and pass the result on."""
         if event.kind == Kind.BOOT:
             return
         self._time_s = time_s
@@ -101,7 +101,7 @@ class EventTranslator:
         return True
 
     def report_fault(self, error: DeviceError) -> None:
-        """Report a fault of the controller."""
+        """Pass on a fault of the controller as an event."""
         if self._put is not None:
             self._put(DeviceFault("controller", error))
 

@@ -64,7 +64,7 @@ _WATCHING = (State.ARMED, State.RUNNING)
 
 @dataclass(frozen=True)
 class Arming:
-    """The wanted state of the controller while it is armed."""
+    """The wanted state of the controller while it is armed: the plan, translated for the firmware."""
 
     program: DeviceProgram
     number: int

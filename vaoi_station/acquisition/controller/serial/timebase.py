@@ -47,11 +47,11 @@ class Timebase:
         return self._at(self._clock.device_s(tick, near_host_s))
 
     def drift_ppm(self) -> float:
-        """Return the rate by which the controller's clock is slower than the host's, ppm."""
+        """Return how much slower the controller's clock runs than the host's, in ppm."""
         return self._clock.model.drift_ppm
 
     def bound_s(self) -> float:
-        """Return the largest error of the clock fit."""
+        """Return the largest error of the clock fit, in s."""
         return self._clock.model.bound_s()
 
     def _at(self, since_boot_s: float) -> float:
