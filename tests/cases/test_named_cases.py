@@ -58,7 +58,7 @@ def test_errors_of_ok_results_stay_within_their_sigma(cases: Any, name: str) -> 
 
 def test_missing_rows_are_bridged(cases: Any) -> None:
     result = cases.stitched("rough")
-    assert not any("nothing ties rows" in reason for reason in result.reasons)
+    assert not any("no links connect the rows" in reason for reason in result.reasons)
     assert result.image_matrices[0][4] is None, "a row without frames is not placed"
     assert result.image_matrices[0][5] is not None
     assert abs(result.quality["belt"]["speed_error"]) < 0.05

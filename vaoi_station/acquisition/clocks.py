@@ -98,7 +98,8 @@ class ClockModel:
         """Raise ClockError if the error bound of the model is above the limit."""
         if (bound_s := self.bound_s()) > limit_s:
             raise ClockError(
-                f"{self.name}: its clock is known to ± {bound_s * 1e3:.3f} ms, but must be to {limit_s * 1e3:.3f} ms.",
+                f"{self.name}: times of its clock may be wrong by {bound_s * 1e3:.3f} ms "
+                f"(limit {limit_s * 1e3:.3f} ms).",
                 action="Check the link to the device and the load of this computer, then arm again.",
             )
 

@@ -96,7 +96,7 @@ def _caption(result: CameraResult, factor: int, limit_px: float) -> list[tuple[s
     if result.fit is not None:
         lines.append(
             (
-                f"residuals {result.fit.rms_px:.4f} px rms (limit {limit_px:g}), frame corners known to "
+                f"residuals {result.fit.rms_px:.4f} px rms (limit {limit_px:g}), sigma at frame corners "
                 f"{result.corner_sigma_px:.3f} px; vectors x{factor}",
                 _INK,
             )

@@ -58,8 +58,8 @@ class Proposal:
         if self.found.rivals:
             others = ", ".join(str(i) for i in self.found.rivals)
             lines.append(
-                f"it may as well be camera {others} that moved the other way: pictures of boards show only how "
-                "cameras moved against one another. Stitching gives the same result."
+                f"it is also possible that camera {others} moved, in the opposite direction: pictures of boards show "
+                "only how cameras moved relative to one another. Stitching gives the same result in both cases."
             )
         return lines
 
@@ -137,7 +137,7 @@ def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
             raise InputError(
                 f"camera {i} has {links} links to its neighbours (needed: {LEAST_LINKS}) and saw {marks} fiducials "
                 f"(needed: {LEAST_RUNS}) in {len(checks)} runs: its position is unknown.",
-                action="Take runs of boards that cover it, or calibrate with the calibration board.",
+                action="Take runs of boards that this camera shows, or calibrate with the calibration board.",
                 code="too-little-evidence",
             )
 
@@ -149,8 +149,8 @@ def _refuse_vague(found: Attribution, i: int) -> None:
     if sigma.max() > _KNOWN_PX:
         x, y, turn = found.displacement_px[i]
         raise InputError(
-            f"camera {i} has moved, by ({x:+.2f}, {y:+.2f}) px and a turn of {turn:+.2f} px, but that is known to "
-            f"{sigma.max():.2f} px only (1 σ; needed: {_KNOWN_PX}): its overlaps show too little.",
+            f"camera {i} has moved, by ({x:+.2f}, {y:+.2f}) px and a turn of {turn:+.2f} px, but this is uncertain by "
+            f"{sigma.max():.2f} px (1 σ, limit {_KNOWN_PX}): its overlaps with other cameras show too little texture.",
             action="Set the camera back roughly, or take more runs of boards with texture there, or calibrate with the "
             "calibration board.",
             code="too-little-evidence",

@@ -103,7 +103,7 @@ def test_states() -> None:
 
 @pytest.mark.parametrize(
     ("bound_s", "period_s", "words"),
-    [(3e-3, 0.125, "known to ± 2 ms"), (1e-3, 0.006, "known to ± 0.6 ms"), (1e-3, 0.125, "")],
+    [(3e-3, 0.125, "trigger period is 2 ms"), (1e-3, 0.006, "trigger period is 0.6 ms"), (1e-3, 0.125, "")],
 )
 def test_clock_bound_is_judged_by_the_trigger_period(bound_s: float, period_s: float, words: str) -> None:
     finding = controller.judge_clock([ClockReading(0.0, 10.0, bound_s)], period_s)

@@ -47,7 +47,7 @@ def test_fiducials_of_the_overlap_are_not_lost(workshop: Any) -> None:
     s = scene(workshop, (0, 0))
     (reason,) = absent_camera_reasons(s, plane(s), PLACED, MOTION)
     assert reason == (
-        "camera 1 delivered no complete frame of this board, and in its view alone lay the fiducial RIGHT"
+        "camera 1 delivered no complete frame of this board, and no other camera shows the fiducial RIGHT"
     )
     left = scene(workshop, (1, 0))
     (reason,) = absent_camera_reasons(left, plane(left), PLACED, MOTION)
@@ -64,7 +64,7 @@ def test_all_cameras_absent_name_their_own_fiducials(workshop: Any) -> None:
 def test_without_a_place_or_a_board_type_no_fiducial_is_named(workshop: Any) -> None:
     s = scene(workshop, (0, 0))
     assert absent_camera_reasons(s, plane(s), Expectation(), MOTION) == [
-        "camera 1 delivered no complete frame of this board: a fiducial in its view cannot be found"
+        "camera 1 delivered no complete frame of this board: fiducials that only this camera shows cannot be found"
     ]
     assert absent_camera_reasons(s, None, PLACED, MOTION) == ["camera 1 delivered no complete frame of this board"]
 

@@ -69,7 +69,7 @@ def test_the_wrong_fiducial_of_four_is_named(wrong: int) -> None:
     residual[wrong] = (0.8, -0.4)
     reasons = fiducial_reasons(PLANE, replace(adjusted(), fiducial_px=residual), seen, STILL, 10.0)
     assert reasons[0] == f"fiducial F{wrong} lies 0.89 px from its place (limit 0.3)"
-    assert reasons[1].startswith(f"without fiducial F{wrong} the others agree: it lies 0.22 mm (2.2 px)")
+    assert reasons[1].startswith(f"without fiducial F{wrong} the others agree: F{wrong} lies 0.22 mm (2.2 px)")
 
 
 def test_of_two_fiducials_none_is_named() -> None:

@@ -113,7 +113,7 @@ def test_unconnected_rows_are_a_reason(filmed: Any) -> None:
     frames = {key: np.full_like(p, 20) if key[1] in (2, 3) else p for key, p in filmed.frames.items()}
     result = filmed.stitched(frames=frames)
     assert result.status is not Status.OK
-    assert any("nothing ties rows 0–1, 4–5 to one another" in r for r in result.reasons), result.reasons
+    assert any("no links connect the rows 0–1, 4–5 with one another" in r for r in result.reasons), result.reasons
 
 
 def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:
@@ -144,10 +144,10 @@ def test_an_absent_camera_is_the_first_reason_with_its_fiducials(filmed: Any) ->
     result = filmed.stitched(frames=left, expectation=expectation)
     nothing = "camera 1 delivered no complete frame of this board"
     assert result.status is Status.FAILED
-    assert result.reasons[0] == f"{nothing}, and in its view alone lay the fiducials FID2, FID3"
+    assert result.reasons[0] == f"{nothing}, and no other camera shows the fiducials FID2, FID3"
     assert "1 place(s) look like fiducials" in result.reasons[1]
     anywhere = filmed.stitched(frames=left)
-    assert anywhere.reasons[0] == f"{nothing}: a fiducial in its view cannot be found"
+    assert anywhere.reasons[0] == f"{nothing}: fiducials that only this camera shows cannot be found"
 
 
 def test_a_row_that_never_arrived_is_not_placed(filmed: Any) -> None:

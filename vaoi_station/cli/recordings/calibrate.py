@@ -100,7 +100,7 @@ def _print_fits(outcome: Outcome, out: Path, picture: Path) -> None:
         bent = "".join(f", a{k + 1} = {a:.3g}" for k, a in enumerate(c.fit.lens.radial)) or ", no distortion detected"
         typer.echo(
             f"camera {c.camera}: {c.used} of {len(c.marks)} marks, residuals {c.fit.rms_px:.4f} px rms, "
-            f"frame corners known to {c.corner_sigma_px:.3f} px (1 σ){bent}"
+            f"standard deviation {c.corner_sigma_px:.3f} px at the frame corners{bent}"
         )
     for note in outcome.notes:
         typer.echo(f"- {note}")

@@ -198,9 +198,9 @@ def judge_clock(readings: Sequence[ClockReading], period_s: float) -> Finding:
         model.add(reading)
     bound_s, best_s = model.bound_s(readings[-1].device_s), min(2 * reading.bound_s for reading in readings)
     figures: Figures = {"bound_ms": round(bound_s * 1e3, 4), "round_trip_ms": round(best_s * 1e3, 4)}
-    message = f"known to ± {bound_s * 1e3:.2f} ms after {len(readings)} readings"
+    message = f"wrong by at most {bound_s * 1e3:.2f} ms after {len(readings)} readings"
     if bound_s > (limit_s := min(CLOCK_LIMIT_S, CLOCK_SHARE * period_s)):
-        message = f"{message}, but must be known to ± {limit_s * 1e3:g} ms for this trigger period."
+        message = f"{message}, but the limit for this trigger period is {limit_s * 1e3:g} ms."
         action = "Connect it without a hub; install -m 644 deploy/71-vaoi-controller.rules /etc/udev/rules.d/."
         return fault(message, action, subject="clock", figures=figures)
     return ok(message, subject="clock", figures=figures)

@@ -29,7 +29,7 @@ def absent_camera_reasons(
         return []
     board_mm = None if plane is None else expected_fiducials(plane, scene, expectation)
     if plane is None or board_mm is None:
-        unknown = "" if plane is None else ": a fiducial in its view cannot be found"
+        unknown = "" if plane is None else ": fiducials that only this camera shows cannot be found"
         return [f"camera {i} delivered no complete frame of this board{unknown}" for i in absent]
     names = np.array([f.name for f in plane.board_type.fiducials])
     # The neighbouring camera also shows a fiducial in the overlap. Only the other fiducials are lost.
@@ -67,4 +67,4 @@ def _in_frame(scene: Scene, camera: int, row: int, motion: Motion, board_mm: Flo
 def _hidden_clause(fiducials: list[str]) -> str:
     if not fiducials:
         return ""
-    return f", and in its view alone lay the fiducial{'s' if len(fiducials) > 1 else ''} {', '.join(fiducials)}"
+    return f", and no other camera shows the fiducial{'s' if len(fiducials) > 1 else ''} {', '.join(fiducials)}"

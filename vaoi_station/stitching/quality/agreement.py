@@ -79,15 +79,15 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
     if shift.excess_mm:
         out.append(
             f"the board's outline lies {shift.excess_mm:.2f} mm ({shift.excess_mm * px_per_mm:.0f} px) from where the "
-            f"fiducials put it, ({x:+.2f}, {y:+.2f}) mm ± ({sx:.2f}, {sy:.2f}) over {shift.pieces} places: look-alikes "
+            f"fiducials put it, ({x:+.2f}, {y:+.2f}) mm ± ({sx:.2f}, {sy:.2f}) over {shift.pieces} places: other marks "
             "may have been taken for the fiducials; compare fiducials and outline of the board type with the board"
         )
     if shift.turned_mm:
         turn, sigma = 1e3 * shift.turn_rad, 1e3 * shift.turn_sigma_rad
         out.append(
             f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, "
-            f"{shift.turned_mm:.2f} mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not where the "
-            "CAD data have it, or a look-alike was taken for it"
+            f"{shift.turned_mm:.2f} mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not at its "
+            "CAD position, or another mark was taken for it"
         )
     return out
 
@@ -118,13 +118,13 @@ def _surface_reasons(surface_mm: Floats) -> list[str]:
         return []
     what = ("tilt along x", "tilt along y", "bow along x", "twist", "bow along y")[k]
     return [
-        f"fiducials and links agree only on a board with a {what} of {surface_mm[k + 1]:+.2f} mm (limit "
-        f"{_SURFACE_LIMIT * SIGMA_MM[k + 1]:.2f} mm): a fiducial is not where the CAD data have it, or it is bent"
+        f"fiducials and links agree only if the board has a {what} of {surface_mm[k + 1]:+.2f} mm (limit "
+        f"{_SURFACE_LIMIT * SIGMA_MM[k + 1]:.2f} mm): a fiducial is not at its CAD position, or the board is bent"
     ]
 
 
 def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[str]:
-    """Name the fiducial without which the others agree with the CAD data. This takes three fiducials or more."""
+    """Return a reason that names the one fiducial which contradicts the others; none for fewer than three fiducials."""
     if len(places) < 3:
         return []
     without = {n: _fit_without(n, plane, places) for n in places}
@@ -133,10 +133,10 @@ def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: flo
     # A fiducial is named only if the result is clear: a wrong name would send the engineer to a correct fiducial.
     if second < _PLAINLY * max(best, 1.0):
         return []
-    off_mm = without[n][1]
+    off_mm, name = without[n][1], plane.board_type.fiducials[n].name
     return [
-        f"without fiducial {plane.board_type.fiducials[n].name} the others agree: it lies {off_mm:.2f} mm "
-        f"({off_mm * px_per_mm:.1f} px) from its place in the CAD data; check it there and on the board"
+        f"without fiducial {name} the others agree: {name} lies {off_mm:.2f} mm ({off_mm * px_per_mm:.1f} px) from its "
+        f"CAD position; check {name} in the CAD data and on the board"
     ]
 
 
@@ -159,6 +159,6 @@ def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float) -> str:
     off_mm = abs(scale) * apart_mm
     return (
         f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}), {off_mm:.2f} mm "
-        f"({off_mm * px_per_mm:.1f} px) over its fiducials: one of them is not where the CAD data have it, the data "
-        "are scaled, the calibration does not hold, or it lies above or below the calibrated plane, or is another type"
+        f"({off_mm * px_per_mm:.1f} px) over its fiducials: a fiducial is not at its CAD position, the CAD data are "
+        "scaled, the calibration is wrong, the board lies above or below the calibrated plane, or it is of another type"
     )

@@ -76,7 +76,7 @@ def _no_texture(f: Findings) -> Iterator[str]:
 def _unconnected_rows(f: Findings) -> Iterator[str]:
     if len(f.connected_groups) > 1:
         parts = ", ".join(f"{g.min()}–{g.max()}" for g in f.connected_groups)
-        yield f"nothing ties rows {parts} to one another: their distance is the belt's nominal one"
+        yield f"no links connect the rows {parts} with one another: the belt's nominal speed gives their distance"
 
 
 def _scattered_links(f: Findings) -> Iterator[str]:
@@ -89,7 +89,7 @@ def _disagreeing_cameras(f: Findings) -> Iterator[str]:
         if px > _SEAM_LIMIT_PX:
             yield (
                 f"cameras {i} and {j} disagree by {px:.2f} px (limit {_SEAM_LIMIT_PX}): "
-                "a camera has moved, or the board is bent more than a board may"
+                "a camera has moved, or the board is bent too much"
             )
 
 
@@ -110,7 +110,7 @@ def _missing_fiducials(b: _Placed) -> Iterator[str]:
         return
     for n, fiducial in enumerate(b.plane.board_type.fiducials):
         if n not in seen:
-            yield f"fiducial {fiducial.name} was not found; one alone does not fix the board"
+            yield f"fiducial {fiducial.name} was not found; one fiducial alone does not locate the board"
 
 
 def _disagreeing_fiducials(b: _Placed) -> Iterable[str]:
@@ -124,8 +124,8 @@ def _shifted_outline(b: _Placed) -> Iterable[str]:
 def _ambiguous_orientation(b: _Placed) -> Iterator[str]:
     if b.mapping.ambiguous:
         yield (
-            "turned by 180° the board would fit its fiducials as well, and neither outline nor components decide: "
-            "it is taken to lie as expected (a third fiducial off the symmetry would settle it)"
+            "the fiducials also fit a board that is turned by 180°, and neither outline nor components decide: "
+            "the expected orientation is used (a third fiducial that breaks the symmetry would decide)"
         )
 
 
@@ -134,7 +134,7 @@ def _invisible_outline(b: _Placed) -> Iterator[str]:
     if outline is not None and not outline.visible:
         yield (
             f"there is no edge where the board's outline should be (contrast {outline.contrast:.1f} "
-            f"grey levels over {outline.pieces} places): it is another type, or lies elsewhere"
+            f"grey levels over {outline.pieces} places): the board is of another type, or it lies elsewhere"
         )
 
 
