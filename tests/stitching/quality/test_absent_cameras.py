@@ -51,7 +51,7 @@ def test_fiducials_of_the_overlap_are_not_lost(workshop: Any) -> None:
     )
     left = scene(workshop, (1, 0))
     (reason,) = absent_camera_reasons(left, plane(left), PLACED, MOTION)
-    assert reason.endswith("lay the fiducial LEFT")
+    assert reason.endswith("shows the fiducial LEFT")
 
 
 def test_all_cameras_absent_name_their_own_fiducials(workshop: Any) -> None:

@@ -91,7 +91,7 @@ def test_a_surface_that_no_board_has_is_a_reason(term: int, text: str) -> None:
     surface = [0.0] * 6
     surface[term] = -2.0
     (reason,) = fiducial_reasons(PLANE, adjusted(2, surface=tuple(surface)), points(2), STILL, 10.0)
-    assert f"a board with a {text} of -2.00 mm" in reason
+    assert f"the board has a {text} of -2.00 mm" in reason
 
 
 def test_a_lifted_board_is_no_reason() -> None:
