@@ -3,9 +3,6 @@
 If all pins of a net lie at one gap, the net is drawn as a wire with one vertical part, called its track. Every other
 net is drawn as a flag with the net's name at each of its pins. The tracks in a gap are ordered so that no two wires
 cover one another.
-
-A net whose pins all face one gap is drawn as a wire with one vertical track of its own; any other ends in a
-flag with its name at every pin. Tracks are ordered so that no two wires run over one another.
 """
 
 from __future__ import annotations

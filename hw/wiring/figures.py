@@ -1,8 +1,6 @@
 """Calculate the quantities of the circuit from the values in `circuit.toml` and the limits in the firmware.
 
 Each quantity is calculated for the worst combination of tolerances and is compared with its limit.
-
-Every figure is the worst case of its tolerances and stands beside its limit.
 """
 
 from __future__ import annotations

@@ -4,10 +4,6 @@ The amplifier is modelled as an integrator with a maximum slope, limits of its o
 The transistor is modelled as a square law with two capacitances, and the LED string as a voltage and a resistance. The
 values are typical and extreme values of data sheets. The simulation shows whether the current overshoots or oscillates,
 which a calculation of steady values cannot show. It is a calculation, not a measurement.
-
-The amplifier is an integrator with a limited slope, rails and an output resistance; the transistor a square law with
-two capacitances; the LED string a voltage and a resistance. Typical figures of data sheets, at their corners. It shows
-whether the loop overshoots or rings, which no table of resistors does. It is a calculation, not a measurement.
 """
 
 from __future__ import annotations

@@ -94,9 +94,9 @@ def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: floa
     """Translate a light into a step of the firmware.
 
     The limit of the duty cycle is checked only if `period_s` is given.
-    Raises InputError if a value is beyond the firmware's limits.
 
-    The limit of the duty cycle is checked only if `period_s` is given.
+    Raises:
+        InputError: a value is beyond the firmware's limits.
     """
     if name not in config.lights:
         raise InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
