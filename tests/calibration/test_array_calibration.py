@@ -34,11 +34,12 @@ def test_every_camera_is_right_over_its_whole_frame(rig: Any) -> None:
     calibration = outcome.calibration()
     assert max(rig.errors_px(calibration)) < 0.015
     assert calibration.working_distance_mm == 300
-    assert calibration.distortion is None
+    assert calibration.covariance is not None
+    assert calibration.covariance[1].shape == (9, 9)
     assert calibration.principal_point == ((239.5, 179.5),) * 2
     assert calibration.residual_px is not None
     assert max(calibration.residual_px) < 0.02
-    assert np.array(calibration.covariances[0]).shape == (8, 8)
+    assert np.array(calibration.covariances[0]).shape == (9, 9)
     assert calibration.created is not None
     assert outcome.notes == ()
 
@@ -51,8 +52,9 @@ def test_cameras_off_their_nominal_position_are_calibrated(
     rig = film(seed, shift_mm=1.0, roll_deg=turned, distortion_px=distortion_px, cameras=1)
     outcome = rig.calibrate()
     assert max(rig.errors_px(outcome.calibration())) < 0.04
-    bent = outcome.calibration().distortion
-    assert (bent is not None) or not distortion_px
+    assert outcome.cameras[0].fit is not None
+    bent, sigma = outcome.cameras[0].fit.lens_px
+    assert abs(bent + distortion_px) < 4 * sigma
 
 
 def test_four_marks_suffice_with_a_warning(film: Any) -> None:
@@ -62,6 +64,8 @@ def test_four_marks_suffice_with_a_warning(film: Any) -> None:
     outcome = rig.calibrate()
     assert max(rig.errors_px(outcome.calibration())) < 0.04
     assert "four marks determine N" in outcome.notes[0]
+    assert "four marks do not determine the lens: ± " in outcome.notes[1]
+    assert outcome.calibration().distortion is None
 
 
 def test_a_covered_mark_is_reported_and_the_others_suffice(rig: Any) -> None:

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from vaoi_station.calibration.array_assignment import Assignment
 from vaoi_station.calibration.camera_fit import BLUR_LIMIT_PX, CameraResult, Limits, calibrate_camera
 from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance
 from vaoi_station.calibration.mark_identification import Hypothesis
@@ -33,12 +34,14 @@ def solve(
     detected: DetectedMarks | None = None,
     appearance: MarkAppearance = APPEARANCE,
     limits: Limits | None = None,
+    assignment: Assignment | None = None,
 ) -> CameraResult:
     """Calibrate from the given marks of the layout, with errors added to their exact positions."""
     px = apply(NOMINAL, MARKS[indices]) + (0 if offset is None else offset)
     pairs = np.column_stack([indices, np.arange(len(indices))]).astype(int).reshape(-1, 2)
     hypothesis = Hypothesis(NOMINAL, pairs, float(len(indices)), np.zeros(2))
-    return calibrate_camera(0, HEAD, detected or detections(px), hypothesis, MARKS, appearance, limits or Limits())
+    given = assignment or Assignment(hypothesis)
+    return calibrate_camera(0, HEAD, detected or detections(px), given, MARKS, appearance, limits or Limits())
 
 
 def test_exact_marks_give_the_exact_matrix() -> None:
@@ -76,13 +79,58 @@ def test_four_marks_are_accepted_with_a_warning() -> None:
         0,
         HEAD,
         detections(apply(NOMINAL, MARKS[layout])),
-        Hypothesis(NOMINAL, np.array([[k, k] for k in range(4)]), 4.0, np.zeros(2)),
+        Assignment(Hypothesis(NOMINAL, np.array([[k, k] for k in range(4)]), 4.0, np.zeros(2))),
         MARKS[layout],
         APPEARANCE,
         Limits(),
     )
     assert not result.refusal
-    assert "four marks determine N without redundancy" in result.notes[-1]
+    assert "four marks determine N without redundancy" in result.notes[0]
+    said = re.fullmatch(
+        r"four marks do not determine the lens: ± (\d\.\d) px at the corners \(1 σ\); film 9 or more marks",
+        result.notes[1],
+    )
+    assert said is not None, result.notes
+    assert float(said[1]) == pytest.approx(result.corner_sigma_px, abs=0.05)
+    assert not result.lens_known
+
+
+def _rivals(advantage: float, seen: float) -> Assignment:
+    pairs = np.column_stack([np.arange(20)] * 2)
+    options = [Hypothesis(NOMINAL, pairs, 60.0, np.array(offset)) for offset in [(0.2, 0.0), (3.2, 0.0)]]
+    return Assignment(options[0], options[1], advantage, seen)
+
+
+def test_marks_that_fit_the_layout_in_two_ways_are_refused_in_words() -> None:
+    result = solve(list(range(20)), assignment=_rivals(2.0, 0.0))
+    assert result.fit is None
+    assert result.refusal == (
+        "its marks fit the layout in two ways: shifted by (3.0, 0.0) mm it explains them as well, and "
+        "nominal_center_mm is known to ± 2 mm only"
+    )
+    assert "--center-tolerance-mm" in result.action
+    assert "(below 1.5 mm)" in result.action
+
+
+def test_a_decision_by_the_nominal_view_alone_is_reported() -> None:
+    result = solve(list(range(20)), assignment=_rivals(9.0, 0.0), limits=Limits(center_tolerance_mm=1.0))
+    assert not result.refusal
+    assert "good to ± 1 mm as stated, decided" in result.notes[0]
+    assert solve(list(range(20)), assignment=_rivals(20.0, 12.0)).notes == ()
+
+
+def test_a_view_far_off_its_nominal_centre_is_reported() -> None:
+    result = solve(list(range(20)), limits=Limits(center_tolerance_mm=0.01), assignment=_rivals(20.0, 12.0))
+    assert "its view lies 0.2 mm off nominal_center_mm, more than the stated ± 0.01 mm" in result.notes
+
+
+def test_the_accuracy_of_the_print_and_the_plane_is_part_of_the_corners() -> None:
+    exact = solve(list(range(20))).corner_sigma_px
+    printed = solve(list(range(20)), limits=Limits(mark_accuracy_mm=0.005))
+    bowed = solve(list(range(20)), limits=Limits(working_distance_mm=300.0, flatness_mm=0.05))
+    assert printed.corner_sigma_px > 10 * exact
+    # Scale, twice perspective, and distortion: each 300 px · 0.05 mm / 300 mm at the corner.
+    assert bowed.corner_sigma_px == pytest.approx(0.05 * np.sqrt(2 + 1), rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vaoi_station.calibration.camera_prior import CameraPrior
 from vaoi_station.calibration.homography_fit import Fit, fit_camera
 from vaoi_station.calibration.outlier_removal import remove_outliers
 from vaoi_station.geometry.transforms import Floats, apply
 
-CENTER, RADIUS = (695.5, 519.5), 868.8
+PRIOR = CameraPrior((695.5, 519.5), 868.8, 40.0, 483.0)
 N = np.array([[40.0, 0.4, 695.5], [-0.4, 40.0, 519.5], [2e-6, -1e-6, 1.0]])
 MARKS = np.stack(np.meshgrid(np.linspace(-13, 13, 5), np.linspace(-9, 9, 4)), -1).reshape(-1, 2)
 
 
 def fit(marks: Floats, px: Floats) -> Fit:
-    found = fit_camera(marks, px, CENTER, RADIUS)
+    found = fit_camera(marks, px, PRIOR)
     assert isinstance(found, Fit)
     return found
 

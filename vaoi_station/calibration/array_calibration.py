@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
+from vaoi_station.calibration.array_assignment import assign_array
+from vaoi_station.calibration.blank_ground import find_blank_ground
 from vaoi_station.calibration.camera_fit import CameraResult, Limits, calibrate_camera
 from vaoi_station.calibration.layout_variants import find_symmetries, vary_layout
 from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, detect_marks, to_grey
-from vaoi_station.calibration.mark_identification import choose_hypotheses, find_hypotheses, find_rival
+from vaoi_station.calibration.mark_identification import find_hypotheses
 from vaoi_station.calibration.nominal_view import nominal_matrix
 from vaoi_station.calibration.plausibility import local_scales, print_scale_note
 from vaoi_station.errors import InputError, InternalError
@@ -19,6 +21,9 @@ from vaoi_station.files.images import Image
 from vaoi_station.files.layouts import Layout
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead, Distortion
+
+_NEGLIGIBLE_PX = 1e-3
+"""Distortion at the corner below which a lens is written as ideal, which is faster to project."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +73,7 @@ class Outcome:
         fits = [c.fit for c in self.cameras if c.fit is not None]
         if len(fits) != len(self.cameras):
             raise InternalError("a camera was neither calibrated nor refused")
-        bent = any(fit.lens.radial for fit in fits)
+        bent = any(np.abs(fit.lens.radial).max() * fit.lens.radius_px > _NEGLIGIBLE_PX for fit in fits)
         return Calibration(
             format="vaoi-calibration",
             version=1,
@@ -79,6 +84,7 @@ class Outcome:
             principal_point=tuple(fit.lens.center_px for fit in fits),
             created=(created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ"),
             covariances=[fit.covariance.tolist() for fit in fits],
+            covariance=tuple(fit.field_covariance_px2 for fit in fits),
             distortion=tuple(
                 Distortion(center=fit.lens.center_px, radius=fit.lens.radius_px, radial=fit.lens.radial) for fit in fits
             )
@@ -130,20 +136,17 @@ def _calibrate_cameras(
     marks_mm: Floats,
     limits: Limits,
 ) -> tuple[CameraResult, ...]:
-    options = [find_hypotheses(detections[i].px, marks_mm, head, i, kinds[i].size_px) for i, head in enumerate(heads)]
-    results = []
-    for i, (head, option) in enumerate(zip(heads, choose_hypotheses(options), strict=True)):
-        result = calibrate_camera(i, head, detections[i], option, marks_mm, kinds[i], limits)
-        other = None if option is None else find_rival(options[i], option)
-        if option is not None and other is not None:
-            x, y = other.offset_mm - option.offset_mm
-            note = (
-                f"the layout shifted by ({x:.1f}, {y:.1f}) mm explains its marks as well; "
-                "nominal_center_mm decided: it must be accurate to half of that"
-            )
-            result = replace(result, notes=(*result.notes, note))
-        results.append(result)
-    return tuple(results)
+    options = [
+        find_hypotheses(
+            detections[i].px, marks_mm, head, i, kinds[i].size_px, find_blank_ground(detections[i], kinds[i])
+        )
+        for i, head in enumerate(heads)
+    ]
+    assignments = assign_array(options, heads, limits.center_tolerance_mm)
+    return tuple(
+        calibrate_camera(i, head, detections[i], assignments[i], marks_mm, kinds[i], limits)
+        for i, head in enumerate(heads)
+    )
 
 
 def _layout_hint(

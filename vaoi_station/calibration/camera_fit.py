@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vaoi_station.calibration.array_assignment import Assignment
+from vaoi_station.calibration.camera_prior import RADIAL_PX, CameraPrior
 from vaoi_station.calibration.homography_fit import Fit, estimate_homography, fit_camera
 from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, locate_cross, score_limit
 from vaoi_station.calibration.mark_identification import Hypothesis
@@ -23,6 +25,11 @@ _MIN_CONTRAST = 20.0
 _MIN_SIZE_PX = 8
 _MIN_SHARE = 0.3
 """Share of the marks expected in a frame that must be found. With fewer, the layout belongs to another board."""
+_UNDETERMINED = 0.5
+"""A lens is not determined if its standard deviation is still this share of that before any mark was seen."""
+_COARSE_PX = 0.2
+"""Standard deviation at the corners above which the marks are a poor choice."""
+_NO_FREEDOM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,28 +70,40 @@ class CameraResult:
         return sum(m.used for m in self.marks)
 
     @property
+    def lens_known(self) -> bool:
+        """Whether the marks determine the distortion, rather than the prior."""
+        return self.fit is not None and self.fit.lens_px[1] <= _UNDETERMINED * RADIAL_PX
+
+    @property
     def corner_sigma_px(self) -> float:
         """Standard deviation in px of projected points at the frame corner where it is largest; NaN without a fit."""
         if self.fit is None:
             return math.nan
+        # From the covariance that calibration.json carries, so that the sentence and the file agree.
         w, h = self.head.width - 1.0, self.head.height - 1.0
         return float(self.fit.sigma_at_px(np.array([[0, 0], [w, 0], [0, h], [w, h]])).max())
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits that a calibration must satisfy, and the known working distance."""
+    """Limits that a calibration must satisfy, the known working distance, and the accuracy of board and design."""
 
     residual_px: float = 0.2
     """Largest accepted rms residual of one camera."""
     working_distance_mm: float | None = None
+    center_tolerance_mm: float = 2.0
+    """How well `nominal_center_mm` is known for the board as it lies, mm (two standard deviations)."""
+    mark_accuracy_mm: float = 0.0
+    """Standard deviation of the positions of marks on the board per axis; 0 if layout.json is exact."""
+    flatness_mm: float = 0.0
+    """Standard deviation of the board's height within one view; 0 if it is flat."""
 
 
 def calibrate_camera(
     camera: int,
     head: CameraHead,
     detected: DetectedMarks,
-    hypothesis: Hypothesis | None,
+    assignment: Assignment,
     marks_mm: Floats,
     appearance: MarkAppearance,
     limits: Limits,
@@ -95,14 +114,19 @@ def calibrate_camera(
         camera: index of the camera.
         head: its frame size and nominal view.
         detected: detected marks in its frame.
-        hypothesis: assignment of the detected marks to the layout.
+        assignment: assignment of the detected marks to the layout.
         marks_mm: (k, 2) all marks of the layout.
         appearance: appearance of marks in this frame.
         limits: limits of the result, and the working distance.
     """
     # Checks from cheap and general to specific: the first reason found is the most useful one for the operator.
+    hypothesis = assignment.chosen
     due = _expected_marks(head, camera, detected, hypothesis, marks_mm, appearance)
-    if (unfit := _check_size(appearance, head) or _check_frame(detected, hypothesis, due)) is not None:
+    if (
+        unfit := _check_size(appearance, head)
+        or _check_frame(detected, hypothesis, due)
+        or _check_assignment(assignment, limits)
+    ) is not None:
         return CameraResult(camera, head, detected, due, None, *unfit)
     assert hypothesis is not None
     pairs = hypothesis.pairs
@@ -112,13 +136,14 @@ def calibrate_camera(
         place if place is not None else hypothesis.similarity, head, detected, hypothesis, marks_mm, appearance
     )
     index, px = _measured_positions(marks)
-    fit = fit_camera(marks_mm[index], px, _frame_center(head), math.hypot(head.width, head.height) / 2)
+    fit = fit_camera(marks_mm[index], px, _prior(head, limits))
     if isinstance(fit, Failure):
         action = "Use marks that span the frame in both directions; uncover those that are not detected."
         return CameraResult(camera, head, detected, marks, None, fit.reason, action)
     fit, kept = remove_outliers(fit, marks_mm[index], px)
     marks = _with_residuals(marks, index, kept, fit)
     result = CameraResult(camera, head, detected, marks, fit, notes=_warnings(marks, detected, fit))
+    result = replace(result, notes=(*result.notes, *_doubts(result, assignment, limits)))
     refusal, action = _check_fit(result, hypothesis, limits)
     return CameraResult(camera, head, detected, marks, fit, refusal, action, result.notes)
 
@@ -286,10 +311,64 @@ def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: 
         for (x, y), why in detected.doubtful
         if all(m.used or np.hypot(*(m.expected_px - (x, y))) > 10 for m in marks)
     ]
-    if fit.freedom == 0:
+    if fit.freedom < _NO_FREEDOM:
         notes.append("four marks determine N without redundancy: its residuals are always 0 and do not check it")
     return tuple(notes)
 
 
-def _frame_center(head: CameraHead) -> tuple[float, float]:
-    return (head.width - 1) / 2, (head.height - 1) / 2
+def _doubts(result: CameraResult, assignment: Assignment, limits: Limits) -> tuple[str, ...]:
+    """List what the marks did not determine, and what only the nominal view decided."""
+    notes = []
+    if not result.lens_known:
+        notes.append(
+            f"{_count(result.used)} marks do not determine the lens: ± {result.corner_sigma_px:.1f} px at the corners "
+            "(1 σ); film 9 or more marks"
+        )
+    elif result.corner_sigma_px > _COARSE_PX:
+        notes.append(
+            f"its marks leave the corners of the frame uncertain by ± {result.corner_sigma_px:.2f} px (1 σ); film "
+            "marks up to the corners"
+        )
+    if assignment.by_nominal_view:
+        x, y = assignment.shift_mm
+        notes.append(
+            f"the layout shifted by ({x:.1f}, {y:.1f}) mm explains its marks as well; nominal_center_mm, good to "
+            f"± {limits.center_tolerance_mm:g} mm as stated, decided"
+        )
+    off = 0.0 if assignment.chosen is None else float(np.hypot(*assignment.chosen.offset_mm))
+    if off > limits.center_tolerance_mm:
+        notes.append(
+            f"its view lies {off:.1f} mm off nominal_center_mm, more than the stated "
+            f"± {limits.center_tolerance_mm:g} mm"
+        )
+    return tuple(notes)
+
+
+def _count(number: int) -> str:
+    return {4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}.get(number, str(number))
+
+
+def _check_assignment(assignment: Assignment, limits: Limits) -> tuple[str, str] | None:
+    """Return reason and remedy if frames and nominal views leave two assignments of the marks, else None."""
+    if not assignment.ambiguous:
+        return None
+    x, y = assignment.shift_mm
+    return (
+        f"its marks fit the layout in two ways: shifted by ({x:.1f}, {y:.1f}) mm it explains them as well, and "
+        f"nominal_center_mm is known to ± {limits.center_tolerance_mm:g} mm only",
+        "Uncover and clean the marks at the rim of the pattern, or state with --center-tolerance-mm how well "
+        f"nominal_center_mm is known for the board as it lies (below {math.hypot(x, y) / 2:.1f} mm), or use a layout "
+        "that does not repeat (vaoi calibration-board).",
+    )
+
+
+def _prior(head: CameraHead, limits: Limits) -> CameraPrior:
+    """Return what is known of a camera before it sees any mark."""
+    return CameraPrior(
+        ((head.width - 1) / 2, (head.height - 1) / 2),
+        math.hypot(head.width, head.height) / 2,
+        head.nominal_px_per_mm or 1.0,
+        limits.working_distance_mm,
+        limits.mark_accuracy_mm,
+        limits.flatness_mm,
+    )

@@ -1,7 +1,8 @@
 """Least-squares fit of N_i and the lens to at least four marks; equation 10.
 
 A normalised direct linear transform gives the initial value. Gauss-Newton on pixel residuals gives the result and its
-covariance. Coefficients of radial distortion are added one by one, as long as they are significant.
+covariance. What is known of cameras beforehand (`camera_prior`) takes part as further measurements, so that stretch,
+perspective and distortion which the marks leave free stay near zero, with the standard deviation of the prior.
 """
 
 from __future__ import annotations
@@ -10,6 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vaoi_station.calibration.camera_prior import (
+    HIGHER_ORDER,
+    SHAPE,
+    CameraPrior,
+    shape_of_view,
+    to_basis,
+)
+from vaoi_station.geometry.camera_error import basis_fields
 from vaoi_station.geometry.lens import Lens
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
@@ -22,9 +31,9 @@ CORRELATED_MARKS = 48.0
 """Errors of marks are correlated (print, sampling, lens model): beyond this number, more marks add little."""
 _MAX_STEPS = 12
 _SIGNIFICANT = 12.0
-"""A coefficient is significant if it lowers the sum of squares by this many variances: about 3.5 sigma."""
-_MIN_MARKS = (4, 6, 16)
-"""Number of marks required for 0, 1 and 2 coefficients of distortion."""
+"""A second coefficient is significant if it lowers the sum of squares by this many variances: about 3.5 sigma."""
+_MIN_MARKS, _SECOND_FROM = 4, 16
+"""Number of marks required for N, and for a second coefficient of distortion."""
 _DEGENERATE = 1e-3
 _SINGULAR = 1e-8
 """Smallest singular value of the adjustment relative to the largest, below which equation 10 has no unique solution."""
@@ -42,50 +51,46 @@ class Fit:
     """Covariance of n11 n12 n13 n21 n22 n23 n31 n32 and the radial coefficients."""
     sigma_px: float
     """Standard deviation of the measured position of a mark per axis, px."""
-    freedom: int
-    """Degrees of freedom: measurements minus parameters."""
+    freedom: float
+    """Degrees of freedom: measurements minus the parameters that the marks, and not the prior, determine."""
+    field_covariance_px2: Floats
+    """Covariance (9, 9) of the error over the frame; see `geometry.camera_error`."""
+    prior: CameraPrior
 
     @property
     def rms_px(self) -> float:
         """Root mean square length of the residuals."""
         return float(np.sqrt((self.residuals_px**2).sum(1).mean()))
 
+    @property
+    def lens_px(self) -> tuple[float, float]:
+        """Displacement at the corner of the frame by the first radial coefficient, and its standard deviation, px."""
+        return self.lens.radial[0] * self.lens.radius_px, float(np.sqrt(self.covariance[8, 8])) * self.lens.radius_px
+
     def sigma_at_px(self, raw_px: Floats) -> Floats:
         """Compute the standard deviation (k,) of projected points at raw pixels (k, 2), as a length in px."""
-        undistorted = self.lens.undistort(raw_px)
-        ground = apply(np.linalg.inv(self.matrix), undistorted)
-        rows = np.concatenate([-_homography_jacobian(self.matrix, ground), _lens_jacobian(self.lens, raw_px)], axis=2)
-        return np.asarray(np.sqrt(np.einsum("kip,pq,kiq->k", rows, self.covariance, rows)))
+        basis = basis_fields((self.lens.undistort(raw_px) - self.prior.center_px) / self.prior.radius_px)
+        return np.asarray(np.sqrt(np.einsum("kip,pq,kiq->k", basis, self.field_covariance_px2, basis)))
 
 
-def fit_camera(marks_mm: Floats, px: Floats, center_px: tuple[float, float], radius_px: float) -> Fit | Failure:
-    """Fit N_i and the significant coefficients of radial distortion.
+def fit_camera(marks_mm: Floats, px: Floats, prior: CameraPrior) -> Fit | Failure:
+    """Fit N_i and the coefficients of radial distortion: one with its prior, a second one if it is significant.
 
     Args:
         marks_mm: (k, 2) tester coordinates, k ≥ 4.
         px: (k, 2) raw pixels.
-        center_px: principal point, the centre of the distortion.
-        radius_px: R of the distortion polynomial.
+        prior: what is known of the camera; its centre is the principal point, its radius the R of the polynomial.
     """
-    if len(marks_mm) < _MIN_MARKS[0]:
-        return Failure(f"{len(marks_mm)} marks do not determine the eight parameters of N; {_MIN_MARKS[0]} are needed")
+    if len(marks_mm) < _MIN_MARKS:
+        return Failure(f"{len(marks_mm)} marks do not determine the eight parameters of N; {_MIN_MARKS} are needed")
     if (collinear := _find_collinearity(marks_mm)) is not None:
         return collinear
-    best: Fit | None = None
-    for order, least in enumerate(_MIN_MARKS):
-        if len(marks_mm) < least:
-            break
-        fit = _adjust(marks_mm, px, Lens(center_px, radius_px, (0.0,) * order))
-        # With more coefficients a fit may fail although the simpler one is sound.
-        if isinstance(fit, Failure):
-            if best is None:
-                return fit
-            break
-        if best is not None and not _is_significant(best, fit):
-            break
-        best = fit
-    assert best is not None
-    return best
+    fit = _adjust(marks_mm, px, prior, 1)
+    if isinstance(fit, Failure) or len(marks_mm) < _SECOND_FROM:
+        return fit
+    # With more coefficients a fit may fail although the simpler one is sound.
+    more = _adjust(marks_mm, px, prior, 2)
+    return fit if isinstance(more, Failure) or not _is_significant(fit, more) else more
 
 
 def estimate_homography(target: Floats, source: Floats) -> Floats | None:
@@ -121,35 +126,98 @@ def _find_collinearity(marks_mm: Floats) -> Failure | None:
     return None
 
 
-def _adjust(marks_mm: Floats, px: Floats, lens: Lens) -> Fit | Failure:
-    """Estimate the eight entries of N (with normalised source) and the coefficients of `lens` by Gauss-Newton."""
+def _adjust(marks_mm: Floats, px: Floats, prior: CameraPrior, order: int) -> Fit | Failure:
+    """Estimate the eight entries of N (with normalised source) and `order` coefficients of the lens by Gauss-Newton."""
     normal_from_mm = _normalizer(marks_mm)
-    p, order = apply(normal_from_mm, marks_mm), len(lens.radial)
+    p = apply(normal_from_mm, marks_mm)
+    lens = Lens(prior.center_px, prior.radius_px, (0.0,) * order)
     h = estimate_homography(px, p)
     if h is None:
         return Failure(f"its {len(p)} marks are at one position in the frame, which determines no view of a plane")
-    freedom = 2 * len(p) - 8 - order
+    # The prior is so weak that the weight of the marks matters little; twice is enough.
+    sigma = least = float(np.hypot(MARK_SIGMA_PX, prior.print_px))
+    correlation = 1 + len(p) / CORRELATED_MARKS
+    for _ in range(2):
+        weight = 1 / (sigma * np.sqrt(correlation))
+        h, lens = _solve(p, px, prior, h, lens, weight)
+        residual = lens.undistort(px) - apply(h, p)
+        design = _design(h, lens, p, px).reshape(len(p) * 2, -1)
+        scale = np.sqrt((design**2).sum(0))
+        singular = np.linalg.svd(design[:, :8] / scale[:8], compute_uv=False)
+        if not singular[-1] > _SINGULAR * singular[0]:
+            return Failure(f"its {len(p)} marks determine no view of a plane: some are assigned wrongly")
+        known = _prior_equations(prior, h, lens)[1]
+        data = (design * weight).T @ (design * weight)
+        covariance = np.linalg.inv((data + known.T @ known) / np.outer(scale, scale)) / np.outer(scale, scale)
+        freedom = max(2 * len(p) - float(np.trace(covariance @ data)), 0.0)
+        # Few marks leave few residuals, which may be small by chance; the prior bounds the variance from below.
+        total = float((residual**2).sum()) + _PRIOR_FREEDOM * least**2
+        sigma = float(np.sqrt(max(total / (freedom + _PRIOR_FREEDOM), prior.print_px**2)))
+    matrix, jacobian = _denormalize(h, normal_from_mm, order)
+    field = _field_covariance(px, prior, h, lens, covariance @ (design * weight**2).T, covariance)
+    return Fit(matrix, lens, residual, jacobian @ covariance @ jacobian.T, sigma, freedom, field, prior)
+
+
+def _solve(p: Floats, px: Floats, prior: CameraPrior, h: Floats, lens: Lens, weight: float) -> tuple[Floats, Lens]:
+    """Iterate the adjustment of H (p → undistorted px) and the lens until it stands still."""
     for _ in range(_MAX_STEPS):
         residual = lens.undistort(px) - apply(h, p)
-        design = np.concatenate([_homography_jacobian(h, p), -_lens_jacobian(lens, px)], axis=2).reshape(-1, 8 + order)
+        design = _design(h, lens, p, px).reshape(len(p) * 2, -1)
+        prior_residual, prior_design = _prior_equations(prior, h, lens)
+        rows = np.vstack([design * weight, prior_design])
         # Columns scaled to 1, as entries of N and coefficients of the lens differ by orders of magnitude.
-        scale = np.sqrt((design**2).sum(0))
-        step = np.linalg.lstsq(design / scale, residual.ravel(), rcond=None)[0] / scale
+        scale = np.sqrt((rows**2).sum(0))
+        step = (
+            np.linalg.lstsq(rows / scale, np.append(residual.ravel() * weight, prior_residual), rcond=None)[0] / scale
+        )
         h = h + np.append(step[:8], 0).reshape(3, 3)
         lens = replace(lens, radial=tuple(float(a + d) for a, d in zip(lens.radial, step[8:], strict=True)))
-        if np.abs(step * scale).max() < 1e-9:
+        if np.abs(step * scale).max() / weight < 1e-9:
             break
-    residual = lens.undistort(px) - apply(h, p)
-    # Few marks leave few residuals, which may be small by chance; the prior bounds the variance from below.
-    variance = float((residual**2).sum() + _PRIOR_FREEDOM * MARK_SIGMA_PX**2) / (freedom + _PRIOR_FREEDOM)
-    scaled = design / scale
-    _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
-    if not singular[-1] > _SINGULAR * singular[0]:
-        return Failure(f"its {len(p)} marks determine no view of a plane: some are assigned wrongly")
-    correlation = 1 + len(p) / CORRELATED_MARKS
-    covariance = (vt.T / singular**2) @ vt / np.outer(scale, scale) * variance * correlation
-    matrix, jacobian = _denormalize(h, normal_from_mm, order)
-    return Fit(matrix, lens, residual, jacobian @ covariance @ jacobian.T, float(np.sqrt(variance)), freedom)
+    return h, lens
+
+
+def _design(h: Floats, lens: Lens, p: Floats, px: Floats) -> Floats:
+    """Compute the derivative (k, 2, 8 + q) of projected minus undistorted pixels by all parameters."""
+    return np.concatenate([_homography_jacobian(h, p), -_lens_jacobian(lens, px)], axis=2)
+
+
+def _prior_equations(prior: CameraPrior, h: Floats, lens: Lens) -> tuple[Floats, Floats]:
+    """Compute residuals (m,) and design (m, 8 + q) of the prior, in its standard deviations.
+
+    The prior says that stretch, perspective and radial distortion are zero.
+    """
+    order = len(lens.radial)
+    sigma = prior.sigma_px(order)
+    image = prior.grid_px
+    by_h = to_basis(_homography_jacobian(h, apply(np.linalg.inv(h), image)))
+    design = np.zeros((4 + order, 8 + order))
+    design[:4, :8] = by_h[SHAPE]
+    design[4:, 8:] = np.eye(order) * lens.radius_px
+    value = np.append(shape_of_view(prior, h), np.array(lens.radial) * lens.radius_px)
+    return -value / sigma, design / sigma[:, None]
+
+
+def _field_covariance(
+    px: Floats, prior: CameraPrior, h: Floats, lens: Lens, gain: Floats, covariance: Floats
+) -> Floats:
+    """Compute the covariance (9, 9) of the error over the frame from that of the parameters (8 + q).
+
+    `gain` (8 + q, 2k) is the change of the parameters by a change of the residuals of marks.
+    """
+    image = prior.grid_px
+    over_frame = to_basis(_design(h, lens, apply(np.linalg.inv(h), image), image))
+    out = over_frame @ covariance @ over_frame.T + prior.flatness_covariance_px2()
+    if len(lens.radial) > 1:
+        return np.asarray(out)
+    # A part of the distortion that the first coefficient does not describe: the marks take up what they see of it, the
+    # rest is an error where there are none.
+    second = Lens(lens.center_px, lens.radius_px, (0.0, 0.0))
+    amount = HIGHER_ORDER * lens.radial[0] * lens.radius_px
+    taken = gain @ _lens_jacobian(second, px)[..., 1].ravel() / lens.radius_px
+    left = to_basis(_lens_jacobian(second, image)[..., 1:] / lens.radius_px)[:, 0] - over_frame @ taken
+    out += amount**2 * np.outer(left, left)
+    return np.asarray((out + out.T) / 2)
 
 
 def _denormalize(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from vaoi_station.marks import Mark, find_candidates, locate_mark
 
 SURROUND = 1.3
 """Diameter of the compared disc divided by the mark's size. Calibration marks can be close, so the rim is narrow."""
-_COARSE_PX = 10.0
+COARSE_PX = 10.0
 """Approximate size of marks in the reduced frame of the search."""
 _MAX_CANDIDATES = 400
 _STEEPEST = 200
@@ -83,7 +83,7 @@ def detect_marks(grey: NDArray[np.uint8], kind: MarkAppearance) -> DetectedMarks
         kind: appearance of the marks.
     """
     low, high = (float(v) for v in np.percentile(grey[::4, ::4], [0.5, 99.5]))
-    factor = 2 ** max(int(np.log2(kind.size_px / _COARSE_PX)), 0) if kind.size_px > _COARSE_PX else 1
+    factor = 2 ** max(int(np.log2(kind.size_px / COARSE_PX)), 0) if kind.size_px > COARSE_PX else 1
     h, w = (side // factor * factor for side in grey.shape)
     small = cv2.resize(grey[:h, :w], (w // factor, h // factor), interpolation=cv2.INTER_AREA)
     places, _ = find_candidates(small, "cross", kind.size_px / factor, _MAX_CANDIDATES, arm=kind.arm)

@@ -1,7 +1,9 @@
 """Assignment of detected marks to the layout, near the nominal view of the camera.
 
 Marks carry no identity. Each pair of detected marks that matches a pair of the layout in length and direction gives a
-hypothesis. Its score is the number of marks it explains, minus a cost for expected marks that were not detected.
+hypothesis. Its score is the logarithm of its likelihood: detected marks that it explains speak for it; marks that it
+expects where the frame shows blank ground speak against it, and little does where something may hide them.
+`array_assignment` chooses between the hypotheses of all cameras.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.calibration.blank_ground import BlankGround
 from vaoi_station.calibration.nominal_view import is_in_frame, marks_in_view, nominal_matrix, reach_mm
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
@@ -18,15 +21,18 @@ from vaoi_station.model import CameraHead
 _SCALE, _ANGLE_RAD = 0.08, np.radians(8.0)
 """Accepted deviation of scale and direction from the design."""
 _MAX_SEEDS, _MAX_DETECTED = 48, 120
-_MISSING_COST = 0.5
-"""Reduction of a score for each expected mark that was not detected. An explained mark adds 1."""
-_PRIOR_PER_MM2 = 0.04
-"""Reduction of a score per mm² of shift from the expected position. It decides between nearly equal scores."""
+_EXPLAINED = 3.0
+"""A cross that is detected by chance, at a place where the layout has a mark, has a probability of about e⁻³."""
+_BLANK, _BLANK_CAP, _BLANK_MORE = 4.0, 7.0, 0.3
+"""Cost of an expected mark that is missing on blank ground: it is not printed or not detected. Beyond the cap the cost
+is that of one thing that looks like the ground and covers many marks."""
+_HIDDEN, _HIDDEN_CAP, _HIDDEN_MORE = 1.0, 2.0, 0.1
+"""The same for expected marks where the frame shows something else, which may hide them."""
 _CHUNK = 64
 """Number of hypotheses scored at a time, which bounds the memory of the distance table."""
-_MAX_KEPT = 9
-_APART_MM, _EQUAL_SCORE = 0.5, 1.0
-"""Smallest distance, and largest difference in score, of two hypotheses that make an assignment ambiguous."""
+_MAX_KEPT = 24
+_PRESELECTED_MM = 4.0
+"""Standard deviation of the shift from the nominal view, by which hypotheses are preselected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +47,19 @@ class Hypothesis:
     offset_mm: Floats
     """Offset of the view from its nominal position, (2,)."""
 
+    @property
+    def angle_rad(self) -> float:
+        """Turn of the board in the frame, from image x towards image y."""
+        return float(np.arctan2(self.similarity[1, 0], self.similarity[0, 0]))
+
 
 def find_hypotheses(
-    detected_px: Floats, marks_mm: Floats, head: CameraHead, camera: int, size_px: float
+    detected_px: Floats,
+    marks_mm: Floats,
+    head: CameraHead,
+    camera: int,
+    size_px: float,
+    ground: BlankGround | None = None,
 ) -> tuple[Hypothesis, ...]:
     """Find the best assignments of detected marks, best first; none if fewer than two marks match.
 
@@ -53,42 +69,25 @@ def find_hypotheses(
         head: frame size and nominal view of the camera.
         camera: index of the camera.
         size_px: size of a mark.
+        ground: where the frame shows blank ground; by default everywhere.
     """
     near = marks_in_view(head, camera, marks_mm, reach_mm(head) + size_px / (head.nominal_px_per_mm or 1.0))
     seen = detected_px[:_MAX_DETECTED]
     if len(seen) < 2 or len(near) < 2:
         return ()
-    matching = _Matching(seen, marks_mm[near], nominal_matrix(head, camera), head, size_px)
+    matching = _Matching(seen, marks_mm[near], nominal_matrix(head, camera), head, size_px, ground)
     found = matching.select_best(matching.from_pairs())
     return tuple(Hypothesis(h.similarity, _to_layout_indices(h.pairs, near), h.score, h.offset_mm) for h in found)
-
-
-def find_rival(options: tuple[Hypothesis, ...], chosen: Hypothesis) -> Hypothesis | None:
-    """Return another hypothesis that explains the frame as well as the chosen one; None if there is none."""
-    others = (h for h in options if h is not chosen and np.hypot(*(h.offset_mm - chosen.offset_mm)) > _APART_MM)
-    return next((h for h in others if h.score >= chosen.score - _EQUAL_SCORE and len(h.pairs) >= 4), None)
-
-
-def choose_hypotheses(options: list[tuple[Hypothesis, ...]]) -> list[Hypothesis | None]:
-    """Choose one hypothesis per camera, or None for a camera without hypotheses."""
-    # All cameras show the same board, so among equal scores the offset common to most cameras is the right one.
-    firsts = [_best(o, np.zeros(2)) for o in options]
-    offsets = [h.offset_mm for h in firsts if h is not None]
-    usual = np.median(np.array(offsets), axis=0) if len(offsets) > 1 else np.zeros(2)
-    return [_best(o, usual) for o in options]
-
-
-def _best(options: tuple[Hypothesis, ...], expected_mm: Floats) -> Hypothesis | None:
-    return max(
-        options,
-        key=lambda h: h.score - _PRIOR_PER_MM2 * float(((h.offset_mm - expected_mm) ** 2).sum()),
-        default=None,
-    )
 
 
 def _to_layout_indices(pairs: NDArray[np.int_], near: NDArray[np.int_]) -> NDArray[np.int_]:
     """Convert pairs with indices of nearby marks to pairs with indices of the whole layout."""
     return np.column_stack([near[pairs[:, 0]], pairs[:, 1]])
+
+
+def _capped(count: NDArray[np.int_], each: float, cap: float, more: float) -> Floats:
+    """Compute the cost of `count` missing marks: `each`, or if there are many, one cause of all of them."""
+    return np.asarray(np.minimum(each * count, cap + more * count), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +99,7 @@ class _Matching:
     nominal: Floats
     head: CameraHead
     size_px: float
+    ground: BlankGround | None
 
     def from_pairs(self) -> NDArray[np.complex128]:
         """Compute a similarity from each matching pair: a (h,) and b (h,), with px = a·mm + b in complex numbers."""
@@ -143,7 +143,9 @@ class _Matching:
         )
         offsets = self._offset_mm(similarities)
         kept: list[int] = []
-        cost = _PRIOR_PER_MM2 * (offsets**2).sum(1)
+        # Linear beyond three standard deviations: a view far off its design is unlikely, but possible.
+        far = np.hypot(*offsets.T) / _PRESELECTED_MM
+        cost = np.where(far <= 3, far**2 / 2, 3 * far - 4.5)
         for n in np.argsort(cost - scores, kind="stable"):
             apart = all(np.hypot(*(offsets[n] - offsets[m])) * self.nominal[0, 0] > self.size_px / 2 for m in kept)
             if apart:
@@ -154,11 +156,17 @@ class _Matching:
         return sorted((h for h in refined if h is not None), key=lambda h: -h.score)
 
     def _scores(self, similarities: NDArray[np.complex128]) -> Floats:
-        """Return the scores (h,) of h hypotheses."""
+        """Return the scores (h,) of h hypotheses: logarithms of their likelihoods, up to a common constant."""
         px, near, _ = self._matches(similarities)
         # A mark cut by the frame's border is not detected, so it does not count as missing.
         expected = is_in_frame(self.head, px, 0.75 * self.size_px)
-        return np.asarray(near.sum(1) - _MISSING_COST * (expected & ~near).sum(1), dtype=np.float64)
+        missing = expected & ~near
+        blank = missing if self.ground is None else missing & self.ground.at(px)
+        return np.asarray(
+            _EXPLAINED * near.sum(1)
+            - _capped(blank.sum(1), _BLANK, _BLANK_CAP, _BLANK_MORE)
+            - _capped((missing & ~blank).sum(1), _HIDDEN, _HIDDEN_CAP, _HIDDEN_MORE)
+        )
 
     def _matches(self, similarities: NDArray[np.complex128]) -> tuple[Floats, NDArray[np.bool_], NDArray[np.int_]]:
         """Match all k marks of the layout under h hypotheses.

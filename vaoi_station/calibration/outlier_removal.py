@@ -50,7 +50,7 @@ def _leave_one_out(fit: Fit, marks_mm: Floats, px: Floats, kept: list[int]) -> t
     # out in turn, and predicted by the others.
     for n in np.argsort(-lengths)[:_MAX_TRIALS]:
         rest = [k for m, k in enumerate(kept) if m != n]
-        trial = fit_camera(marks_mm[rest], px[rest], fit.lens.center_px, fit.lens.radius_px)
+        trial = fit_camera(marks_mm[rest], px[rest], fit.prior)
         if isinstance(trial, Failure):
             continue
         left, out = px[kept[n]], marks_mm[kept[n]]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.calibration import Outcome, calibrate
-from vaoi_station.calibration.calibration_picture import draw_calibration
+from vaoi_station.calibration.pictures.calibration_picture import draw_calibration
 from vaoi_station.files.layouts import Layout
 from vaoi_station.simulation import Twin, calibration_board
 from vaoi_station.simulation.scenario import ArraySection, CalibrationBoardSection, Scenario

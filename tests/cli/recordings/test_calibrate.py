@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -42,6 +44,11 @@ def test_calibration_with_its_picture(film: Path, tmp_path: Path) -> None:
     assert calibration.created.endswith("Z")
     assert calibration.residual_px is not None
     assert calibration.covariances is not None
+    assert calibration.covariance is not None
+    assert re.search(
+        r"standard deviation 0\.0\d+ px at the frame corners, distortion there [+-]0\.0\d+ ± 0\.0\d+ px", said
+    )
+    assert "state their accuracy with --mark-accuracy-um" in said
     assert read_image(out.parent / "calibration-report.png").ndim == 3
     assert sorted(p.name for p in out.parent.iterdir()) == ["calibration-report.png", "calibration.json"]
 
@@ -78,6 +85,28 @@ def test_two_calibrations_are_compared_as_a_map(film: Path, tmp_path: Path) -> N
     assert (tmp_path / "maps" / "one-difference.png").exists()
 
 
+def test_the_stated_accuracy_of_the_board_is_in_the_covariance(film: Path, tmp_path: Path) -> None:
+    exact, stated = tmp_path / "exact.json", tmp_path / "stated.json"
+    _run(film, "--out", exact, "--working-distance-mm", "300")
+    said = _run(film, "--out", stated, "--working-distance-mm", "300", "--mark-accuracy-um", "5", "--flatness-um", "30")
+    assert "--mark-accuracy-um" not in said
+    one, two = read_calibration(exact).covariance, read_calibration(stated).covariance
+    assert one is not None
+    assert two is not None
+    assert all(np.trace(b) > 20 * np.trace(a) for a, b in zip(one, two, strict=True))
+
+
+def test_four_marks_do_not_determine_the_lens(tmp_path: Path) -> None:
+    scenario = read_scenario(scenario_path("small"))
+    board = scenario.calibration_board.model_copy(update={"marks_per_axis": 2})
+    write_calibration_recording(Twin(scenario.model_copy(update={"calibration_board": board})), tmp_path / "film")
+    said = _run(tmp_path / "film", "--out", tmp_path / "c.json")
+    assert "distortion there not determined (± 1.5 px assumed)" in said
+    assert re.search(
+        r"four marks do not determine the lens: ± [01]\.\d px at the corners \(1 σ\); film 9 or more", said
+    )
+
+
 def test_missing_options_are_named(film: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--out is missing"):
         _run(film)
@@ -85,6 +114,8 @@ def test_missing_options_are_named(film: Path, tmp_path: Path) -> None:
         _run(film, "--existing", film / "layout.json")
     with pytest.raises(NotFoundError, match=r"no\.json"):
         _run(film, "--out", tmp_path / "c.json", "--layout", tmp_path / "no.json")
+    with pytest.raises(InputError, match="--flatness-um is given without --working-distance-mm"):
+        _run(film, "--out", tmp_path / "c.json", "--flatness-um", "20")
     with pytest.raises(InputError, match="row is 3, but must be below"):
         _run(film, "--out", tmp_path / "c.json", "--row", "3")
 

@@ -10,7 +10,7 @@ import typer
 from vaoi_station.errors import InputError
 
 if TYPE_CHECKING:
-    from vaoi_station.calibration import Outcome
+    from vaoi_station.calibration import CameraResult, Limits, Outcome
     from vaoi_station.model import Calibration, RecordingHead
 
 
@@ -28,6 +28,16 @@ def calibrate(
     residual_limit_px: Annotated[
         float, typer.Option(min=0.001, max=100, help="Refuse a camera whose residuals are larger (rms).")
     ] = 0.2,
+    center_tolerance_mm: Annotated[
+        float,
+        typer.Option(min=0.01, max=100, help="How well nominal_center_mm is known for the board as it lies (2 σ)."),
+    ] = 2.0,
+    mark_accuracy_um: Annotated[
+        float, typer.Option(min=0, max=1000, help="Accuracy of the marks' positions on the board (1 σ per axis).")
+    ] = 0.0,
+    flatness_um: Annotated[
+        float, typer.Option(min=0, max=5000, help="Deviation of the board from a plane within one view (1 σ).")
+    ] = 0.0,
     report: Annotated[Path | None, typer.Option(help="Write the pictures to this directory [that of --out].")] = None,
     compare: Annotated[
         Path | None, typer.Option(help="Compare with this calibration of the same array, in px.")
@@ -51,7 +61,17 @@ def calibrate(
         return
     if out is None:
         raise InputError("--out is missing.", action="Give the file to which the calibration is written.")
-    made = _calibrate(case, out, layout, row, working_distance_mm, residual_limit_px, report or out.parent)
+    from vaoi_station.calibration import Limits
+
+    if flatness_um and working_distance_mm is None:
+        raise InputError(
+            "--flatness-um is given without --working-distance-mm, which says how far a height moves the picture.",
+            action="Give the distance of the cameras from the board.",
+        )
+    limits = Limits(
+        residual_limit_px, working_distance_mm, center_tolerance_mm, mark_accuracy_um / 1000, flatness_um / 1000
+    )
+    made = _calibrate(case, out, layout, row, limits, report or out.parent)
     if other is not None:
         _compare(made, other, head, report or out.parent, out.stem)
 
@@ -61,13 +81,11 @@ def _calibrate(
     out: Path,
     layout: Path | None,
     row: int | None,
-    working_distance_mm: float | None,
-    residual_limit_px: float,
+    limits: Limits,
     report: Path,
 ) -> Calibration:
-    from vaoi_station.calibration import Limits
     from vaoi_station.calibration import calibrate as calibrate_array
-    from vaoi_station.calibration.calibration_picture import draw_calibration
+    from vaoi_station.calibration.pictures.calibration_picture import draw_calibration
     from vaoi_station.files import open_recording, write_calibration
     from vaoi_station.files.images import write_image
     from vaoi_station.files.layouts import read_layout
@@ -80,7 +98,6 @@ def _calibrate(
     if row is not None and row >= rows:
         raise InputError.field("--row", "row", row, f"below the recording's {rows} rows")
     marks = read_layout(layout or case / "layout.json")
-    limits = Limits(residual_limit_px, working_distance_mm)
     outcome = calibrate_array(recording.head.cameras, lambda i: recording.frame(i, row or 0), marks, limits)
     picture = report / f"{out.stem}-report.png"
     # The picture is written before a refusal too: it shows why the camera was refused.
@@ -97,19 +114,29 @@ def _calibrate(
 def _print_fits(outcome: Outcome, out: Path, picture: Path) -> None:
     for c in outcome.cameras:
         assert c.fit is not None
-        bent = "".join(f", a{k + 1} = {a:.3g}" for k, a in enumerate(c.fit.lens.radial)) or ", no distortion detected"
         typer.echo(
             f"camera {c.camera}: {c.used} of {len(c.marks)} marks, residuals {c.fit.rms_px:.4f} px rms, "
-            f"standard deviation {c.corner_sigma_px:.3f} px at the frame corners{bent}"
+            f"standard deviation {c.corner_sigma_px:.3f} px at the frame corners, distortion there {_lens(c)}"
+        )
+    if not outcome.limits.mark_accuracy_mm:
+        typer.echo(
+            "- the marks are taken to be exactly where layout.json puts them: state their accuracy with "
+            "--mark-accuracy-um"
         )
     for note in outcome.notes:
         typer.echo(f"- {note}")
     typer.echo(f"→ {out}, picture {picture}")
 
 
+def _lens(camera: CameraResult) -> str:
+    assert camera.fit is not None
+    bent, sigma = camera.fit.lens_px
+    return f"{bent:+.3f} ± {sigma:.3f} px" if camera.lens_known else f"not determined (± {sigma:.1f} px assumed)"
+
+
 def _compare(this: Calibration, other: Calibration, head: RecordingHead, report: Path | None, stem: str) -> None:
     from vaoi_station.calibration.calibration_difference import compare_calibrations
-    from vaoi_station.calibration.difference_picture import draw_difference
+    from vaoi_station.calibration.pictures.difference_picture import draw_difference
     from vaoi_station.files.images import write_image
 
     difference = compare_calibrations(this, other, head.cameras)

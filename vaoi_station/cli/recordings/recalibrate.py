@@ -110,7 +110,7 @@ def _stored(config: Path) -> tuple[Calibration, tuple[CameraHead, ...], list[Run
 
 def _show(before: Calibration, after: Calibration, heads: Sequence[CameraHead], out: Path) -> None:
     from vaoi_station.calibration.calibration_difference import compare_calibrations
-    from vaoi_station.calibration.difference_picture import draw_difference
+    from vaoi_station.calibration.pictures.difference_picture import draw_difference
     from vaoi_station.files.images import write_image
 
     difference = compare_calibrations(before, after, heads, one_board=True)

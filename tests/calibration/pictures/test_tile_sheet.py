@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.calibration.tile_sheet import GAP, Picture, arrange_tiles
+from vaoi_station.calibration.pictures.tile_sheet import GAP, Picture, arrange_tiles
 
 
 def tile(grey: int, height: int = 10) -> Picture:

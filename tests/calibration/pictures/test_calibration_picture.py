@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.calibration.calibration_picture import draw_calibration
+from vaoi_station.calibration.pictures.calibration_picture import draw_calibration
 
 
 def _has(picture: np.ndarray, bgr: tuple[int, int, int]) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from vaoi_station.calibration.array_calibration import Outcome
 from vaoi_station.calibration.camera_fit import CameraResult
-from vaoi_station.calibration.tile_sheet import Picture, arrange_tiles
+from vaoi_station.calibration.pictures.tile_sheet import Picture, arrange_tiles
 from vaoi_station.geometry.transforms import Floats
 
 _WIDTH, _BAND = 720, 74

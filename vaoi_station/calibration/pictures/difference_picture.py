@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from vaoi_station.calibration.calibration_difference import CalibrationDifference
-from vaoi_station.calibration.tile_sheet import Picture, arrange_tiles
+from vaoi_station.calibration.pictures.tile_sheet import Picture, arrange_tiles
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 

@@ -11,7 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.calibration.calibration_difference import CalibrationDifference, compare_calibrations
-from vaoi_station.calibration.difference_picture import BAND, MARGIN, WIDTH, draw_difference, round_down, round_up
+from vaoi_station.calibration.pictures.difference_picture import (
+    BAND,
+    MARGIN,
+    WIDTH,
+    draw_difference,
+    round_down,
+    round_up,
+)
 
 _WHITE, _INK = (255, 255, 255), (30, 30, 30)
 
