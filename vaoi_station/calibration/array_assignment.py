@@ -59,7 +59,8 @@ class Assignment:
         if self.chosen is None or self.rival is None:
             return 0.0, 0.0
         x, y = self.rival.offset_mm - self.chosen.offset_mm
-        return float(x), float(y)
+        # Rounded as it is printed, so that no shift reads "-0.0".
+        return round(float(x), 1) + 0.0, round(float(y), 1) + 0.0
 
 
 def assign_array(

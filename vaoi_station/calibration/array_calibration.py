@@ -125,7 +125,8 @@ def calibrate(
     marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
     results = _calibrate_cameras(heads, detections, kinds, marks_mm, limits)
     # The search for a hint calibrates the array once per variant, so it runs after a refusal only.
-    hint = _layout_hint(heads, detections, kinds, marks_mm, limits) if any(c.refusal for c in results) else ""
+    unfit = any(c.refusal and not c.ambiguous for c in results)
+    hint = _layout_hint(heads, detections, kinds, marks_mm, limits) if unfit else ""
     return Outcome(results, limits, hint, find_symmetries(marks_mm, layout.mark.size * layout.mm_per_unit / 4))
 
 

@@ -63,6 +63,8 @@ class CameraResult:
     action: str = ""
     """The remedy for the refusal."""
     notes: tuple[str, ...] = ()
+    ambiguous: bool = False
+    """Whether it was refused because its marks fit the layout in two ways. Another layout is no remedy then."""
 
     @property
     def used(self) -> int:
@@ -122,12 +124,11 @@ def calibrate_camera(
     # Checks from cheap and general to specific: the first reason found is the most useful one for the operator.
     hypothesis = assignment.chosen
     due = _expected_marks(head, camera, detected, hypothesis, marks_mm, appearance)
-    if (
-        unfit := _check_size(appearance, head)
-        or _check_frame(detected, hypothesis, due)
-        or _check_assignment(assignment, limits)
-    ) is not None:
+    if (unfit := _check_size(appearance, head) or _check_frame(detected, hypothesis, due)) is not None:
         return CameraResult(camera, head, detected, due, None, *unfit)
+    if assignment.ambiguous:
+        refusal, action = _describe_ambiguity(assignment, limits)
+        return CameraResult(camera, head, detected, due, None, refusal, action, ambiguous=True)
     assert hypothesis is not None
     pairs = hypothesis.pairs
     # A first homography predicts all marks of the layout, so that those missed by the search are measured too.
@@ -348,10 +349,8 @@ def _count(number: int) -> str:
     return {4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}.get(number, str(number))
 
 
-def _check_assignment(assignment: Assignment, limits: Limits) -> tuple[str, str] | None:
-    """Return reason and remedy if frames and nominal views leave two assignments of the marks, else None."""
-    if not assignment.ambiguous:
-        return None
+def _describe_ambiguity(assignment: Assignment, limits: Limits) -> tuple[str, str]:
+    """Return reason and remedy of a camera for which frames and nominal views leave two assignments of the marks."""
     x, y = assignment.shift_mm
     return (
         f"its marks fit the layout in two ways: shifted by ({x:.1f}, {y:.1f}) mm it explains them as well, and "

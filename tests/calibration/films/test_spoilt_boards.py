@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.calibration.films.spoilt_boards import SPOILS, Spoil, Variant, corner_errors, dark_strip, variants
+from tests.calibration.films.spoilt_boards import (
+    SPOILS,
+    Spoil,
+    Variant,
+    corner_errors,
+    dark_strip,
+    frame_of_tape,
+    variants,
+)
 
 _SPACING_PX = 60.0
 """The least spacing of the grids, px."""
@@ -38,6 +46,13 @@ def test_hidden_rims_do_not_make_the_stated_corners_wrong() -> None:
             ratios.append((errors / sigmas).ravel())
     assert len(ratios) >= 4
     assert 0.5 < np.sqrt((np.concatenate(ratios) ** 2).mean()) < 2
+
+
+def test_an_ambiguous_grid_is_refused_with_its_remedy_and_no_other_layout_is_proposed() -> None:
+    error = Variant(7, frame_of_tape, 2).calibrate().error()
+    assert "its marks fit the layout in two ways: shifted by (0.0, " in error.message
+    assert "--center-tolerance-mm" in error.action
+    assert "write layout.json" not in error.action
 
 
 def test_a_dark_strip_over_the_rim_is_calibrated_and_not_refused() -> None:
