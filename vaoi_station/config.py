@@ -116,6 +116,10 @@ class CameraConfig(Section):
     readout_us: NotNegative = 0.0
     """Time from the end of an exposure to the earliest next one; 0 for sensors that expose while they read out."""
     pixel_format: PixelFormatName = "Mono8"
+    latency_us: NotNegative | None = None
+    """Time from a pulse to the time stamp of its frame; None: it is learnt from the frames."""
+    latency_gate_us: Positive = 10_000.0
+    """Largest accepted difference between the latency of a frame and that of its camera."""
     serial: Word | None = None
     """Serial number of an Aravis camera."""
     address: Word | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 
@@ -12,6 +12,7 @@ from vaoi_station.acquisition.causes import MAX_FRAME_ID
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.recorder import Finished, Limits, Outcome, Recorder, Settled, Unassigned
 from vaoi_station.model import FrameRecord, Verdict
@@ -36,6 +37,7 @@ class RecorderScript:
     """Plays timed events into a recorder, and calls it at all deadlines in between."""
 
     cameras: int
+    latencies: Sequence[LatencySettings] = ()
     controller: DeviceClock = field(default_factory=lambda: DeviceClock(7e5, 40.0, origin_s=1000.0))
     outcomes: list[Outcome] = field(default_factory=list)
     events: list[tuple[float, int, Event]] = field(default_factory=list)
@@ -43,7 +45,7 @@ class RecorderScript:
     def __post_init__(self) -> None:
         self.camera_clocks = [DeviceClock(-50.0 * n, 30.0 - 25.0 * n, origin_s=1000.0) for n in range(self.cameras)]
         models = [clock_model(c) for c in self.camera_clocks]
-        self.recorder = Recorder(clock_model(self.controller), models, LIMITS)
+        self.recorder = Recorder(clock_model(self.controller), models, LIMITS, latencies=self.latencies)
         # The first ids are near the wrap of 16 bit ids, so that some scripts cross it.
         self._order, self._slots, self._ids = count(), count(), [count(65400) for _ in range(self.cameras)]
         self.truth: dict[int, tuple[str | None, int, int]] = {}
@@ -133,6 +135,14 @@ class RecorderScript:
     def verdicts(self, run: str) -> dict[tuple[int, int], Verdict]:
         """Return (camera, row) → verdict of a run."""
         return {(f.camera, f.row): f.verdict for f in self.finished[run]}
+
+    def wrong_rows(self, run: str) -> list[tuple[int, int]]:
+        """Return every (camera, row) of a run that is accepted as good with the frame of another row."""
+        return [
+            (f.camera, f.row)
+            for f in self.finished[run]
+            if f.usable and f.slot is not None and self.truth[f.slot] != (run, f.camera, f.row)
+        ]
 
     def check(self) -> None:
         """Assert what holds for every script."""

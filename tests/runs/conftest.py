@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 from tests.runs.peer import PATIENCE_S, Peer
+from vaoi_station.acquisition.pairing.doubts import doubts_of
+from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.process import messages
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
@@ -262,13 +264,21 @@ class Rig:
             self.peer.report(messages.FrameSettled(grant.run, records[-1], time.monotonic()))
         return records
 
-    def finish(self, grant: messages.Grant, records: list[FrameRecord], reason: str = "clear") -> None:
+    def finish(
+        self,
+        grant: messages.Grant,
+        records: list[FrameRecord],
+        reason: str = "clear",
+        proof: TriggerProof | None = None,
+    ) -> None:
         """Every frame has its verdict."""
         rows = 1 + max(r.row for r in records)
-        missing = tuple((r.camera, r.row) for r in records if r.verdict is not Verdict.OK)
-        head = a_head(rows, missing)
+        missing = tuple((r.camera, r.row) for r in records if not r.usable)
+        head = a_head(rows, missing).model_copy(update={"doubts": doubts_of(proof)})
         ordered = tuple(sorted(records, key=lambda r: (r.camera, r.row)))
-        self.peer.report(messages.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason))
+        self.peer.report(
+            messages.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason, proof=proof)
+        )
 
     def board(self, grant: messages.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:
         """Report one complete passage."""

@@ -32,6 +32,13 @@ class FrameRecord(FrozenModel):
     """Exposure time of the frame; None if unknown."""
     light: str = ""
     """Name of the light pattern of the frame's row."""
+    proven: bool = True
+    """Whether the frame belongs to its row as far as the proof of the run shows; `cause` states what contradicts it."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether the frame is complete and proven; no other frame is stitched or shown as a view of a component."""
+        return self.verdict is Verdict.OK and self.proven
 
 
 class Pulse(FrozenModel):

@@ -34,6 +34,8 @@ class RecordingHead(FrozenModel):
     trigger_times_s: tuple[Finite, ...] | None = None
     exposures_us: tuple[tuple[Positive, ...], ...] | None = None
     lights: tuple[str, ...] | None = None
+    doubts: tuple[str, ...] = ()
+    """What was doubtful when the run was filmed; each is a reason of the result, which is then never ok."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -117,7 +117,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
         began_s = time.perf_counter()
         evidence.append(runner.perform(task))
         task_ms[task.kind] += (time.perf_counter() - began_s) * 1e3
-    stitch, findings = runner.conclude_with_findings(times_s, present, evidence)
+    stitch, findings = runner.conclude_with_findings(times_s, present, evidence, head.doubts)
     # Frames that no task read still need a thumbnail.
     for key in present:
         if key not in thumbnails:

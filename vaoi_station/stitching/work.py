@@ -147,12 +147,22 @@ class TaskRunner:
         shift_mm = np.asarray(setup.conveyor_mm_s) * task.dt_s
         return link_rows(task, FramePair(a, b, camera_a, camera_b, shift_mm))
 
-    def conclude(self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]) -> Stitch:
+    def conclude(
+        self,
+        times_s: Floats,
+        present: Collection[FrameKey],
+        evidence: Iterable[Evidence],
+        doubts: tuple[str, ...] = (),
+    ) -> Stitch:
         """Return the result of the run, once every frame is settled."""
-        return self.conclude_with_findings(times_s, present, evidence)[0]
+        return self.conclude_with_findings(times_s, present, evidence, doubts)[0]
 
     def conclude_with_findings(
-        self, times_s: Floats, present: Collection[FrameKey], evidence: Iterable[Evidence]
+        self,
+        times_s: Floats,
+        present: Collection[FrameKey],
+        evidence: Iterable[Evidence],
+        doubts: tuple[str, ...] = (),
     ) -> tuple[Stitch, Findings]:
         """Return the result of the run, and the findings from which it was derived.
 
@@ -160,10 +170,11 @@ class TaskRunner:
             times_s: (m,) time of every row's pulse.
             present: camera and row of all good frames.
             evidence: the evidence of `all_tasks`, in any order.
+            doubts: what was doubtful when the run was filmed (`RecordingHead.doubts`).
         """
         s = self._setup
         return conclude(
-            Scene(s.cameras, tuple(sorted(present)), self._get),
+            Scene(s.cameras, tuple(sorted(present)), self._get, doubts),
             PriorKnowledge(
                 s.plane, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference
             ),

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model import BoardType, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.model import BoardType, FrameRecord, RecordingHead, Status, Stitch, Verdict
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 
@@ -63,19 +63,22 @@ def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(r
 
 
 @pytest.mark.parametrize(
-    ("verdict", "allowed", "error"),
+    ("verdict", "proven", "allowed", "error"),
     [
-        (Verdict.OK, False, None),
-        (Verdict.INCOMPLETE, True, None),
-        (Verdict.INCOMPLETE, False, StateError),
-        (Verdict.MISSING, True, NotFoundError),
+        (Verdict.OK, True, False, None),
+        (Verdict.OK, False, True, None),
+        (Verdict.OK, False, False, StateError),
+        (Verdict.INCOMPLETE, True, True, None),
+        (Verdict.INCOMPLETE, True, False, StateError),
+        (Verdict.MISSING, True, True, NotFoundError),
     ],
 )
-def test_only_whole_frames_or_allowed_incomplete_ones_are_served(
-    verdict: Verdict, allowed: bool, error: type[Exception] | None
+def test_only_usable_frames_or_allowed_ones_are_served(
+    verdict: Verdict, proven: bool, allowed: bool, error: type[Exception] | None
 ) -> None:
+    frame = FrameRecord(camera=0, row=1, verdict=verdict, cause="cable", proven=proven)
     if error is None:
-        component_views.refuse_holes(verdict, "cable", "Frame (0, 1)", allowed)
+        component_views.refuse_unusable(frame, "Frame (0, 1)", allowed)
     else:
         with pytest.raises(error, match=r"Frame \(0, 1\).*: cable\."):
-            component_views.refuse_holes(verdict, "cable", "Frame (0, 1)", allowed)
+            component_views.refuse_unusable(frame, "Frame (0, 1)", allowed)

@@ -50,7 +50,7 @@ def test_trigger_findings_are_reasons_with_camera_and_row() -> None:
     )
     reasons = list(trigger_reasons(TriggerProof(proven=False, cameras=(), findings=findings)))
     assert [(r.code, r.message) for r in reasons] == [
-        ("trigger-runs-freely", "Camera 2: it sends a frame every 33.3 ms."),
+        ("trigger-runs-freely", "Camera 2: it sends a frame every 33.3 ms. Its frames are not used."),
         ("trigger-extra-frame", "Camera 0, row 4: once more."),
     ]
     assert all(r.action for r in reasons)

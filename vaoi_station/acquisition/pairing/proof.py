@@ -13,13 +13,19 @@ from typing import Literal
 
 from vaoi_station.acquisition.causes import Gap, in_counting_order
 from vaoi_station.acquisition.pairing.clock_fit import free_running_interval_s, median, residuals_s
+from vaoi_station.acquisition.pairing.latency import ENOUGH, GATE_S
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
 from vaoi_station.model import FrozenModel
 
 RESIDUAL_LIMIT_S = 200e-6
 """Largest accepted residual of a frame of a triggered camera against the pulses, s; real jitter is about 10 µs."""
-Kind = Literal["runs-freely", "extra-frame", "ignored-trigger", "exchanged", "off-beat", "early", "miscounted"]
-QUESTIONING_KINDS: frozenset[Kind] = frozenset({"runs-freely", "exchanged", "off-beat", "early", "miscounted"})
+Kind = Literal[
+    "runs-freely", "extra-frame", "ignored-trigger", "exchanged", "off-beat", "early", "miscounted",
+    "latency-changed", "latency-ambiguous",
+]  # fmt: skip
+QUESTIONING_KINDS: frozenset[Kind] = frozenset(
+    {"runs-freely", "exchanged", "off-beat", "early", "miscounted", "latency-changed"}
+)
 """Kinds of findings that put in question whether a frame was exposed by the pulse of its row."""
 
 
@@ -46,6 +52,9 @@ class CameraProof(FrozenModel):
     """Largest residual of the time stamps against the pulse times; None for fewer than two frames."""
     latency_us: float | None
     """Median of time stamp minus pulse time, both on the host's clock."""
+    in_order_us: float | None = None
+    """The latency at which all frames, the unassigned ones included, follow the pulses one by one, if that is another
+    latency than the one by which they were assigned; None otherwise."""
     proven: bool
 
 
@@ -63,6 +72,7 @@ def prove(
     pulse_bound_s: float,
     frames: Sequence[Sequence[ObservedFrame]],
     gaps: Sequence[Sequence[Gap]],
+    unconfirmed: AbstractSet[int] = frozenset(),
 ) -> TriggerProof:
     """Check the frames of every camera against the pulses.
 
@@ -71,13 +81,20 @@ def prove(
         pulse_bound_s: largest error of a pulse's host time.
         frames: complete frames of every camera, unassigned ones included.
         gaps: the gaps in the frame ids of every camera (`causes.find_gaps`).
+        unconfirmed: cameras whose latency may be another one by whole periods (`latency.Learnt.confirmed`).
     """
     cameras, findings = [], []
     for camera, (observed, between) in enumerate(zip(frames, gaps, strict=True)):
         assigned = sorted((f for f in observed if f.row is not None), key=lambda f: f.row or 0)
         residuals = _residuals(pulses, assigned)
         extra = sorted((f for f in observed if f.row is None), key=lambda f: f.host_s)
-        found = _CameraCheck(camera, pulses, pulse_bound_s, assigned, extra, residuals, between).findings()
+        in_order_s = _in_order_s(pulses, pulse_bound_s, assigned, extra)
+        if in_order_s is not None:
+            found = [_latency_changed(camera, _latency_s(pulses, assigned) if assigned else None, in_order_s)]
+        else:
+            found = _CameraCheck(camera, pulses, pulse_bound_s, assigned, extra, residuals, between).findings()
+            if camera in unconfirmed and not any(f.kind == "runs-freely" for f in found):
+                found.append(_latency_ambiguous(camera, _latency_s(pulses, assigned) if assigned else None))
         findings += found
         cameras.append(
             CameraProof(
@@ -87,6 +104,7 @@ def prove(
                 extra=len(extra),
                 max_residual_us=max(map(abs, residuals.values())) * 1e6 if len(residuals) > 1 else None,
                 latency_us=_latency_s(pulses, assigned) * 1e6 if assigned else None,
+                in_order_us=None if in_order_s is None else in_order_s * 1e6,
                 proven=not any(f.kind in QUESTIONING_KINDS for f in found),
             )
         )
@@ -249,9 +267,49 @@ class _CameraCheck:
             if row is not None:
                 since = f"{(frame.host_s - self._pulses[row].host_s) * 1e3:.1f} ms after the pulse of row {row}"
             number = f" (frame id {frame.frame_id})" if frame.frame_id is not None else ""
+            nearest = min(self._pulses, key=lambda r: abs(self._pulses[r].host_s - frame.host_s), default=None)
+            before_s = 0.0 if nearest is None else self._pulses[nearest].host_s - frame.host_s
+            if nearest is not None and self._bound_s < before_s < GATE_S:
+                since += f" and {before_s * 1e3:.1f} ms before that of row {nearest}"
             text = f"the camera exposed once without a pulse, {since}{number}: its trigger line may bounce"
             found.append(self._finding(row, "extra-frame", text))
         return found
+
+
+def _latency_changed(camera: int, assigned_s: float | None, in_order_s: float) -> TriggerFinding:
+    before = "no frame fits the latency that was expected"
+    if assigned_s is not None:
+        before = f"not {assigned_s * 1e3:.1f} ms as expected, so they are in wrong rows"
+    text = f"its time stamps come {in_order_s * 1e3:.1f} ms after the pulses, one frame for each pulse: {before}"
+    return TriggerFinding(camera=camera, row=None, kind="latency-changed", text=text)
+
+
+def _latency_ambiguous(camera: int, assigned_s: float | None) -> TriggerFinding:
+    taken = "" if assigned_s is None else f"; {assigned_s * 1e3:.1f} ms is assumed"
+    text = (
+        "no complete frame of the first pulse came, and no earlier run has confirmed the latency of its time stamps: "
+        f"its frames may be in wrong rows{taken}"
+    )
+    return TriggerFinding(camera=camera, row=None, kind="latency-ambiguous", text=text)
+
+
+def _in_order_s(
+    pulses: Mapping[int, ObservedPulse],
+    pulse_bound_s: float,
+    assigned: Sequence[ObservedFrame],
+    extra: Sequence[ObservedFrame],
+) -> float | None:
+    """Return the latency at which the frames follow the pulses one by one; None if they were assigned in that way."""
+    rows = sorted(pulses)
+    frames = sorted([*assigned, *extra], key=lambda f: f.host_s)
+    # Fewer frames follow any pulses in order by chance.
+    if len(frames) != len(rows) or len(rows) < ENOUGH or [f.row for f in frames] == rows or not extra:
+        return None
+    left = residuals_s([pulses[row].pulse.time_s for row in rows], [f.time_s for f in frames])
+    if max(abs(left)) > RESIDUAL_LIMIT_S or len({f.epoch for f in frames}) != 1:
+        return None
+    found_s = median([f.host_s - pulses[row].host_s for f, row in zip(frames, rows, strict=True)])
+    return max(found_s, 0.0) if found_s >= -pulse_bound_s else None
 
 
 def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:

@@ -1,9 +1,9 @@
 """Assign one frame per camera to every pulse, by time, and end every run with a verdict for each (camera, row).
 
 Pure logic: the recorder receives events, arrivals and the host time, and returns outcomes. It uses no threads and no
-devices. A frame belongs to the pulse nearest to its time stamp, both on the host's clock, if the difference is within
-the tolerance. The order of arrival never decides. A pulse may be reported before or after its frames arrive, and frames
-of one run may arrive while the next run is filmed.
+devices. A frame belongs to the pulse nearest to its time stamp minus the latency of its camera, both on the host's
+clock, if the difference is within the tolerance. The order of arrival never decides. A pulse may be reported before or
+after its frames arrive, and frames of one run may arrive while the next run is filmed.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.forced_assignment import assign_forced
+from vaoi_station.acquisition.pairing.latency import LatencySettings
+from vaoi_station.acquisition.pairing.latency_learning import Latencies, WaitingFrame
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
@@ -32,9 +34,8 @@ MAX_FINISHED = 4
 class Limits:
     """The tolerances and the waiting times of the recorder."""
 
-    tolerance_s: float = 0.010
-    """Largest accepted difference between time stamp and pulse, in addition to the error bounds of both clocks. The sum
-    is limited to half the shortest interval between pulses."""
+    early_s: float = 0.010
+    """An incomplete frame may seem to arrive before its pulse by this, because of the errors of the clocks."""
     late_s: float = 0.5
     """Frames are awaited for one period plus this time after the end of the pulses."""
     report_delay_s: float = 0.1
@@ -85,6 +86,7 @@ class Recorder:
         limits: Limits | None = None,
         move_to_bay: MoveToBay = lambda slot, _bay, _camera: slot,
         exposures_us: Sequence[float] = (),
+        latencies: Sequence[LatencySettings] = (),
     ) -> None:
         """Create a recorder without runs.
 
@@ -94,6 +96,7 @@ class Recorder:
             limits: tolerances and waiting times.
             move_to_bay: moves a frame into the bay of its run.
             exposures_us: exposure time of every camera; used if the controller does not report it with each pulse.
+            latencies: configuration of every camera's latency; by default all are learnt.
         """
         self.limits = limits or Limits()
         self.outages = Outages()
@@ -102,6 +105,7 @@ class Recorder:
         self._camera_clocks = camera_clocks
         self._move_to_bay = move_to_bay
         self._exposures_us = exposures_us
+        self._latencies = Latencies(latencies or [LatencySettings() for _ in camera_clocks], self._bound_s)
         self._runs: list[RunRecord] = []
         self._waiting: list[tuple[Arrival, float]] = []
         """Complete frames whose pulse is not known yet, with the host time of their exposure."""
@@ -175,7 +179,10 @@ class Recorder:
         return min((t for t in times if t > after_s), default=None)
 
     def _assign_waiting(self, now_s: float) -> list[Outcome]:
-        """Assign or refuse those waiting frames about which a decision is possible now; return the outcomes."""
+        """Assign or refuse the waiting frames that can be decided now; return their outcomes."""
+        for camera in {a.camera for a, _ in self._waiting if not self._latencies[a.camera].confirmed}:
+            frames = [WaitingFrame(s, self._is_aged(a, now_s)) for a, s in self._waiting if a.camera == camera]
+            self._latencies.learn(camera, self._runs, frames, [f.host_s for f in self._unassigned[camera]], now_s)
         out: list[Outcome] = []
         waiting, self._waiting = self._waiting, []
         for arrival, host_s in waiting:
@@ -187,23 +194,34 @@ class Recorder:
         return out
 
     def _assign(self, arrival: Arrival, host_s: float, now_s: float) -> Outcome | None:
-        """Assign a frame to the nearest pulse or refuse it; return None while a nearer pulse may still be reported."""
-        near = [(abs(found[1]), n, *found) for n, r in enumerate(self._runs) if (found := r.nearest(host_s))]
+        """Assign a frame to the nearest pulse or refuse it; return None while that cannot be decided."""
+        camera, latency = arrival.camera, self._latencies[arrival.camera]
+        if self._latencies.awaits(self._runs, camera, host_s):
+            return None
+        pulse_s, bound_s = host_s - latency.value_s, self._bound_s(camera)
+        near = [(abs(found[1]), n, *found) for n, r in enumerate(self._runs) if (found := r.nearest(pulse_s))]
         if near:
             distance_s, n, row, error_s = min(near)
-            if distance_s <= self._gate_s(self._runs[n], arrival.camera):
-                return self._take(self._runs[n], row, arrival, Verdict.OK, error_s)
-        if host_s + self.limits.tolerance_s < self._known_until_s or self._is_aged(arrival, now_s):
+            # No camera stamps a frame before its pulse: such a time stamp is of another pulse, or of none.
+            possible = error_s + latency.value_s >= -bound_s
+            if possible and distance_s <= self._gate_s(self._runs[n], latency.gate_s + bound_s):
+                return self._take(self._runs[n], row, arrival, Verdict.OK, error_s + latency.value_s)
+        if pulse_s + latency.gate_s < self._known_until_s or self._is_aged(arrival, now_s):
             self._keep_unassigned(arrival, host_s)
             nearest = f"; the nearest one is {min(near)[0] * 1e3:.1f} ms away" if near else ""
-            return self._refuse(arrival, f"no pulse was fired at the time of its exposure{nearest}")
+            late = f", {latency.value_s * 1e3:.1f} ms (its camera's latency) before its time stamp"
+            when = late if latency.value_s > latency.gate_s else ""
+            return self._refuse(arrival, f"no pulse was fired at the time of its exposure{when}{nearest}")
         return None
 
-    def _gate_s(self, record: RunRecord, camera: int) -> float:
-        """Return the tolerance, s: the largest accepted difference between a time stamp and its pulse."""
-        bounds_s = self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
+    def _gate_s(self, record: RunRecord, tolerance_s: float) -> float:
+        """Return the largest accepted difference between a frame's latency and that of its camera."""
         # Beyond half the interval between two pulses the neighbouring pulse would be nearer.
-        return min(record.shortest_interval_s / 2, self.limits.tolerance_s + bounds_s)
+        return min(record.shortest_interval_s / 2, tolerance_s)
+
+    def _bound_s(self, camera: int) -> float:
+        """Return the error bound of the difference between a time stamp and a pulse."""
+        return self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
 
     def _is_aged(self, arrival: Arrival, now_s: float) -> bool:
         return now_s >= arrival.host_time_s + self.limits.unexplained_s
@@ -279,7 +297,7 @@ class Recorder:
                     self._undated.remove(arrival)
                     out.append(self._take(record, row, arrival, Verdict.INCOMPLETE))
         if overdue or len(record.frames) == record.rows * len(self._camera_clocks):
-            out += self._finish(record)
+            out += self._finish(record, now_s)
         return out
 
     def _assign_undated(self, camera: int, now_s: float) -> dict[Arrival, tuple[RunRecord, int]]:
@@ -308,7 +326,7 @@ class Recorder:
             for row in record.open_rows(arrival.camera):
                 fired = record.pulses.get(row)
                 # If the report of a pulse was lost, its time is unknown: its row is a candidate for every such frame.
-                if fired is None or -self.limits.tolerance_s <= arrival.host_time_s - fired.host_s <= latest_s:
+                if fired is None or -self.limits.early_s <= arrival.host_time_s - fired.host_s <= latest_s:
                     found.add((n, row))
         return found
 
@@ -324,14 +342,20 @@ class Recorder:
                 out.append(self._refuse(arrival, f"incomplete, and {reason}"))
         return out
 
-    def _finish(self, record: RunRecord) -> list[Outcome]:
-        """Finish a run. Return the outcomes of its missing frames, and the end of the run with its proof."""
+    def _finish(self, record: RunRecord, now_s: float) -> list[Outcome]:
+        """Finish a run; return the outcomes of its missing frames and its end, with the proof."""
         assert record.run is not None
         record.finished = True
         place = next(n for n, r in enumerate(self._runs) if r is record)
         previous = self._runs[place - 1] if place and self._runs[place - 1].run is not None else None
         bound_s = self._controller_clock.bound_s()
-        missing, proof = conclude_run(record, self._unassigned, self.outages, bound_s, previous)
+        unassigned = [[*kept] for kept in self._unassigned]
+        for arrival, host_s in self._waiting:
+            # A frame after the last pulse waits for a later event of the controller, which may come with another board.
+            if host_s + self._latencies[arrival.camera].gate_s + self.limits.report_delay_s < now_s:
+                unassigned[arrival.camera].append(_observed(arrival, None, host_s))
+        missing, proof = conclude_run(record, unassigned, self.outages, bound_s, previous)
+        self._latencies.revise(proof)
         ordered = tuple(record.frames[key] for key in sorted(record.frames))
         return [*(Settled(record.run, frame) for frame in missing), Finished(record, ordered, proof)]
 

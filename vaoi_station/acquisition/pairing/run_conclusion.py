@@ -47,7 +47,8 @@ def conclude_run(
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
         missing += _missing(run, camera, gaps[-1], outages)
     # The proof comes before the missing frames are recorded: its findings annotate frames that did arrive.
-    proof = prove(run.pulses, pulse_bound_s, frames, gaps)
+    unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
+    proof = prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed)
     for record in missing:
         run.frames[record.camera, record.row] = record
     for camera in {finding.camera for finding in proof.findings}:
@@ -125,7 +126,7 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages)
 
 
 def _annotate(run: RunRecord, camera: int, proof: TriggerProof) -> None:
-    """Add each finding to the cause of every good frame that it puts in question."""
+    """Mark every complete frame that the findings put in question as not proven, with the findings as its cause."""
     complete = {row for n, row in run.frames if n == camera and run.frames[n, row].verdict is Verdict.OK}
     for row, text in questioned_rows(proof, camera, complete).items():
-        run.frames[camera, row] = run.frames[camera, row].model_copy(update={"cause": text})
+        run.frames[camera, row] = run.frames[camera, row].model_copy(update={"cause": text, "proven": False})

@@ -73,6 +73,23 @@ class RunRecord:
     deadline_s: float = float("inf")
     """Host time until which late frames are awaited."""
     finished: bool = False
+    latency_known: dict[int, bool] = field(default_factory=dict)
+    """Camera whose latency was learnt from this run → whether the beginning of the run confirms it."""
+
+    @property
+    def first_s(self) -> float:
+        """Host time of the earliest pulse that was reported."""
+        return min(p.host_s for p in self.pulses.values())
+
+    @property
+    def has_first_pulse(self) -> bool:
+        """Whether the first pulse that was fired has been reported."""
+        return bool(self.pulses) and all(row in self.skipped for row in range(min(self.pulses)))
+
+    @property
+    def all_fired(self) -> bool:
+        """Whether all pulses were fired and reported."""
+        return self.pulse_count is not None and len(self.pulses) == self.pulse_count - len(self.skipped)
 
     @property
     def rows(self) -> int:

@@ -109,7 +109,7 @@ class RunFinished:
     run: str
     bay: int
     head: RecordingHead
-    """Head of a recording of this run; frames that are not complete count as missing."""
+    """Head of a recording of this run; frames that are not complete or not proven count as missing."""
     frames: tuple[FrameRecord, ...]
     """Ordered by camera, then row."""
     last_frame_host_s: float

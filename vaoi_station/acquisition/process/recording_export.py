@@ -11,7 +11,7 @@ from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.files import Recording, open_recording, write_recording
 from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.images import Image
-from vaoi_station.model import RecordingHead, Verdict
+from vaoi_station.model import RecordingHead
 
 
 def export_run(
@@ -21,7 +21,7 @@ def export_run(
 
     Args:
         directory: path of the new recording, which appears there only when it is complete.
-        finished: the run; frames that are not complete are listed under `missing`, with causes under `x_verdicts`.
+        finished: the run; frames that are not usable are listed under `missing`, with causes under `x_verdicts`.
         ring: the ring that holds the frames of the run.
         generation: generation of the run's bay.
         copies: name in the recording → file to copy there ("calibration.json", "board.json").
@@ -48,7 +48,7 @@ def recording_head(finished: RunFinished) -> RecordingHead:
     document["x_verdicts"] = [
         {"camera": f.camera, "row": f.row, "verdict": str(f.verdict), "cause": f.cause}
         for f in finished.frames
-        if f.verdict is not Verdict.OK
+        if not f.usable
     ]
     if finished.proof is not None:
         document["x_proof"] = finished.proof.model_dump(mode="json")
@@ -57,5 +57,5 @@ def recording_head(finished: RunFinished) -> RecordingHead:
 
 def _frames(finished: RunFinished, ring: Ring, generation: int) -> Iterator[tuple[int, int, Image]]:
     for frame in finished.frames:
-        if frame.verdict is Verdict.OK and frame.slot is not None:
+        if frame.usable and frame.slot is not None:
             yield frame.camera, frame.row, ring.snapshot(frame.slot, generation)

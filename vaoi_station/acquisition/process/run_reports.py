@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.recorder import Finished
 from vaoi_station.acquisition.process.messages import RunFinished, Trouble
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import VaoiError
-from vaoi_station.model import RecordingHead, Verdict
+from vaoi_station.model import RecordingHead
 
 
 def finished_report(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
-    """Return the report of a finished run. In its head, all frames that are not good are listed as missing."""
+    """Return the report of a finished run; frames that are not usable count as missing in its head."""
     record = finished.record
     assert record.run is not None
     assert record.bay is not None
@@ -21,10 +22,11 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         rows=record.rows,
         trigger_period_s=record.period_s,
         conveyor_mm_s=config.line.conveyor_mm_s,
-        missing=tuple((f.camera, f.row) for f in finished.frames if f.verdict is not Verdict.OK),
+        missing=tuple((f.camera, f.row) for f in finished.frames if not f.usable),
         trigger_times_s=record.times_s(),
         exposures_us=record.exposures_us(),
         lights=record.lights(),
+        doubts=doubts_of(finished.proof),
     )
     # A replay at the fast pace reports pulses before their time, so the last one may lie in the future.
     last_pulse_s = min(max(p.host_s for p in record.pulses.values()), now_s)

@@ -20,6 +20,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.devices import Devices
+from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Unassigned
 from vaoi_station.acquisition.pairing.run_record import RunRecord
 from vaoi_station.acquisition.process.messages import (
@@ -36,7 +37,7 @@ from vaoi_station.acquisition.process.run_reports import finished_report, troubl
 from vaoi_station.acquisition.process.slot_queue import SlotQueue
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
-from vaoi_station.config import StationConfig
+from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import Verdict
 from vaoi_station.optics.pulse_timing import spare_time_us
@@ -78,7 +79,11 @@ class Session:
         self._slot_queue = SlotQueue(ring, devices.cameras)
         exposures_us = [camera.exposure_us for camera in config.cameras]
         self._recorder = Recorder(
-            controller_clock, camera_clocks, move_to_bay=self._slot_queue.move_to_bay, exposures_us=exposures_us
+            controller_clock,
+            camera_clocks,
+            move_to_bay=self._slot_queue.move_to_bay,
+            exposures_us=exposures_us,
+            latencies=[_latency_settings(camera) for camera in config.cameras],
         )
         self._grants: deque[Grant] = deque()
         self._next: Grant | None = None
@@ -316,6 +321,12 @@ class Session:
         self._next = None
         self._grants.clear()
         self._send(Disarmed(tuple(unused)))
+
+
+def _latency_settings(camera: CameraConfig) -> LatencySettings:
+    # The time stamps of a replayed recording are the times of its pulses.
+    given_us = 0.0 if camera.latency_us is None and camera.backend == "replay" else camera.latency_us
+    return LatencySettings(None if given_us is None else given_us * 1e-6, camera.latency_gate_us * 1e-6)
 
 
 def _require_time(plan: TriggerPlan, config: StationConfig) -> None:

@@ -34,19 +34,20 @@ def router(services: Services) -> APIRouter:
         format: FormatName = None,
         accept: Accept = None,
         incomplete: Annotated[
-            Literal["refuse", "show"], Query(description="Whether an incomplete frame is returned.")
+            Literal["refuse", "show"], Query(description="Whether an incomplete or unproven frame is returned.")
         ] = "refuse",
     ) -> Response:
         """Return one frame as PNG, TIFF, npy or raw, all without loss. An incomplete frame needs `incomplete=show`.
 
-        The header X-Frame-Verdict is `ok` or `incomplete`. 410: the frame is no longer in memory.
+        So does a frame that is not proven to belong to its row (409 `frame-unproven`). The header X-Frame-Verdict is
+        `ok`, `incomplete` or `unproven`. 410: the frame is no longer in memory.
         """
         image_format = choose_format(format, accept)
 
         def picture() -> tuple[bytes, dict[str, str]]:
             pixels, record = services.coordinator.frame(run, camera, row, incomplete == "show")
             content, headers = encode_image(pixels, image_format)
-            return content, headers | {"X-Frame-Verdict": str(record.verdict)}
+            return content, headers | {"X-Frame-Verdict": str(record.verdict) if record.proven else "unproven"}
 
         content, headers = await services.pictures.ask(picture)
         return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)

@@ -67,13 +67,13 @@ export class Board {
     const run = this.#run;
     const verdict = run.verdict ?? "none";
     this.#verdict(verdict, texts.verdicts[verdict], run.reasons.map((r) => r.message).join(" "));
-    const { ok, incomplete, missing } = run.counts;
+    const { ok, incomplete, missing, unproven } = run.counts;
     const lines = [
       [texts.facts.board, run.board_id || texts.noId],
       [texts.facts.type, run.board_type],
       ...(run.job_id ? [[texts.facts.job, run.job_id]] : []),
       [texts.facts.run, run.id],
-      [texts.facts.frames, texts.frames(ok, incomplete, missing, run.rows, run.cameras)],
+      [texts.facts.frames, texts.frames(ok, incomplete, missing, unproven, run.rows, run.cameras)],
       ...(run.proof ? [[texts.facts.trigger, texts.trigger(run.proof)]] : []),
       [texts.facts.since, ""],
     ];

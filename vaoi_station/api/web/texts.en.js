@@ -32,9 +32,13 @@ export const texts = {
   noBoardHint: "Arm the station and let a board pass.",
   facts: { board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger" },
   noId: "no id",
-  frames: (ok, incomplete, missing, rows, cameras) => {
-    const all = ok + incomplete + missing;
-    const lost = [incomplete && `${incomplete} incomplete`, missing && `${missing} missing`].filter(Boolean);
+  frames: (ok, incomplete, missing, unproven, rows, cameras) => {
+    const all = ok + incomplete + missing + unproven;
+    const lost = [
+      incomplete && `${incomplete} incomplete`,
+      missing && `${missing} missing`,
+      unproven && `${unproven} not proven`,
+    ].filter(Boolean);
     const size = `${rows} rows × ${cameras} cameras`;
     return lost.length ? `${ok} of ${all} good (${lost.join(", ")}), ${size}` : `all ${all} good, ${size}`;
   },

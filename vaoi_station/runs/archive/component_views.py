@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model import BoardType, Component, Verdict
+from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
 from vaoi_station.rendering import View, ViewCalculator
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
@@ -31,10 +31,11 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
 def views_of_component(
     finished: FinishedRun, ref: str, px_per_mm: float | None, min_coverage: float
 ) -> tuple[View, ...]:
-    """Return the views of a component in complete frames, best first. Raise NotFoundError for an unknown component."""
+    """Return the views of a component in usable frames, best first. Raise NotFoundError for an unknown component."""
     part = component_of(finished.board_type, ref)
-    # Incomplete frames have matrices too, but the areas of their missing packets are black: they are not used as views.
-    whole = {(f.camera, f.row) for f in finished.detail.frames if f.verdict is Verdict.OK}
+    # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame that
+    # is not proven may be that of another row. Neither is a view.
+    whole = {(f.camera, f.row) for f in finished.detail.frames if f.usable}
     views = finished.view_calculator.compute(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
     return tuple(view for view in views if (view.camera, view.row) in whole)
 
@@ -63,35 +64,41 @@ def component_of(board_type: BoardType, ref: str) -> Component:
     return part
 
 
-def refuse_holes(verdict: Verdict, cause: str, where: str, allow_incomplete: bool) -> None:
-    """Raise an error if a frame is missing, or if it is incomplete and incomplete frames are not allowed.
+def refuse_unusable(frame: FrameRecord, where: str, allow_incomplete: bool) -> None:
+    """Raise an error if a frame is missing, or if it is not usable and such frames are not allowed.
 
     Args:
-        verdict: verdict of the frame.
-        cause: why the frame is missing or incomplete.
+        frame: record of the frame.
         where: name of the frame in the message.
-        allow_incomplete: accept an incomplete frame.
+        allow_incomplete: accept an incomplete frame, and one that is not proven to belong to its row.
 
     Raises:
         NotFoundError: the frame is missing.
-        StateError: the frame is incomplete and that is not allowed.
+        StateError: the frame is incomplete or not proven, and that is not allowed.
     """
-    if verdict is Verdict.MISSING:
-        raise NotFoundError(f"{where} never arrived: {cause}.", code="frame-missing")
-    if verdict is Verdict.INCOMPLETE and not allow_incomplete:
+    if frame.verdict is Verdict.MISSING:
+        raise NotFoundError(f"{where} never arrived: {frame.cause}.", code="frame-missing")
+    if frame.usable or allow_incomplete:
+        return
+    if frame.verdict is Verdict.INCOMPLETE:
         raise StateError(
-            f"{where} is incomplete: {cause}. Its holes are black.",
+            f"{where} is incomplete: {frame.cause}. Its holes are black.",
             action="Allow incomplete frames to get it.",
             code="frame-incomplete",
         )
+    raise StateError(
+        f"{where} may show another row: {frame.cause}.",
+        action="Do not apply the matrix of its row to it. Allow incomplete frames to get it.",
+        code="frame-unproven",
+    )
 
 
 def _view_counts(finished: FinishedRun) -> Counter[str]:
-    """Return for each component the number of complete frames that show at least half of it."""
+    """Return for each component the number of usable frames that show at least half of it."""
     stitch = finished.stitch
     if stitch is None or stitch.cad_matrix is None:
         return Counter()
-    whole = {(f.camera, f.row) for f in finished.detail.frames if f.verdict is Verdict.OK}
+    whole = {(f.camera, f.row) for f in finished.detail.frames if f.usable}
     board = ViewCalculator(finished.board_type, stitch, finished.cameras).compute_all(finished.board_type.components)
     return Counter({address: sum((v.camera, v.row) in whole for v in views) for address, views in board.items()})
 

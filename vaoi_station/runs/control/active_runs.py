@@ -128,8 +128,6 @@ class ActiveRuns:
 
 
 def _final_step(progress: Progress) -> RunStep:
-    stitch = progress.stitch
-    if stitch is None or stitch.status is Status.FAILED:
+    if progress.stitch is None or progress.verdict is Status.FAILED:
         return RunStep.NOT_STITCHED
-    sound = stitch.status is Status.OK and not progress.faults
-    return RunStep.STITCHED if sound else RunStep.STITCHED_WEAKLY
+    return RunStep.STITCHED if progress.verdict is Status.OK else RunStep.STITCHED_WEAKLY

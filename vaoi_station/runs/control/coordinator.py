@@ -313,7 +313,8 @@ class StationCoordinator:
         Raises:
             GoneError: the memory of the frame was given to a later board.
             NotFoundError: the run has no such frame, or the frame never arrived.
-            StateError: the frame may still arrive, or it is incomplete and `allow_incomplete` is False.
+            StateError: the frame may still arrive, or it is incomplete or not proven and `allow_incomplete` is
+                False.
         """
         return self._frames.frame(self.run(run), camera, row, allow_incomplete)
 

@@ -21,6 +21,7 @@ from vaoi_station.runs.run.memory import BayRing, Memory
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.salvage import early_end_reason, salvage_recording
+from vaoi_station.runs.run.trigger_watch import TriggerWatch
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
@@ -58,6 +59,7 @@ class Core:
             parts.config, parts.acquisition, self.machine, self.memory, parts.run_ids, parts.archive, parts.events
         )
         self.health: messages.Health | None = None
+        self.trigger = TriggerWatch([camera.label for camera in parts.config.cameras])
         self.boards_missed = 0
         self._stopping: list[Completion] = []
 
@@ -183,11 +185,22 @@ class Core:
         self.memory.use(report.run, "stitching")
         if (reason := early_end_reason(report)) is not None:
             self.runs.active[report.run].add_fault(reason)
+        self._watch_trigger(report)
         self._after_runs(self.runs.filmed(report))
         if not self.runs.filming:
             self.machine.advance_if_allowed(StationStep.BOARD_FILMED)
             self.line.disarm_after_last_run()
         self.line.keep_memory_granted()
+
+    def _watch_trigger(self, report: messages.RunFinished) -> None:
+        """Publish which cameras have frames in doubt since this run, and which have none any more."""
+        begun, ended = self.trigger.add(report)
+        for reason in begun:
+            self._events.add("trouble", reason.message, run=report.run, code=reason.code, action=reason.action)
+        for name in ended:
+            self._events.add(
+                "camera", f"{name[0].upper()}{name[1:]}: its frames match the pulses again.", run=report.run
+            )
 
     def _on_board_missed(self, report: messages.BoardMissed) -> None:
         self.boards_missed += 1

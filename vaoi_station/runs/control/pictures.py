@@ -112,7 +112,7 @@ class FrameAccess:
         """Copy one frame out of the ring, and return its pixels and its record; see `StationCoordinator.frame`."""
         record = frame_record(detail, camera, row)
         where = f"Frame (camera {camera}, row {row}) of run {detail.id}"
-        component_views.refuse_holes(record.verdict, record.cause, where, allow_incomplete)
+        component_views.refuse_unusable(record, where, allow_incomplete)
         assert record.slot is not None, "only missing frames have no slot"
         with self.lease(detail.id, f"frame {camera}/{row}") as bay:
             return self._ring.snapshot(record.slot, bay.generation), record

@@ -51,7 +51,7 @@ def snapshot_of(
         state=core.machine.state,
         since=core.machine.since,
         reasons=(*core.machine.reasons.all(), *readiness.reasons(core.health, config.cameras)),
-        warnings=(*core.watch.warnings(), *worker_warnings(processes)),
+        warnings=(*core.trigger.warnings(), *core.watch.warnings(), *worker_warnings(processes)),
         armed_with=core.line.orders.shown(),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),

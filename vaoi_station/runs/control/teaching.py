@@ -9,7 +9,7 @@ from pathlib import Path
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.images import Image
-from vaoi_station.model import BoardType, Calibration, Status, Verdict
+from vaoi_station.model import BoardType, Calibration, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.control.core import Core
@@ -246,9 +246,7 @@ def _check(board_type: str, finished: FinishedRun) -> None:
 def _write(path: Path, finished: FinishedRun, calibration: Calibration, pixels: Pixels) -> None:
     head = finished.head
     assert head is not None, "a run with a result was filmed"
-    slots = {
-        (f.camera, f.row): f.slot for f in finished.detail.frames if f.verdict is Verdict.OK and f.slot is not None
-    }
+    slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
     chosen = select_reference_frames(finished.result, finished.cameras, finished.board_type, slots)
     everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
     kept = head.model_copy(update={"missing": tuple(sorted(everything - chosen)), "x_run": finished.detail.id})

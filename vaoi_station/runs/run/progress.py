@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished, RunStarted
 from vaoi_station.errors import VaoiError
-from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Stitch, Verdict
+from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Status, Stitch, Verdict
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Reason, TaskTiming
-from vaoi_station.runs.states.tables import RUN, RunState, RunStep
+from vaoi_station.runs.states.tables import FINISHED, RUN, RunState, RunStep
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Linked, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
@@ -83,13 +83,21 @@ class Progress:
 
     @property
     def present(self) -> tuple[FrameKey, ...]:
-        """Keys (camera, row) of the complete frames, sorted."""
-        return tuple(sorted(key for key, frame in self.frames.items() if frame.verdict is Verdict.OK))
+        """Keys (camera, row) of the usable frames, sorted."""
+        return tuple(sorted(key for key, frame in self.frames.items() if frame.usable))
 
     @property
     def stitch(self) -> Stitch | None:
         """The result without its tables of components; None while there is no result."""
         return self.result.without_components if self.result else None
+
+    @property
+    def verdict(self) -> Status | None:
+        """Verdict of the run; None while there is no result. Faults and doubts make a sound result degraded."""
+        if self.stitch is None:
+            return Status.FAILED if self.state in FINISHED else None
+        doubted = self.faults or (self.head is not None and self.head.doubts)
+        return Status.DEGRADED if self.stitch.status is Status.OK and doubted else self.stitch.status
 
     def advance(self, event: RunStep) -> None:
         """Change to the state that follows the event in the table `RUN`; `StateError` if the event is illegal."""
@@ -128,9 +136,10 @@ class Progress:
         These are the tasks requested while filming, unless a frame or a pulse is missing or a row time differs.
         """
         # If frames are missing, the requested tasks depend on the order in which frames arrived. Then the tasks are
-        # selected anew from all frames, so that the run gives the same result as its recording.
+        # selected anew from all frames, so that the run gives the same result as its recording. A frame that the proof
+        # questions was linked while filming, and is not used either.
         whole = len(self.linkable) == len(self.frames) == len(self.order.setup.cameras) * len(times_s)
-        if whole and self._times_s() == times_s:
+        if whole and len(self.present) == len(self.frames) and self._times_s() == times_s:
             return tuple(self.requested_s)
         return all_tasks(self.present, times_s, self.order.setup)
 

@@ -9,10 +9,11 @@ from functools import cache
 import cv2
 import numpy as np
 
+from vaoi_station.acquisition.pairing.doubts import ACTIONS, doubtful
 from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, TriggerProof
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Status, Stitch, Verdict
+from vaoi_station.model import Stitch, Verdict
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.run_ids import utc, utc_of_host
 from vaoi_station.runs.states.schemas import (
@@ -47,15 +48,16 @@ def detail_of(progress: Progress) -> RunDetail:
         board_id=order.board_id,
         job_id=order.job_id,
         state=progress.state,
-        verdict=_verdict(progress),
+        verdict=progress.verdict,
         started=utc_of_host(progress.barrier_s),
         finished=utc() if finished else None,
         rows=recorded.head.rows if recorded else 1 + max(progress.pulses, default=-1),
         cameras=len(order.setup.cameras),
         counts=VerdictCounts(
-            ok=verdicts.count(Verdict.OK),
+            ok=sum(frame.usable for frame in frames),
             incomplete=verdicts.count(Verdict.INCOMPLETE),
             missing=verdicts.count(Verdict.MISSING),
+            unproven=sum(frame.verdict is Verdict.OK and not frame.proven for frame in frames),
         ),
         reasons=reasons_of(progress),
         belt=_belt(progress),
@@ -92,29 +94,27 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     Notes of the order come last.
     """
     stitch = progress.stitch
-    words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in stitch.reasons] if stitch else []
+    recorded = progress.recorded
+    # The doubts of the recording are reasons of the result too. Here they have a code and an action of their own.
+    known = recorded.head.doubts if recorded else ()
+    texts = [text for text in stitch.reasons if text not in known] if stitch else []
+    words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in texts] if stitch else []
     bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
     causes = {(f.verdict, f.cause) for f in bad}
     for verdict, cause in sorted(causes):
         where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
         words.append(Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}."))
-    proof = progress.recorded.proof if progress.recorded else None
+    proof = recorded.proof if recorded else None
     return (*words, *trigger_reasons(proof), *progress.faults, *progress.order.notes)
 
 
 def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
-    """Yield a reason for each finding of the trigger proof, except for missing frames, which `reasons_of` reports."""
-    for f in proof.findings if proof else ():
+    """Yield a reason for each doubt of the trigger proof. Findings on missing frames are left to `reasons_of`."""
+    for f in doubtful(proof):
         where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
-        if f.kind in QUESTIONING_KINDS:
-            yield Reason(
-                code=f"trigger-{f.kind}",
-                message=f"{where}: {f.text}.",
-                action="Check the camera's trigger settings and its trigger line; do not rely on these frames.",
-            )
-        elif f.kind == "extra-frame":
-            action = "Check the trigger line for bounces and crosstalk."
-            yield Reason(code="trigger-extra-frame", message=f"{where}: {f.text}.", action=action)
+        unused = " Its frames are not used." if f.kind in QUESTIONING_KINDS and f.row is None else ""
+        unused = " The frame is not used." if f.kind in QUESTIONING_KINDS and f.row is not None else unused
+        yield Reason(code=f"trigger-{f.kind}", message=f"{where}: {f.text}.{unused}", action=ACTIONS[f.kind])
 
 
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:
@@ -146,12 +146,6 @@ def _belt(progress: Progress) -> BeltSpeed | None:
     else:
         about_mm = from_cad(np.mean(progress.order.board_type.extent(), axis=0))
     return belt_speed(stitch, recorded.head.row_times_s(), setup.conveyor_mm_s, about_mm)
-
-
-def _verdict(progress: Progress) -> Status | None:
-    if progress.stitch is not None:
-        return progress.stitch.status
-    return Status.FAILED if progress.state in FINISHED else None
 
 
 def _timings(progress: Progress) -> Timings | None:

@@ -207,11 +207,12 @@ class StitchingMethod(Schema):
 
 
 class VerdictCounts(Schema):
-    """Numbers of frames of a run by verdict."""
+    """Numbers of frames of a run by verdict. Frames that are not proven to belong to their row are not among `ok`."""
 
     ok: int
     incomplete: int
     missing: int
+    unproven: int = 0
 
 
 class BeltSpeed(Schema):

@@ -161,7 +161,7 @@ class WorkerRuntime:
         stitch = self._guarded(
             job.context.bay,
             job.context.generation,
-            lambda: opened.runner.conclude(job.head.row_times_s(), tuple(job.slots), evidence),
+            lambda: opened.runner.conclude(job.head.row_times_s(), tuple(job.slots), evidence, job.head.doubts),
         )
         return Concluded(without_components(stitch), stitch_text(stitch))
 

@@ -19,3 +19,5 @@ class Scene:
     """Camera and row of every good frame, sorted."""
     prepared: Callable[[FrameKey], PreparedFrame]
     """A function that returns the prepared frame of a camera and row, and raises LookupError if it is missing."""
+    doubts: tuple[str, ...] = ()
+    """What was doubtful when the frames were taken (`RecordingHead.doubts`)."""

@@ -50,7 +50,8 @@ class _Placed(NamedTuple):
 def decide_verdict(f: Findings) -> tuple[Status, tuple[str, ...]]:
     """Decide the status of a result and return it with its reasons. The first reasons of a failure are its cause."""
     if not f.scene.present:
-        return Status.FAILED, ("no complete frame of any camera arrived: there is nothing to stitch",)
+        nothing = "no usable frame of any camera arrived: there is nothing to stitch"
+        return Status.FAILED, (nothing, *f.scene.doubts)
     reasons = list(_reasons(f))
     if isinstance(f.found, Failure):
         # A camera that delivered no frame explains the failure better than the fiducials missing because of it.
@@ -66,6 +67,10 @@ def _reasons(f: Findings) -> Iterator[str]:
         board = _Placed(f, f.plane, f.mapping, f.adjusted.similarity)
         for board_check in _BOARD_CHECKS:
             yield from board_check(board)
+
+
+def _doubtful_frames(f: Findings) -> Iterable[str]:
+    return f.scene.doubts
 
 
 def _no_texture(f: Findings) -> Iterator[str]:
@@ -156,6 +161,7 @@ def _uncertain_positions(b: _Placed) -> Iterator[str]:
 
 # A result lists the reasons in this order: checks of the run come first, then checks of the board.
 _RUN_CHECKS: tuple[Callable[[Findings], Iterable[str]], ...] = (
+    _doubtful_frames,
     _no_texture,
     _unconnected_rows,
     _scattered_links,

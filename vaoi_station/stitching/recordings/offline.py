@@ -30,4 +30,4 @@ def stitch_frames(
     times_s = head.row_times_s()
     runner = TaskRunner(setup, frame, reference_frame)
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
-    return runner.conclude(times_s, present, evidence)
+    return runner.conclude(times_s, present, evidence, head.doubts)

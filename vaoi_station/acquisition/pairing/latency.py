@@ -1,0 +1,165 @@
+"""The latency of each camera: the time from a pulse to the time stamp of its frame. Pure logic.
+
+Cameras stamp the start of the exposure, its end, or the end of the read-out, so the latency may be anything from some
+microseconds to more than a trigger period T. Pulses come at equal intervals: within a run the latencies φ, φ + T and
+φ + 2 T fit equally well, and a wrong one moves all frames of the camera by one row. Only the beginning of a run decides
+between them: before it no pulse was fired, and no time stamp lies before its pulse. So a latency is confirmed by a
+frame of the first pulse. Until then the frames of the camera wait.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from vaoi_station.acquisition.pairing.clock_fit import median
+
+GATE_S = 0.010
+"""Largest accepted difference between a frame's latency and that of its camera, if the configuration gives none, s."""
+ENOUGH = 3
+"""Count of frames, of the first pulses of a run, that confirm a latency which is not near the expected one."""
+SILENT_PERIODS = 2
+"""Count of periods without a frame before the first pulse, after which the first frame is that of the first pulse."""
+
+
+@dataclass(frozen=True)
+class LatencySettings:
+    """The configuration of one camera's latency."""
+
+    given_s: float | None = None
+    """The latency; None if it is learnt from the frames."""
+    gate_s: float = GATE_S
+    """Largest accepted difference between a frame's latency and that of its camera, s."""
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """The pulses and frames of one camera from the beginning of a run, all by the host's clock, in ascending order."""
+
+    pulses_s: Sequence[float]
+    """Times of the pulses that were reported."""
+    frames_s: Sequence[float]
+    """Time stamps of the camera's complete frames."""
+    period_s: float
+    bound_s: float
+    """Error bound of the controller's clock plus that of the camera's clock."""
+    from_silence: bool
+    """Whether the first of these pulses was the first of the run, and the camera was silent before it."""
+    all_fired: bool = False
+    """Whether all pulses of the run were fired and are in `pulses_s`."""
+    overdue: bool = False
+    """Whether no more frames are awaited."""
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """A latency, and whether the beginning of a run confirms it; if not, it may be wrong by whole periods."""
+
+    latency_s: float
+    confirmed: bool
+
+
+class CameraLatency:
+    """The latency of one camera, as it is known by now."""
+
+    def __init__(self, settings: LatencySettings) -> None:
+        """Begin with the given latency; without one, expect 0 until a run confirms or corrects this."""
+        self.gate_s, self.given = settings.gate_s, settings.given_s is not None
+        self.value_s = settings.given_s or 0.0
+        self.confirmed = self.given
+
+    def learn(self, begun: Beginning) -> Learnt | None:
+        """Take over what the beginning of a run shows, and return it; None if more frames or pulses are needed."""
+        found = learn(begun, self.value_s, self.gate_s)
+        if found is not None:
+            self.value_s, self.confirmed = found.latency_s, found.confirmed
+        return found
+
+    def revise(self, measured_s: float | None, in_order_s: float | None, assigned: int, extra: int) -> None:
+        """Follow what a finished run has shown; a given latency is never changed.
+
+        Args:
+            measured_s: median latency of the assigned frames.
+            in_order_s: the latency at which all frames follow the pulses in order, if it is another one.
+            assigned: count of the frames that were assigned.
+            extra: count of the frames that were not.
+        """
+        if self.given:
+            return
+        if in_order_s is not None:
+            # The beginning of the next run decides whether this was the change of a setting or a fault.
+            self.value_s, self.confirmed = in_order_s, False
+        elif extra > assigned:
+            self.confirmed = False
+        elif measured_s is not None and assigned > 1:
+            self.value_s = max(measured_s, 0.0)
+
+
+def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
+    """Return the latency that the beginning of a run shows; None if more frames or pulses are needed.
+
+    Args:
+        begun: the beginning of a run.
+        expected_s: the latency that was valid before.
+        gate_s: largest accepted difference between the latencies of two frames.
+    """
+    pulses_s, frames_s, bound_s = begun.pulses_s, begun.frames_s, begun.bound_s
+    spread_s = min(gate_s, begun.period_s / 2)
+    if begun.from_silence and frames_s:
+        first_s = frames_s[0] - pulses_s[0]
+        if first_s >= -bound_s and abs(first_s - expected_s) <= spread_s:
+            return Learnt(max(first_s, 0.0), True)
+        begin_s = [f - p for f, p in zip(frames_s[:ENOUGH], pulses_s, strict=False)]
+        # Beyond a period the frames may be those of the second pulse and its followers, if that of the first was lost.
+        if (
+            len(begin_s) == ENOUGH
+            and _is_latency(begin_s, bound_s, spread_s)
+            and max(begin_s) < begun.period_s - bound_s
+        ):
+            return Learnt(median(begin_s), True)
+        # The only frame of a short run may be of something else, while the real one is still under way.
+        enough = begun.all_fired and len(frames_s) >= ENOUGH
+        if enough and (all_s := in_order_s(pulses_s, frames_s, bound_s, spread_s)) is not None:
+            return Learnt(all_s, True)
+    shortest_s = [_since_pulse_s(pulses_s, f + bound_s) - bound_s for f in frames_s]
+    if not (begun.overdue or _several_per_pulse(begun)):
+        return None
+    if not shortest_s or not _is_latency(shortest_s, bound_s, spread_s) or _several_per_pulse(begun):
+        return Learnt(expected_s, False)
+    found_s = max(median(shortest_s), 0.0)
+    periods = round((expected_s - found_s) / begun.period_s)
+    # The expected latency may be longer than a period. Then the frames fit it as well.
+    fits = periods > 0 and abs(expected_s - found_s - periods * begun.period_s) <= bound_s
+    return Learnt(expected_s if fits else found_s, False)
+
+
+def in_order_s(pulses_s: Sequence[float], frames_s: Sequence[float], bound_s: float, spread_s: float) -> float | None:
+    """Return the latency at which the k-th frame is that of the k-th pulse; None if there is no such latency.
+
+    Args:
+        pulses_s: times of all pulses of a run, ascending.
+        frames_s: time stamps of all frames of a camera, ascending, by the same clock.
+        bound_s: error bound of their differences: no frame is earlier than its pulse by more than this.
+        spread_s: largest accepted difference between the latencies of two frames.
+    """
+    if not frames_s or len(pulses_s) != len(frames_s):
+        return None
+    latencies_s = [f - p for f, p in zip(frames_s, pulses_s, strict=True)]
+    return max(median(latencies_s), 0.0) if _is_latency(latencies_s, bound_s, spread_s) else None
+
+
+def _is_latency(latencies_s: Sequence[float], bound_s: float, spread_s: float) -> bool:
+    return min(latencies_s) >= -bound_s and max(latencies_s) - min(latencies_s) <= spread_s
+
+
+def _since_pulse_s(pulses_s: Sequence[float], at_s: float) -> float:
+    """Return the time since the latest pulse at or before a time; the time since the first pulse if there is none."""
+    return at_s - pulses_s[max(bisect_right(pulses_s, at_s) - 1, 0)]
+
+
+def _several_per_pulse(begun: Beginning) -> bool:
+    """Whether two frames lie between consecutive pulses: the camera does not answer each pulse with one frame."""
+    latest = [bisect_right(begun.pulses_s, f + begun.bound_s) for f in begun.frames_s]
+    complete = [n for n in latest if n < len(begun.pulses_s)]
+    return len(set(complete)) < len(complete)
