@@ -242,6 +242,13 @@ class FreeRunning(OnBoard):
     interval_s: Positive
 
 
+class LateStamps(OnBoard):
+    """A camera whose time stamps come `by_s` later after the pulses than the start of the exposure."""
+
+    camera: Index
+    by_s: Positive
+
+
 class Bounce(OnBoard):
     """The signal of the barrier is inverted for `duration_s`, starting `at_s` after the board interrupts it."""
 
@@ -287,6 +294,7 @@ class FaultSection(Section):
     extra_frames: tuple[ExtraFrame, ...] = ()
     exchanged_frames: tuple[ExchangedFrames, ...] = ()
     free_running: tuple[FreeRunning, ...] = ()
+    late_stamps: tuple[LateStamps, ...] = ()
     bounces: tuple[Bounce, ...] = ()
     stuck: tuple[StuckBoard, ...] = ()
     turned: tuple[TurnedBoard, ...] = ()
@@ -320,10 +328,11 @@ class Scenario(Section):
     def _check_faults(self) -> None:
         faults = self.faults
         of_one_row = (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames, *faults.ignored_triggers)
-        of_trigger: tuple[LostFrame | FreeRunning, ...] = (
+        of_trigger: tuple[LostFrame | FreeRunning | LateStamps, ...] = (
             *faults.extra_frames,
             *faults.exchanged_frames,
             *faults.free_running,
+            *faults.late_stamps,
         )
         # Without this check, a fault of a camera that does not exist would have no effect and no message.
         named = [f.camera for f in of_one_row] + [f.camera for f in of_trigger] + [f.camera for f in faults.knocked]

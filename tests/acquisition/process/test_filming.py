@@ -54,6 +54,43 @@ def test_filmed_boards_become_recordings_of_what_the_twin_showed(make_config: Ma
     assert [p.name for p in (tmp_path / "kept").iterdir() if p.name.startswith(".")] == []
 
 
+@pytest.mark.parametrize("late_s", [0.012, 0.03, 0.048])
+def test_time_stamps_late_by_nearly_a_period_shift_no_row(make_config: Make, tiny: str, late_s: float) -> None:
+    """The period is 50 ms: 48 ms late looks like 2 ms before the next pulse."""
+    runs: list[RunFinished] = []
+    config = make_config(tiny + f"[[faults.late_stamps]]\ncamera = 1\nby_s = {late_s}\n")
+    assert config.simulation is not None
+    twin = Twin(read_scenario(config.simulation.scenario))
+
+    def finished(run: RunFinished, ring: Ring, generation: int) -> None:
+        number = len(runs)
+        runs.append(run)
+        for frame in run.frames:
+            assert frame.slot is not None, frame.cause
+            shown = ring.snapshot(frame.slot, generation)
+            assert np.array_equal(np.asarray(shown), twin.passage(number).frame(frame.camera, frame.row))
+
+    film(config, 2, FilmingHandlers(finished, lambda _: None))
+    for run in runs:
+        assert run.proof is not None
+        assert run.proof.proven
+        assert run.head.doubts == ()
+        assert run.head.missing == ()
+        assert run.proof.cameras[1].latency_us == pytest.approx(late_s * 1e6, abs=2000)
+
+
+def test_a_free_running_camera_is_a_doubt_of_the_recording(make_config: Make, tiny: str) -> None:
+    runs: list[RunFinished] = []
+    config = make_config(tiny + "[[faults.free_running]]\ncamera = 1\ninterval_s = 0.033\n")
+    film(config, 1, FilmingHandlers(lambda run, *_: runs.append(run), lambda _: None))
+    (run,) = runs
+    assert run.proof is not None
+    assert not run.proof.proven
+    assert {camera for camera, _ in run.head.missing} == {1}
+    assert len(run.head.missing) == run.head.rows
+    assert "trigger of camera 1: it sends a frame every 33.0 ms" in run.head.doubts[0]
+
+
 def test_a_recording_is_never_overwritten_nor_left_incomplete(make_config: Make, tmp_path: Path) -> None:
     config = make_config()
     target = tmp_path / "kept" / "one"

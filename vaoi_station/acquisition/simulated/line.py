@@ -137,6 +137,7 @@ class SimulatedLine:
         last = len(board.pulses) - 1
         # An exchanged frame carries the time stamp and the id of the other row.
         stamp_error_s = board.pulses[min(other, last)].time_s - board.pulses[min(row, last)].time_s
+        stamp_error_s += faults.stamps_late_s(n)
         camera.trigger(
             host_s,
             board.pixels(n, row),
@@ -147,7 +148,7 @@ class SimulatedLine:
             id_error=other - row,
         )
         for after_s in faults.extra_delays_s(n, row):
-            camera.trigger(host_s + after_s, board.pixels(n, row))
+            camera.trigger(host_s + after_s, board.pixels(n, row), stamp_error_s=faults.stamps_late_s(n))
 
     def _run_freely(self, board: SimulatedBoard, n: int, host_s: float, interval_s: float) -> None:
         """Expose a camera at a fixed interval, independent of the pulses, from the first pulse until the last."""

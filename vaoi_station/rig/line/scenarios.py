@@ -14,6 +14,7 @@ from vaoi_station.simulation import Scenario
 
 _SIMULATED_CAMERA_FAULTS = (
     "late_frames", "incomplete_frames", "ignored_triggers", "extra_frames", "exchanged_frames", "free_running",
+    "late_stamps",
 )  # fmt: skip
 
 

@@ -75,6 +75,11 @@ class PassageFaults:
         found = (f for f in self.section.free_running if f.applies_to(self.board_number))
         return next((f.interval_s for f in found if f.camera == camera), None)
 
+    def stamps_late_s(self, camera: int) -> float:
+        """Return how much later than its exposure this camera stamps each frame; 0 for its start."""
+        found = (f for f in self.section.late_stamps if f.applies_to(self.board_number))
+        return next((f.by_s for f in found if f.camera == camera), 0.0)
+
     @property
     def bounces(self) -> tuple[BarrierBounceTime, ...]:
         """The bounces of the barrier's signal, sorted by time."""

@@ -108,6 +108,14 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
     return replace(best, unmatched=_too_few(best))
 
 
+def link_in_place(task: Task, pair: FramePair) -> Links:
+    """Link two frames exactly where the cameras predict it, without a search for a displacement."""
+    box = pair.overlap()
+    if box is None:
+        return Links.empty(task, "the frames do not overlap")
+    return _link_corners(task, pair, box, np.zeros(2))
+
+
 def link_reference(task: Task, pair: FramePair) -> Links:
     """Link a frame of a run to the frame of the reference with the same camera and row.
 

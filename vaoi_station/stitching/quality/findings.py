@@ -22,12 +22,15 @@ from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.quality.heights import Height, component_heights
+from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma
 
 _USED = 0.1
 """Weight above which a link counts as used."""
 _SAME_HEIGHT_PX = 0.5
 """Largest difference, in px at the seam, between a component's height by links across the seam and by other links."""
+SEAM_LIMIT_PX = 0.30
+"""Largest disagreement of two cameras at their seam, px."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras that show whether the cameras agree."""
 
@@ -175,3 +178,10 @@ class Findings:
                 if agreeing.sum() < _SEAM_LINKS:
                     out[i, i + 1] = rows
         return out
+
+    @cached_property
+    def row_offsets(self) -> dict[tuple[int, int], int]:
+        """Pairs of cameras that disagree, of which the second is in rows too high by the value: −1 or +1."""
+        apart = {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
+        found = {pair: row_offset(self.scene, self.links, pair[0]) for pair in sorted(apart)}
+        return {pair: offset for pair, offset in found.items() if offset}

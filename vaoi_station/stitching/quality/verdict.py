@@ -20,10 +20,10 @@ from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
 from vaoi_station.stitching.quality.absent_cameras import absent_camera_reasons
 from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
-from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.quality.findings import SEAM_LIMIT_PX, Findings
+from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 
 _OK_SIGMA_PX = 0.20
-_SEAM_LIMIT_PX = 0.30
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
 
@@ -89,20 +89,39 @@ def _scattered_links(f: Findings) -> Iterator[str]:
         yield f"links scatter by {f.adjusted.floor_px:.2f} px (limit {_FLOOR_LIMIT_PX}): the board is not rigid or flat"
 
 
+def _cameras_in_wrong_rows(f: Findings) -> Iterator[str]:
+    shifted = shifted_cameras(f.row_offsets, len(f.scene.cameras))
+    check = "check its trigger line and the latency of its time stamps (latency_us in station.toml)"
+    for camera, offset in shifted.items():
+        where = "later" if offset < 0 else "earlier"
+        yield (
+            f"the frames of camera {camera} match those of its neighbours one row {where}: they are in wrong rows, "
+            f"and their matrices are those of other places; {check}"
+        )
+    if not shifted:
+        for (i, j), offset in f.row_offsets.items():
+            yield (
+                f"the frames of camera {j} match those of camera {i} one row {'later' if offset < 0 else 'earlier'}: "
+                f"those of one of the two are in wrong rows; {check}"
+            )
+
+
 def _disagreeing_cameras(f: Findings) -> Iterator[str]:
     for (i, j), px in f.seams_px.items():
-        if px > _SEAM_LIMIT_PX:
+        if (i, j) not in f.row_offsets and px > SEAM_LIMIT_PX:
             yield (
-                f"cameras {i} and {j} disagree by {px:.2f} px (limit {_SEAM_LIMIT_PX}): "
+                f"cameras {i} and {j} disagree by {px:.2f} px (limit {SEAM_LIMIT_PX}): "
                 "a camera has moved, or the board is bent too much"
             )
 
 
 def _non_overlapping_cameras(f: Findings) -> Iterator[str]:
     for (i, j), rows in f.non_overlapping_pairs.items():
-        yield (
-            f"cameras {i} and {j} show different things where they should overlap (in {rows} rows): a camera has moved"
-        )
+        if (i, j) not in f.row_offsets:
+            yield (
+                f"cameras {i} and {j} show different things where they should overlap (in {rows} rows): "
+                "a camera has moved"
+            )
 
 
 def _missing_fiducials(b: _Placed) -> Iterator[str]:
@@ -165,6 +184,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[str]], ...] = (
     _no_texture,
     _unconnected_rows,
     _scattered_links,
+    _cameras_in_wrong_rows,
     _disagreeing_cameras,
     _non_overlapping_cameras,
 )

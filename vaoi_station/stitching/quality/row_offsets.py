@@ -1,0 +1,75 @@
+"""Cameras whose frames are in wrong rows: neighbours that match when the row of one of them is moved by one.
+
+All cameras of a row are fired by one pulse, so neighbours show the same part of the board in the same row. Where they
+do not, a camera has moved, or its frames are assigned to the row before or after (`acquisition.pairing.latency`). In
+the second case the overlap of row j of one camera matches row j ± 1 of the other where the calibration predicts it,
+which a camera that has moved by anything but a step of the belt does not show.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
+from vaoi_station.stitching.matching.link import FramePair, link_in_place
+from vaoi_station.stitching.matching.scene import Scene
+
+_TRIED_ROWS = 4
+"""Number of rows per pair of cameras that are compared with the rows before and after."""
+_AGREEING = 2
+"""Number of these rows that show the same offset before it is believed."""
+_PLAINLY = 2.0
+"""Least factor between the links at the offset and the links in the same row."""
+_LINKS = 12
+"""Least number of links that shows that two frames belong to the same pulse."""
+_AT_REST = np.zeros(2)
+
+
+def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
+    """Return by how many rows (−1, 0, +1) the frames of camera left + 1 are too high against those of camera left.
+
+    Args:
+        scene: the frames of the run.
+        links: the links of the run, from which rows with a texture in the overlap are chosen.
+        left: the lower number of the two cameras.
+    """
+    present = set(scene.present)
+    seam = [e for e in links if e.task.kind == "neighbours" and e.task.a[0] == left and e.tried]
+    # Rows with most texture in the overlap decide best.
+    votes: Counter[int] = Counter()
+    for e in sorted(seam, key=lambda e: (-e.tried, e.task.a))[:_TRIED_ROWS]:
+        row = e.task.a[1]
+        counts = {
+            offset: _count_links(scene, (left, row), (left + 1, row + offset))
+            for offset in (-1, 0, 1)
+            if (left + 1, row + offset) in present
+        }
+        best = max(counts, key=lambda offset: counts[offset])
+        if counts[best] >= _LINKS and counts[best] >= _PLAINLY * counts[0]:
+            votes[best] += 1
+    return next((offset for offset, count in votes.items() if offset and count >= _AGREEING), 0)
+
+
+def shifted_cameras(offsets: Mapping[tuple[int, int], int], cameras: int) -> dict[int, int]:
+    """Return camera → by how many rows its frames are too high, if most cameras agree with one another.
+
+    Args:
+        offsets: pair of neighbouring cameras → offset of the second against the first; pairs without one agree.
+        cameras: number of cameras.
+    """
+    place = [0]
+    for i in range(cameras - 1):
+        place.append(place[-1] + offsets.get((i, i + 1), 0))
+    common, count = Counter(place).most_common(1)[0]
+    # Of two cameras that disagree, neither is known to be right.
+    return {i: p - common for i, p in enumerate(place) if p != common} if 2 * count > cameras else {}
+
+
+def _count_links(scene: Scene, a: FrameKey, b: FrameKey) -> int:
+    """Count the links between two frames as if they belonged to the same pulse."""
+    cameras = scene.cameras[a[0]], scene.cameras[b[0]]
+    pair = FramePair(scene.prepared(a), scene.prepared(b), *cameras, _AT_REST)
+    return len(link_in_place(Task("neighbours", a, b), pair).a_px)
