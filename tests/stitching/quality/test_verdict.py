@@ -130,7 +130,7 @@ def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:
 def test_a_run_without_frames_has_one_reason(filmed: Any) -> None:
     result = filmed.stitched(frames={})
     assert result.status is Status.FAILED
-    assert result.reasons == ("no complete frame of any camera arrived: there is nothing to stitch",)
+    assert result.reasons == ("no usable frame of any camera arrived: there is nothing to stitch",)
     assert all(m is None for rows in result.image_matrices for m in rows)
 
 
