@@ -22,12 +22,13 @@ class WaitingFrame(NamedTuple):
 class Latencies:
     """The latencies of all cameras."""
 
-    def __init__(self, settings: Sequence[LatencySettings], bound_s: Callable[[int], float]) -> None:
+    def __init__(self, settings: Sequence[LatencySettings], bound_s: Callable[[int, float], float]) -> None:
         """Begin with the configured latencies.
 
         Args:
             settings: configuration of every camera's latency.
-            bound_s: returns the error bound of the difference between a camera's time stamp and a pulse.
+            bound_s: returns the error bound of the difference between a camera's time stamp and a pulse, given the
+                camera and the host time.
         """
         self._cameras = [CameraLatency(s) for s in settings]
         self._bound_s = bound_s
@@ -59,11 +60,12 @@ class Latencies:
             unassigned_s: time stamps of frames of this camera that belong to no pulse, by the host's clock.
             now_s: host time.
         """
-        latency, bound_s = self._cameras[camera], self._bound_s(camera)
+        latency = self._cameras[camera]
         for run in runs:
             own = [f for f in waiting if self._owner(runs, camera, f.host_s) is run]
             if latency.confirmed or run.finished or not own or camera in run.latency_known:
                 continue
+            bound_s = max(self._bound_s(camera, f.host_s) for f in own)
             exposed_s = [*(f.host_s for f in waiting), *unassigned_s]
             found = latency.learn(
                 Beginning(
@@ -93,7 +95,7 @@ class Latencies:
 
     def _owner(self, runs: Sequence[RunRecord], camera: int, host_s: float) -> RunRecord | None:
         """Return the newest run whose pulses had begun at a time stamp; None if there is none."""
-        latest_s = host_s + self._bound_s(camera)
+        latest_s = host_s + self._bound_s(camera, host_s)
         return next((r for r in reversed(runs) if r.pulses and r.first_s <= latest_s), None)
 
 

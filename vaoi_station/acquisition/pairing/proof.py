@@ -19,6 +19,8 @@ from vaoi_station.model import FrozenModel
 
 RESIDUAL_LIMIT_S = 200e-6
 """Largest accepted residual of a frame of a triggered camera against the pulses, s; real jitter is about 10 µs."""
+CLOCK_SLACK_S = 1e-3
+"""Error of both clocks between two readings, s, beyond the bound at the newest reading."""
 Kind = Literal[
     "runs-freely", "extra-frame", "ignored-trigger", "exchanged", "off-beat", "early", "miscounted",
     "latency-changed", "latency-ambiguous",
@@ -309,7 +311,8 @@ def _in_order_s(
     if max(abs(left)) > RESIDUAL_LIMIT_S or len({f.epoch for f in frames}) != 1:
         return None
     found_s = median([f.host_s - pulses[row].host_s for f, row in zip(frames, rows, strict=True)])
-    return max(found_s, 0.0) if found_s >= -pulse_bound_s else None
+    # A frame in order is never earlier than its pulse, except by the errors of the clocks.
+    return max(found_s, 0.0) if found_s >= -(pulse_bound_s + CLOCK_SLACK_S) else None
 
 
 def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:

@@ -26,6 +26,8 @@ from vaoi_station.model import FrameRecord, Pulse, Verdict
 
 MAX_UNASSIGNED = 256
 """Count of unassigned frames kept per camera; the proofs of runs near them in time use them."""
+STAMP_JITTER_S = 5e-5
+"""Largest error of a time stamp itself, s; real jitter is about 10 µs."""
 MAX_FINISHED = 4
 """Count of finished runs kept, so that a late frame of a finished run is recognised."""
 
@@ -198,14 +200,15 @@ class Recorder:
         camera, latency = arrival.camera, self._latencies[arrival.camera]
         if self._latencies.awaits(self._runs, camera, host_s):
             return None
-        pulse_s, bound_s = host_s - latency.value_s, self._bound_s(camera)
+        pulse_s = host_s - latency.value_s
         near = [(abs(found[1]), n, *found) for n, r in enumerate(self._runs) if (found := r.nearest(pulse_s))]
         if near:
             distance_s, n, row, error_s = min(near)
             # No camera stamps a frame before its pulse: such a time stamp is of another pulse, or of none.
-            possible = error_s + latency.value_s >= -bound_s
-            if possible and distance_s <= self._gate_s(self._runs[n], latency.gate_s + bound_s):
-                return self._take(self._runs[n], row, arrival, Verdict.OK, error_s + latency.value_s)
+            after_s = error_s + latency.value_s
+            possible = after_s >= 0 or after_s >= -self._bound_s(camera, host_s)
+            if possible and distance_s <= self._gate_s(self._runs[n], camera):
+                return self._take(self._runs[n], row, arrival, Verdict.OK, after_s)
         if pulse_s + latency.gate_s < self._known_until_s or self._is_aged(arrival, now_s):
             self._keep_unassigned(arrival, host_s)
             nearest = f"; the nearest one is {min(near)[0] * 1e3:.1f} ms away" if near else ""
@@ -214,14 +217,17 @@ class Recorder:
             return self._refuse(arrival, f"no pulse was fired at the time of its exposure{when}{nearest}")
         return None
 
-    def _gate_s(self, record: RunRecord, tolerance_s: float) -> float:
-        """Return the largest accepted difference between a frame's latency and that of its camera."""
+    def _gate_s(self, record: RunRecord, camera: int) -> float:
+        """Return the tolerance, s: the largest accepted difference between a frame's latency and that of its camera."""
+        bounds_s = self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
         # Beyond half the interval between two pulses the neighbouring pulse would be nearer.
-        return min(record.shortest_interval_s / 2, tolerance_s)
+        return min(record.shortest_interval_s / 2, self._latencies[camera].gate_s + bounds_s)
 
-    def _bound_s(self, camera: int) -> float:
-        """Return the error bound of the difference between a time stamp and a pulse."""
-        return self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
+    def _bound_s(self, camera: int, host_s: float) -> float:
+        """Return the error bound of the difference between a time stamp and a pulse at a host time."""
+        # The bound of a clock grows with the time since its newest reading, which `_gate_s` may neglect.
+        clocks = (self._controller_clock, self._camera_clocks[camera])
+        return STAMP_JITTER_S + sum(clock.bound_s(clock.device_s(host_s)) for clock in clocks)
 
     def _is_aged(self, arrival: Arrival, now_s: float) -> bool:
         return now_s >= arrival.host_time_s + self.limits.unexplained_s
