@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,17 +35,17 @@ hypothesis.settings.load_profile("verdict" if VERDICT else "desk")
 
 @dataclass
 class Cases:
-    """Recorded cases, with the results of this session."""
+    """Recorded cases, with the results of this session; all test processes of the session share them on disk."""
 
     filmed: Path
     """Directory of the cases with their truth; only the scorer and the copies read it."""
     scratch: Path
+    """Directory of this session; what one test process makes there, the others find."""
     _results: dict[str, Stitch] = field(default_factory=dict)
 
     def __call__(self, name: str) -> Path:
-        """Return a read-only copy of a case without its truth, shared by the session."""
-        copy = self.scratch / name
-        return copy if copy.is_dir() else self.copied(name, copy)
+        """Return a read-only copy of a case without its truth."""
+        return self._once(name, lambda to: self.copied(name, to))
 
     def copied(self, name: str, to: Path) -> Path:
         """Make a copy of a case without its truth, for a test that changes it."""
@@ -52,7 +55,9 @@ class Cases:
     def stitched(self, name: str) -> Stitch:
         """Stitch a case once per session and return the result."""
         if name not in self._results:
-            self._results[name] = self.stitch(self(name))
+            case = self(name)
+            path = self._once(f"{name}.pickle", lambda to: to.write_bytes(pickle.dumps(self.stitch(case))))
+            self._results[name] = pickle.loads(path.read_bytes())
         return self._results[name]
 
     def stitch(
@@ -68,21 +73,39 @@ class Cases:
 
     def score(self, name: str, result: Stitch) -> dict[str, Any]:
         """Score a result by the program that knows the truth."""
-        path = self.scratch / f"{name}-result.json"
-        write_stitch(path, result)
-        return self.score_file(name, path)
+        with tempfile.TemporaryDirectory(dir=self.scratch) as folder:
+            path = Path(folder) / "result.json"
+            write_stitch(path, result)
+            return self.score_file(name, path)
 
     def score_file(self, name: str, path: Path) -> dict[str, Any]:
-        """Score a written result or calibration by the same program."""
+        """Score a written result or calibration by the same program, once per session."""
         command = [sys.executable, str(FILMS / "score.py"), str(self._source(name)), str(path)]
-        output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        figures: dict[str, Any] = json.loads(output)
+
+        def run(to: Path) -> None:
+            output = subprocess.run(command, capture_output=True, check=True).stdout
+            to.write_bytes(output)
+
+        content = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        figures: dict[str, Any] = json.loads(self._once(f"{name}-{content}.score", run).read_bytes())
         return figures
 
     def truth(self, name: str) -> dict[str, Any]:
         """Read the truth of a case; copies do not carry it."""
         truth: dict[str, Any] = json.loads((self._source(name) / "truth.json").read_text(encoding="utf-8"))
         return truth
+
+    def _once(self, name: str, make: Callable[[Path], object]) -> Path:
+        """Return the file or folder of a name; the first process that asks makes it, the others wait for it."""
+        path = self.scratch / name
+        if not path.exists():
+            with (self.scratch / f".{name}.lock").open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                if not path.exists():
+                    aside = self.scratch / f".{name}.aside"
+                    make(aside)
+                    aside.replace(path)
+        return path
 
     def _source(self, name: str) -> Path:
         case = self.filmed / name
@@ -99,7 +122,11 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
     need_films()
     kept = os.environ.get("VAOI_CASES")
     filmed = Path(kept) if kept else Path(tempfile.gettempdir()) / f"vaoi-cases-{os.getuid()}-{_fingerprint()}"
-    return Cases(filmed, tmp_path_factory.mktemp("cases"))
+    # each process of pytest-xdist has a folder within that of the session
+    own = tmp_path_factory.getbasetemp()
+    scratch = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "cases"
+    scratch.mkdir(exist_ok=True)
+    return Cases(filmed, scratch)
 
 
 def _fingerprint() -> str:
@@ -128,7 +155,7 @@ def _film(name: str, case: Path) -> None:
         shutil.rmtree(aside, ignore_errors=True)
 
 
-SLOW_FIRST = ("system", "hw", "acquisition", "benchmarks", "cases", "rig", "runs", "demo", "doctor", "drift")
+SLOW_FIRST = ("acquisition", "system", "hw", "benchmarks", "cases", "rig", "runs", "demo", "doctor", "drift")
 """Folders whose tests wait for devices and processes, the slowest first."""
 
 

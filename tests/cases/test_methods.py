@@ -2,26 +2,45 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
-import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
+from vaoi_station.cli import main
 from vaoi_station.files import read_calibration, read_stitch, write_calibration
 from vaoi_station.model import Status, Stitch
 
 pytestmark = pytest.mark.cases
 
 
-def vaoi(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "vaoi_station", *map(str, arguments)]
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, check=False)
+@dataclass(frozen=True)
+class Result:
+    """Exit code and errors of a command."""
+
+    returncode: int
+    stderr: str
+
+
+def vaoi(*arguments: str | Path) -> Result:
+    """Run `vaoi …` in this process."""
+    errors = io.StringIO()
+    with (
+        patch.object(sys, "argv", ["vaoi", *map(str, arguments)]),
+        redirect_stdout(io.StringIO()),
+        redirect_stderr(errors),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    code = ended.value.code
+    return Result(code if isinstance(code, int) else 0, errors.getvalue())
 
 
 def stitched(case: Path, out: Path, *options: str | Path) -> Stitch:
