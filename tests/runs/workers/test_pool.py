@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.runs.conftest import a_board_type, a_calibration, a_config
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
-from vaoi_station.config import StationConfig
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import GoneError, InternalError, StateError
-from vaoi_station.model import BoardType, Calibration
 from vaoi_station.rendering import compute_views
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.workers import pool as module
@@ -34,12 +33,12 @@ PATIENCE_S = 120.0
 class Plant:
     """A ring with one textured run, and a pool over it."""
 
-    def __init__(self, config: StationConfig, calibration: Calibration, board_type: BoardType) -> None:
+    def __init__(self, directory: Path) -> None:
+        config = a_config(directory)
         self.ring = Ring.create(ring_path(config), RingLayout.of(config))
-        self.cameras = calibration.cameras(camera_heads(config))
-        self.setup = StitchSetup(self.cameras, config.line.conveyor_mm_s, config.line.trigger_period_s, board_type)
-        self.generation = self.ring.claim(0)
-        self.context = RunContext("r1", 0, self.generation)
+        self.cameras = a_calibration().cameras(camera_heads(config))
+        line = config.line
+        self.setup = StitchSetup(self.cameras, line.conveyor_mm_s, line.trigger_period_s, a_board_type())
         picture = np.random.default_rng(1).integers(0, 255, self.ring.frame(0).shape, dtype=np.uint8)
         for camera in range(2):
             for row in range(3):
@@ -48,12 +47,31 @@ class Plant:
         self.complete = 0
         """How often the pool has reported that all workers are ready."""
         self.news = threading.Condition()
+        self.waited = 0.0
         self.on_reply: Callable[[Job], object] = lambda _: None
         self._pending: dict[int, Pending] = {}
         """Awaited replies by the identity of their job: two jobs may be equal."""
         self.pool = WorkerPool(2, self.ring.path)
-        self.pool.open_run(OpenRun(self.context, self.setup))
         self.pool.start(self)
+        self.open_run()
+
+    def open_run(self) -> None:
+        """Close the run of the test before, wait until its jobs have ended, and open a new one."""
+        self.pool.close_run("r1")
+        self.all_idle()
+        self.generation = self.ring.claim(0)
+        self.context = RunContext("r1", 0, self.generation)
+        self.pool.open_run(OpenRun(self.context, self.setup))
+        self.on_reply = lambda _: None
+        self.waited = 0.0
+        self._pending.clear()
+        self.lost.clear()
+        self._restarts = [w.restarts for w in self.pool.status()]
+
+    @property
+    def restarts(self) -> list[int]:
+        """The restarts of each worker in this test."""
+        return [w.restarts - before for w, before in zip(self.pool.status(), self._restarts, strict=True)]
 
     def worker_reply(self, job: Job, answer: Reply) -> None:
         self.on_reply(job)
@@ -75,7 +93,7 @@ class Plant:
                 assert self.news.wait(0.05) or self._patient()
 
     def _patient(self) -> bool:
-        self.waited = getattr(self, "waited", 0.0) + 0.05
+        self.waited += 0.05
         return self.waited < PATIENCE_S
 
     def all_idle(self) -> None:
@@ -128,11 +146,18 @@ class Pending:
         return self.answers[0]
 
 
-@pytest.fixture
-def plant(config: StationConfig, calibration: Calibration, board_type: BoardType) -> Iterator[Plant]:
-    made = Plant(config, calibration, board_type)
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
+    made = Plant(tmp_path_factory.mktemp("plant"))
     yield made
     made.close()
+
+
+@pytest.fixture
+def plant(shared: Plant) -> Plant:
+    """The shared pool with a new run."""
+    shared.open_run()
+    return shared
 
 
 def test_links_and_pictures_are_made(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
@@ -170,9 +195,8 @@ def test_jobs_of_a_killed_worker_are_repeated(plant: Plant) -> None:
     plant.until(lambda: len(plant.lost) == 1)
     assert "Worker 0 ended with code -9 while doing rows of (0, 0)" in plant.lost[0]
     plant.all_idle()
-    status = plant.pool.status()
-    assert [w.restarts for w in status] == [1, 0]
-    assert status[0].pid != victim
+    assert plant.restarts == [1, 0]
+    assert plant.pid(0) != victim
     assert all(len(p.answers) == 1 for p in pending)
 
 
@@ -200,27 +224,30 @@ def ages_s(plant: Plant) -> list[float]:
 def test_an_idle_worker_answers_pings(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "PING_INTERVAL_S", 0.05)
     plant.all_idle()
-    seen = [ages_s(plant)]
+    seen: list[list[float]] = []
 
     def renewed() -> bool:
         seen.append(ages_s(plant))
         return all(any(b[k] < a[k] for a, b in pairwise(seen)) for k in (0, 1))
 
     plant.until(renewed)
-    assert plant.complete == 1, "readiness is reported once, not with every reply to a ping"
+    before = plant.complete
+    seen.clear()
+    plant.until(renewed)
+    assert plant.complete == before, "readiness is reported once, not with every reply to a ping"
 
 
 def test_a_worker_that_hangs_is_replaced(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
     plant.all_idle()
     monkeypatch.setattr(module, "PING_INTERVAL_S", 0.05)
     monkeypatch.setattr(module, "JOB_LIMIT_S", 2.0)
-    victim = plant.pid(1)
+    victim, before = plant.pid(1), plant.complete
     os.kill(victim, signal.SIGSTOP)
     plant.until(lambda: len(plant.lost) > 0)
     assert any("Worker 1 ended with code -9" in sentence for sentence in plant.lost)
     plant.all_idle()
     assert plant.pid(1) != victim
-    assert plant.complete >= 2
+    plant.until(lambda: plant.complete > before)
 
 
 def conclusion(plant: Plant, head: Any, jobs: list[LinkJob], answers: list[Reply]) -> ConcludeJob:
@@ -314,7 +341,7 @@ def test_a_failed_job_is_an_internal_error_and_the_worker_survives(plant: Plant)
     assert isinstance(answer.error, InternalError)
     assert "is not there" in answer.error.message
     assert plant.submit(plant.link()).get().error is None
-    assert [w.restarts for w in plant.pool.status()] == [0, 0]
+    assert plant.restarts == [0, 0]
 
 
 def test_waiting_links_of_a_closed_run_are_dropped(plant: Plant) -> None:
@@ -330,8 +357,9 @@ def test_waiting_links_of_a_closed_run_are_dropped(plant: Plant) -> None:
     assert sum(len(p.answers) for p in pending) < len(pending)
 
 
-def test_stopping_reports_every_job_and_leaves_no_process(plant: Plant) -> None:
-    plant.all_idle()
+def test_stopping_reports_every_job_and_leaves_no_process(tmp_path: Path) -> None:
+    plant = Plant(tmp_path)
+    plant.until(lambda: plant.complete == 1)
     pids = [plant.pid(0), plant.pid(1)]
     for pid in pids:
         os.kill(pid, signal.SIGSTOP)
@@ -340,4 +368,4 @@ def test_stopping_reports_every_job_and_leaves_no_process(plant: Plant) -> None:
     assert all(isinstance(p.get().error, StateError) for p in pending)
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     assert isinstance(plant.submit(plant.link()).get().error, StateError)
-    plant.pool.stop()
+    plant.close()
