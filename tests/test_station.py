@@ -36,6 +36,7 @@ def config(tmp_path: Path) -> StationConfig:
             "calibration": tmp_path / "calibration.json",
             "board_types": tmp_path / "board-types",
             "data": tmp_path / "data",
+            "workers": 1,
             "line": Line(
                 conveyor_mm_s=(0.0, 100.0), barrier_mm=0.0, start_delay_s=0.0,
                 trigger_period_s=0.1, tail_s=0.0, longest_board_mm=50.0,

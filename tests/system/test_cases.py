@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.needs import LONG
 from tests.system.real_board import station_of
 from vaoi_station.config import StationConfig
 from vaoi_station.files import open_recording
@@ -16,7 +17,8 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.stitching.recordings.offline import stitch_frames
 
 TIMEOUT_S = 60.0
-RUNS = 20
+RUNS = 20 if LONG else 6
+"""Each bay of the ring is used twice."""
 
 
 @pytest.mark.cases

@@ -153,19 +153,3 @@ def until_ended(pid: int) -> None:
         assert select.select([handle], [], [], TIMEOUT_S)[0], f"process {pid} outlived its demo"
     finally:
         os.close(handle)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--json"], "need --once"),
-        (["--scenario", "smal"], "there is no scenario 'smal'"),
-        (["--once", "--out", "README.md"], "is a file"),
-    ],
-)
-def test_invalid_arguments_are_refused_at_once(start: Start, arguments: list[str], sentence: str) -> None:
-    process = start(*arguments)
-    output, errors = process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 2
-    assert output == ""
-    assert sentence in errors

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.needs import LONG
 from tests.system.real_board import station_of
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.client import Client
@@ -23,9 +24,8 @@ from vaoi_station.stitching.board.expectation import expectation_of
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import StitchSetup
 
-RUNS = 20
-WARM = 7
-"""Number of runs after which memory and open files may no longer grow."""
+RUNS, WARM = (20, 7) if LONG else (8, 4)
+"""Number of runs, and of those after which memory and open files may no longer grow."""
 SANE_MS = 5000.0
 """Limit for the delay on a machine with other load; the measured figure is printed."""
 EVERY = 4

@@ -4,53 +4,67 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import pytest
 
-from vaoi_station.config import StationConfig
+from tests.system.conftest import config_of
+from vaoi_station.config import ReplayConfig
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.station_files import to_toml
-from vaoi_station.demo.waiting import wait_for_run, wait_until_idle
+from vaoi_station.demo.waiting import wait_until_idle
 from vaoi_station.errors import BusyError, NotFoundError
+from vaoi_station.simulation import Twin
 
 TIMEOUT_S = 60.0
-Serve = Callable[[StationConfig], Client]
+
+
+@pytest.fixture(scope="module")
+def service(twin: Twin, recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A service that replays boards of the small scenario without end; it ends in order and leaves no shared memory."""
+    directory = tmp_path_factory.mktemp("service")
+    replay = ReplayConfig(recordings=recordings, pace="original", pause_s=0.4)
+    path = directory / "station.toml"
+    path.write_text(to_toml(config_of(twin, directory, "replay", replay=replay)), encoding="utf-8")
+    with Service(path) as started:
+        yield Client(started.address)
+    assert list((directory / "shm").iterdir()) == []
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Serve]:
-    """Start a service; after the test it ends in order and leaves nothing in shared memory."""
-    with ExitStack() as services:
-
-        def start(config: StationConfig) -> Client:
-            path = tmp_path / "station.toml"
-            path.write_text(to_toml(config), encoding="utf-8")
-            client = Client(services.enter_context(Service(path)).address)
-            wait_until_idle(client)
-            return client
-
-        yield start
-    assert list((tmp_path / "shm").iterdir()) == []
+def client(service: Client) -> Iterator[Client]:
+    """The service, idle before and after each test."""
+    wait_until_idle(service)
+    yield service
+    service.post("/station/disarm")
+    assert any(service.get("/station")["state"] == "idle" for _ in service.messages())
 
 
-@pytest.fixture
-def client(serve: Serve, replay_config: Callable[..., StationConfig]) -> Client:
-    """Return a client of a station that replays boards of the small scenario without end."""
-    return serve(replay_config(pace="original", pause_s=0.4))
-
-
-def until(client: Client, kind: str, state: str, after: int = 0, run: str | None = None) -> int:
-    """Wait for an event on the stream; return its number."""
+def until(client: Client, kind: str, *states: str, after: int, run: str | None = None) -> dict[str, Any]:
+    """Wait for an event on the stream that is numbered above `after`."""
     for message in client.messages(after):
-        if (message.get("kind"), message.get("state")) == (kind, state) and run in (None, message.get("run")):
-            return int(message["number"])
+        if message.get("kind") == kind and message.get("state") in states and run in (None, message.get("run")):
+            return message
     raise AssertionError("the stream ended")
+
+
+def arm_until_filming(client: Client, **order: str) -> dict[str, Any]:
+    """Arm and return the event of the first board that passes."""
+    seen = client.get("/station")["last_event"]
+    client.post("/station/arm", board_type="small", **order)
+    return until(client, "run", "filming", after=seen)
+
+
+def result_of(client: Client, begun: dict[str, Any]) -> dict[str, Any]:
+    """Wait until the run of an event has ended."""
+    run: str = begun["run"]
+    until(client, "run", "ready", "degraded", "failed", after=begun["number"], run=run)
+    document: dict[str, Any] = client.get(f"/runs/{run}")
+    return document
 
 
 def problem(client: Client, method: str, path: str, **query: Any) -> dict[str, Any]:
@@ -65,12 +79,11 @@ def problem(client: Client, method: str, path: str, **query: Any) -> dict[str, A
 
 
 def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(client: Client) -> None:
-    client.post("/station/arm", board_type="small", job_id="first")
-    until(client, "run", "filming")
+    begun = arm_until_filming(client, job_id="first")
     refusal = problem(client, "POST", "/station/arm", board_type="small", job_id="second")
     assert (refusal["status"], refusal["type"]) == (409, "/problems/wrong-state")
     assert refusal["detail"] == "The station is filming; arm is not possible now."
-    run = wait_for_run(client, None)
+    run = result_of(client, begun)
     assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", "first", 0)
 
 
@@ -84,11 +97,10 @@ def test_unknown_board_type_is_refused(client: Client) -> None:
 
 
 def test_killed_worker_is_restarted_and_the_run_is_complete(client: Client) -> None:
-    client.post("/station/arm", board_type="small")
-    until(client, "run", "filming")
+    begun = arm_until_filming(client)
     [killed] = [p["pid"] for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
     os.kill(killed, signal.SIGKILL)
-    run = wait_for_run(client, None)
+    run = result_of(client, begun)
     assert (run["verdict"], run["counts"]) == ("ok", {"ok": 12, "incomplete": 0, "missing": 0}), run["reasons"]
     matrices = client.get(f"/runs/{run['id']}/matrices")
     assert matrices["status"] == "ok"
@@ -98,20 +110,20 @@ def test_killed_worker_is_restarted_and_the_run_is_complete(client: Client) -> N
 
 
 def test_arming_is_refused_with_the_holders_names_if_all_bays_are_held(client: Client) -> None:
-    client.post("/station/arm", board_type="small")
-    seen, held = 0, []
+    begun, held = arm_until_filming(client), []
     for holder in ("tester", "review", "archive"):
-        seen = until(client, "run", "filming", seen)
-        run = client.get("/station")["filming"]
-        client.put(f"/runs/{run}/hold", holder=holder, purpose="AOI")
-        held.append(run)
-    until(client, "station", "blocked", seen)
+        if held:
+            begun = until(client, "run", "filming", after=begun["number"])
+        client.put(f"/runs/{begun['run']}/hold", holder=holder, purpose="AOI")
+        held.append(begun["run"])
+    until(client, "station", "blocked", after=begun["number"])
     client.post("/station/disarm")
     refusal = problem(client, "POST", "/station/arm", board_type="small")
     assert (refusal["status"], refusal["type"]) == (503, "/problems/busy")
     assert all(holder in refusal["detail"] for holder in ("tester", "review", "archive")), refusal
-    until(client, "run", "ready", run=held[-1])
+    assert result_of(client, begun)["state"] == "ready"
     assert all(client.get(f"/runs/{run}")["frames_available"] for run in held)
     with pytest.raises(BusyError, match="tester"):
         client.post("/station/arm", board_type="small")
-    client.post(f"/runs/{held[0]}/release")
+    for run in held:
+        client.post(f"/runs/{run}/release")

@@ -4,15 +4,39 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from vaoi_station.config import StationConfig
+import pytest
+
+from tests.system.conftest import config_of, until_state
+from vaoi_station.config import ReplayConfig, StationConfig
 from vaoi_station.model import Status
 from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.simulation import Twin
+from vaoi_station.station import Station
 
 TIMEOUT_S = 120.0
-RunStation = Callable[[StationConfig], StationCoordinator]
+
+
+@pytest.fixture(scope="module")
+def station(
+    twin: Twin, recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[StationCoordinator]:
+    """A station that replays boards at the recorded pace without end."""
+    replay = ReplayConfig(recordings=recordings, pace="original", pause_s=0.3)
+    with Station(config_of(twin, tmp_path_factory.mktemp("faults"), "replay", replay=replay)) as started:
+        yield started.coordinator
+
+
+@pytest.fixture
+def coordinator(station: StationCoordinator) -> Iterator[StationCoordinator]:
+    """The station, idle before and after each test."""
+    until_state(station, "idle")
+    yield station
+    station.disarm()
+    until_state(station, "idle")
 
 
 def wait_for_event(coordinator: StationCoordinator, kind: str, state: str, after: int = 0) -> int:
@@ -26,68 +50,71 @@ def wait_for_event(coordinator: StationCoordinator, kind: str, state: str, after
         after = records[-1].number
 
 
+def arm_until_filming(coordinator: StationCoordinator, board_id: str | None = None) -> tuple[int, str]:
+    """Arm; return the number of the event of the first board that passes, and its run."""
+    seen = coordinator.snapshot().last_event
+    coordinator.arm("small", board_id)
+    return next_filming(coordinator, seen)
+
+
+def next_filming(coordinator: StationCoordinator, seen: int) -> tuple[int, str]:
+    number = wait_for_event(coordinator, "run", "filming", seen)
+    [run] = [record.run for record in coordinator.events(number - 1) if record.number == number]
+    assert run is not None
+    return number, run
+
+
+def result_of(coordinator: StationCoordinator, run: str, after: int) -> RunDetail:
+    """Wait until a run has ended."""
+    while coordinator.run(run).state not in ("ready", "degraded", "failed"):
+        records = coordinator.events(after, TIMEOUT_S)
+        assert records, coordinator.snapshot()
+        after = records[-1].number
+    return coordinator.run(run)
+
+
 def pid_of(coordinator: StationCoordinator, name: str) -> int:
     [pid] = [p.pid for p in coordinator.snapshot().processes if p.name == name]
     assert pid is not None
     return pid
 
 
-def test_a_worker_killed_while_a_board_passes(
-    replay_config: Callable[..., StationConfig], run_station: RunStation
-) -> None:
-    coordinator = run_station(replay_config(pace="original", pause_s=0.2))
-    coordinator.arm("small")
-    wait_for_event(coordinator, "run", "filming")
+def test_a_worker_killed_while_a_board_passes(coordinator: StationCoordinator) -> None:
+    began, victim = arm_until_filming(coordinator)
     os.kill(pid_of(coordinator, "worker 0"), signal.SIGKILL)
-    run = coordinator.next_run(None, TIMEOUT_S)
-    assert run is not None
+    run = result_of(coordinator, victim, began)
     assert (run.state, run.verdict, run.counts.missing) == ("ready", Status.OK, 0), run.reasons
     [restarts] = [p.restarts for p in coordinator.snapshot().processes if p.name == "worker 0"]
     assert restarts == 1
     assert any("Worker 0 ended with code -9" in e.message for e in coordinator.events() if e.kind == "process")
 
 
-def test_the_acquisition_process_killed_while_a_board_passes(
-    replay_config: Callable[..., StationConfig],
-    run_station: RunStation,
-    wait_state: Callable[[StationCoordinator, str], None],
-) -> None:
-    coordinator = run_station(replay_config(pace="original", pause_s=0.2))
-    coordinator.arm("small", "b 1")
-    began = wait_for_event(coordinator, "run", "filming")
-    victim = coordinator.snapshot().filming
-    assert victim is not None
+def test_the_acquisition_process_killed_while_a_board_passes(coordinator: StationCoordinator) -> None:
+    began, victim = arm_until_filming(coordinator, "b 1")
     while coordinator.run(victim).counts.ok < 4:
         coordinator.events(coordinator.snapshot().last_event, 0.02)
     os.kill(pid_of(coordinator, "acquisition"), signal.SIGKILL)
     wait_for_event(coordinator, "station", "faulted", began)
-    first = coordinator.next_run(None, 0.0) or coordinator.latest() or coordinator.next_run(None, TIMEOUT_S)
-    assert first is not None
-    run = coordinator.run(victim)
+    run = result_of(coordinator, victim, began)
     assert run.state in ("degraded", "failed")
     assert run.counts.ok >= 4
     assert any(reason.code == "acquisition-lost" for reason in run.reasons)
     assert coordinator.frame(victim, 0, 0)[0].any()
-    wait_state(coordinator, "armed")
+    until_state(coordinator, "armed")
     again = coordinator.next_run(victim, TIMEOUT_S)
     assert again is not None
     assert (again.board_id, again.verdict) == ("b 1", Status.OK)
 
 
-def test_full_ring_loses_no_frame_that_was_taken(
-    replay_config: Callable[..., StationConfig],
-    run_station: RunStation,
-    wait_state: Callable[[StationCoordinator, str], None],
-) -> None:
-    coordinator = run_station(replay_config(pace="original", pause_s=0.5))
-    coordinator.arm("small")
-    seen, runs = 0, []
-    for _ in range(3):
-        seen = wait_for_event(coordinator, "run", "filming", seen)
-        run = coordinator.snapshot().filming or coordinator.runs(1)[0].id
+def test_full_ring_loses_no_frame_that_was_taken(coordinator: StationCoordinator) -> None:
+    seen, run = arm_until_filming(coordinator)
+    coordinator.hold(run, "tester", "AOI")
+    runs = [run]
+    while len(runs) < 3:
+        seen, run = next_filming(coordinator, seen)
         coordinator.hold(run, "tester", "AOI")
         runs.append(run)
-    wait_state(coordinator, "blocked")
+    until_state(coordinator, "blocked")
     missed = coordinator.snapshot().boards_missed
     after = coordinator.snapshot().last_event
     while coordinator.snapshot().boards_missed <= missed:
@@ -96,13 +123,13 @@ def test_full_ring_loses_no_frame_that_was_taken(
         after = records[-1].number
     assert all(coordinator.frame(run, 0, 0)[0].any() for run in runs)
     coordinator.end_hold(runs[0], "tester")
-    wait_state(coordinator, "armed")
+    until_state(coordinator, "armed")
     assert coordinator.next_run(runs[-1], TIMEOUT_S) is not None
+    for run in runs[1:]:
+        coordinator.end_hold(run, "tester")
 
 
 def test_no_process_or_ring_remains_after_the_stop(replay_config: Callable[..., StationConfig]) -> None:
-    from vaoi_station.station import Station
-
     config = replay_config(pace="original", pause_s=0.1)
     with Station(config) as station:
         wait_for_event(station.coordinator, "station", "idle")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vaoi_station.config import MethodName, StationConfig
+from tests.system.conftest import config_of, until_state
+from vaoi_station.config import MethodName, ReplayConfig, StationConfig
 from vaoi_station.errors import StateError
 from vaoi_station.files import open_recording, read_calibration, write_calibration
 from vaoi_station.geometry import apply
@@ -22,7 +23,6 @@ from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
 
 TIMEOUT_S = 60.0
-RunStation = Callable[[StationConfig], StationCoordinator]
 
 
 def filmed(coordinator: StationCoordinator) -> RunDetail:
@@ -72,15 +72,36 @@ def shows(path: Path, station: StationCoordinator, run: RunDetail) -> bool:
 
 @pytest.fixture
 def config(replay_config: Callable[..., StationConfig]) -> StationConfig:
-    """Return the configuration of a station that replays two boards in turn."""
-    return replay_config(pace="fast", pause_s=0.01)
+    """Return the configuration of a station with one worker that replays two boards in turn."""
+    return replay_config(pace="fast", pause_s=0.01).model_copy(update={"workers": 1})
+
+
+@pytest.fixture(scope="module")
+def shared_config(twin: Twin, recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> StationConfig:
+    replay = ReplayConfig(recordings=recordings, pace="fast", pause_s=0.01)
+    return config_of(twin, tmp_path_factory.mktemp("shared"), "replay", replay=replay)
+
+
+@pytest.fixture(scope="module")
+def shared_station(shared_config: StationConfig) -> Iterator[StationCoordinator]:
+    with Station(shared_config) as started:
+        until_state(started.coordinator, "idle")
+        yield started.coordinator
+
+
+@pytest.fixture
+def station(shared_station: StationCoordinator) -> Iterator[StationCoordinator]:
+    """The shared station, without a reference before and after each test."""
+    yield shared_station
+    shared_station.forget_reference("small")
+    shared_station.set_method("small", None)
 
 
 @pytest.mark.parametrize("method", ["auto", "reference"])
 def test_later_boards_are_placed_against_a_reference_as_offline(
-    config: StationConfig, run_station: RunStation, recordings: tuple[Path, Path], twin: Twin, method: MethodName
-) -> None:
-    station = run_station(config)
+    station: StationCoordinator, shared_config: StationConfig, recordings: tuple[Path, Path], twin: Twin,
+    method: MethodName,
+) -> None:  # fmt: skip
     first = filmed(station)
     assert station.teach_reference("small", first.id)
     status = station.reference("small")
@@ -96,7 +117,7 @@ def test_later_boards_are_placed_against_a_reference_as_offline(
     assert method == "auto" or set(used(stitch)) == {"reference"}
     assert "reference" in {task.kind for task in station.timeline(second.id).tasks}
     played = next(path for path in recordings if shows(path, station, second))
-    expected = offline(config.data / "references" / first.id, played, method)
+    expected = offline(shared_config.data / "references" / first.id, played, method)
     assert used(expected) == used(stitch)
     assert apart_px(stitch, expected, twin) <= 1e-6
 

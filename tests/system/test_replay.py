@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.config import StationConfig
+from tests.system.conftest import config_of, until_state
+from vaoi_station.config import ReplayConfig, StationConfig
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.simulation import Twin
+from vaoi_station.station import Station
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import StitchSetup
 
@@ -119,12 +121,24 @@ def held(coordinator: StationCoordinator) -> dict[str, int]:
     }
 
 
+@pytest.fixture(scope="module")
+def filmed(
+    twin: Twin, recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[StationCoordinator, RunDetail]]:
+    """A station that has filmed two boards at the recorded pace, and its second run."""
+    replay = ReplayConfig(recordings=recordings, pace="original", pause_s=0.2)
+    with Station(config_of(twin, tmp_path_factory.mktemp("filmed"), "replay", replay=replay)) as station:
+        until_state(station.coordinator, "idle")
+        station.coordinator.arm("small", runs=2)
+        warm_up, run = follow(station.coordinator, 2)
+        assert warm_up.id < run.id
+        yield station.coordinator, run
+
+
 def test_links_of_all_earlier_rows_exist_when_the_last_row_arrives(
-    replay_config: Callable[..., StationConfig], run_station: RunStation
+    filmed: tuple[StationCoordinator, RunDetail],
 ) -> None:
-    coordinator = run_station(replay_config(pace="original", pause_s=0.2))
-    coordinator.arm("small")
-    warm_up, run = follow(coordinator, 2)
+    coordinator, run = filmed
     timeline = coordinator.timeline(run.id)
     last = run.rows - 1
     last_row_s = max(at for _, row, at in timeline.frames_settled_s if row == last)
@@ -134,21 +148,19 @@ def test_links_of_all_earlier_rows_exist_when_the_last_row_arrives(
     assert not late, f"{len(late)} of {len(earlier)} links came after the last row at {last_row_s} s: {late[:3]}"
     assert run.timings is not None
     assert run.timings.links_while_filming >= len(earlier)
-    assert warm_up.id < run.id
 
 
 def test_frames_and_pictures_of_a_run(
-    replay_config: Callable[..., StationConfig], run_station: RunStation, recordings: tuple[Path, Path]
+    filmed: tuple[StationCoordinator, RunDetail], recordings: tuple[Path, Path]
 ) -> None:
-    coordinator = run_station(replay_config(pace="fast", runs=1))
-    coordinator.arm("small", runs=1)
-    run = first_run(coordinator)
-    assert run is not None
-    recording = open_recording(recordings[0])
+    coordinator, run = filmed
+    opened = [open_recording(path) for path in recordings]
+    middle, _ = coordinator.frame(run.id, 0, run.rows // 2)
+    [recording] = [r for r in opened if np.array_equal(recorded(r, 0, run.rows // 2), middle)]
+    assert len(run.frames) == len(recording.head.cameras) * recording.head.rows
     for frame in run.frames:
-        filmed = recording.frame(frame.camera, frame.row)
-        assert filmed is not None
-        assert np.array_equal(coordinator.frame(run.id, frame.camera, frame.row)[0], filmed)
+        pixels = recorded(recording, frame.camera, frame.row)
+        assert np.array_equal(coordinator.frame(run.id, frame.camera, frame.row)[0], pixels)
     seen: Any = [c for c in coordinator.components(run.id) if c.views]
     assert seen
     address = seen[0].address
@@ -159,6 +171,12 @@ def test_frames_and_pictures_of_a_run(
     assert picture.std() > 1
     twice = coordinator.image(run.id, address, 0, px_per_mm=2 * views[0].px_per_mm)
     assert decoded(twice).shape[1] == pytest.approx(2 * views[0].width, abs=1)
+
+
+def recorded(recording: Recording, camera: int, row: int) -> NDArray[Any]:
+    pixels = recording.frame(camera, row)
+    assert pixels is not None
+    return pixels
 
 
 def decoded(png: bytes) -> NDArray[Any]:

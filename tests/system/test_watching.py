@@ -41,7 +41,7 @@ def test_displaced_camera_is_a_warning_after_two_boards(
     knocked.write_text(scenario_path("small").read_text() + KNOCK)
     assert twin_config.simulation is not None
     simulation = twin_config.simulation.model_copy(update={"scenario": knocked})
-    coordinator = run_station(twin_config.model_copy(update={"simulation": simulation}))
+    coordinator = run_station(twin_config.model_copy(update={"simulation": simulation, "workers": 1}))
     coordinator.arm("small", runs=5)
     warned = event(coordinator, "calibration-drift")
     runs = sorted(run.id for run in coordinator.runs())

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from vaoi_station.benchmarks.station import station_pace
+from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
+from vaoi_station.benchmarks.station.station_pace import RateFigures
 
 
 def test_figures_are_printed_and_written(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
@@ -38,7 +43,15 @@ def test_plot_needs_marks(vaoi: Any, tmp_path: Path) -> None:
     assert not (tmp_path / "curve.svg").exists()
 
 
-def test_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path) -> None:
+def test_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One station runs; the figures of the second rate repeat those of the first."""
+    real, measured = station_pace.measure_station_pace, list[RateFigures]()
+
+    def measure(board: PrerenderedRun, rate: float, *rest: Any) -> RateFigures:
+        measured.append(replace(measured[0], rate=rate) if measured else real(board, rate, *rest))
+        return measured[-1]
+
+    monkeypatch.setattr(station_pace, "measure_station_pace", measure)
     options = ("--scenario", "small", "--rates", "1,3", "--boards", 1, "--films", tmp_path, "--ring", tmp_path)
     said = vaoi("bench", "--station", *options, "--json", tmp_path / "station.json")
     assert (said.code, said.err) == (0, "")
