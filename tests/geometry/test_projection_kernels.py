@@ -23,7 +23,16 @@ from vaoi_station.geometry.transforms import Floats, apply
 SHAPE: LensShape = (695.5, 519.5, 868.8, math.inf, math.inf)
 """Centre, radius, and no turning point: the coefficients below are positive."""
 IDEAL, BENT = np.zeros(0), np.array([0.004, 0.001])
-N = np.array([[40.0, 0.3, 700.0], [-0.2, 40.1, 510.0], [1e-5, -2e-5, 1.0]])
+
+
+def read_only(matrix: Floats) -> Floats:
+    """Return a matrix as transforms hold it; Numba would compile a second variant for a writeable one."""
+    matrix.flags.writeable = False
+    return matrix
+
+
+N = read_only(np.array([[40.0, 0.3, 700.0], [-0.2, 40.1, 510.0], [1e-5, -2e-5, 1.0]]))
+BACK = read_only(np.asarray(np.linalg.inv(N), dtype=np.float64))
 VIEWPOINT = (3.0, -4.0, 1 / 483.0)
 COMPILES = settings(deadline=None, max_examples=40)
 """The first call waits for the compiler."""
@@ -82,7 +91,7 @@ def test_a_raised_point_is_seen_where_its_ray_meets_the_plane(points: Floats, he
 def test_back_projection_inverts_projection_at_each_height(points: Floats, heights: list[float]) -> None:
     h = np.array(heights[: len(points)])
     raw, back = _project(points, h, BENT), np.empty_like(points)
-    image_to_ground(raw, h, VIEWPOINT, np.linalg.inv(N), BENT, SHAPE, back)
+    image_to_ground(raw, h, VIEWPOINT, BACK, BENT, SHAPE, back)
     np.testing.assert_allclose(back, points, atol=1e-8)
 
 
@@ -95,9 +104,9 @@ def test_one_height_applies_to_all_points() -> None:
 @COMPILES
 @given(pixels, st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
 def test_transfer_is_back_projection_shift_and_projection(raw: Floats, shift: tuple[float, float]) -> None:
-    other = np.array([[39.0, 0, -500.0], [0, 39.0, 520.0], [0, 0, 1.0]])
-    found = transfer_points(raw, np.linalg.inv(N), BENT, SHAPE, np.array(shift), other, IDEAL, SHAPE)
-    expected = apply(other, apply(np.linalg.inv(N), _polynomial(raw, BENT)) + shift)
+    other = read_only(np.array([[39.0, 0, -500.0], [0, 39.0, 520.0], [0, 0, 1.0]]))
+    found = transfer_points(raw, BACK, BENT, SHAPE, np.array(shift), other, IDEAL, SHAPE)
+    expected = apply(other, apply(BACK, _polynomial(raw, BENT)) + shift)
     np.testing.assert_allclose(found, expected, atol=1e-7)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from vaoi_station.marks.asymmetry import asymmetry_sigma_px, measure_asymmetry
 from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
+from vaoi_station.stitching.matching.prepared_frame import read_only
 
 PLACE, SIZE = np.array([60.3, 59.6]), 26.0
 Paint = Callable[..., Any]
@@ -72,7 +73,7 @@ def test_the_sigma_of_a_mark_in_glare_covers_its_error(paint: Paint, levels: flo
 @pytest.mark.parametrize("angle", [0.0, 0.8, 1.6])
 def test_a_wrong_centre_is_measured_as_its_shift(paint: Paint, shift: float, angle: float) -> None:
     x, y = PLACE + shift * np.array([np.cos(angle), np.sin(angle)])
-    off, light = measure_asymmetry(marked(paint), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
+    off, light = measure_asymmetry(read_only(marked(paint)), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
     assert off == pytest.approx(shift, rel=0.3)
     assert light < 0.02
 
@@ -88,6 +89,6 @@ def test_an_undisturbed_mark_adds_no_uncertainty(paint: Paint) -> None:
 def test_a_mark_at_the_border_uses_the_pixels_that_exist(paint: Paint) -> None:
     x, y = (float(v) for v in PLACE)
     cut = marked(paint)[:, : round(x) + 5]
-    off, light = measure_asymmetry(np.ascontiguousarray(cut), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
+    off, light = measure_asymmetry(read_only(cut), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
     assert np.isfinite(off)
     assert np.isfinite(light)

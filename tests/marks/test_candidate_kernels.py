@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.marks.candidate_kernels import RING, ring_offsets, scan_candidates, suppress_non_maxima
 from vaoi_station.marks.mark_shape import coverage
+from vaoi_station.stitching.matching.prepared_frame import read_only
 
 Paint = Callable[..., Any]
 COMPILES = settings(deadline=None)
@@ -21,7 +22,7 @@ def test_every_pixel_with_a_bare_rim_and_no_other_is_correlated(paint: Paint) ->
     template -= template.mean()
     template /= np.sqrt((template**2).sum())
     ring = ring_offsets(5.0)
-    found = scan_candidates(image, template, ring, 1, 0.5)
+    found = scan_candidates(read_only(image), template, ring, 1, 0.5)
     expected = []
     for y in range(5, image.shape[0] - 5):
         for x in range(5, image.shape[1] - 5):
@@ -73,12 +74,12 @@ def test_more_hits_than_the_first_buffer_holds_are_all_returned() -> None:
     template = coverage("square", 2.0, 5)
     template -= template.mean()
     template /= np.sqrt((template**2).sum())
-    found = scan_candidates(image, template, ring_offsets(3.0), 1, 0.0)
+    found = scan_candidates(read_only(image), template, ring_offsets(3.0), 1, 0.0)
     assert len(found) == 0
     wide = np.where((x % 8 < 4) & (y % 8 < 4), 200, 60).astype(np.uint8)
     template = coverage("square", 4.0, 7)
     template -= template.mean()
     template /= np.sqrt((template**2).sum())
-    found = scan_candidates(wide, template, ring_offsets(3.0), 1, 0.2)
+    found = scan_candidates(read_only(wide), template, ring_offsets(3.0), 1, 0.2)
     assert len(found) > 256
     assert len(np.unique(found[:, :2], axis=0)) == len(found)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vaoi_station.marks.disc_fit import FITTED, NO_EDGE, TOO_FAR, fit_disc
+from vaoi_station.stitching.matching.prepared_frame import read_only
 
 Paint = Callable[..., Any]
 COMPILES = settings(deadline=None)
@@ -32,7 +33,7 @@ def test_a_disc_is_fitted_whatever_its_light_and_size(
     cover = 0.5 * np.vectorize(math.erfc)(z / math.sqrt(2))
     image = np.rint((60 + 120 * cover) * (1 + slope[0] * u + slope[1] * v)).clip(0, 255).astype(np.uint8)
     code, px, py, sigma, found_radius, found_blur, ground, contrast = fit_disc(
-        image, 40 + 0.3 * radius, 40 - 0.3 * radius, 1.1 * radius, radius, 1, 1e-3, 12
+        read_only(image), 40 + 0.3 * radius, 40 - 0.3 * radius, 1.1 * radius, radius, 1, 1e-3, 12
     )
     assert code == FITTED
     assert np.hypot(px - 40 - at[0], py - 40 - at[1]) < 0.02
@@ -44,8 +45,8 @@ def test_a_disc_is_fitted_whatever_its_light_and_size(
 
 
 def test_a_missing_or_distant_disc_is_refused(paint: Paint) -> None:
-    assert fit_disc(np.full((80, 96), 90, np.uint8), 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)[0] == NO_EDGE
-    far = fit_disc(paint([("circle", 60, 40, 16.0)]), 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)
+    assert fit_disc(read_only(np.full((80, 96), 90, np.uint8)), 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)[0] == NO_EDGE
+    far = fit_disc(read_only(paint([("circle", 60, 40, 16.0)])), 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)
     assert far[0] == TOO_FAR
 
 
@@ -53,14 +54,14 @@ def test_a_missing_or_distant_disc_is_refused(paint: Paint) -> None:
 def test_a_reflection_on_one_side_has_little_effect(paint: Paint, side: int) -> None:
     image = paint([("circle", 48.2, 39.7, 20.0)])
     image[36:44, 48 + side * 8 : 48 + side * 8 + 3] = 255
-    code, x, y, *_ = fit_disc(image, 48.0, 40.0, 10.0, 8.0, 1, 1e-3, 12)
+    code, x, y, *_ = fit_disc(read_only(image), 48.0, 40.0, 10.0, 8.0, 1, 1e-3, 12)
     assert code == FITTED
     assert np.hypot(x - 48.2, y - 39.7) < 0.15
 
 
 def test_a_coarser_stride_is_less_precise_but_right(paint: Paint) -> None:
     image = paint([("circle", 48.3, 40.4, 24.0)], noise=2.0)
-    fine, coarse = (fit_disc(image, 48.0, 40.0, 12.0, 8.0, stride, 1e-3, 12) for stride in (1, 2))
+    fine, coarse = (fit_disc(read_only(image), 48.0, 40.0, 12.0, 8.0, stride, 1e-3, 12) for stride in (1, 2))
     for code, x, y, sigma, *_ in (fine, coarse):
         assert code == FITTED
         assert np.hypot(x - 48.3, y - 40.4) < 5 * sigma + 0.01
@@ -71,7 +72,7 @@ def test_sigma_is_the_scatter_of_repetitions(paint: Paint) -> None:
     clean, g, errors, sigmas = paint([("circle", 48.3, 39.8, 16.0)]).astype(float), np.random.default_rng(7), [], []
     for _ in range(60):
         image = np.clip(np.rint(clean + g.normal(0, 3, clean.shape)), 0, 255).astype(np.uint8)
-        _, x, y, sigma, *_ = fit_disc(image, 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)
+        _, x, y, sigma, *_ = fit_disc(read_only(image), 48.0, 40.0, 8.0, 6.0, 1, 1e-3, 12)
         errors.append((x - 48.3, y - 39.8))
         sigmas.append(sigma)
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.mean(sigmas), rel=0.35)

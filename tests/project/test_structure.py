@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -34,24 +35,33 @@ def modules(folder: str = "") -> Iterator[Path]:
     return (p for p in files() if p.suffix == ".py" and p.parts[0].startswith(folder))
 
 
-def documented_lines(tree: ast.AST) -> set[int]:
-    """Lines of docstrings, those below attributes included."""
-    texts = (
-        n.value
-        for n in ast.walk(tree)
-        if isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant) and isinstance(n.value.value, str)
-    )
-    return {line for text in texts for line in range(text.lineno, (text.end_lineno or text.lineno) + 1)}
+class Summary(NamedTuple):
+    """What the rules need of one module; its syntax tree is read once."""
+
+    lines: int
+    code: int
+    comments: int
+    """Comments on lines of their own."""
+    crowded: tuple[str, ...]
+    """Functions with more than `MOST_PARAMETERS`."""
 
 
 @cache
-def count_lines(path: Path) -> tuple[int, int]:
-    """Lines of code, and comments on lines of their own."""
+def summary(path: Path) -> Summary:
     text = (ROOT / path).read_text(encoding="utf-8")
-    documented = documented_lines(ast.parse(text))
-    lines = [line.strip() for n, line in enumerate(text.splitlines(), 1) if n not in documented]
-    comments = sum(line.startswith("#") for line in lines)
-    return sum(bool(line) for line in lines) - comments, comments
+    documented, crowded = set[int](), []
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.Expr(value=ast.Constant(value=str()) as words):  # docstrings, those below attributes included
+                documented.update(range(words.lineno, (words.end_lineno or words.lineno) + 1))
+            case ast.FunctionDef() | ast.AsyncFunctionDef():
+                names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+                if len(names) - (names[:1] in (["self"], ["cls"])) > MOST_PARAMETERS:
+                    crowded.append(f"{path}:{node.lineno} {node.name}")
+    lines = text.splitlines()
+    rest = [line.strip() for n, line in enumerate(lines, 1) if n not in documented]
+    comments = sum(line.startswith("#") for line in rest)
+    return Summary(len(lines), sum(bool(line) for line in rest) - comments, comments, tuple(crowded))
 
 
 def test_no_folder_has_more_than_fifteen_files() -> None:
@@ -61,20 +71,12 @@ def test_no_folder_has_more_than_fifteen_files() -> None:
 
 
 def test_no_module_is_too_long() -> None:
-    lengths = {str(p): len((ROOT / p).read_text(encoding="utf-8").splitlines()) for p in modules()}
-    assert not {name: n for name, n in lengths.items() if n > MOST_LINES}, "split it by idea"
+    assert not {str(p): summary(p).lines for p in modules() if summary(p).lines > MOST_LINES}, "split it by idea"
 
 
 def test_no_function_takes_too_many_parameters() -> None:
-    found = []
-    for path in modules():
-        if {"cli", "routes"} & set(path.parts):  # their parameters are options and query fields
-            continue
-        for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
-                if len(names) - (names[:1] in (["self"], ["cls"])) > MOST_PARAMETERS:
-                    found.append(f"{path}:{node.lineno} {node.name}")
+    bound = (p for p in modules() if not {"cli", "routes"} & set(p.parts))  # theirs are options and query fields
+    found = [function for path in bound for function in summary(path).crowded]
     assert not found, "group what belongs together in a NamedTuple or a dataclass"
 
 
@@ -82,18 +84,18 @@ def test_every_module_has_its_test_at_the_same_place() -> None:
     missing = []
     for path in modules("vaoi_station"):
         test = Path("tests", *path.parts[1:-1], f"test_{path.name}")
-        if path.name != "__init__.py" and count_lines(path)[0] >= LEAST_CODE and not (ROOT / test).is_file():
+        if path.name != "__init__.py" and summary(path).code >= LEAST_CODE and not (ROOT / test).is_file():
             missing.append(f"{path}: no {test}")
     assert not missing
 
 
 def test_comments_say_why_often_enough() -> None:
-    code, comments = map(sum, zip(*map(count_lines, modules("vaoi_station")), strict=True))
-    assert 1000 * comments / code >= LEAST_COMMENTS
+    read = [summary(path) for path in modules("vaoi_station")]
+    assert 1000 * sum(s.comments for s in read) / sum(s.code for s in read) >= LEAST_COMMENTS
 
 
 def test_there_is_enough_test_code() -> None:
-    source, tests = (sum(count_lines(p)[0] for p in modules(folder)) for folder in ("vaoi_station", "tests"))
+    source, tests = (sum(summary(p).code for p in modules(folder)) for folder in ("vaoi_station", "tests"))
     assert tests / source >= 0.9
 
 

@@ -46,16 +46,24 @@ class Waves:
         return digitised(self.levels(width, height, shift))
 
     def levels(self, width: int, height: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """Return the grey levels before rounding; cos(a + b) is a product, for speed."""
-        x, y = np.arange(width) - shift[0], np.arange(height) - shift[1]
-        across = np.exp(2j * math.pi * self._fx[:, None] * x)
-        down = np.exp(1j * (2 * math.pi * self._fy[:, None] * y + self._phase[:, None]))
+        """Return the grey levels before rounding."""
+        return self._affine(width, height, np.array([[1.0, 0.0, -shift[0]], [0.0, 1.0, -shift[1]]]))
+
+    def _affine(self, width: int, height: int, texture_from_pixel: Array) -> Array:
+        """Return the grey levels for an affine map (2, 3); cos(a + b) is a product, for speed."""
+        fx, fy, start = (np.stack([self._fx, self._fy], -1) @ texture_from_pixel).T
+        across = np.exp(2j * math.pi * fx[:, None] * np.arange(width))
+        down = np.exp(1j * (2 * math.pi * (fy[:, None] * np.arange(height) + start[:, None]) + self._phase[:, None]))
         return np.asarray(128 + self._height * (down.T @ across).real)
 
     def seen_by(self, camera: Camera, place: Callable[[Array], Array]) -> NDArray[np.uint8]:
         """Render what a camera sees, given the texture coordinates of points (k, 2) of the conveyor's plane."""
         y, x = np.mgrid[: camera.height_px, : camera.width_px].astype(np.float64)
         at = place(camera.ground(np.stack([x.ravel(), y.ravel()], -1)))
+        first, right, down = at[0], at[1], at[camera.width_px]
+        affine = np.stack([right - first, down - first, first], -1)
+        if np.allclose(np.stack([x.ravel(), y.ravel(), np.ones(x.size)], -1) @ affine.T, at, rtol=0, atol=1e-9):
+            return digitised(self._affine(camera.width_px, camera.height_px, affine))
         return digitised(self(at[:, 0], at[:, 1]).reshape(x.shape))
 
 

@@ -110,7 +110,7 @@ def test_killed_worker_is_restarted_and_the_run_is_complete(client: Client) -> N
 
 
 def test_arming_is_refused_with_the_holders_names_if_all_bays_are_held(client: Client) -> None:
-    begun, held = arm_until_filming(client), []
+    begun, held = arm_until_filming(client), list[str]()
     for holder in ("tester", "review", "archive"):
         if held:
             begun = until(client, "run", "filming", after=begun["number"])

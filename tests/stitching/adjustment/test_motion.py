@@ -15,7 +15,7 @@ rows = st.lists(st.tuples(st.floats(-0.1, 0.1), mm, mm), min_size=1, max_size=6)
 
 def motion_of(values: list[tuple[float, float, float]], pivot: tuple[float, float]) -> Motion:
     v = np.array(values)
-    return Motion(v[:, 0], v[:, 1:], np.array(pivot))
+    return Motion(np.ascontiguousarray(v[:, 0]), v[:, 1:], np.array(pivot))
 
 
 @given(rows, st.tuples(mm, mm), st.lists(st.tuples(mm, mm), min_size=1, max_size=4))

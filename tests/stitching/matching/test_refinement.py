@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.stitching.matching.patch_tables import BINOMIAL, WINDOW_PX
+from vaoi_station.stitching.matching.prepared_frame import read_only
 from vaoi_station.stitching.matching.refinement import refine
 
 Array = NDArray[np.float64]
@@ -79,7 +80,7 @@ def test_a_match_is_where_the_step_of_numpy_is_zero(workshop: Any, noise: float)
     y, x = np.mgrid[40:200:40, 40:260:40]
     corners = np.stack([x.ravel(), y.ravel()], -1).astype(np.int64)
     guess = np.asarray(corners + (2.5, 0.5), dtype=np.float64)
-    found = refine(a, b, corners, guess, 6.0)
+    found = refine(read_only(a), read_only(b), corners, guess, 6.0)
     assert np.isfinite(found.last_step_px).all()
     assert not found.saturated.any()
     soft_a, soft_b = blurred(a), blurred(b)
@@ -94,7 +95,7 @@ def test_a_match_is_where_the_step_of_numpy_is_zero(workshop: Any, noise: float)
 
 
 def test_a_patch_without_texture_is_lost_and_stays_at_its_guess() -> None:
-    grey = np.full((120, 120), 90, np.uint8)
+    grey = read_only(np.full((120, 120), 90, np.uint8))
     found = refine(grey, grey, np.array([[60, 60]]), np.array([[61.5, 60.5]]), 6.0)
     assert found.last_step_px[0] == np.inf
     assert found.b_px[0].tolist() == [61.5, 60.5]
@@ -106,8 +107,10 @@ def test_saturation_is_reported_in_either_image(workshop: Any) -> None:
     white = a.copy()
     white[56:60, 56:60] = 255
     corners, guess = np.array([[58, 58]]), np.array([[58.5, 58.5]])
-    for pair in ((a, white), (white, a)):
-        assert refine(*pair, corners, guess, 6.0).saturated[0] == pytest.approx(16 / WINDOW_PX**2, abs=0.01)
+    for one, other in ((a, white), (white, a)):
+        assert refine(read_only(one), read_only(other), corners, guess, 6.0).saturated[0] == pytest.approx(
+            16 / WINDOW_PX**2, abs=0.01
+        )
 
 
 _ONCE = """
