@@ -176,7 +176,8 @@ class Passage:
 
     def truth(self) -> dict[str, Any]:
         """Return the truth of this passage in the format of truth.json."""
-        return passage_truth(self.twin, self.pinholes, [self.pose(t) for t in self.pulse_times_s])
+        absent = {ref for ref, placement in self.placements.items() if placement is None}
+        return passage_truth(self.twin, self.pinholes, [self.pose(t) for t in self.pulse_times_s], absent)
 
     def _check_absent(self) -> None:
         """Raise InputError if the scenario calls a part absent that the board does not have."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.world import World
 
 
-def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, Any]:
+def passage_truth(
+    twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats], absent: Collection[str]
+) -> dict[str, Any]:
     """Compute the truth of a passage: matrices, component heights, and the pixels of all footprints.
 
     With E_j = tester_from_board in row j, D_j = E_j·E_0⁻¹, M_ij = N_i·D_j and C = E_0·board_from_cad.
@@ -21,6 +24,7 @@ def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats
         twin: the world of the scenario.
         pinholes: the cameras as they are during the passage.
         poses: E_j (3, 3), one per row.
+        absent: names of the parts that are not on this board; their height is 0.
     """
     planes = [p.plane() for p in pinholes]
     first = np.linalg.inv(poses[0])
@@ -30,7 +34,7 @@ def passage_truth(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats
         "image_matrices": [[(n @ d).tolist() for d in motions] for n in planes],
         "cad_matrix": (poses[0] @ board).tolist(),
         "row_motion": [d.tolist() for d in motions],
-        "heights": {p.ref: p.body_height_mm for p in twin.parts},
+        "heights": {p.ref: 0.0 if p.ref in absent else p.body_height_mm for p in twin.parts},
         "views": views(twin, pinholes, poses),
     }
 

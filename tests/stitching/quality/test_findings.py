@@ -78,4 +78,4 @@ def test_cameras_that_show_different_things_are_a_pair(filmed: Any) -> None:
 def test_heights_are_those_of_components_of_the_board_type(sound: Findings, filmed: Any) -> None:
     assert sound.heights
     assert set(sound.heights) <= {c.address for c in filmed.board_type.components}
-    assert all(h.links >= 3 and h.sigma_mm > 0 for h in sound.heights.values())
+    assert all(h.links >= 2 and h.sigma_mm > 0 for h in sound.heights.values())

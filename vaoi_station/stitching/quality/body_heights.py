@@ -1,0 +1,335 @@
+"""Choose which links lie on the body of a component, and estimate its height from them.
+
+A footprint holds a body, leads, pads and bare board, and each link on it may lie on any of them. The extent of the body
+inside the footprint is unknown. A hypothesis is a rectangle for the extent, and a height H. It sorts the links by their
+patches:
+
+- *inside* the extent: the link measures H; seldom a place below the top, such as an opening of a connector;
+- *outside*: the link measures the board, seldom a lead, which lies between the board and H;
+- *across* its edge: the link measures a mixture, so any value from 0 to H. All links on one edge measure similar
+  mixtures. A value on which they agree is therefore no evidence, and their likelihood is a constant.
+
+Any link may be an outlier. The heights H are those on which links agree, H = 0 (no body), and "none of these": the body
+has a height that no link measures. The evidence of each is the sum over all extents, weighted by their likelihood. A
+height is estimated only if its probability reaches `_SURE`. Otherwise the links do not decide which of them lie on the
+body, and the height is unknown. In particular, a component is without body only if links lie at the level of the board
+where every extent has the body.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.observations import Ints
+
+_REACHES = (0.4, 0.52, 0.64, 0.76, 0.88, 1.0)
+"""Possible distances of an edge of the body from the centre of the footprint, as a share of half the footprint. The
+body of an SOT-23 has 0.42, those of leaded circuits 0.64 to 0.84, a block that fills its footprint 1."""
+_REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)
+"""Relative prior probability of each of `_REACHES`."""
+_OUTLIER, _INSIDE, _WIDE, _BELOW = 0.05, 0.84, 0.03, 0.05
+"""Prior probability of an outlier. Of a link inside the extent: to measure H, to measure it with three times its error,
+and to measure a place below the top."""
+_OUTSIDE, _LEAD, _ACROSS = 0.85, 0.10, 0.5
+"""Of a link outside the extent: to measure the board, and to measure a lead. For a link across an edge, its likelihood
+relative to the largest one of a measured height; with 0.5 it is about the mean likelihood of a link that measures H."""
+_FLAT_PRIOR, _RANGE_MM, _WIDTH_MM = 0.1, 5.0, 0.05
+"""Prior probability of no body. Other heights have a constant density over `_RANGE_MM`; those within `_WIDTH_MM` of one
+another count as one."""
+_FLAT_MM = 0.06
+"""Heights below this are not distinguished from 0."""
+_AGREE = 2.5
+"""Largest difference between two heights that agree, in standard deviations."""
+_SCATTER_MM = 0.006
+"""Standard deviation of the height over one body, since bodies are not flat."""
+_MOST_HEIGHTS = 8
+"""Largest number of heights that are compared for one component, 0 included."""
+_SURE = 0.99
+"""Least probability of a height that is estimated."""
+_LEAST_LINKS = 2
+"""Least number of links on a body of which a height is estimated."""
+_ELSEWHERE_MM = 1.0
+"""Distance from the estimated height to the unknown one, by which the probability of "none of these" enters σ."""
+_SCALE = 0.002
+"""Relative standard deviation of the working distance, 1 mm at 483 mm. All heights scale with the working distance."""
+_PEAK = math.sqrt(2 * math.pi)
+
+
+def _edges() -> Floats:
+    """Return the extents of a body along one axis (k, 3): reach below the centre, reach above it, prior probability.
+
+    The body is centred in its footprint, or off the centre by one step of `_REACHES`.
+    """
+    number = range(len(_REACHES))
+    table = [
+        (_REACHES[i], _REACHES[j], math.sqrt(_REACH_PRIORS[i] * _REACH_PRIORS[j]) * (1.0 if i == j else 0.5))
+        for i in number
+        for j in number
+        if abs(i - j) <= 1
+    ]
+    return np.array(table) / (1.0, 1.0, sum(prior for *_, prior in table))
+
+
+_EDGES = _edges()
+
+
+class BodyLinks(NamedTuple):
+    """The k links by which heights of components are estimated, ordered by component, then by pair of frames."""
+
+    mm: Floats
+    """(k,) height above the board's surface."""
+    sigma_mm: Floats
+    """(k,) standard deviation of the height."""
+    shared_mm: Floats
+    """(k,) the part of the height's error that all links of the same pair of frames share."""
+    pair: Ints
+    """(k,) index of the pair of frames; −1 for all pairs of two cameras, which have the same error in every row."""
+    place_mm: Floats
+    """(k, 2) place of the patch relative to the centre of the footprint, along width and height of the footprint."""
+    reach_mm: Floats
+    """(k,) how far the patch extends from its place, along the same axes."""
+
+
+@compiled
+def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats, Floats, Ints]:
+    """Estimate the heights of the bodies of n components.
+
+    Args:
+        ends: (n,) the index after the last link of each component.
+        links: the links.
+        half_mm: (n, 2) half of width and height of the footprints.
+
+    Returns:
+        Height (n,) in mm, its standard deviation (n,), and the number of links on the body (n,). All are 0 for a
+        component whose height is unknown.
+    """
+    # Loops in place of expressions of arrays: Numba compiles the latter ten times as long.
+    mm, spread, count = np.zeros(len(ends)), np.zeros(len(ends)), np.zeros(len(ends), np.int64)
+    first = 0
+    for part in range(len(ends)):
+        begin, first = first, ends[part]
+        n = first - begin
+        if n < _LEAST_LINKS:
+            continue
+        h, pair, shared = links.mm[begin:first], links.pair[begin:first], links.shared_mm[begin:first]
+        place, reach = links.place_mm[begin:first], links.reach_mm[begin:first]
+        noise, s, side = np.empty(n), np.empty(n), np.empty((2, len(_EDGES), n), np.int64)
+        for i in range(n):
+            noise[i] = math.hypot(links.sigma_mm[begin + i], _SCATTER_MM)
+            s[i] = math.hypot(noise[i], shared[i])
+        for axis in range(2):
+            _sort_along(place, reach, half_mm, part, axis, side)
+        heights = np.zeros(_MOST_HEIGHTS)
+        m = _agreed_heights(h, s, heights)
+        probability, on_body = np.zeros(m + 1), np.zeros((m + 1, n))
+        # The first round sorts the links. The second one uses heights from which links off the body are removed.
+        for _ in range(2):
+            _compare(h, s, heights, side, probability, on_body)
+            _move(h, noise, heights, on_body)
+        _unite(heights, probability, on_body)
+        c = 0
+        for k in range(m + 1):
+            c = k if probability[k] > probability[c] else c
+        if c == m or probability[c] < _SURE:
+            continue
+        weight, total, used = np.empty(n), 0.0, 0
+        for i in range(n):
+            weight[i] = on_body[c, i] / noise[i] ** 2
+            total, used = total + weight[i], used + (on_body[c, i] > 0.5)
+        if used < _LEAST_LINKS:
+            continue
+        for i in range(n):
+            weight[i] /= total
+            mm[part] += weight[i] * h[i]
+        variance = _variance(h, mm[part], noise, weight, pair, shared, place, reach) + (_SCALE * mm[part]) ** 2
+        for k in range(m):
+            variance += probability[k] * (heights[k] - mm[part]) ** 2 if k != c else 0.0
+        spread[part], count[part] = math.sqrt(variance + probability[m] * _ELSEWHERE_MM**2), used
+    return mm, spread, count
+
+
+@inlined
+def _sort_along(place: Floats, reach: Floats, half_mm: Floats, part: int, axis: int, side: Ints) -> None:
+    """Sort n patches by k extents along one axis, to `side` (2, k, n): 0 outside, 1 across an edge, 2 inside."""
+    for e in range(len(_EDGES)):
+        low, high = -_EDGES[e, 0] * half_mm[part, axis], _EDGES[e, 1] * half_mm[part, axis]
+        for i in range(len(place)):
+            a, b = place[i, axis] - reach[i], place[i, axis] + reach[i]
+            side[axis, e, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
+
+
+@inlined
+def _agreed_heights(h: Floats, s: Floats, heights: Floats) -> int:
+    """Write the heights on which links agree to `heights`, those with most links first; return their number.
+
+    The first height is 0. Links near 0 and below belong to it.
+    """
+    free, m = np.ones(len(h), np.bool_), 1
+    for i in range(len(h)):
+        free[i] = h[i] > max(_AGREE * s[i], _FLAT_MM)
+    while m < len(heights):
+        best, at = 0, -1
+        for i in range(len(h)):
+            agree = 0
+            for j in range(len(h)):
+                agree += free[i] and free[j] and abs(h[j] - h[i]) <= _AGREE * math.hypot(s[i], s[j])
+            if agree > best:
+                best, at = agree, i
+        if at < 0:
+            break
+        middle, weight, total = h[at], 0.0, 0.0
+        for j in range(len(h)):
+            if free[j] and abs(h[j] - middle) <= _AGREE * math.hypot(s[at], s[j]):
+                weight, total, free[j] = weight + 1 / s[j] ** 2, total + h[j] / s[j] ** 2, False
+        heights[m] = total / weight
+        m += 1
+    return m
+
+
+@inlined
+def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Floats, on_body: Floats) -> None:
+    """Compute the probability of each height, and that each link lies on the body if this height is true.
+
+    Args:
+        h: (n,) heights by the links.
+        s: (n,) their standard deviations.
+        heights: the m compared heights, in its first entries.
+        side: (2, k, n) how the links lie to each of k extents along each axis, as `_sort_along` writes it.
+        probability: (m + 1,) written; the last entry is that of "none of these".
+        on_body: (m + 1, n) written; 0 for "none of these".
+    """
+    m, n, k = len(on_body) - 1, len(h), len(_EDGES)
+    log, fit, evidence, best = np.zeros((3, n)), np.zeros(n), np.zeros((k, k)), -np.inf
+    scale = np.zeros(m + 1)
+    for c in range(m + 1):
+        none = c == m
+        _link_likelihoods(h, s, _RANGE_MM if none else heights[c], none, log, fit)
+        prior = _FLAT_PRIOR if c == 0 else 1 - _FLAT_PRIOR if none else _PEAK * _WIDTH_MM / _RANGE_MM
+        highest = -np.inf
+        for a in range(k):
+            for b in range(k):
+                total = math.log(prior * _EDGES[a, 2] * _EDGES[b, 2])
+                for i in range(n):
+                    # a patch is outside if it is outside along one axis, and inside if it is inside along both
+                    total += log[min(side[0, a, i], side[1, b, i]), i]
+                evidence[a, b] = total
+                highest = max(highest, total)
+        probability[c], scale[c], best = 0.0, highest, max(best, highest)
+        for i in range(n):
+            on_body[c, i] = 0.0
+        for a in range(k):
+            for b in range(k):
+                share = math.exp(evidence[a, b] - highest)
+                probability[c] += share
+                for i in range(n):
+                    if side[0, a, i] == 2 and side[1, b, i] == 2:
+                        on_body[c, i] += share * fit[i]
+        for i in range(n):
+            on_body[c, i] /= probability[c]
+    total = 0.0
+    for c in range(m + 1):
+        probability[c] *= math.exp(scale[c] - best)
+        total += probability[c]
+    for c in range(m + 1):
+        probability[c] /= total
+
+
+@inlined
+def _link_likelihoods(h: Floats, s: Floats, top: float, none: bool, log: Floats, fit: Floats) -> None:
+    """Compute the likelihood of each link if the body has height `top`, relative to the largest of a measured height.
+
+    Args:
+        h: (n,) heights by the links.
+        s: (n,) their standard deviations.
+        top: height of the body; the largest possible one if no link measures it.
+        none: whether no link measures the height of the body.
+        log: (3, n) written: logarithm of the likelihood of a link outside, across an edge, and inside.
+        fit: (n,) written: probability that a link inside measures the height of the body.
+    """
+    for i in range(len(h)):
+        below, above = -h[i] / s[i], (h[i] - top) / s[i]
+        outlier, between = _OUTLIER * _PEAK * s[i] / _RANGE_MM, 0.0
+        if below < 2 and above < 2:
+            between = _PEAK * s[i] / max(top, 3 * s[i])
+        match = 0.0
+        if not none:
+            match = _INSIDE * math.exp(-above * above / 2) + _WIDE * math.exp(-above * above / 18)
+        inside = match + (0.0 if none else _BELOW * between) + outlier
+        beyond = max(0.0, below, above)
+        log[0, i] = math.log(_OUTSIDE * math.exp(-below * below / 2) + _LEAD * between + outlier)
+        log[1, i] = math.log(_ACROSS * math.exp(-beyond * beyond / 2) + outlier)
+        log[2, i], fit[i] = math.log(inside), match / inside
+
+
+@inlined
+def _move(h: Floats, noise: Floats, heights: Floats, on_body: Floats) -> None:
+    """Replace each height but 0 by the weighted mean of the links that lie on the body if this height is true."""
+    for c in range(1, len(on_body) - 1):
+        weight, total = 1e-9, heights[c] * 1e-9
+        for i in range(len(h)):
+            weight += on_body[c, i] / noise[i] ** 2
+            total += on_body[c, i] * h[i] / noise[i] ** 2
+        heights[c] = total / weight
+
+
+@inlined
+def _unite(heights: Floats, probability: Floats, on_body: Floats) -> None:
+    """Unite heights that `_move` has brought within `_WIDTH_MM` of one another: their probabilities add up."""
+    for c in range(len(on_body) - 1):
+        for k in range(len(on_body) - 1):
+            if k != c and 0 < probability[k] <= probability[c] and abs(heights[k] - heights[c]) < _WIDTH_MM:
+                both = probability[c] + probability[k]
+                for i in range(on_body.shape[1]):
+                    on_body[c, i] = (probability[c] * on_body[c, i] + probability[k] * on_body[k, i]) / both
+                probability[c], probability[k] = both, 0.0
+
+
+@inlined
+def _variance(
+    h: Floats,
+    mean: float,
+    noise: Floats,
+    weight: Floats,
+    pair: Ints,
+    shared: Floats,
+    place: Floats,
+    reach: Floats,
+) -> float:
+    """Return the variance of a weighted mean of n links.
+
+    Links of a pair of frames share a part of the error, and those with overlapping patches share their noise.
+
+    Args:
+        h: (n,) heights by the links.
+        mean: their weighted mean.
+        noise: (n,) standard deviations without the shared part.
+        weight: (n,) weights; their sum is 1.
+        pair: (n,) index of the pair of frames; links of one pair are adjacent.
+        shared: (n,) standard deviation of the shared part.
+        place: (n, 2) places of the patches.
+        reach: (n,) how far the patches extend.
+    """
+    squares, expected, largest = 0.0, 0.0, 0.0
+    common, own, group, worst = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(h)):
+        squares, expected = squares + weight[i] * (h[i] - mean) ** 2, expected + weight[i] * noise[i] ** 2
+        largest = max(largest, weight[i] * noise[i] ** 2)
+        group, worst = group + weight[i], max(worst, shared[i])
+        if i + 1 == len(h) or pair[i + 1] != pair[i]:
+            common += (group * worst) ** 2
+            group = worst = 0.0
+        for j in range(len(h)):
+            if pair[i] == pair[j]:
+                # the share of the patches that overlaps is the correlation of their noise
+                x, y = abs(place[i, 0] - place[j, 0]), abs(place[i, 1] - place[j, 1])
+                overlap = max(0.0, 1 - x / (2 * reach[i])) * max(0.0, 1 - y / (2 * reach[i]))
+                own += overlap * weight[i] * noise[i] * weight[j] * noise[j]
+    # Where the links scatter more than their noise explains, the mean is less accurate as well. One of the links is
+    # taken up by the mean.
+    freedom = max(expected - largest, largest)
+    return common + own * max(1.0, squares / max(freedom, 1e-12))
