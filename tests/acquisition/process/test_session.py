@@ -185,6 +185,27 @@ def test_a_controller_that_refuses_leaves_the_station_disarmed_and_memory_return
     assert bench.of(Armed)
 
 
+def test_a_changed_plan_that_fails_leaves_the_station_not_armed_with_the_reason(bench: SessionBench) -> None:
+    """The controller was disarmed for the change, so the plan before is not in force either."""
+    bench.session.grant(Grant("a", 0))
+    bench.session.arm(bench.plan)
+    bench.controller.refuses = True
+    with pytest.raises(DeviceError, match="is not armed: its plan could not be changed: the port is gone") as failed:
+        bench.session.arm(replace(bench.plan, max_rows=2))
+    assert failed.value.action == "Plug it in."
+    bench.controller.refuses = False
+    bench.session.arm(bench.plan)
+    assert bench.controller.plans == [bench.plan, None, bench.plan], "the controller receives the first plan again"
+
+
+def test_a_plan_that_is_refused_beforehand_leaves_the_present_one_in_force(bench: SessionBench) -> None:
+    bench.session.arm(bench.plan)
+    with pytest.raises(InputError, match="max_rows"):
+        bench.session.arm(replace(bench.plan, max_rows=1000))
+    bench.session.arm(bench.plan)
+    assert bench.controller.plans == [bench.plan]
+
+
 def test_a_controller_that_stops_reporting_is_a_fault_and_the_run_is_finished(bench: SessionBench) -> None:
     bench.session.grant(Grant("a", 0))
     bench.session.arm(bench.plan)

@@ -38,7 +38,7 @@ from vaoi_station.acquisition.process.slot_queue import SlotQueue
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
 from vaoi_station.config import CameraConfig, StationConfig
-from vaoi_station.errors import DeviceError, InputError, StateError
+from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
 from vaoi_station.model import Verdict
 from vaoi_station.optics.pulse_timing import spare_time_us
 
@@ -125,6 +125,9 @@ class Session:
     def arm(self, plan: TriggerPlan) -> None:
         """Queue slots in the cameras, then let the controller watch the barrier.
 
+        A plan that is refused before the controller is changed leaves the present plan in force. If the change of the
+        controller fails, no plan is in force: the station counts as not armed.
+
         Raises:
             InputError: the plan does not fit the ring or the cameras.
             ClockError: a clock is not known well enough yet.
@@ -139,15 +142,20 @@ class Session:
         if plan != self._plan:
             if self._run is not None:
                 raise StateError("a board is passing; the plan cannot change now.", action="Arm again in a moment.")
-            if self._plan is not None:
-                self._devices.controller.disarm()
-            # Slots are queued only with a plan set, and before the controller may fire.
-            before, self._plan = self._plan, plan
+            before, self._plan = self._plan, None
             try:
+                if before is not None:
+                    self._devices.controller.disarm()
+                # Slots are queued only with a plan set, and before the controller may fire.
+                self._plan = plan
                 self._load_next()
                 self._devices.controller.arm(plan)
-            except BaseException:  # any failure leaves the plan as it was; raised again
-                self._plan = before
+            except BaseException as error:  # any failure leaves the station not armed; raised again
+                # The controller has given up the plan before. If that plan stayed here, it would count as armed.
+                self._plan = None
+                if isinstance(error, VaoiError) and before is not None:
+                    message = f"the station is not armed: its plan could not be changed: {error.message}"
+                    raise type(error)(message, action=error.action, code=error.code) from error
                 raise
         self._send(Armed())
 
