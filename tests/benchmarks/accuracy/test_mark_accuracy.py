@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -17,6 +18,7 @@ from vaoi_station.benchmarks.accuracy.mark_accuracy import (
     measure_s_curve,
 )
 from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard
+from vaoi_station.geometry.robust import Failure
 from vaoi_station.marks.mark_shape import Shape
 
 SHAPES: list[Shape] = ["circle", "cross", "square", "diamond"]
@@ -65,6 +67,26 @@ def test_refused_marks_are_counted_in_the_table() -> None:
     rows = [replace(r, found=1, paper_rms_px=None) for r in measure_mark_kind("circle", True, 16.0, 2)]
     *_, line = MarkFigures(tuple(rows), (), "demo", 0.25).lines()
     assert line.count("(–), 1 refused") == len(rows)
+
+
+@pytest.mark.parametrize("positions", [0, 1])
+def test_table_and_document_exist_without_marks(positions: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No mark was rendered; or one, and no method found it."""
+
+    def refuse(*_: Any, **__: Any) -> Failure:
+        return Failure("no mark")
+
+    monkeypatch.setattr("vaoi_station.benchmarks.accuracy.mark_accuracy.locate_mark", refuse)
+    monkeypatch.setattr("vaoi_station.benchmarks.accuracy.mark_accuracy.locate_by_centre_of_gravity", refuse)
+    rows = tuple(measure_mark_kind("circle", True, 16.0, positions))
+    figures = MarkFigures(rows, (measure_s_curve("circle", 1),), "demo", 0.25)
+    assert {(r.found, r.of) for r in rows} == {(0, positions)}
+    *_, line = figures.lines()
+    assert "– / – (–)" in line
+    assert "nan" not in line
+    document = figures.document()
+    assert (document["rows"][0]["rms_px"], document["rows"][0]["bias_px"]) == (None, [None, None])
+    json.dumps(document, allow_nan=False)
 
 
 def test_whole_benchmark_restores_the_number_of_threads(small_board: BenchmarkBoard) -> None:

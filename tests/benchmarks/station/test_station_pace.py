@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,6 +19,7 @@ from vaoi_station.benchmarks.station.station_pace import (
     measure_station_pace,
     rate_figures,
 )
+from vaoi_station.benchmarks.station.tables import process_table, station_table
 from vaoi_station.runs.states.schemas import RunDetail, TaskTiming, Timeline, Timings, VerdictCounts
 from vaoi_station.simulation import Scenario
 
@@ -107,6 +109,35 @@ def test_station_keeps_up_without_losses_and_with_at_most_one_row_of_open_links(
 ) -> None:
     usage = USAGE._replace(boards_missed=missed)
     assert rate_figures(small_run.head, 1.0, (BOARD, board), usage).kept_up is kept_up
+
+
+@pytest.mark.parametrize("boards", [(), (replace(BOARD, frames=0, lost=12),)])
+def test_figures_without_boards_or_frames_are_absent_and_do_not_count_as_kept_up(
+    small_run: PrerenderedRun, boards: tuple[BoardFigures, ...]
+) -> None:
+    usage = USAGE._replace(memory_mb=dict.fromkeys(USAGE.cpu_s, 80.0))
+    figures = rate_figures(small_run.head, 1.0, boards, usage)
+    assert not figures.kept_up
+    assert math.isnan(figures.cores)
+    document = figures.document()
+    assert document["cpu_ms_per_frame"]["worker 0"] is None
+    json.dumps(document, allow_nan=False)
+    assert "nan" not in station_table([figures]) + process_table([figures])
+
+
+def test_figures_of_one_board_without_a_result_fit_into_json(small_run: PrerenderedRun) -> None:
+    slow = replace(BOARD, ready_after_last_frame_ms=math.inf, conclude_ms=math.inf)
+    figures = rate_figures(small_run.head, 1.0, (slow,), USAGE)
+    assert figures.ready_after_last_frame_ms == {"median": math.inf, "p99": math.inf, "max": math.inf}
+    assert figures.document()["ready_after_last_frame_ms"]["p99"] is None
+
+
+def test_board_of_one_row_has_no_lag_of_its_second_half() -> None:
+    timeline = Timeline(frames_settled_s=(), tasks=(task(0, None, 0.1, 0.12),), last_frame_s=0.1, ready_s=0.2)
+    counts = VerdictCounts.model_construct(ok=1, missing=0, incomplete=0)
+    figures = board_figures(run_detail(1, timings(5.0), counts), timeline)
+    assert figures.lag_first_half_ms == pytest.approx(20.0)
+    assert math.isnan(figures.lag_second_half_ms)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,7 @@ from vaoi_station.benchmarks.accuracy.synthetic_marks import (
     render_mark,
 )
 from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard, board_from_twin
+from vaoi_station.benchmarks.figure_formats import json_document, number
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, locate_mark
@@ -40,6 +42,8 @@ _S_CURVE_PX = 16.0
 @dataclass(frozen=True)
 class MarkErrors:
     """Errors of one kind of mark (shape, light or dark, size) under one imaging condition; rms and bias are per axis.
+
+    A figure is NaN if no mark was rendered or found from which it could be computed.
 
     Attributes:
         shape: shape of the mark.
@@ -98,7 +102,7 @@ class MarkFigures:
 
     def document(self) -> dict[str, Any]:
         """Return the figures as a dictionary for JSON."""
-        document = asdict(self)
+        document: dict[str, Any] = json_document(asdict(self))
         # "said_px" is the key of the JSON file, which programs outside may read.
         document["rows"] = [_renamed(row, "claimed_px", "said_px") for row in document["rows"]]
         return document
@@ -120,7 +124,7 @@ class MarkFigures:
             cells = " | ".join(_cell(rows[c]) for c in CONDITIONS)
             ms = statistics.median(r.ms for r in rows.values())
             kind = f"{'light' if light else 'dark'} {_NAMES.get(shape, shape)}"
-            yield f"| {kind} | {size:g} | {cells} | {rows['noise'].bound_px:.4f} | {ms:.2f} |"
+            yield f"| {kind} | {size:g} | {cells} | {number(rows['noise'].bound_px, 4)} | {number(ms, 2)} |"
 
 
 def measure_marks(
@@ -178,6 +182,7 @@ def _errors(
         if not isinstance(other, Failure):
             theirs.append(other - truth)
     e = np.array(errors).reshape(-1, 2)
+    bias = (round(float(e[:, 0].mean()), 5), round(float(e[:, 1].mean()), 5)) if errors else (math.nan, math.nan)
     return MarkErrors(
         shape,
         light,
@@ -186,12 +191,12 @@ def _errors(
         len(errors),
         len(rendered),
         _rms(e),
-        (round(float(e[:, 0].mean()), 5), round(float(e[:, 1].mean()), 5)),
-        round(float(np.hypot(*e.T).max()), 5),
+        bias,
+        round(float(np.hypot(*e.T).max()), 5) if errors else math.nan,
         _rms(np.array(claims)),
-        round(statistics.median(bounds), 5),
+        _median(bounds, 5),
         _rms(np.array(theirs)) if theirs else None,
-        round(statistics.median(times), 3),
+        _median(times, 3),
     )
 
 
@@ -222,7 +227,7 @@ def _whole_frame_ms(board: BenchmarkBoard) -> float:
         start = time.process_time()
         detect_marks(Task("marks", key), frame, camera, board.board_type)
         times.append((time.process_time() - start) * 1e3)
-    return round(statistics.median(times), 3)
+    return _median(times, 3)
 
 
 def _renamed(row: dict[str, Any], name: str, key: str) -> dict[str, Any]:
@@ -231,10 +236,15 @@ def _renamed(row: dict[str, Any], name: str, key: str) -> dict[str, Any]:
 
 
 def _rms(values: Floats) -> float:
-    return round(float(np.sqrt(np.mean(np.square(values)))), 5)
+    """Compute the root mean square, rounded to 5 decimals; NaN without values."""
+    return round(float(np.sqrt(np.mean(np.square(values)))), 5) if values.size else math.nan
+
+
+def _median(values: Sequence[float], decimals: int) -> float:
+    """Compute the median, rounded; NaN without values."""
+    return round(statistics.median(values), decimals) if values else math.nan
 
 
 def _cell(row: MarkErrors) -> str:
     missed = "" if row.found == row.of else f", {row.of - row.found} refused"
-    paper = "–" if row.paper_rms_px is None else f"{row.paper_rms_px:.3f}"
-    return f"{row.rms_px:.4f} / {row.largest_px:.3f} ({paper}){missed}"
+    return f"{number(row.rms_px, 4)} / {number(row.largest_px, 3)} ({number(row.paper_rms_px, 3)}){missed}"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vaoi_station.acquisition.ring.ring import ring_path
+from vaoi_station.benchmarks.figure_formats import json_document
 from vaoi_station.benchmarks.station.frame_sender import run_frame_sender
 from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
 from vaoi_station.benchmarks.station.process_usage import CpuMeter, private_memory_bytes
@@ -53,7 +55,10 @@ class BoardFigures:
 
 @dataclass(frozen=True)
 class RateFigures:
-    """Figures of all boards at one rate. Times are wall time unless the name contains `cpu`."""
+    """Figures of all boards at one rate. Times are wall time unless the name contains `cpu`.
+
+    A figure without any board, frame or task to compute it from is NaN, and None in the document.
+    """
 
     rate: float
     """Factor on the trigger rate of the prerendered run."""
@@ -88,7 +93,8 @@ class RateFigures:
 
     def document(self) -> dict[str, Any]:
         """Return the figures for JSON."""
-        return asdict(self)
+        document: dict[str, Any] = json_document(asdict(self))
+        return document
 
 
 class StationUsage(NamedTuple):
@@ -227,8 +233,8 @@ def board_figures(run: RunDetail, timeline: Timeline) -> BoardFigures:
         ready_after_last_frame_ms=_ms(timings.ready_after_last_frame_ms),
         conclude_ms=_ms(timings.conclude_ms),
         links_open_at_last_frame=sum(t.done_s > timeline.last_frame_s for t in earlier),
-        lag_first_half_ms=_ms(np.median(lag[~late])),
-        lag_second_half_ms=_ms(np.median(lag[late])),
+        lag_first_half_ms=_median(lag[~late]),
+        lag_second_half_ms=_median(lag[late]),
     )
 
 
@@ -252,25 +258,38 @@ def rate_figures(head: RecordingHead, rate: float, each: tuple[BoardFigures, ...
         frames_lost=lost,
         kept_up=not usage.boards_missed
         and not lost
+        # Without a frame, nothing shows that the station keeps up.
+        and frames > 0
         and max(b.links_open_at_last_frame for b in each) <= links_of_a_row,
         ready_after_last_frame_ms={
-            "median": _ms(statistics.median(ready)),
-            # A measured value, not one interpolated between two boards.
-            "p99": _ms(np.percentile(ready, 99, method="higher")),
-            "max": max(ready),
+            "median": _median(ready),
+            # A measured value, not one interpolated between two boards: the nearest rank that 99 % do not exceed.
+            "p99": sorted(ready)[math.ceil(0.99 * (len(ready) - 1))] if ready else math.nan,
+            "max": max(ready, default=math.nan),
         },
-        conclude_ms=_ms(statistics.median(b.conclude_ms for b in each)),
-        lag_first_half_ms=_ms(statistics.median(b.lag_first_half_ms for b in each)),
-        lag_second_half_ms=_ms(statistics.median(b.lag_second_half_ms for b in each)),
-        links_open_at_last_frame=statistics.median(b.links_open_at_last_frame for b in each),
-        cpu_ms_per_frame={name: round(s * 1e3 / frames, 3) for name, s in usage.cpu_s.items()},
-        cores=round(station_cpu_s / passing_s, 3),
-        sender_cores=round(usage.cpu_s["sender"] / passing_s, 3),
+        conclude_ms=_median([b.conclude_ms for b in each]),
+        lag_first_half_ms=_median([b.lag_first_half_ms for b in each]),
+        lag_second_half_ms=_median([b.lag_second_half_ms for b in each]),
+        links_open_at_last_frame=_median([b.links_open_at_last_frame for b in each]),
+        cpu_ms_per_frame={name: _quotient(s * 1e3, frames) for name, s in usage.cpu_s.items()},
+        cores=_quotient(station_cpu_s, passing_s),
+        sender_cores=_quotient(usage.cpu_s.get("sender", 0.0), passing_s),
         memory_mb=usage.memory_mb,
         statuses={status: sum(b.status == status for b in each) for status in sorted({b.status for b in each})},
         load_before=round(usage.load_before, 2),
         each=each,
     )
+
+
+def _median(values: Iterable[float]) -> float:
+    """Compute the median of the values that exist, rounded to 2 decimals; NaN if there is none."""
+    # A board of one row has no lag of its second half. Infinity, a run without a result, takes part.
+    known = [float(v) for v in values if not math.isnan(v)]
+    return round(statistics.median(known), 2) if known else math.nan
+
+
+def _quotient(part: float, whole: float) -> float:
+    return round(part / whole, 3) if whole else math.nan
 
 
 def _ms(value: Any) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from vaoi_station.benchmarks.figure_formats import number
 from vaoi_station.benchmarks.station.scaling import ScalingFigures
 from vaoi_station.benchmarks.station.station_pace import RateFigures
 
@@ -19,10 +20,14 @@ def station_table(figures: Sequence[RateFigures]) -> str:
 
 def process_table(figures: Sequence[RateFigures]) -> str:
     """Return a table of CPU time per frame and private memory, one row per process and one column per rate."""
-    names = list(figures[0].cpu_ms_per_frame)
+    names = list(figures[0].cpu_ms_per_frame) if figures else []
     head = ("process", *(f"{f.rate:g}×: CPU ms/frame, MB" for f in figures))
     return _table(
-        head, [(name, *(f"{f.cpu_ms_per_frame[name]:.2f}, {f.memory_mb[name]:.0f}" for f in figures)) for name in names]
+        head,
+        [
+            (name, *(f"{number(f.cpu_ms_per_frame[name], 2)}, {f.memory_mb[name]:.0f}" for f in figures))
+            for name in names
+        ],
     )
 
 
@@ -44,9 +49,10 @@ def _station_row(f: RateFigures) -> tuple[object, ...]:
     ready = f.ready_after_last_frame_ms
     return (
         f"{f.rate:g}×", f"{f.frames_per_s:.2f}", f"{f.mbit_per_s:.0f}", f.boards, f.boards_missed, f.frames_lost,
-        "yes" if f.kept_up else "no", f"{ready['median']:.0f}, {ready['p99']:.0f}", f"{f.conclude_ms:.0f}",
-        f"{f.lag_first_half_ms:.0f} → {f.lag_second_half_ms:.0f}", f"{f.links_open_at_last_frame:.0f}",
-        f"{f.cores:.2f}", f"{f.sender_cores:.2f}", f"{f.load_before:.1f}",
+        "yes" if f.kept_up else "no", f"{number(ready['median'], 0)}, {number(ready['p99'], 0)}",
+        number(f.conclude_ms, 0),
+        f"{number(f.lag_first_half_ms, 0)} → {number(f.lag_second_half_ms, 0)}",
+        number(f.links_open_at_last_frame, 0), number(f.cores, 2), number(f.sender_cores, 2), f"{f.load_before:.1f}",
     )  # fmt: skip
 
 
