@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.errors import InputError, NotFoundError
-from vaoi_station.files.images import encode, encode_jpeg, encode_png, read_image, write_image
+from vaoi_station.files.images import decode, encode, encode_jpeg, encode_png, read_image, write_image
 
 g = np.random.default_rng(1)
 
@@ -38,21 +38,43 @@ def test_absent_frame_is_named(tmp_path: Path) -> None:
         read_image(tmp_path / "c00_r000.png")
 
 
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
 @pytest.mark.parametrize("part", [0.0, 0.01, 0.5, 0.99])
-def test_incomplete_frame_is_refused(tmp_path: Path, part: float) -> None:
-    content = encode_png(g.integers(0, 256, (64, 64), dtype=np.uint8))
-    path = tmp_path / "cut.png"
+def test_incomplete_frame_is_refused_by_one_message(
+    tmp_path: Path, part: float, suffix: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The image libraries write nothing to stderr themselves."""
+    content = encode(suffix, g.integers(0, 256, (64, 64), dtype=np.uint8), [])
+    path = tmp_path / f"cut{suffix}"
     path.write_bytes(content[: int(part * len(content))])
-    with pytest.raises(InputError, match=r"cut\.png: is not a picture"):
+    with pytest.raises(InputError, match=rf"cut{suffix}: is not a picture"):
         read_image(path)
+    assert capfd.readouterr().err == ""
 
 
-def test_flipped_byte_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "content", [b"", b"no picture", b"\x89PNG\r\n\x1a\n", b"\x89PNG\r\n\x1a\n" + bytes(40), b"II*\0"]
+)
+def test_bytes_that_are_not_a_picture_give_none_without_a_word(
+    content: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert decode(content) is None
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("quality", [-1, 0, 101])
+def test_quality_of_jpeg_has_limits(quality: int) -> None:
+    with pytest.raises(InputError, match=r"quality is .* from 1 to 100"):
+        encode_jpeg(np.zeros((8, 8), np.uint8), quality)
+
+
+def test_flipped_byte_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     content = bytearray(encode_png(g.integers(0, 256, (64, 64), dtype=np.uint8)))
     content[len(content) // 2] ^= 0xFF
     (tmp_path / "bad.png").write_bytes(content)
     with pytest.raises(InputError, match=r"bad\.png"):
         read_image(tmp_path / "bad.png")
+    assert capfd.readouterr().err == ""
 
 
 def test_transparency_and_floats_are_refused(tmp_path: Path) -> None:

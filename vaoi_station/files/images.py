@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,10 @@ from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files.documents import write_bytes
 
 Image = NDArray[Any]
+_PNG = b"\x89PNG\r\n\x1a\n"
+# For a damaged file OpenCV writes a warning to stderr, in addition to the refusal by this module. The level applies to
+# the process; it is set once, because threads that set and restored it would disturb one another.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 SUFFIXES = (".png", ".tiff", ".tif")
 
 
@@ -25,7 +30,7 @@ def read_image(path: Path) -> Image:
         raise NotFoundError(f"{path}: there is no such frame.") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    image = decode(content)
     if image is None:
         raise InputError(f"{path}: is not a picture that OpenCV can read; it may be incomplete.")
     if image.dtype not in (np.uint8, np.uint16):
@@ -35,6 +40,35 @@ def read_image(path: Path) -> Image:
             path, "number of channels", image.shape[2], "1 (grey) or 3 (colour), without transparency"
         )
     return np.asarray(image)
+
+
+def decode(content: bytes | NDArray[np.uint8]) -> Image | None:
+    """Decode an image file in memory; None if OpenCV cannot decode it. OpenCV itself writes nothing to stderr."""
+    data = np.frombuffer(content, np.uint8) if isinstance(content, bytes) else content
+    # libpng writes to stderr directly for damaged data, so that a PNG is checked before libpng receives it.
+    if not data.size or _is_damaged_png(data.data):
+        return None
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # a header that declares an impossible size
+        image = None
+    return None if image is None else np.asarray(image)
+
+
+def _is_damaged_png(content: memoryview) -> bool:
+    """Return whether a PNG is incomplete, or a chunk differs from its check sum; False for other formats."""
+    if content[: len(_PNG)] != _PNG:
+        return False
+    at = len(_PNG)
+    while at + 12 <= len(content):
+        length, kind = int.from_bytes(content[at : at + 4]), bytes(content[at + 4 : at + 8])
+        end = at + 8 + length
+        if zlib.crc32(content[at + 4 : end]) != int.from_bytes(content[end : end + 4]):
+            return True
+        if kind == b"IEND":
+            return False
+        at = end + 4
+    return True
 
 
 def encode_png(image: Image, level: int = 1) -> bytes:
@@ -48,7 +82,13 @@ def encode_tiff(image: Image) -> bytes:
 
 
 def encode_jpeg(image: Image, quality: int = 90) -> bytes:
-    """Encode an image as JPEG; 16-bit images are reduced to their upper byte."""
+    """Encode an image as JPEG; 16-bit images are reduced to their upper byte.
+
+    Raises:
+        InputError: `quality` is not 1 to 100. OpenCV would use the nearest one without a word.
+    """
+    if not 1 <= quality <= 100:
+        raise InputError.field("JPEG", "quality", quality, "a whole number from 1 to 100")
     eight = image if image.dtype == np.uint8 else np.asarray(image >> 8, dtype=np.uint8)
     return encode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
