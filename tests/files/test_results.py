@@ -58,7 +58,7 @@ def test_optional_keys_round_trip(tmp_path: Path, write: Write, document: dict[s
 
 @pytest.mark.parametrize("name", ["U1", "NaN", "-Infinity", "Gehäuse ½"])
 def test_text_and_document_of_a_result_agree(write: Write, document: dict[str, Any], name: str) -> None:
-    document |= {"components": {name: [[0, 0, 1e-5, 2.5e21]]}, "x_run": 7}
+    document |= {"components": {name: [[0, 0, 1e-5, 2.5e-21]]}, "x_run": 7}
     stitch = read_stitch(write(document))
     assert json.loads(stitch_text(stitch)) == stitch_document(stitch) == document
     bare = read_stitch(write({k: v for k, v in document.items() if k != "components"}))

@@ -58,6 +58,11 @@ def test_positive_excludes_zero_and_whole_excludes_fractions() -> None:
         ([[1, 0], [0, 1]], r"has shape \(2, 2\), must be 3×3"),
         ([[1, 0, 0], [0, 1], [0, 0, 1]], "rows of different lengths"),
         ([["1", "0", "0"]] * 3, "not a matrix of numbers"),
+        ([[True, 0, 0], [0, 1.0, 0], [0, 0, 1]], "not a matrix of numbers"),
+        ([[1.5, 0, 0], [0, 1.0, 0], [0, 0, True]], "not a matrix of numbers"),
+        ([[1e308, 0, 0], [0, 1.0, 0], [0, 0, 1]], r"largest entry of 1e\+308 \(absolute\), must be between"),
+        ([[1e-300, 0, 0], [0, 1e-300, 0], [0, 0, 1e-300]], "largest entry of 1e-300"),
+        ([[1.0, 0, 0], [0, 10**400, 0], [0, 0, 1]], "limit of ±1e|matrix of numbers"),
         ([[True, False, False]] * 3, "not a matrix of numbers"),
         ([[1, 0, 0], [0, float("nan"), 0], [0, 0, 1]], "NaN or infinite"),
         ([[1, 2, 3], [2, 4, 6], [0, 0, 1]], "is singular"),
@@ -84,3 +89,10 @@ def test_a_matrix_is_read_only_and_serialises_to_nested_lists() -> None:
     with pytest.raises(ValueError, match="read-only"):
         sample.matrix[0, 0] = 5
     assert json.loads(sample.model_dump_json())["matrix"] == [[2.0, 0, 0], [0, 3.0, 0], [0, 0, 1.0]]
+
+
+@pytest.mark.parametrize("field", ["any_number", "length", "count"])
+def test_absurd_numbers_are_refused_with_the_limit(field: str) -> None:
+    for bad in (1e308, 10**30) if field != "count" else (10**30,):
+        with pytest.raises(ValidationError, match="less than"):
+            Sample.model_validate({field: bad})

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from vaoi_station.files.documents import parse, read_json, write_json
 from vaoi_station.model import MM_PER_UNIT, FrozenModel, Place, Positive
+from vaoi_station.model.frozen_model import MOST_MM
+
+_MOST_MARK_MM = 100.0
 
 
 class LayoutMark(FrozenModel):
@@ -27,6 +30,22 @@ class Layout(FrozenModel):
     unit: Literal["mm", "inch", "mil"] = "mm"
     mark: LayoutMark
     marks: Annotated[tuple[Place, ...], Field(min_length=4)]
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        mm = self.mm_per_unit
+        if not self.mark.width * mm <= self.mark.size * mm <= _MOST_MARK_MM:
+            raise ValueError(
+                f"mark has size {self.mark.size:g} and width {self.mark.width:g} {self.unit}; "
+                f"width must be at most size, and size at most {_MOST_MARK_MM:g} mm"
+            )
+        for n, place in enumerate(self.marks):
+            if not max(abs(place.x), abs(place.y)) * mm <= MOST_MM:
+                raise ValueError(
+                    f"marks.{n} is at ({place.x:g}, {place.y:g}) {self.unit}, "
+                    f"must be within ±{MOST_MM:g} mm of the origin"
+                )
+        return self
 
     @property
     def mm_per_unit(self) -> float:

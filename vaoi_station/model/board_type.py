@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
-from vaoi_station.model.frozen_model import Finite, FrozenModel, Point, Positive
+from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Point, Positive
 
 _MAX_ENTRIES = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
 """Maximum number of entries per key of a board type."""
+_MOST_HEIGHT_MM = 1000.0
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
 
@@ -35,7 +37,7 @@ class Component(FrozenModel):
     center: Point
     width: Positive
     height: Positive
-    rotation: Finite = 0.0
+    rotation: Annotated[Finite, Field(ge=-36_000, le=36_000)] = 0.0
     body_height: Annotated[Finite, Field(ge=0)] | None = None
     panel: str | int | None = None
 
@@ -144,15 +146,34 @@ def _check_sizes(board: BoardType) -> None:
         if len(getattr(board, key) or ()) > most:
             raise ValueError(f"{key} has {len(getattr(board, key))} entries, the limit is {most}")
     mm = board.mm_per_unit
+    for key, x, y in _coordinates(board):
+        if not max(abs(x), abs(y)) * mm <= MOST_MM:
+            raise ValueError(f"{key} is at ({x:g}, {y:g}) {board.unit}, must be within ±{MOST_MM:g} mm of the origin")
     for c in board.components:
         if not 0.01 <= min(c.width, c.height) * mm <= max(c.width, c.height) * mm <= 2000:
             raise ValueError(f"component {c.address!r} is {c.width}×{c.height} {board.unit}, must be 0.01 to 2000 mm")
+        if c.body_height is not None and not c.body_height * mm <= _MOST_HEIGHT_MM:
+            limit = f"must be at most {_MOST_HEIGHT_MM:g} mm"
+            raise ValueError(f"component {c.address!r} has body_height {c.body_height:g} {board.unit}, {limit}")
+    shape = board.fixture_mark
+    if shape is not None and not 0.05 <= shape.size * mm <= 50:
+        raise ValueError(f"fixture_mark has size {shape.size:g} {board.unit}, must be 0.05 to 50 mm")
+    if shape is not None and shape.width is not None and not shape.width <= shape.size:
+        raise ValueError(f"fixture_mark has width {shape.width:g}, must be at most its size, {shape.size:g}")
     for n, f in enumerate(board.fiducials):
         if not 0.05 <= f.diameter * mm <= 50:
             raise ValueError(f"fiducial {f.name!r} has diameter {f.diameter} {board.unit}, must be 0.05 to 50 mm")
         # Two fiducials at one place make their assignment to detections ambiguous.
         if any(math.dist((f.x, f.y), (g.x, g.y)) * mm < 0.1 for g in board.fiducials[:n]):
             raise ValueError(f"fiducial {f.name!r} is at the place of another fiducial; they must be 0.1 mm apart")
+
+
+def _coordinates(board: BoardType) -> Iterator[tuple[str, float, float]]:
+    """Yield all coordinates of a board type, in its unit, with the names of their keys."""
+    yield from ((f"outline.{n}", x, y) for n, (x, y) in enumerate(board.outline or ()))
+    yield from ((f"fiducial {f.name!r}", f.x, f.y) for f in board.fiducials)
+    yield from ((f"component {c.address!r}", *c.center) for c in board.components)
+    yield from ((f"fixture_marks.{n}", m.x, m.y) for n, m in enumerate(board.fixture_marks))
 
 
 def _check_unique(names: list[str], what: str) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.model.frozen_model import Finite, FrozenModel, Matrix, Point, Positive
+from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Matrix, Pixels, PointPx, Positive
 from vaoi_station.model.recording import CameraHead
 
 _FIELDS = 9
@@ -55,9 +55,9 @@ Covariance = Annotated[NDArray[np.float64], BeforeValidator(_parse_covariance), 
 class Distortion(FrozenModel):
     """Radial distortion of one lens: centre and radius in px, and coefficients; see `geometry.Lens`."""
 
-    center: Point
-    radius: Positive
-    radial: tuple[Finite, ...]
+    center: PointPx
+    radius: Annotated[Positive, Field(ge=1, le=1e6)]
+    radial: tuple[Annotated[Finite, Field(ge=-10, le=10)], ...]
 
 
 class Calibration(FrozenModel):
@@ -67,9 +67,9 @@ class Calibration(FrozenModel):
     version: Literal[1]
     unit: Literal["mm"]
     camera_matrices: Annotated[tuple[Matrix, ...], Field(min_length=1)]
-    working_distance_mm: Positive | None = None
-    residual_px: tuple[Finite, ...] | None = None
-    principal_point: tuple[Point, ...] | None = None
+    working_distance_mm: Annotated[Positive, Field(ge=1, le=MOST_MM)] | None = None
+    residual_px: tuple[Pixels, ...] | None = None
+    principal_point: tuple[PointPx, ...] | None = None
     created: str | None = None
     covariances: Any = None
     covariance: tuple[Covariance, ...] | None = None

@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
 
+MOST_MM = 10_000.0
+"""Largest coordinate or length in a document, mm. No board, line or camera array is longer."""
+MOST_ENTRY = 1e9
+"""Largest absolute entry of a matrix; the largest entry is at least the inverse. Real ones are below 10⁶."""
+
 
 class Strict(BaseModel):
     """Base class of immutable models that refuse unknown keys."""
@@ -35,18 +40,33 @@ def _parse_matrix(value: Any) -> NDArray[np.float64]:
         m = np.array(value)
     except ValueError as error:
         raise ValueError("has rows of different lengths, must be 3×3") from error
-    # NumPy would convert strings and booleans; only numbers written as numbers are accepted.
-    if m.dtype.kind not in "iuf":
+    except OverflowError as error:  # an integer that no float can hold
+        raise ValueError(f"has an entry beyond the limit of ±{MOST_ENTRY:g}") from error
+    # NumPy would convert strings and booleans; only numbers written as numbers are accepted. Among numbers, it makes a
+    # boolean 1.0, so that the entries are checked as well.
+    if m.dtype.kind not in "iuf" or (not isinstance(value, np.ndarray) and _has_boolean(value)):
         raise ValueError("is not a matrix of numbers, must be 3×3 numbers")
     m = m.astype(np.float64)
     if m.shape != (3, 3):
         raise ValueError(f"has shape {m.shape}, must be 3×3")
     if not np.isfinite(m).all():
         raise ValueError("has NaN or infinite entries, all must be finite")
+    largest = np.abs(m).max()
+    if largest > MOST_ENTRY or 0 < largest < 1 / MOST_ENTRY:
+        raise ValueError(
+            f"has a largest entry of {largest:g} (absolute), must be between {1 / MOST_ENTRY:g} and {MOST_ENTRY:g}"
+        )
     if _is_singular(m):
         raise ValueError("is singular, must be invertible")
     m.setflags(write=False)
     return m
+
+
+def _has_boolean(value: Any) -> bool:
+    """Return whether nested lists contain a boolean."""
+    if isinstance(value, list | tuple):
+        return any(map(_has_boolean, value))
+    return isinstance(value, bool | np.bool_)
 
 
 def _is_singular(m: NDArray[np.float64]) -> bool:
@@ -63,8 +83,13 @@ def _is_singular(m: NDArray[np.float64]) -> bool:
 Matrix = Annotated[NDArray[np.float64], BeforeValidator(_parse_matrix), PlainSerializer(lambda m: m.tolist())]
 """A finite, invertible 3×3 matrix. Files contain it as nested lists, row by row."""
 
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-Whole = Annotated[int, Field(strict=True)]
-"""An integer. Like `Finite` and `Positive`, it refuses strings and booleans."""
+Finite = Annotated[float, Field(strict=True, ge=-1e12, le=1e12, allow_inf_nan=False)]
+"""A number. Squares and products of such numbers cannot overflow."""
+Positive = Annotated[float, Field(strict=True, gt=0, le=1e12, allow_inf_nan=False)]
+Whole = Annotated[int, Field(strict=True, ge=-(2**63), lt=2**63)]
+"""An integer of 64 bits. Like `Finite` and `Positive`, it refuses strings and booleans."""
+Millimetres = Annotated[float, Field(strict=True, ge=-MOST_MM, le=MOST_MM, allow_inf_nan=False)]
+Pixels = Annotated[float, Field(strict=True, ge=-1e6, le=1e6, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
+PointMm = tuple[Millimetres, Millimetres]
+PointPx = tuple[Pixels, Pixels]

@@ -8,7 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from vaoi_station.model.frozen_model import Finite, FrozenModel, Point, Positive, Whole
+from vaoi_station.model.frozen_model import Finite, FrozenModel, PointMm, Positive, Whole
+
+Microseconds = Annotated[Positive, Field(le=3.6e9)]
+"""An exposure time; at most an hour."""
+MillimetresPerSecond = Annotated[Finite, Field(ge=-1e5, le=1e5)]
 
 
 class CameraHead(FrozenModel):
@@ -16,8 +20,8 @@ class CameraHead(FrozenModel):
 
     width: Annotated[Whole, Field(ge=16, le=65536)]
     height: Annotated[Whole, Field(ge=16, le=65536)]
-    exposure_us: Positive
-    nominal_center_mm: Point | None = None
+    exposure_us: Microseconds
+    nominal_center_mm: PointMm | None = None
     nominal_px_per_mm: Positive | None = None
 
 
@@ -27,12 +31,12 @@ class RecordingHead(FrozenModel):
     format: Literal["vaoi-recording"]
     version: Literal[1]
     cameras: Annotated[tuple[CameraHead, ...], Field(min_length=1)]
-    rows: Annotated[Whole, Field(ge=1)]
-    trigger_period_s: Positive
-    conveyor_mm_s: Point
+    rows: Annotated[Whole, Field(ge=1, le=100_000)]
+    trigger_period_s: Annotated[Positive, Field(le=3600)]
+    conveyor_mm_s: tuple[MillimetresPerSecond, MillimetresPerSecond]
     missing: tuple[tuple[Whole, Whole], ...] = ()
     trigger_times_s: tuple[Finite, ...] | None = None
-    exposures_us: tuple[tuple[Positive, ...], ...] | None = None
+    exposures_us: tuple[tuple[Microseconds, ...], ...] | None = None
     lights: tuple[str, ...] | None = None
     doubts: tuple[str, ...] = ()
     """What was doubtful when the run was filmed; each is a reason of the result, which is then never ok."""

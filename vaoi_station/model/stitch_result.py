@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from vaoi_station.geometry import Projective, System
-from vaoi_station.model.frozen_model import Finite, FrozenModel, Matrix, Point
+from vaoi_station.model.frozen_model import FrozenModel, Matrix, Millimetres, Pixels, Point, PointMm, Positive, Whole
+
+_HalfSpan = Annotated[Positive, Field(ge=1e-6)]
 
 
 class Status(StrEnum):
@@ -27,11 +29,11 @@ class Surface(FrozenModel):
     Its variables are u, v = (CAD point − `about`) / `half_span`.
     """
 
-    lift_mm: Finite
-    tilt_mm: Point = (0.0, 0.0)
-    bow_mm: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    lift_mm: Millimetres
+    tilt_mm: PointMm = (0.0, 0.0)
+    bow_mm: tuple[Millimetres, Millimetres, Millimetres] = (0.0, 0.0, 0.0)
     about: Point = (0.0, 0.0)
-    half_span: Point = (1.0, 1.0)
+    half_span: tuple[_HalfSpan, _HalfSpan] = (1.0, 1.0)
 
     def height_mm(self, cad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute the height (…,) of the board's surface at CAD points (…, 2)."""
@@ -58,7 +60,7 @@ class Stitch(FrozenModel):
     reasons: tuple[str, ...] = ()
     quality: dict[str, Any] = Field(default_factory=dict)
     surface: Surface | None = None
-    components: dict[str, tuple[tuple[int, int, float, float], ...]] | None = None
+    components: dict[str, tuple[tuple[Whole, Whole, Pixels, Pixels], ...]] | None = None
 
     @model_validator(mode="after")
     def _one_matrix_per_frame(self) -> Self:

@@ -55,6 +55,42 @@ def test_without_a_board_type_frames_are_placed_and_a_reason_is_given(
     assert "- no board type was given" in said.out
 
 
+@pytest.mark.parametrize("number", [1e308, -1e308, 1e150, 1e30, True])
+@pytest.mark.parametrize(
+    ("file", "keys"),
+    [
+        ("calibration.json", ("camera_matrices", 0, 0, 0)),
+        ("calibration.json", ("camera_matrices", 1, 2, 2)),
+        ("calibration.json", ("working_distance_mm",)),
+        ("board.json", ("outline", 0, 0)),
+        ("board.json", ("fiducials", 0, "x")),
+        ("board.json", ("fiducials", 0, "diameter")),
+        ("board.json", ("components", 0, "center", 1)),
+        ("board.json", ("components", 0, "width")),
+        ("board.json", ("components", 0, "body_height")),
+        ("board.json", ("components", 0, "rotation")),
+        ("recording.json", ("conveyor_mm_s", 1)),
+        ("recording.json", ("trigger_period_s",)),
+        ("recording.json", ("cameras", 0, "exposure_us")),
+        ("recording.json", ("cameras", 0, "nominal_center_mm", 0)),
+    ],
+)
+def test_absurd_numbers_are_refused_by_one_message(
+    vaoi: Any, recording: Path, tmp_path: Path, file: str, keys: tuple[Any, ...], number: object
+) -> None:
+    def put(data: Any) -> None:
+        for key in keys[:-1]:
+            data = data[key]
+        data[keys[-1]] = number
+
+    edit(recording / file, put)
+    said = vaoi("stitch", recording, "--out", tmp_path / "r.json")
+    assert said.code == 2
+    assert said.err.startswith(f"vaoi: {recording / file}: ")
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "r.json").exists()
+
+
 def lose_a_frame(case: Path) -> None:
     (case / "frames" / "c01_r003.png").unlink()
 
