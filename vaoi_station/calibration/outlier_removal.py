@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from itertools import combinations
+
 import numpy as np
 
-from vaoi_station.calibration.homography_fit import Fit, fit_camera
+from vaoi_station.calibration.homography_fit import Fit, estimate_homography, fit_camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 
@@ -15,12 +18,19 @@ _MAX_TRIALS = 12
 """Number of leave-one-out fits per outlier. They leave out the marks with the largest residuals."""
 _SIGMAS, _MIN_ERROR_PX = 6.0, 0.1
 """Smallest prediction error of an outlier, in standard deviations and in px."""
+_MAX_SUBSETS, _MAX_STARTS, _MAX_ROUNDS = 100, 3, 10
+_CLEARLY_BETTER = 4.0
+"""Factor between the residuals of two fits. To leave out marks at random lowers them far less."""
 _RAYLEIGH = 1.1774
 """Median length of a vector of two independent normal variables, divided by their standard deviation."""
 
 
 def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[int]]:
-    """Remove, one by one, the marks whose measured position contradicts the prediction from the other marks.
+    """Remove the marks whose measured position contradicts the prediction from the other marks.
+
+    Marks are removed one by one. Several outliers can mask one another: then a good mark looks worse than they do. So a
+    second search starts from minimal subsets of the marks, if two were removed or the residuals are still large. Its
+    outcome replaces that of the first search only if it excludes a mark that the first one kept.
 
     Args:
         fit: the fit of all marks.
@@ -37,7 +47,71 @@ def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[i
         if better is None:
             break
         fit, kept = better
-    return fit, kept
+    return _unmasked(fit, kept, marks_mm, px, least)
+
+
+def _unmasked(fit: Fit, kept: list[int], marks_mm: Floats, px: Floats, least: int) -> tuple[Fit, list[int]]:
+    """Return the outcome of a search from minimal subsets, if outliers masked one another; else the given outcome."""
+    # A single outlier cannot be masked.
+    sound = len(kept) >= len(px) - 1 and float(np.hypot(*fit.residuals_px.T).max()) <= _MIN_ERROR_PX
+    if sound or len(px) <= least:
+        return fit, kept
+    best = fit, kept
+    for start in _robust_starts(marks_mm, px, least):
+        grown = _grow(fit, start, marks_mm, px, least)
+        if grown is not None and set(kept) - set(grown[1]) and _is_better(grown, best):
+            best = grown
+    return best
+
+
+def _is_better(this: tuple[Fit, list[int]], other: tuple[Fit, list[int]]) -> bool:
+    """Return whether a fit explains more marks, or about as many far better."""
+    (fit, kept), (other_fit, other_kept) = this, other
+    if fit.rms_px * _CLEARLY_BETTER < other_fit.rms_px:
+        return True
+    return len(kept) > len(other_kept) and fit.rms_px < _CLEARLY_BETTER * other_fit.rms_px
+
+
+def _robust_starts(marks_mm: Floats, px: Floats, least: int) -> list[list[int]]:
+    """Return sets of `least` marks that agree best with the homography of four of them (least quantile of squares)."""
+    n = len(px)
+    if math.comb(n, 4) <= _MAX_SUBSETS:
+        subsets = [list(subset) for subset in combinations(range(n), 4)]
+    else:
+        # With two fifths of outliers, one of eight subsets has none. The seed is fixed: equal marks give equal results.
+        g = np.random.default_rng(0)
+        subsets = [g.choice(n, 4, replace=False).tolist() for _ in range(_MAX_SUBSETS)]
+    found: list[tuple[float, list[int]]] = []
+    for subset in subsets:
+        h = estimate_homography(px[subset], marks_mm[subset])
+        if h is None:
+            continue
+        with np.errstate(all="ignore"):  # a wrong homography may map a mark to infinity
+            error = np.hypot(*(px - apply(h, marks_mm)).T)
+        nearest = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable")[:least]
+        if np.isfinite(error[nearest[-1]]):
+            found.append((float(error[nearest[-1]]), sorted(nearest.tolist())))
+    found.sort()
+    return [marks for _, marks in found[:_MAX_STARTS]]
+
+
+def _grow(fit: Fit, start: list[int], marks_mm: Floats, px: Floats, least: int) -> tuple[Fit, list[int]] | None:
+    """Fit a set of marks, and replace it by all marks that agree with its fit, until it stays; None if it fails."""
+    kept = start
+    for _ in range(_MAX_ROUNDS):
+        trial = fit_camera(marks_mm[kept], px[kept], fit.prior)
+        if isinstance(trial, Failure):
+            return None
+        error = np.hypot(*(trial.lens.undistort(px) - apply(trial.matrix, marks_mm)).T)
+        # Marks outside the set are extrapolated, so that the uncertainty of the prediction counts as well.
+        limit = np.maximum(_SIGMAS * np.hypot(trial.sigma_px, trial.sigma_at_px(px)), _MIN_ERROR_PX)
+        agreeing = np.flatnonzero(error <= limit).tolist()
+        if agreeing == kept:
+            return trial, kept
+        if len(agreeing) < least:
+            return None
+        kept = agreeing
+    return None
 
 
 def _leave_one_out(fit: Fit, marks_mm: Floats, px: Floats, kept: list[int]) -> tuple[Fit, list[int]] | None:
