@@ -28,7 +28,7 @@ def test_help_names_every_command(vaoi: Callable[..., Result]) -> None:
         (InputError("f.json: rows is 0.", action="Correct it."), 2, "vaoi: f.json: rows is 0. Correct it.\n"),
         (NotFoundError("f.json: there is no such file."), 2, "vaoi: f.json: there is no such file.\n"),
         (DeviceError("camera 0: is lost."), 3, "vaoi: camera 0: is lost.\n"),
-        (StateError("out: exists already."), 3, "vaoi: out: exists already.\n"),
+        (StateError("the line is armed."), 3, "vaoi: the line is armed.\n"),
         (InternalError("the task failed."), 4, "vaoi: the task failed.\n"),
         (OSError(28, "No space left on device", "/data"), 2, "vaoi: /data: No space left on device.\n"),
     ],

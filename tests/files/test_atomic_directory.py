@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.errors import StateError
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.errors import InputError
+from vaoi_station.files.atomic_directory import new_directory, refuse_existing
 
 
 def test_directory_appears_complete(tmp_path: Path) -> None:
@@ -34,6 +34,15 @@ def test_nothing_remains_after_an_exception(tmp_path: Path, error: type[BaseExce
 
 def test_existing_directory_is_refused_and_unchanged(tmp_path: Path) -> None:
     (tmp_path / "kept").mkdir()
-    with pytest.raises(StateError, match="exists already"), new_directory(tmp_path / "kept"):
+    with pytest.raises(InputError, match="exists already"), new_directory(tmp_path / "kept"):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+def test_existing_targets_of_any_kind_are_refused_as_input(tmp_path: Path) -> None:
+    refuse_existing(tmp_path / "new", tmp_path / "newer")
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "absent")
+    for name in ("file", "link"):
+        with pytest.raises(InputError, match=f"{name}: exists already. Choose another"):
+            refuse_existing(tmp_path / "new", tmp_path / name)

@@ -8,7 +8,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from vaoi_station.errors import StateError
+from vaoi_station.errors import InputError
+
+
+def refuse_existing(*targets: Path, action: str = "Choose another path, or remove what is there.") -> None:
+    """Refuse to write to a path that exists, before the work whose outcome would be written there.
+
+    Raises:
+        InputError: a target exists. It is an error of input like every other unsuitable path (exit code 2).
+    """
+    for target in targets:
+        # A symbolic link whose target is absent exists too: a rename would replace it.
+        if target.exists() or target.is_symlink():
+            raise InputError(f"{target}: exists already.", action=action)
 
 
 @contextmanager
@@ -16,10 +28,9 @@ def new_directory(directory: Path) -> Iterator[Path]:
     """Yield a draft directory for the caller to fill. At the end rename it to `directory`; on an exception remove it.
 
     Raises:
-        StateError: the directory exists.
+        InputError: the directory exists.
     """
-    if directory.exists():
-        raise StateError(f"{directory}: exists already.", action="Choose another directory, or remove this one.")
+    refuse_existing(directory)
     directory.parent.mkdir(parents=True, exist_ok=True)
     # The draft is created beside the target, because a rename is atomic only within one file system.
     draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))

@@ -25,7 +25,7 @@ def write_bundle(directory: Path, stitched: StitchedRun) -> None:
     those of `link_arrays` and `detection_arrays` in `sections.embedded_data`; the latter have the prefix `sighting_`.
 
     Raises:
-        StateError: the directory exists.
+        InputError: the directory exists.
     """
     with new_directory(directory) as draft:
         _fill(draft, stitched)

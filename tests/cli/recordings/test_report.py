@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from vaoi_station.cli import app
-from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.errors import InputError, NotFoundError
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) ->
     assert CliRunner().invoke(app, both).exit_code == 0
     assert (tmp_path / "r.html").is_file()
     refused = CliRunner().invoke(app, ["report", str(run), "--bundle", str(kept)])
-    assert isinstance(refused.exception, StateError)
+    assert isinstance(refused.exception, InputError)
 
 
 def test_directory_without_a_recording_is_refused(tmp_path: Path) -> None:

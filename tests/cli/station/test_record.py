@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from vaoi_station.cli import app
-from vaoi_station.errors import StateError
+from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording, write_calibration
 from vaoi_station.files.documents import write_json
 from vaoi_station.simulation import Twin, read_scenario
@@ -83,7 +83,7 @@ def test_one_run_is_written_to_the_directory_itself_and_never_overwrites(config:
     assert CliRunner().invoke(app, arguments).exit_code == 0
     assert open_recording(out).head.rows > 1
     refused = CliRunner().invoke(app, arguments)
-    assert isinstance(refused.exception, StateError)
+    assert isinstance(refused.exception, InputError)
     assert "exists already" in str(refused.exception)
 
 

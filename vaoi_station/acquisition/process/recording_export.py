@@ -28,7 +28,7 @@ def export_run(
 
     Raises:
         GoneError: the memory was given to another board meanwhile.
-        StateError: the directory exists already.
+        InputError: the directory exists already.
     """
     with new_directory(directory) as draft:
         for name, source in (copies or {}).items():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vaoi_station.errors import InputError, StateError
+from vaoi_station.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,8 +33,9 @@ def recalibrate(
     if bool(cases) == (config is not None):
         raise InputError("recalibrate needs either recordings or --config.", action="Give exactly one of them.")
     # Checked before the computation. A calibration in use must never be replaced unnoticed.
-    if out.exists():
-        raise StateError(f"{out}: exists already.", action="Choose another --out; put the proposal into use by hand.")
+    from vaoi_station.files.atomic_directory import refuse_existing
+
+    refuse_existing(out, action="Choose another --out; put the proposal into use by hand.")
     from vaoi_station.drift.recalibrate import recalibrate as propose
     from vaoi_station.files import write_calibration
 

@@ -34,14 +34,14 @@ def report(
     method: Annotated[Evidence, typer.Option(help="Use this evidence.")] = Evidence.AUTO,
 ) -> None:
     """Stitch a recorded run and show the evidence in one HTML file."""
-    from vaoi_station.errors import StateError
+    from vaoi_station.files.atomic_directory import refuse_existing
     from vaoi_station.reporting import restitch, write_bundle, write_report
     from vaoi_station.reporting.bundle import REPORT, replay_command
     from vaoi_station.stitching.recordings.opening import open_run
 
     # The target is checked first, because stitching the run takes seconds.
-    if bundle is not None and bundle.exists():
-        raise StateError(f"{bundle}: exists already.", action="Choose another directory, or remove this one.")
+    if bundle is not None:
+        refuse_existing(bundle)
     opened = open_run(run, calibration=calibration, board=board, reference=reference, method=method.value)
     stitched = restitch(opened)
     if bundle is not None:

@@ -28,8 +28,8 @@ def record(
     from vaoi_station.acquisition.process.recording_export import export_run
     from vaoi_station.acquisition.ring.ring import Ring
     from vaoi_station.config import read_config
-    from vaoi_station.errors import StateError
     from vaoi_station.files import read_calibration
+    from vaoi_station.files.atomic_directory import refuse_existing
 
     station = read_config(config)
     copies = {"calibration.json": station.calibration}
@@ -40,9 +40,7 @@ def record(
         read_calibration(station.calibration, [c.head for c in station.cameras])
     targets = [out] if runs == 1 else [out / f"run-{n:03d}" for n in range(1, runs + 1)]
     # All targets are checked before the first board: a board on the line cannot be filmed again.
-    for target in targets:
-        if target.exists():
-            raise StateError(f"{target}: exists already.", action="Choose another --out, or remove it.")
+    refuse_existing(*targets)
     kept: list[Path] = []
 
     def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
