@@ -8,7 +8,6 @@ import pytest
 
 from vaoi_station.config import ReplayConfig, RingConfig, StationConfig, read_config
 from vaoi_station.demo import station_files
-from vaoi_station.errors import NotFoundError
 from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.simulation import Twin, scenario_path
 
@@ -50,12 +49,3 @@ def test_ring_directory_needs_enough_free_space(tmp_path: Path, monkeypatch: pyt
     assert station_files.ring_directory(2**62, tmp_path / "files") == tmp_path / "files"
     monkeypatch.setattr(station_files, "SHARED_MEMORY", tmp_path / "absent")
     assert station_files.ring_directory(1, tmp_path / "files") == tmp_path / "files"
-
-
-def test_scenarios_are_found_by_name_and_by_file(tmp_path: Path) -> None:
-    own = tmp_path / "own.toml"
-    own.write_text("[board]\nname = 'own'\n")
-    assert station_files.resolve_scenario("small") == scenario_path("small")
-    assert station_files.resolve_scenario(str(own)) == own
-    with pytest.raises(NotFoundError, match="no scenario 'smal'"):
-        station_files.resolve_scenario("smal")

@@ -6,7 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from vaoi_station.errors import InputError, NotFoundError
-from vaoi_station.simulation import Scenario, read_scenario, scenario_path
+from vaoi_station.simulation import Scenario, find_scenario, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import Section
 
 DOC = Path(__file__).parents[2] / "docs" / "engineering" / "twin.md"
@@ -26,6 +26,22 @@ def test_shipped_scenarios_read(name: str) -> None:
 def test_an_unknown_name_lists_the_known_ones() -> None:
     with pytest.raises(NotFoundError, match="demo, paper, small"):
         scenario_path("nothing")
+
+
+def test_a_folder_does_not_hide_a_shipped_scenario_and_a_file_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small").mkdir()
+    (tmp_path / "mine").mkdir()
+    assert find_scenario("small") == scenario_path("small")
+    with pytest.raises(NotFoundError, match="mine: is a folder, not a scenario file"):
+        find_scenario("mine")
+    with pytest.raises(NotFoundError, match="no scenario 'smal'"):
+        find_scenario("smal")
+    (tmp_path / "demo").write_text("[board]\nname = 'own'\n")
+    assert find_scenario("demo") == tmp_path / "demo"
+    assert find_scenario(tmp_path / "own.toml") == tmp_path / "own.toml"
 
 
 @pytest.mark.parametrize(

@@ -12,20 +12,10 @@ from vaoi_station.acquisition.ring.ring import RingLayout
 from vaoi_station.config import CameraConfig, RingConfig, SimulationConfig, StationConfig
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation import Twin, read_scenario
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  (the ring is made exclusively, mode 0640)
 _WITHOUT_TABLES = (str, int, float, bool, list, tuple)
-
-
-def resolve_scenario(name: str) -> Path:
-    """Return the path of a scenario. `name` is the name of a shipped scenario, or the path of a file.
-
-    Raises:
-        NotFoundError: there is no such shipped scenario.
-    """
-    given = Path(name)
-    return given.resolve() if given.suffix or given.exists() else scenario_path(name)
 
 
 def write_station_files(scenario: Path, folder: Path, *, boards: int = 0) -> tuple[Path, Twin]:

@@ -24,6 +24,9 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[int, Field(ge=0)]
 PerCamera = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
+_SHIPPED = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
+"""Folder of the scenarios that come with the software."""
+
 
 class Section(Strict):
     """Base class of all tables of a scenario file."""
@@ -351,11 +354,31 @@ def read_scenario(path: Path) -> Scenario:
     return scenario.model_copy(update={"board": board})
 
 
+def find_scenario(given: str | Path) -> Path:
+    """Return the path of a scenario file, given as a path or as the name of a shipped scenario.
+
+    A file takes precedence over a shipped scenario of the same name, a folder does not: recordings are often written to
+    a folder that has the name of their scenario.
+
+    Raises:
+        NotFoundError: there is neither such a file nor such a shipped scenario.
+    """
+    path = Path(given)
+    if path.suffix or path.is_file():
+        return path.resolve()
+    if path.is_dir() and str(given) not in shipped_scenarios():
+        raise NotFoundError(f"{given}: is a folder, not a scenario file.", action="Give the TOML file itself.")
+    return scenario_path(str(given))
+
+
+def shipped_scenarios() -> tuple[str, ...]:
+    """Return the names of the scenarios that come with the software."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+
+
 def scenario_path(name: str) -> Path:
     """Return the path of a scenario file that comes with the software: "demo", "paper" or "small"."""
-    folder = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
-    path = folder / f"{name}.toml"
-    if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+    if name not in shipped_scenarios():
+        known = ", ".join(shipped_scenarios())
         raise NotFoundError(f"there is no scenario {name!r}.", action=f"Choose one of: {known}; or give a file.")
-    return path
+    return _SHIPPED / f"{name}.toml"

@@ -10,7 +10,11 @@ import typer
 
 def simulate(
     scenario: Annotated[
-        str, typer.Argument(help="Scenario file (TOML), or the name of a shipped scenario: demo, small.")
+        str,
+        typer.Argument(
+            help="Scenario file (TOML), or the name of a shipped scenario: demo, small. A file takes precedence over a "
+            "shipped scenario of the same name; a folder does not."
+        ),
     ] = "demo",
     *,
     out: Annotated[Path, typer.Option(help="Write the recording to this directory; it is created if necessary.")],
@@ -22,15 +26,14 @@ def simulate(
 ) -> None:
     """Film a board with simulated cameras; write recording, calibration, board type and truth."""
     from vaoi_station.errors import InputError
-    from vaoi_station.simulation import Twin, read_scenario, scenario_path
+    from vaoi_station.simulation import Twin, find_scenario, read_scenario
     from vaoi_station.simulation.calibration_board import write_calibration_recording
     from vaoi_station.simulation.recording_writer import write_passage
 
     # Frames of two boards in one directory would be taken for one recording.
     if (out / "recording.json").exists():
         raise InputError(f"{out}: already holds a recording.", action="Give another --out, or remove this directory.")
-    named = Path(scenario).suffix == "" and not Path(scenario).exists()
-    twin = Twin(read_scenario(scenario_path(scenario) if named else Path(scenario)))
+    twin = Twin(read_scenario(find_scenario(scenario)))
     if calibration_board:
         recording = write_calibration_recording(twin, out, with_truth=truth)
         print(f"{out}: calibration board, {len(recording.head.cameras)} cameras")

@@ -25,10 +25,10 @@ def demo(
 ) -> None:
     """Run the whole station with simulated cameras, board after board, until Ctrl-C."""
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
-    from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.errors import InputError
+    from vaoi_station.simulation import find_scenario
 
-    path = resolve_scenario(scenario)
+    path = find_scenario(scenario)
     if not once and (as_json or out is not None):
         raise InputError("--out and --json need --once.", action="Add --once, or omit them.")
     code = 0

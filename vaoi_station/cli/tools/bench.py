@@ -167,9 +167,9 @@ def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[st
 
 
 def _path(scenario: str) -> Path:
-    from vaoi_station.simulation import scenario_path
+    from vaoi_station.simulation import find_scenario
 
-    return Path(scenario) if scenario.endswith(".toml") else scenario_path(scenario)
+    return find_scenario(scenario)
 
 
 def _numbers(option: str, given: str) -> tuple[float, ...]:

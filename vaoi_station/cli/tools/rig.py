@@ -44,7 +44,6 @@ def run(
 ) -> None:
     """Start rig and service, let boards pass, score the results with the truth, and stop; exit code 1 on a failure."""
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
-    from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.files.documents import write_json
     from vaoi_station.rig.devices.firmware import check_sources
     from vaoi_station.rig.devices.network import enter_namespace
@@ -52,9 +51,9 @@ def run(
     from vaoi_station.rig.line.scenarios import check_supported, with_cameras
     from vaoi_station.rig.run import Plan, run_rig
     from vaoi_station.rig.scoring.tables import as_text
-    from vaoi_station.simulation import read_scenario
+    from vaoi_station.simulation import find_scenario, read_scenario
 
-    path, words = resolve_scenario(scenario), tuple(fault or ())
+    path, words = find_scenario(scenario), tuple(fault or ())
     plan = Plan(
         with_cameras(read_scenario(path), cameras),
         path.stem,
@@ -102,19 +101,18 @@ def up(
 ) -> None:
     """Run only the devices, until Ctrl-C; start `vaoi serve` beside them with the station.toml that is written."""
     from vaoi_station.demo.signal_handling import interruptible
-    from vaoi_station.demo.station_files import resolve_scenario
     from vaoi_station.errors import InputError
     from vaoi_station.rig.devices.firmware import check_sources
     from vaoi_station.rig.devices.network import enter_namespace, may_add_addresses
     from vaoi_station.rig.line.faults import check_faults, parse_fault
     from vaoi_station.rig.line.scenarios import check_supported, with_cameras
     from vaoi_station.rig.up import run_until_interrupted
-    from vaoi_station.simulation import read_scenario
+    from vaoi_station.simulation import find_scenario, read_scenario
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is not a new or empty directory.", action="Give another --out.")
     faults = tuple(map(parse_fault, fault or ()))
-    chosen = with_cameras(read_scenario(resolve_scenario(scenario)), cameras)
+    chosen = with_cameras(read_scenario(find_scenario(scenario)), cameras)
     check_supported(chosen)
     check_faults(faults, chosen.array.cameras, different)
     check_sources()
