@@ -114,7 +114,7 @@ def test_a_reference_of_another_board_type_is_refused(cases: Any, taught: Path, 
 def test_method_reference_without_a_reference_is_refused(cases: Any, tmp_path: Path) -> None:
     done = vaoi("stitch", cases("sparse"), "--method", "reference", "--out", tmp_path / "r.json")
     assert done.returncode == 2
-    assert "--method reference needs --reference DIR" in done.stderr
+    assert "the method 'reference' needs a reference, and none is given" in done.stderr
 
 
 def test_a_run_that_is_not_ok_is_not_taught(cases: Any, tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_without_a_board_type_there_is_none(kept: Path, tmp_path: Path) -> None:
     shutil.copytree(kept, tmp_path / "bare", ignore=shutil.ignore_patterns("board.json"))
     opened = open_run(tmp_path / "bare")
     assert (opened.board_path, opened.setup.board_type) == (None, None)
-    with pytest.raises(InputError, match="--reference needs a board type"):
+    with pytest.raises(InputError, match="a reference needs the board type of the run"):
         open_run(tmp_path / "bare", reference=kept)
 
 
@@ -57,7 +57,9 @@ def test_a_calibration_of_another_scale_is_refused(kept: Path, tmp_path: Path) -
 
 
 def test_inputs_that_do_not_fit_are_refused(kept: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--method reference needs --reference DIR"):
+    with pytest.raises(
+        InputError, match=r"the method 'reference' needs a reference.*--reference DIR, or the argument reference"
+    ):
         open_run(kept, method="reference")
     with pytest.raises(NotFoundError):
         open_run(kept, calibration=tmp_path / "absent.json")

@@ -84,8 +84,14 @@ def open_run(
 def _open_reference(directory: Path | None, setup: StitchSetup) -> StoredReference | None:
     if directory is None:
         if setup.method == "reference":
-            raise InputError("--method reference needs --reference DIR.", action="`vaoi teach` makes one.")
+            raise InputError(
+                "the method 'reference' needs a reference, and none is given.",
+                action="Give the directory of one (--reference DIR, or the argument reference); `vaoi teach` makes it.",
+            )
         return None
     if setup.board_type is None:
-        raise InputError("--reference needs a board type.", action="Give one with --board.")
+        raise InputError(
+            f"{directory}: a reference needs the board type of the run, and the recording has none.",
+            action="Give the board type (--board FILE, or the argument board_type).",
+        )
     return open_reference(directory, setup.cameras, setup.board_type)
