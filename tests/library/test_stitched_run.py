@@ -82,6 +82,17 @@ def test_a_result_of_another_recording_is_refused(recording: vaoi.RecordedRun, s
         recording.with_result(result.model_copy(update={"image_matrices": result.image_matrices[::-1]}))
 
 
+@pytest.mark.parametrize("key", ["component_covariance_px2", "heights_mm"])
+@pytest.mark.parametrize("garbage", [5, [], {"U1": "x"}, {"U1": [[1]]}])
+def test_quality_of_other_types_is_refused_by_its_key(
+    recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, key: str, garbage: object
+) -> None:
+    quality = {**stitched.result.quality, key: garbage}
+    run = recording.with_result(stitched.result.model_copy(update={"quality": quality}))
+    with pytest.raises(vaoi.InputError, match=f"quality.{key}"):
+        run.component("U1")
+
+
 def test_frames_that_never_arrived_give_no_images(recording: vaoi.RecordedRun, tmp_path: Path) -> None:
     case = tmp_path / "case"
     shutil.copytree(recording.directory, case)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_stitch
+from vaoi_station.library.arguments import require_path
 from vaoi_station.library.stitched_run import StitchedRun, check_frame_index, check_result
 from vaoi_station.model import BoardType, Calibration, Stitch
 from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
@@ -71,7 +72,7 @@ class RecordedRun:
         Raises:
             InputError: the method is unknown, or needs a reference that was not given.
         """
-        if method not in METHODS:
+        if not isinstance(method, str) or method not in METHODS:
             raise InputError(f"method is {method!r}, but must be one of {', '.join(METHODS)}.")
         # The paper's method is not a kind of evidence. It replaces our stitching below and ignores this setting.
         evidence: MethodName = "auto" if method == "paper" else method
@@ -89,7 +90,7 @@ class RecordedRun:
         else:
             reference = opened.reference.recording.frame if opened.reference else None
             result = stitch_frames(opened.setup, recording.head, recording.frame, reference)
-        return self.with_result(result)
+        return self._with(result)
 
     def with_result(self, result: Stitch | str | Path) -> StitchedRun:
         """Combine the recording with a result, or with a result file of an earlier stitch.
@@ -97,10 +98,16 @@ class RecordedRun:
         Raises:
             InputError: the result belongs to another recording.
         """
-        stitch = result if isinstance(result, Stitch) else read_stitch(Path(result))
-        cameras = self._opened.setup.cameras
-        check_result(stitch, self.rows, cameras, "the result" if isinstance(result, Stitch) else result)
-        return StitchedRun(self._opened.recording, cameras, self.board_type, stitch)
+        if isinstance(result, Stitch):
+            stitch, name = result, "the result"
+        else:
+            path = require_path("with_result", "result", result)
+            stitch, name = read_stitch(path), str(path)
+        check_result(stitch, self.rows, self._opened.setup.cameras, name)
+        return self._with(stitch)
+
+    def _with(self, stitch: Stitch) -> StitchedRun:
+        return StitchedRun(self._opened.recording, self._opened.setup.cameras, self.board_type, stitch)
 
 
 def open_recording(
@@ -119,13 +126,15 @@ def open_recording(
         reference: directory made by `vaoi teach`; stitching then uses it as well.
 
     Raises:
-        InputError: a file is missing, malformed, or does not fit the others.
+        InputError: an argument is not a path, or a file is missing, malformed, or does not fit the others.
     """
+    case = require_path("open_recording", "directory", directory)
+    given = {"calibration": calibration, "board_type": board_type, "reference": reference}
     calibration_path, board_path, reference_path = (
-        None if path is None else Path(path) for path in (calibration, board_type, reference)
+        None if path is None else require_path("open_recording", name, path) for name, path in given.items()
     )
-    opened = open_run(Path(directory), calibration=calibration_path, board=board_path, reference=reference_path)
-    return RecordedRun(Path(directory), calibration_path, board_path, reference_path, opened)
+    opened = open_run(case, calibration=calibration_path, board=board_path, reference=reference_path)
+    return RecordedRun(case, calibration_path, board_path, reference_path, opened)
 
 
 def stitch(recording: str | Path | RecordedRun, method: Method = "auto") -> StitchedRun:

@@ -15,6 +15,7 @@ from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files import Recording, write_stitch
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.library.arguments import require_path, require_text, whole
 from vaoi_station.library.component_images import ComponentImage, ComponentImages
 from vaoi_station.model import BoardType, Component, Status, Stitch
 from vaoi_station.rendering import View, ViewCalculator, render
@@ -22,13 +23,28 @@ from vaoi_station.rendering import View, ViewCalculator, render
 
 def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
     """Return the covariance (2, 2) in px² of a component's centre in each frame, by (camera, row)."""
-    rows = result.quality.get("component_covariance_px2", {}).get(ref, [])
-    return {(int(c), int(j)): np.array([[xx, xy], [xy, yy]]) for c, j, xx, xy, yy in rows}
+    try:
+        rows = result.quality.get("component_covariance_px2", {}).get(ref, [])
+        return {(int(c), int(j)): np.array([[xx, xy], [xy, yy]], dtype=np.float64) for c, j, xx, xy, yy in rows}
+    except (AttributeError, TypeError, ValueError) as error:
+        # `quality` accepts any keys and values, so that readers of older versions can open newer results.
+        raise InputError(
+            f"the result: quality.component_covariance_px2 of {ref!r} is not a list of [camera, row, xx, xy, yy].",
+            action="Stitch the recording again.",
+        ) from error
 
 
 def component_height(result: Stitch, ref: str) -> tuple[float | None, float | None]:
     """Return the estimated height of a component above the board and its standard deviation, mm."""
-    return result.quality.get("heights_mm", {}).get(ref), result.quality.get("height_sigma_mm", {}).get(ref)
+    return _figure(result, "heights_mm", ref), _figure(result, "height_sigma_mm", ref)
+
+
+def _figure(result: Stitch, key: str, ref: str) -> float | None:
+    figures = result.quality.get(key, {})
+    value = figures.get(ref) if isinstance(figures, dict) else str(figures)
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        raise InputError.field("the result", f"quality.{key}", value, "an object of numbers by ref")
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +90,11 @@ class StitchedRun:
             min_coverage: frames that show a smaller share of the component are left out.
 
         Raises:
+            InputError: `px_per_mm` is not 0.1 to 1000 or gives too large an image, or `min_coverage` is not 0 to 1.
             NotFoundError: the board type has no such component.
             StateError: the run has no board type or no CAD mapping.
         """
+        require_text("component", "ref", ref)
         views = self._views.compute(self._part(ref), px_per_mm=px_per_mm, min_coverage=min_coverage)
         covariances = component_covariances(self.result, ref)
         height, sigma = component_height(self.result, ref)
@@ -92,11 +110,12 @@ class StitchedRun:
 
     def center(self, ref: str) -> tuple[float, float]:
         """Return the centre of a component in CAD coordinates, in the unit of the board type."""
+        require_text("center", "ref", ref)
         return self._part(ref).center
 
     def save(self, path: str | Path) -> None:
         """Write the result in the format of `docs/formats.md`, atomically: the file is complete or unchanged."""
-        write_stitch(Path(path), self.result)
+        write_stitch(require_path("save", "path", path), self.result)
 
     @property
     def _board_type(self) -> BoardType:
@@ -139,7 +158,8 @@ class StitchedRun:
 
 def check_frame_index(camera: int, row: int, cameras: int, rows: int, name: str | Path) -> None:
     """Raise InputError with the limits if a run has no frame of this camera and row."""
-    if not (isinstance(camera, int) and isinstance(row, int) and 0 <= camera < cameras and 0 <= row < rows):
+    i, j = whole(camera), whole(row)
+    if i is None or j is None or not (0 <= i < cameras and 0 <= j < rows):
         raise InputError(
             f"{name}: has no frame of camera {camera!r}, row {row!r}; cameras are 0 … {cameras - 1}, "
             f"rows 0 … {rows - 1}."

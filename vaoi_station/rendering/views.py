@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.errors import StateError
+from vaoi_station.errors import InputError, StateError
 from vaoi_station.geometry import Camera, Projective, System
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Component, Stitch
@@ -27,6 +27,8 @@ from vaoi_station.rendering.crops import compute_crops
 
 GRID = 9
 """Points per side of the grid on which the coverage of a picture is computed if the frame cuts it off."""
+RESOLUTION_LIMITS = (0.1, 1000.0)
+"""Smallest and largest resolution of pictures that a caller may request, px/mm."""
 _TILE_PX = 256
 """Longest side of a tile. Over it, a lens with a distortion of 1 px at the frame's corner is straight to 0.03 px."""
 _STRAIGHT_PX = 0.02
@@ -144,9 +146,11 @@ class ViewCalculator:
         self, components: Sequence[Component], *, px_per_mm: float | None = None, min_coverage: float = 0.5
     ) -> dict[str, tuple[View, ...]]:
         """Compute the views of many components at once; the keys of the result are the components' addresses."""
+        require_resolution(px_per_mm)
+        require_coverage(min_coverage)
         if not components:
             return {}
-        resolution = px_per_mm or self._resolution
+        resolution = self._resolution if px_per_mm is None else float(px_per_mm)
         crops = compute_crops(components, self._board_type, resolution)
         matrices = self._matrices(components, crops.cad_from_crop)
         ends = _project(matrices, _grid(crops.size, 3)[:, _CORNERS])
@@ -233,11 +237,30 @@ def compute_views(
 
     Raises:
         StateError: the run has no CAD mapping.
-        InputError: the picture would be too large.
+        InputError: the picture would be too large, or resolution or coverage is outside its limits.
     """
     return ViewCalculator(board_type, stitch, cameras).compute(
         component, px_per_mm=px_per_mm, min_coverage=min_coverage
     )
+
+
+def require_resolution(px_per_mm: object) -> None:
+    """Raise InputError unless a resolution is None (that of the cameras) or a number within its limits."""
+    if px_per_mm is not None and not _is_within(px_per_mm, *RESOLUTION_LIMITS):
+        limit = f"None or a number from {RESOLUTION_LIMITS[0]:g} to {RESOLUTION_LIMITS[1]:g}"
+        raise InputError.field("component images", "px_per_mm", px_per_mm, limit)
+
+
+def require_coverage(min_coverage: object) -> None:
+    """Raise InputError unless a coverage is a number from 0 to 1."""
+    if not _is_within(min_coverage, 0.0, 1.0):
+        raise InputError.field("component images", "min_coverage", min_coverage, "a number from 0 to 1")
+
+
+def _is_within(value: object, least: float, most: float) -> bool:
+    """Return whether a value is a number within limits; NaN and booleans are not."""
+    real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return real and bool(least <= value <= most)  # type: ignore[operator]  # it is a number here
 
 
 def _bend(camera: Camera) -> float:
