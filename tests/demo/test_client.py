@@ -25,11 +25,26 @@ from vaoi_station.errors import (
 )
 from vaoi_station.files.images import encode_png
 
+PROBLEMS = {
+    "list": b"[]",
+    "number": b'{"detail": 5, "action": "", "code": "c"}',
+    "action": b'{"detail": "No.", "action": {}, "code": "c"}',
+    "empty": b"",
+}
+REPLIES = {
+    "/html": b"<!DOCTYPE html><html>Sign in</html>",
+    "/truncated": b'{"state": "idl',
+    "/list": b'[{"state": "idle"}]',
+    "/text": b'"idle"',
+    "/latin": b'{"state": "\xe4"}',
+    "/deep": b"[" * 100_000,
+    "/empty": b"",
+}
 PICTURE = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
 class ScriptedStation(BaseHTTPRequestHandler):
-    """Serves `/refuse/STATUS`, `/picture`, `/events`, `/nothing`; replies to every other request with the request."""
+    """Serves `/refuse/STATUS`, `/picture`, `/events`, `/nothing`, and `REPLIES`; replies to others with the request."""
 
     def do_GET(self) -> None:
         path = self.path.removeprefix("/api/v1")
@@ -38,6 +53,12 @@ class ScriptedStation(BaseHTTPRequestHandler):
             self.send(int(path.removeprefix("/refuse/")), json.dumps(problem).encode())
         elif path == "/broken":
             self.send(500, b"<html>")
+        elif path.startswith("/problem/"):
+            self.send(409, PROBLEMS[path.removeprefix("/problem/")])
+        elif path in REPLIES:
+            self.send(200, REPLIES[path])
+        elif path in ("/cut", "/cut-refusal"):
+            self.send(200 if path == "/cut" else 500, b'{"state": "id', length=100)
         elif path == "/nothing":
             self.send(204, b"")
         elif path == "/picture":
@@ -56,11 +77,12 @@ class ScriptedStation(BaseHTTPRequestHandler):
 
     def echo(self) -> None:
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
-        self.send(200, json.dumps([self.command, self.path, body.decode()]).encode())
+        self.send(200, json.dumps({"request": [self.command, self.path, body.decode()]}).encode())
 
-    def send(self, status: int, content: bytes) -> None:
+    def send(self, status: int, content: bytes, length: int | None = None) -> None:
+        """Send a reply; `length` is the length that it declares, by default the true one."""
         self.send_response(status)
-        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Content-Length", str(len(content) if length is None else length))
         self.end_headers()
         self.wfile.write(content)
 
@@ -86,10 +108,10 @@ def client(address: str, monkeypatch: pytest.MonkeyPatch) -> Client:
 
 
 def test_requests(client: Client) -> None:
-    assert client.get("/runs", limit=3, before=None) == ["GET", "/api/v1/runs?limit=3", ""]
-    assert client.get("/api/v1/runs/r1") == ["GET", "/api/v1/runs/r1", ""]
-    assert client.post("/station/arm", runs=1) == ["POST", "/api/v1/station/arm", '{"runs": 1}']
-    assert client.put("/runs/r1/hold", holder="me") == ["PUT", "/api/v1/runs/r1/hold?holder=me", ""]
+    assert client.get("/runs", limit=3, before=None)["request"] == ["GET", "/api/v1/runs?limit=3", ""]
+    assert client.get("/api/v1/runs/r1")["request"] == ["GET", "/api/v1/runs/r1", ""]
+    assert client.post("/station/arm", runs=1)["request"] == ["POST", "/api/v1/station/arm", '{"runs": 1}']
+    assert client.put("/runs/r1/hold", holder="me")["request"] == ["PUT", "/api/v1/runs/r1/hold?holder=me", ""]
     assert client.get("/nothing") is None
 
 
@@ -97,7 +119,7 @@ def test_pictures(client: Client) -> None:
     content, pixels = client.picture("/picture")
     assert content.startswith(b"\x89PNG")
     assert np.array_equal(pixels, PICTURE)
-    with pytest.raises(InternalError, match="not a picture"):
+    with pytest.raises(DeviceError, match=r"/api/v1/page: .* 5 bytes that are not a picture"):
         client.picture("/page")
 
 
@@ -122,9 +144,39 @@ def test_refusals_are_raised_as_the_errors_of_the_station(client: Client, status
     assert (refusal.value.message, refusal.value.action, refusal.value.code) == ("No.", "Wait.", "because")
 
 
-def test_reply_without_problem_details_is_an_internal_error(client: Client) -> None:
-    with pytest.raises(InternalError, match=r"replied 500: b'<html>'"):
+def test_refusal_without_problem_details_is_a_device_error(client: Client) -> None:
+    with pytest.raises(DeviceError, match=r"/api/v1/broken: .* status 500 without problem details: b'<html>'"):
         client.get("/broken")
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_refusal_with_other_problem_details_is_a_device_error(client: Client, name: str) -> None:
+    with pytest.raises(DeviceError, match="status 409"):
+        client.get(f"/problem/{name}")
+
+
+@pytest.mark.parametrize("path", REPLIES)
+def test_garbage_is_a_device_error_with_the_address(client: Client, path: str) -> None:
+    with pytest.raises(
+        DeviceError, match=rf"http://127\.0\.0\.1:\d+/api/v1{path}: the station replied with"
+    ) as refused:
+        client.get(path)
+    assert "Check that a station of this version runs at this address" in refused.value.action
+    assert refused.value.code == "unusable-reply"
+
+
+@pytest.mark.parametrize("path", ["/cut", "/cut-refusal"])
+def test_connection_that_ends_within_a_reply_is_a_device_error(client: Client, path: str) -> None:
+    with pytest.raises(DeviceError, match=rf"/api/v1{path}: the station does not reply \(IncompleteRead"):
+        client.get(path)
+
+
+def test_key_that_a_reply_lacks_is_a_device_error_with_key_and_address(client: Client) -> None:
+    reply = client.get("/anything")
+    with pytest.raises(DeviceError, match=r"/api/v1/anything: .* without the key 'state'"):
+        _ = reply["state"]
+    assert reply.get("state") is None
+    assert "request" in dict(reply)
 
 
 def test_absent_station_is_a_device_error() -> None:

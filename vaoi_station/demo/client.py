@@ -6,13 +6,13 @@ import json
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
+from http import HTTPStatus
 from http.client import HTTPException
 from typing import Any
 
-import cv2
-import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import (
@@ -25,16 +25,23 @@ from vaoi_station.errors import (
     StateError,
     VaoiError,
 )
+from vaoi_station.files.images import decode
 
 REPLY_TIMEOUT_S = 90.0
 """Longest time to wait for a reply; longer than the longest long poll."""
 EVENT_TIMEOUT_S = 15.0
 """Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
+_SHOWN = 200
+"""Number of bytes of an unusable reply that an error quotes."""
 _ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 422: InputError}
 
 
 class Client:
-    """REST client of one station. A refusal by the station is raised here as the same `VaoiError`."""
+    """REST client of one station.
+
+    A refusal by the station is raised here as the same `VaoiError`. A station that does not reply, or whose reply is
+    not what a station sends, is a `DeviceError` with the address.
+    """
 
     def __init__(self, address: str) -> None:
         """Set the address of the station, `http://HOST:PORT`."""
@@ -44,59 +51,109 @@ class Client:
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
     def get(self, path: str, **query: Any) -> Any:
-        """Request a JSON document; return None if the reply has no body."""
-        content = self.content(path, **query)
-        return json.loads(content) if content else None
+        """Request a JSON object; return None if the reply has no body."""
+        return _parse(self.content(path, **query), self.url(path))
 
     def post(self, path: str, **fields: Any) -> Any:
-        """Send a command with `fields` as its JSON body."""
-        return json.loads(self._exchange(self._command("POST", path, json.dumps(fields).encode())))
+        """Send a command with `fields` as its JSON body; return the reply, None if it has no body."""
+        return _parse(self._exchange(self._command("POST", path, json.dumps(fields).encode())), self.url(path))
 
     def put(self, path: str, **query: Any) -> Any:
-        """Send a PUT request without a body; `query` holds all parameters."""
-        return json.loads(self._exchange(self._command("PUT", _with_query(path, query))))
+        """Send a PUT request without a body; `query` holds all parameters. Return the reply, None without a body."""
+        return _parse(self._exchange(self._command("PUT", _with_query(path, query))), self.url(path))
 
     def content(self, path: str, **query: Any) -> bytes:
         """Send GET and return the reply's body. `path` is relative to `/api/v1`, or begins with `/api/`."""
-        url = (self.address if path.startswith("/api/") else self._base) + path
-        return self._exchange(urllib.request.Request(_with_query(url, query)))
+        return self._exchange(urllib.request.Request(_with_query(self.url(path), query)))
 
     def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
         """Request a PNG image. Return its bytes and its pixels."""
         content = self.content(path)
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-        # OpenCV returns None instead of raising for bytes that it cannot decode.
+        pixels = decode(content)
         if pixels is None:
-            raise InternalError(f"{path}: the station replied with {len(content)} bytes that are not a picture.")
-        return content, np.asarray(pixels)
+            raise unusable_reply(self.url(path), f"{len(content)} bytes that are not a picture")
+        return content, pixels
 
     def messages(self, after: int = 0) -> Iterator[dict[str, Any]]:
         """Yield events numbered above `after`, and heartbeats, as they happen, until the station ends."""
-        request = urllib.request.Request(f"{self._base}/events?after={after}")
-        with _translated_errors(), self._opener.open(request, timeout=EVENT_TIMEOUT_S) as stream:
+        url = self.url(f"/events?after={after}")
+        request = urllib.request.Request(url)
+        with _translated_errors(url), self._opener.open(request, timeout=EVENT_TIMEOUT_S) as stream:
             for line in stream:
                 if line.startswith(b"data:"):
-                    yield json.loads(line[5:])
+                    yield _parse(line[5:], url) or Reply.of(url)
+
+    def url(self, path: str) -> str:
+        """Return the complete address of a path that is relative to `/api/v1`, or begins with `/api/`."""
+        return (self.address if path.startswith("/api/") else self._base) + path
 
     def _command(self, method: str, path: str, body: bytes = b"") -> urllib.request.Request:
         headers = {"Content-Type": "application/json"} if body else {}
         return urllib.request.Request(self._base + path, body, headers, method=method)
 
     def _exchange(self, request: urllib.request.Request) -> bytes:
-        with _translated_errors(), self._opener.open(request, timeout=REPLY_TIMEOUT_S) as reply:
-            return bytes(reply.read())
+        with _translated_errors(request.full_url), self._opener.open(request, timeout=REPLY_TIMEOUT_S) as reply:
+            content, status = bytes(reply.read()), reply.status
+        if not content and status != HTTPStatus.NO_CONTENT:
+            raise unusable_reply(request.full_url, f"status {status} and no content")
+        return content
+
+
+class Reply(dict[str, Any]):
+    """A JSON object of a station's reply. A key that it lacks is a fault of the station, not of the caller."""
+
+    # An attribute and no argument: libraries copy dictionaries by `type(d)(pairs)`.
+    url = ""
+    """The address that replied, for the error."""
+
+    @classmethod
+    def of(cls, url: str, pairs: Iterable[tuple[str, Any]] = ()) -> Reply:
+        """Build a reply of an address from its entries."""
+        reply = cls(pairs)
+        reply.url = url
+        return reply
+
+    def __missing__(self, key: str) -> Any:
+        raise unusable_reply(self.url, f"a document without the key {key!r}")
+
+
+def unusable_reply(url: str, received: str) -> DeviceError:
+    """Return the error for a reply that no station of this version gives; `received` says what was received."""
+    return DeviceError(
+        f"{url}: the station replied with {received}.",
+        action="Check that a station of this version runs at this address, and that no other program replies there.",
+        code="unusable-reply",
+    )
+
+
+def _parse(content: bytes, url: str) -> Reply | None:
+    """Parse the JSON object of a reply; None if it is empty."""
+    if not content:
+        return None
+    try:
+        reply = json.loads(content, object_pairs_hook=partial(Reply.of, url))
+    except (ValueError, RecursionError) as error:
+        raise unusable_reply(url, f"something that is not JSON: {content[:_SHOWN]!r}") from error
+    if not isinstance(reply, Reply):
+        raise unusable_reply(url, f"something that is not a JSON object: {content[:_SHOWN]!r}")
+    return reply
 
 
 @contextmanager
-def _translated_errors() -> Iterator[None]:
+def _translated_errors(url: str) -> Iterator[None]:
     """Convert refusals of the station, and failed connections, to the errors of this package."""
     try:
-        yield
-    except urllib.error.HTTPError as refusal:
-        with refusal:
-            raise _error(refusal.code, refusal.read()) from None
+        try:
+            yield
+        except urllib.error.HTTPError as refusal:
+            with refusal:
+                raise _error(refusal.code, refusal.read(), url) from None
+    # The outer block also covers a connection that ends while the body of a refusal is read.
     except (OSError, HTTPException) as error:
-        raise DeviceError(f"the station does not reply ({error}).", action="Check whether it still runs.") from error
+        raise DeviceError(
+            f"{url}: the station does not reply ({error or type(error).__name__}).",
+            action="Check whether it still runs.",
+        ) from error
 
 
 def _with_query(path: str, query: dict[str, Any]) -> str:
@@ -104,11 +161,14 @@ def _with_query(path: str, query: dict[str, Any]) -> str:
     return f"{path}?{urllib.parse.urlencode(given)}" if given else path
 
 
-def _error(status: int, body: bytes) -> VaoiError:
+def _error(status: int, body: bytes, url: str) -> VaoiError:
     """Return the error that a refusal's body describes as problem details (RFC 9457)."""
     kind = _ERRORS.get(status, BusyError if status == BusyError.status else InternalError)
     try:
         problem = json.loads(body)
-        return kind(problem["detail"], action=problem.get("action", ""), code=problem["code"])
-    except (ValueError, KeyError, TypeError):
-        return InternalError(f"the station replied {status}: {body[:200]!r}")
+        detail, action, code = problem["detail"], problem.get("action", ""), problem["code"]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return unusable_reply(url, f"status {status} without problem details: {body[:_SHOWN]!r}")
+    if not all(isinstance(part, str) for part in (detail, action, code)):
+        return unusable_reply(url, f"status {status} and problem details that are not text: {body[:_SHOWN]!r}")
+    return kind(detail, action=action, code=code)

@@ -5,17 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.demo.client import Client
+from vaoi_station.demo.client import Client, unusable_reply
 from vaoi_station.errors import InputError
-from vaoi_station.files.documents import parse
+from vaoi_station.library.arguments import require_number, require_text, require_whole
 from vaoi_station.library.component_images import ComponentImage, ComponentImages
+from vaoi_station.library.replies import (
+    ComponentListReply,
+    ComponentReply,
+    RunIdReply,
+    RunListReply,
+    ViewReply,
+    checked,
+)
 from vaoi_station.library.stitched_run import component_height
 from vaoi_station.model import Status, Stitch
+from vaoi_station.rendering.views import require_coverage, require_resolution
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +40,7 @@ class StationRun:
     def result(self) -> Stitch:
         """Matrices, uncertainty and verdict of the run, fetched at the first access."""
         path = f"/runs/{quote(self.id)}/matrices"
-        return parse(Stitch, self._client.get(path), path)
+        return checked(Stitch, self._client.get(path), self._client.url(path))
 
     @property
     def status(self) -> Status:
@@ -46,19 +55,25 @@ class StationRun:
     @cached_property
     def refs(self) -> tuple[str, ...]:
         """Addresses of all components of the board type."""
-        listing = self._client.get(f"/runs/{quote(self.id)}/components")
-        return tuple(entry["address"] for entry in listing["components"])
+        path = f"/runs/{quote(self.id)}/components"
+        listing = checked(ComponentListReply, self._client.get(path), self._client.url(path))
+        return tuple(entry.address for entry in listing.components)
 
     def component(self, ref: str, *, px_per_mm: float | None = None, min_coverage: float = 0.5) -> ComponentImages:
         """Return the images of a component from every frame that shows it. Pixels are fetched when they are accessed.
 
         Raises:
+            InputError: an argument is not of its type, or outside its limits.
             NotFoundError: the board type has no such component.
             GoneError: at access to pixels, if the station no longer keeps the frames of the run.
         """
+        require_text("component", "ref", ref)
+        require_resolution(px_per_mm)
+        require_coverage(min_coverage)
         # On a panel, `ref` is `panel/ref`; `quote` keeps the slash, which the path of the component contains as well.
         path = f"/runs/{quote(self.id)}/components/{quote(ref)}"
-        views = self._client.get(path, px_per_mm=px_per_mm, min_coverage=min_coverage)["views"]
+        reply = self._client.get(path, px_per_mm=px_per_mm, min_coverage=min_coverage)
+        views = checked(ComponentReply, reply, self._client.url(path)).views
         height, sigma = component_height(self.result, ref)
         return ComponentImages(ref, tuple(self._image(view) for view in views), height, sigma, self.status)
 
@@ -66,45 +81,50 @@ class StationRun:
         """Give up the frames of the run, so that the next board can use their memory; the result stays."""
         self._client.post(f"/runs/{quote(self.id)}/release")
 
-    def _image(self, view: dict[str, Any]) -> ComponentImage:
+    def _image(self, view: ViewReply) -> ComponentImage:
         def load() -> NDArray[Any]:
-            return self._client.picture(view["url"])[1]
+            return self._client.picture(view.url)[1]
 
-        covariance = view.get("covariance_px2")
         return ComponentImage(
-            camera=view["camera"],
-            row=view["row"],
-            coverage=view["coverage"],
-            px_per_mm=view["px_per_mm"],
-            crop_from_cad=np.array(view["crop_from_cad"]),
-            image_from_crop=np.array(view["image_from_crop"]),
-            distorted=view["distorted"],
-            covariance_px2=None if covariance is None else np.array(covariance),
+            camera=view.camera,
+            row=view.row,
+            coverage=view.coverage,
+            px_per_mm=view.px_per_mm,
+            crop_from_cad=view.crop_from_cad,
+            image_from_crop=view.image_from_crop,
+            distorted=view.distorted,
+            covariance_px2=None if view.covariance_px2 is None else np.array(view.covariance_px2),
             _load=load,
         )
 
 
 class Station:
-    """A connection to a running station. Every refusal is raised as the `VaoiError` that the station reports."""
+    """A connection to a running station. Every refusal is raised as the `VaoiError` that the station reports.
+
+    Every method raises `DeviceError` with the address if the station does not reply, or replies with something else
+    than a station of this version does.
+    """
 
     def __init__(self, address: str) -> None:
         """Set the address of the station, `http://HOST:PORT`. No request is sent yet."""
-        if not address.startswith(("http://", "https://")):
-            raise InputError(f"address is {address!r}, but must start with http:// or https://.")
-        self._client = Client(address.rstrip("/"))
+        self._client = Client(_checked_address(address))
 
     def snapshot(self) -> dict[str, Any]:
         """Return the present state of the station as `GET station` gives it."""
-        return dict(self._client.get("/station"))
+        reply = self._client.get("/station")
+        if reply is None:
+            raise unusable_reply(self._client.url("/station"), "no content")
+        return dict(reply)
 
     def runs(self, limit: int = 50) -> list[dict[str, Any]]:
         """Return summaries of the newest runs, newest first."""
-        return list(self._client.get("/runs", limit=limit)["runs"])
+        require_whole("runs", "limit", limit, 1, 1_000_000)
+        return checked(RunListReply, self._client.get("/runs", limit=limit), self._client.url("/runs")).runs
 
     def run(self, run_id: str = "latest") -> StationRun:
         """Return a run by its id, by default the one that finished last."""
-        summary = self._client.get(f"/runs/{quote(run_id)}")
-        return StationRun(summary["id"], summary, self._client)
+        path = f"/runs/{quote(require_text('run', 'run_id', run_id), safe='')}"
+        return self._run(self._client.get(path), path)
 
     def wait_for_run(self, after: str | None = None, timeout_s: float = 30.0) -> StationRun | None:
         """Wait for the next finished run; return None if no run finishes in time.
@@ -112,19 +132,41 @@ class Station:
         Args:
             after: id of the last run that the caller knows, so that no run is missed. By default the call returns the
                 next run to finish.
-            timeout_s: at most 60.
+            timeout_s: 0 to 60.
         """
+        if after is not None:
+            require_text("wait_for_run", "after", after)
+        require_number("wait_for_run", "timeout_s", timeout_s, 0.0, 60.0)
         summary = self._client.get("/runs/next", after=after, timeout=timeout_s)
-        return None if summary is None else StationRun(summary["id"], summary, self._client)
+        return None if summary is None else self._run(summary, "/runs/next")
+
+    def _run(self, summary: Any, path: str) -> StationRun:
+        return StationRun(checked(RunIdReply, summary, self._client.url(path)).id, dict(summary), self._client)
 
 
 def connect(address: str = "http://127.0.0.1:8350") -> Station:
     """Connect to a running station.
 
     Raises:
+        InputError: the address is not `http://HOST:PORT`.
         DeviceError: no station replies at the address.
     """
     station = Station(address)
     # One request now, so that a wrong address is an error here and not at the first use.
     station.snapshot()
     return station
+
+
+def _checked_address(address: str) -> str:
+    """Return the address without a slash at its end; raise InputError if it is not `http://HOST:PORT`."""
+    if not isinstance(address, str) or not address.startswith(("http://", "https://")):
+        raise InputError(f"address is {address!r}, but must start with http:// or https://.")
+    try:
+        parts = urlsplit(address)
+        sound = bool(parts.hostname) and parts.port != 0
+    except ValueError:  # a malformed IPv6 address, or a port that is not a number
+        sound = False
+    # Such characters would end the line of the request, and with it begin another request.
+    if not sound or not address.isascii() or any(c.isspace() or not c.isprintable() for c in address):
+        raise InputError(f"address is {address!r}, but must be http://HOST:PORT, for example http://127.0.0.1:8350.")
+    return address.rstrip("/")

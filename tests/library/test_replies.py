@@ -1,0 +1,179 @@
+"""Checks of a station's replies, and what the public API makes of garbage."""
+
+from __future__ import annotations
+
+import copy
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vaoi_station as vaoi
+from vaoi_station.files.images import encode_png
+from vaoi_station.files.results import stitch_document
+from vaoi_station.library.replies import RunIdReply, ViewReply, checked
+
+EYE = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+VIEW: dict[str, Any] = {
+    "camera": 0,
+    "row": 1,
+    "coverage": 1.0,
+    "px_per_mm": 8.0,
+    "crop_from_cad": EYE,
+    "image_from_crop": EYE,
+    "distorted": False,
+    "url": "/api/v1/picture",
+    "new": "of a newer station",
+}
+RESULT = stitch_document(
+    vaoi.Result.model_validate(
+        {"method": "auto", "image_matrices": [[EYE]], "cad_matrix": EYE, "row_motion": [EYE], "status": "ok"}
+    )
+)
+REPLIES: dict[str, Any] = {
+    "/station": {"state": "idle"},
+    "/runs": {"runs": [{"id": "r1"}]},
+    "/runs/next": {"id": "r1"},
+    "/runs/latest": {"id": "r1"},
+    "/runs/r1/matrices": RESULT,
+    "/runs/r1/components": {"components": [{"address": "U1"}]},
+    "/runs/r1/components/U1": {"views": [VIEW]},
+    "/picture": encode_png(np.zeros((4, 4), np.uint8)),
+}
+USES: dict[str, Callable[[vaoi.Station], object]] = {
+    "/station": lambda station: station.snapshot(),
+    "/runs": lambda station: station.runs(),
+    "/runs/next": lambda station: station.wait_for_run(),
+    "/runs/latest": lambda station: station.run(),
+    "/runs/r1/matrices": lambda station: station.run().result,
+    "/runs/r1/components": lambda station: station.run().refs,
+    "/runs/r1/components/U1": lambda station: station.run().component("U1"),
+    "/picture": lambda station: station.run().component("U1")[0].pixels,
+}
+
+RIGHT: list[tuple[tuple[str | int, ...], Any]] = [
+    (("id",), "x"), (("components", 0, "address"), "x"), (("views", 0, "distorted"), True), (("runs",), []),
+    (("components",), []), (("views",), []), (("runs", 0), {}), (("runs", 0), "absent"), (("row_motion",), []),
+]  # fmt: skip
+"""Values of the test below that are right for their keys."""
+
+
+class ScriptedReplies(BaseHTTPRequestHandler):
+    """Replies to each path with the entry of `replies`: an object as JSON, or bytes as they are."""
+
+    replies: dict[str, Any] = {}  # noqa: RUF012  (each test sets it)
+
+    def do_GET(self) -> None:
+        reply = self.replies[self.path.split("?")[0].removeprefix("/api/v1")]
+        content = reply if isinstance(reply, bytes) else json.dumps(reply).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: Any) -> None:
+        return
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), ScriptedReplies)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_address[1]}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.mark.parametrize("path", USES)
+def test_right_replies_are_used(address: str, path: str) -> None:
+    ScriptedReplies.replies = REPLIES
+    assert USES[path](vaoi.connect(address)) is not None
+
+
+@pytest.mark.parametrize("garbage", [b"<html>", b'{"id": "r', b"[]", b"null", b"7", b""])
+@pytest.mark.parametrize("path", USES)
+def test_garbage_is_a_device_error_with_the_address(address: str, path: str, garbage: bytes) -> None:
+    ScriptedReplies.replies = {**REPLIES, path: garbage}
+    with pytest.raises(vaoi.DeviceError, match=rf"{address}/api/v1{path}(\?\S+)?: the station replied with"):
+        USES[path](vaoi.Station(address))
+
+
+@pytest.mark.parametrize("wrong", ["absent", None, {}, [], "x", 1e308, True])
+@pytest.mark.parametrize(
+    ("path", "keys"),
+    [
+        ("/runs", ("runs",)),
+        ("/runs", ("runs", 0)),
+        ("/runs/next", ("id",)),
+        ("/runs/latest", ("id",)),
+        ("/runs/r1/matrices", ("row_motion",)),
+        ("/runs/r1/matrices", ("image_matrices", 0, 0, 0)),
+        ("/runs/r1/components", ("components",)),
+        ("/runs/r1/components", ("components", 0, "address")),
+        ("/runs/r1/components/U1", ("views",)),
+        *(("/runs/r1/components/U1", ("views", 0, key)) for key in VIEW if key not in ("new",)),
+    ],
+)
+def test_absent_keys_and_wrong_types_are_device_errors(
+    address: str, path: str, keys: tuple[str | int, ...], wrong: Any
+) -> None:
+    reply = copy.deepcopy(REPLIES[path])
+    inner = reply
+    for key in keys[:-1]:
+        inner = inner[key]
+    if wrong == "absent":
+        del inner[keys[-1]]
+    else:
+        inner[keys[-1]] = wrong
+    ScriptedReplies.replies = {**REPLIES, path: reply}
+    expected = pytest.raises(vaoi.DeviceError, match=f"{address}/api/v1{path}")
+    with nullcontext() if (keys, wrong) in RIGHT else expected:
+        USES[path](vaoi.Station(address))
+
+
+def test_a_check_names_the_key() -> None:
+    with pytest.raises(vaoi.DeviceError, match=r"http://s/x: .* reply: id: Field required"):
+        checked(RunIdReply, {}, "http://s/x")
+    view = checked(ViewReply, VIEW, "http://s/x")
+    assert view.crop_from_cad.shape == (3, 3)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [None, 5, "", "127.0.0.1:8350", "ftp://a", "http://", "http://:80", "http://a:b", "http://a:99999", "http://[::1",
+     "http://a b", "http://a\r\nX: y", "http://ä"],
+)  # fmt: skip
+def test_a_malformed_address_is_refused(wrong: Any) -> None:
+    with pytest.raises(vaoi.InputError, match="address is"):
+        vaoi.connect(wrong)
+
+
+def test_wrong_arguments_are_refused_before_a_request(address: str) -> None:
+    ScriptedReplies.replies = REPLIES
+    station = vaoi.connect(address)
+    run = station.run()
+    wrong: Any
+    for wrong in (None, 0, -1, 1.5, "5", True):
+        with pytest.raises(vaoi.InputError, match="limit is"):
+            station.runs(wrong)
+    for wrong in (None, "", 5):
+        with pytest.raises(vaoi.InputError, match="run_id is"):
+            station.run(wrong)
+    for wrong in (None, -1, float("nan"), 61, "5"):
+        with pytest.raises(vaoi.InputError, match=r"timeout_s is .* from 0 to 60"):
+            station.wait_for_run(timeout_s=wrong)
+    with pytest.raises(vaoi.InputError, match="after is 5"):
+        station.wait_for_run(after=5)  # type: ignore[arg-type]
+    with pytest.raises(vaoi.InputError, match="px_per_mm is -1"):
+        run.component("U1", px_per_mm=-1)
+    with pytest.raises(vaoi.InputError, match="min_coverage is 2"):
+        run.component("U1", min_coverage=2)
+    with pytest.raises(vaoi.InputError, match="ref is 5"):
+        run.component(5)  # type: ignore[arg-type]
