@@ -82,6 +82,15 @@ def test_a_result_of_another_recording_is_refused(recording: vaoi.RecordedRun, s
         recording.with_result(result.model_copy(update={"image_matrices": result.image_matrices[::-1]}))
 
 
+def test_a_result_of_another_board_of_the_same_array_is_refused(
+    recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, tmp_path: Path
+) -> None:
+    other = vaoi.simulate("small", tmp_path / "other", board=1)
+    assert (other.rows, other.cameras) == (recording.rows, recording.cameras)
+    with pytest.raises(vaoi.InputError, match=r"the result: belongs to another recording.*'recording'.*'other'"):
+        other.with_result(stitched.result)
+
+
 @pytest.mark.parametrize("key", ["component_covariance_px2", "heights_mm"])
 @pytest.mark.parametrize("garbage", [5, [], {"U1": "x"}, {"U1": [[1]]}])
 def test_quality_of_other_types_is_refused_by_its_key(

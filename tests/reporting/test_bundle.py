@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.errors import StateError
+from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording, read_stitch
 from vaoi_station.files.results import stitch_document
 from vaoi_station.reporting import StitchedRun, bundle, restitch, write_bundle
@@ -17,9 +17,9 @@ from vaoi_station.stitching.recordings.reference_directory import teach
 
 
 def result_of(stitched: StitchedRun) -> dict[str, object]:
-    """Return the result without its timings."""
+    """Return the result without its timings and the name of the recording, which is that of the directory."""
     document = stitch_document(stitched.result)
-    del document["quality"]["timings_ms"]
+    del document["quality"]["timings_ms"], document["quality"]["recording"]["name"]
     return document
 
 
@@ -68,7 +68,7 @@ def test_nothing_is_overwritten_or_left_incomplete(
     stitched: StitchedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "there").mkdir()
-    with pytest.raises(StateError, match="exists already"):
+    with pytest.raises(InputError, match="exists already"):
         write_bundle(tmp_path / "there", stitched)
 
     def full(*_: object) -> None:

@@ -18,6 +18,7 @@ from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
 from vaoi_station.stitching.method import MethodName
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
+from vaoi_station.stitching.recordings.origin import check_origin, with_origin
 
 Method = Literal["auto", "features", "fiducials", "reference", "paper"]
 METHODS: tuple[Method, ...] = ("auto", "features", "fiducials", "reference", "paper")
@@ -90,13 +91,15 @@ class RecordedRun:
         else:
             reference = opened.reference.recording.frame if opened.reference else None
             result = stitch_frames(opened.setup, recording.head, recording.frame, reference)
-        return self._with(result)
+        return self._with(with_origin(result, recording, opened.calibration, self.board_type))
 
     def with_result(self, result: Stitch | str | Path) -> StitchedRun:
         """Combine the recording with a result, or with a result file of an earlier stitch.
 
         Raises:
-            InputError: the result belongs to another recording.
+            InputError: the result belongs to another recording, calibration or board type. This is checked by pixels
+                of a frame and by the documents, if the result was made by `stitch` or `vaoi stitch`; results of other
+                sources and of older versions are compared by calibration and numbers of cameras and rows only.
         """
         if isinstance(result, Stitch):
             stitch, name = result, "the result"
@@ -104,6 +107,7 @@ class RecordedRun:
             path = require_path("with_result", "result", result)
             stitch, name = read_stitch(path), str(path)
         check_result(stitch, self.rows, self._opened.setup.cameras, name)
+        check_origin(stitch, self._opened.recording, self.calibration, self.board_type, name)
         return self._with(stitch)
 
     def _with(self, stitch: Stitch) -> StitchedRun:

@@ -16,6 +16,7 @@ from vaoi_station.reporting.drawing.thumbnails import Thumbnail, thumbnail, thum
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Links
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.recordings.opening import OpenedRun
+from vaoi_station.stitching.recordings.origin import with_origin
 from vaoi_station.stitching.work import all_tasks
 
 
@@ -118,6 +119,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
         evidence.append(runner.perform(task))
         task_ms[task.kind] += (time.perf_counter() - began_s) * 1e3
     stitch, findings = runner.conclude_with_findings(times_s, present, evidence, head.doubts)
+    stitch = with_origin(stitch, opened.recording, opened.calibration, opened.setup.board_type)
     # Frames that no task read still need a thumbnail.
     for key in present:
         if key not in thumbnails:

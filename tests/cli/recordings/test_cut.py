@@ -110,6 +110,17 @@ def test_result_of_another_recording_is_refused(
     assert not list(tmp_path.glob("*.png"))
 
 
+def test_result_of_another_board_of_the_same_array_is_refused(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
+) -> None:
+    assert vaoi("simulate", "small", "--board", 1, "--out", tmp_path / "board-1").code == 0
+    said = vaoi("cut", tmp_path / "board-1", "--result", result, "--component", "U1", "--out", tmp_path / "cut")
+    assert said.code == 2
+    assert f"{result}: belongs to another recording: it was made from recording '{small_recording.name}'" in said.err
+    assert "'board-1'" in said.err
+    assert not (tmp_path / "cut").exists()
+
+
 def test_version_is_printed(vaoi: Any) -> None:
     said = vaoi("--version")
     assert (said.code, said.out, said.err) == (0, f"vaoi_station {__version__}\n", "")

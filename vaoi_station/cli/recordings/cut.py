@@ -31,13 +31,16 @@ def cut(
     from vaoi_station.files.images import write_image
     from vaoi_station.library.stitched_run import check_result
     from vaoi_station.rendering import compute_views, render
+    from vaoi_station.stitching.recordings.origin import check_origin
 
     recording = open_recording(case)
     head = recording.head
-    cameras = read_calibration(calibration or case / "calibration.json", head.cameras).cameras(head.cameras)
+    known = read_calibration(calibration or case / "calibration.json", head.cameras)
+    cameras = known.cameras(head.cameras)
     board_type = read_board_type(board or case / "board.json")
     stitch = read_stitch(result)
     check_result(stitch, head.rows, cameras, result)
+    check_origin(stitch, recording, known, board_type, result)
     for address in component:
         part = board_type.component(address)
         if part is None:

@@ -38,6 +38,7 @@ def stitch(
     from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
     from vaoi_station.stitching.recordings.offline import stitch_frames
     from vaoi_station.stitching.recordings.opening import open_run
+    from vaoi_station.stitching.recordings.origin import with_origin
 
     # The paper's method ignores the kind of evidence, but opening a run requires one.
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
@@ -51,6 +52,7 @@ def stitch(
     else:
         reference_frame = opened.reference.recording.frame if opened.reference else None
         result = stitch_frames(opened.setup, recording.head, recording.frame, reference_frame)
+    result = with_origin(result, recording, opened.calibration, opened.setup.board_type)
     write_stitch(out, result)
     sigma = result.quality.get("cad_sigma_px")
     typer.echo(f"{result.status}: {recording.head.rows} rows × {len(recording.head.cameras)} cameras → {out}")

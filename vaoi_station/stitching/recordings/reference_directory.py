@@ -22,19 +22,18 @@ from vaoi_station.files import (
     write_recording,
     write_stitch,
 )
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.atomic_directory import new_directory, refuse_existing
 from vaoi_station.files.images import Image
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.recordings.origin import CAD_TERMS, with_origin
 from vaoi_station.stitching.work import StitchSetup
 
 RESULT = "result.json"
 _SAME_CALIBRATION_PX = 0.05
 """Largest accepted difference between the calibrations of reference and run: it adds to the error of positions."""
-_CAD_TERMS = ("unit", "y_axis", "side", "fiducials")
-"""Keys of a board type on which C depends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +50,11 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
     Raises:
         InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
     """
-    if out.exists():
-        raise InputError(f"{out}: exists already.", action="Choose another directory, or remove it.")
+    refuse_existing(out)  # before the run is stitched, which takes seconds
     recording = open_recording(case)
-    cameras = read_calibration(calibration, recording.head.cameras).cameras(recording.head.cameras)
-    stitch = stitch_frames(_setup(recording, cameras, read_board_type(board)), recording.head, recording.frame)
+    known, board_type = read_calibration(calibration, recording.head.cameras), read_board_type(board)
+    setup = _setup(recording, known.cameras(recording.head.cameras), board_type)
+    stitch = with_origin(stitch_frames(setup, recording.head, recording.frame), recording, known, board_type)
     if stitch.status is not Status.OK:
         reasons = "; ".join(stitch.reasons)
         raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
@@ -142,7 +141,7 @@ def _check_board_type(directory: Path, theirs: BoardType, ours: BoardType) -> No
             action="Teach a reference of this board type.",
         )
     # Components may change freely as long as their addresses stay; C depends on these keys only.
-    changed = [key for key in _CAD_TERMS if getattr(theirs, key) != getattr(ours, key)]
+    changed = [key for key in sorted(CAD_TERMS) if getattr(theirs, key) != getattr(ours, key)]
     if changed:
         raise InputError(
             f"{directory}: was taught when the board type {ours.name!r} had other {', '.join(changed)}.",
