@@ -125,12 +125,17 @@ def picture(frame: NDArray[np.uint8], width: int, height: int, pixel_format: Pix
         return frame.view(pixel_format.dtype).reshape(height, width)
     values = samples(frame, width * height, pixel_format).reshape(height, width)
     if pixel_format.bits not in (8, 16):
-        room = 16 - pixel_format.bits
-        # Repeat the upper bits below the lower ones, so that full scale maps to 65535 exactly and 0 to 0.
-        values = values << room | values >> pixel_format.bits - room
+        values = to_full_scale(values, pixel_format.bits)
     if pixel_format.mosaic:
         return np.asarray(cv2.cvtColor(np.ascontiguousarray(values), _MOSAICS[pixel_format.mosaic]))
     return values
+
+
+def to_full_scale(values: NDArray[Any], bits: int) -> NDArray[Any]:
+    """Scale uint16 values from 0 … 2^bits − 1, 8 ≤ bits ≤ 16, to 0 … 65535."""
+    room = 16 - bits
+    # Repeat the upper bits below the lower ones, so that full scale maps to 65535 exactly and 0 to 0.
+    return np.asarray(values << room | values >> bits - room, dtype=np.uint16) if room else values
 
 
 def samples(frame: NDArray[np.uint8], count: int, pixel_format: PixelFormat) -> NDArray[Any]:

@@ -141,3 +141,51 @@ def test_head_that_lists_absent_frames_is_refused(tmp_path: Path, recording: Rec
     head = RecordingHead.model_validate(recording.head.model_dump())
     with pytest.raises(InputError, match="the frame is absent"):
         write_recording(tmp_path / "empty", head, [])
+
+
+def deep(tmp_path: Path, levels: list[list[int]], **camera: Any) -> Recording:
+    """Write a recording of 16-bit frames; `levels` holds the largest value of each camera's frames."""
+    head = RecordingHead.model_validate(
+        {
+            "format": "vaoi-recording", "version": 1, "rows": len(levels[0]), "trigger_period_s": 0.1,
+            "conveyor_mm_s": [0, 100], "cameras": [{"width": 32, "height": 20, "exposure_us": 100.0} | camera] * 2,
+        }
+    )  # fmt: skip
+    ramp = np.linspace(0, 1, 640).reshape(20, 32)
+    frames = [
+        (i, j, np.round(ramp * top).astype(np.uint16)) for i, tops in enumerate(levels) for j, top in enumerate(tops)
+    ]
+    return write_recording(tmp_path / "deep", head, frames)
+
+
+def brightest(recording: Recording, camera: int, row: int) -> int:
+    frame = recording.frame(camera, row)
+    assert frame is not None
+    return int(frame.max())
+
+
+def test_all_16_bit_frames_of_a_recording_have_one_scale(tmp_path: Path) -> None:
+    """A dark frame stays dark: the scale is not that of its own brightest pixel."""
+    recording = deep(tmp_path, [[4095, 1000], [200, 2047]])
+    assert [brightest(recording, 0, 0), brightest(recording, 0, 1)] == [65535, 1000 << 4 | 1000 >> 8]
+    assert [brightest(recording, 1, 0), brightest(recording, 1, 1)] == [200 << 4, 2047 << 4 | 2047 >> 8]
+
+
+def test_stated_bits_are_the_scale(tmp_path: Path) -> None:
+    assert brightest(deep(tmp_path, [[300], [200]], bits=12), 0, 0) == 300 << 4 | 300 >> 8
+    assert brightest(deep(tmp_path / "full", [[300], [200]], bits=16), 0, 0) == 300
+
+
+def test_a_value_beyond_the_stated_bits_is_refused(tmp_path: Path) -> None:
+    recording = deep(tmp_path, [[4096], [200]], bits=12)
+    with pytest.raises(InputError, match=r"c00_r000.*pixel value 4096, but recording.json says 12 bits \(limit 4095\)"):
+        recording.frame(0, 0)
+
+
+def test_a_frame_brighter_than_the_sampled_ones_is_refused(tmp_path: Path) -> None:
+    levels = [[1000] * 100, [1000] * 100]
+    levels[0][1] = 60000
+    recording = deep(tmp_path, levels)
+    with pytest.raises(InputError, match=r"other frames of the recording use 10 bits"):
+        recording.frame(0, 1)
+    assert brightest(recording, 0, 0) == 1000 << 6 | 1000 >> 4

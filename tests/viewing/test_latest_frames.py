@@ -73,7 +73,7 @@ def test_a_waiting_request_is_woken_by_the_next_frame() -> None:
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_pictures_use_the_full_scale(dtype: type) -> None:
     latest = LatestFrames([None])
-    pixels: Any = np.full((24, 32), 4095 if dtype is np.uint16 else 255, dtype)
+    pixels: Any = np.full((24, 32), 65535 if dtype is np.uint16 else 255, dtype)
     latest.put(0, "1", 0, pixels)
     jpeg = latest.frames()[0].jpeg()
     assert np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED)).min() > 250

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from vaoi_station.errors import InputError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.files.images import SUFFIXES, Image, read_image, write_image
 from vaoi_station.model import RecordingHead
+from vaoi_station.pixel_formats import to_full_scale
+
+_DEPTHS = (8, 10, 12, 14, 16)
+_MOST_SAMPLED = 32
+"""Number of frames from which the depth of a recording is estimated if its head does not state it."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +42,37 @@ class Recording:
         )
 
     def frame(self, camera: int, row: int) -> Image | None:
-        """Read one frame and check its size against the head; None if the frame is missing."""
+        """Read one frame and check it against the head; None if the frame is missing. 16-bit pixels are full scale."""
+        image = self._read(camera, row)
+        return image if image is None or image.dtype == np.uint8 else self._at_full_scale(image, camera, row)
+
+    @cached_property
+    def _estimated_bits(self) -> int:
+        """The used bits of 16-bit pixels, by the brightest pixel of frames from all parts of the recording.
+
+        All cameras share this value: a dark camera, or a dark row, must not be brightened more than the others.
+        """
+        lost = set(self.head.missing)
+        keys = [(i, j) for i in range(len(self.head.cameras)) for j in range(self.head.rows) if (i, j) not in lost]
+        chosen = np.unique(np.linspace(0, len(keys) - 1, min(len(keys), _MOST_SAMPLED)).round().astype(int))
+        pictures = (self._read(*keys[k]) for k in chosen)
+        used = max((int(p.max()).bit_length() for p in pictures if p is not None and p.dtype == np.uint16), default=16)
+        return next(depth for depth in _DEPTHS if depth >= used)
+
+    def _at_full_scale(self, image: Image, camera: int, row: int) -> Image:
+        stated = self.head.cameras[camera].bits
+        bits = stated or self._estimated_bits
+        if bits < 16 and int(image.max()) >> bits:
+            source = "recording.json says" if stated else "other frames of the recording use"
+            raise InputError(
+                f"{self.frame_path(camera, row)}: has the pixel value {int(image.max())}, but {source} {bits} bits "
+                f"(limit {(1 << bits) - 1}).",
+                action=f"Set cameras[{camera}].bits in recording.json to the bits that the camera uses.",
+            )
+        return to_full_scale(image, bits)
+
+    def _read(self, camera: int, row: int) -> Image | None:
+        """Read one frame as its file has it, and check its size against the head; None if the frame is missing."""
         path = self.frame_path(camera, row)
         if path is None:
             return None

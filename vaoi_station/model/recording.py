@@ -23,6 +23,8 @@ class CameraHead(FrozenModel):
     exposure_us: Microseconds
     nominal_center_mm: PointMm | None = None
     nominal_px_per_mm: Positive | None = None
+    bits: Annotated[Whole, Field(ge=8, le=16)] | None = None
+    """Used bits of a 16-bit pixel, counted from the lowest: 12 for values up to 4095; None if unknown."""
 
 
 class RecordingHead(FrozenModel):

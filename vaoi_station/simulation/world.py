@@ -68,6 +68,7 @@ class World:
                 exposure_us=array.exposure_us(i),
                 nominal_center_mm=(i * array.pitch_mm, 0.0),
                 nominal_px_per_mm=array.px_per_mm,
+                bits=16 if array.bits == 16 else None,
             )
             for i in range(array.cameras)
         )

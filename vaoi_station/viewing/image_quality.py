@@ -86,11 +86,8 @@ def measure_quality(pixels: Image) -> ImageQuality:
 
 
 def full_scale(pixels: Image) -> int:
-    """Return the largest possible pixel value; for 16-bit frames from the bits in use (8, 10, 12, 14 or 16)."""
-    if pixels.dtype == np.uint8:
-        return 255
-    used = int(pixels.max(initial=0)).bit_length()
-    return int((1 << next(bits for bits in (8, 10, 12, 14, 16) if bits >= used)) - 1)
+    """Return the largest possible pixel value. Frames of more than 8 bits arrive at full scale (`pixel_formats`)."""
+    return 255 if pixels.dtype == np.uint8 else 65535
 
 
 def _focus(grey: NDArray[np.uint8]) -> float:

@@ -19,7 +19,7 @@ def decoded(jpeg: bytes) -> NDArray[Any]:
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("colour", [False, True])
 def test_any_frame_becomes_a_small_grey_picture(dtype: type, colour: bool) -> None:
-    ramp: NDArray[Any] = np.tile(np.linspace(0, 255 if dtype is np.uint8 else 4095, 640), (480, 1)).astype(dtype)
+    ramp: NDArray[Any] = np.tile(np.linspace(0, 255 if dtype is np.uint8 else 65535, 640), (480, 1)).astype(dtype)
     small = thumbnail(np.dstack([ramp] * 3) if colour else ramp, 100)
     assert (small.width, small.height) == (100, 75)
     seen = decoded(small.jpeg)

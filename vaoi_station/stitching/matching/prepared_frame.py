@@ -22,7 +22,7 @@ class PreparedFrame:
     """
 
     def __init__(self, pixels: NDArray[Any]) -> None:
-        """Create it from the pixels of a grey frame (h, w) or a colour frame (h, w, 3), 8 or 16 bit."""
+        """Create it from the pixels of a grey frame (h, w) or a colour frame (h, w, 3), 8 bit or full-scale 16 bit."""
         self._pixels = pixels
 
     @cached_property
@@ -80,15 +80,11 @@ def to_grey(pixels: NDArray[Any]) -> NDArray[Any]:
 
 
 def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
-    """Convert grey pixels to 8 bit.
+    """Convert grey pixels to 8 bit. Pixels of 16 bits are at full scale (`Recording.frame`, `Ring.frame`).
 
-    Cameras use 10, 12, 14 or 16 bits of a 16-bit pixel. The brightest pixel shows how many of them are in use.
+    The scale never depends on the pixels: thresholds in grey levels then mean the same in every frame.
     """
-    if grey.dtype == np.uint8:
-        return grey
-    bits = max(int(grey.max()).bit_length(), 8)
-    bits = next(b for b in (8, 10, 12, 14, 16) if b >= bits)
-    return np.asarray(grey >> (bits - 8), dtype=np.uint8)
+    return grey if grey.dtype == np.uint8 else np.asarray(grey >> 8, dtype=np.uint8)
 
 
 @compiled
