@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
-from vaoi_station.model import CameraHead, Finite, Positive, Whole
+from vaoi_station.model import CameraHead, Finite, Positive, Visibility, Whole
 from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormatName
 
 MethodName = Literal["auto", "fiducials", "features", "reference"]
@@ -153,6 +153,8 @@ class CameraConfig(Section):
             exposure_us=self.exposure_us,
             nominal_center_mm=self.nominal_center_mm,
             nominal_px_per_mm=self.nominal_px_per_mm,
+            # Frames of more than 8 bits leave the ring at full scale, whatever the depth of the camera.
+            bits=16 if PIXEL_FORMATS[self.pixel_format].bits > 8 else None,
         )
 
     @property
@@ -269,6 +271,8 @@ class StationConfig(Section):
     replay: ReplayConfig | None = None
     ring: RingConfig = RingConfig()
     api: ApiConfig = ApiConfig()
+    visibility: Visibility = Visibility()
+    """How much of every component the good frames of a run must show, unless its board type asks for something else."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

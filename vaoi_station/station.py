@@ -76,7 +76,9 @@ class Station:
                 Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
                 ring,
                 BoardTypeDirectory(config.board_types),
-                OrderFactory(config.line, calibration, camera_heads(config), store, shelf, config.method),
+                OrderFactory(
+                    config.line, calibration, camera_heads(config), store, shelf, config.method, config.visibility
+                ),
                 shelf,
                 lambda: (link.status(), *workers.status()),
                 notify_watchdog,

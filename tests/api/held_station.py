@@ -226,7 +226,7 @@ class HeldStation(StationCoordinator):
             raise NotFoundError(f"Board type {board_type!r} has no reference.", code="no-reference")
         return self.references[board_type]
 
-    def teach_reference(self, board_type: str, run: str) -> bool:
+    def teach_reference(self, board_type: str, run: str, *, confirm_orientation: bool = False) -> bool:
         self.board_type(board_type)
         detail = self.run(run)
         if detail.verdict != Status.OK:

@@ -118,6 +118,7 @@ def a_stitch(head: RecordingHead, status: Status = Status.OK, reasons: tuple[str
         row_motion=tuple(rows),
         status=status,
         reasons=reasons,
+        quality={"cad_sigma_px": 0.02},
     )
 
 

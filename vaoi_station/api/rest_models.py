@@ -38,6 +38,10 @@ class TeachRequest(Strict):
     """A request to make a run the reference of its board type."""
 
     run: str = Field(min_length=1, max_length=64, description="Id of a finished run of the board type.")
+    confirm_orientation: bool = Field(
+        default=False,
+        description="A person has checked that the board lay as its board type says, not turned by 180°.",
+    )
 
 
 class MethodRequest(Strict):
@@ -65,6 +69,9 @@ class ComponentEntry(Strict):
     rotation_deg: float
     tester_mm: tuple[float, float] | None = Field(description="Position at row 0, tester coordinates.")
     views: int = Field(description="Number of frames that show at least half of it.")
+    coverage: float | None = Field(description="Share of its footprint that the good frames show together, 0 … 1.")
+    in_one_frame: bool | None = Field(description="Whether one good frame shows the whole footprint.")
+    unseen: bool = Field(description="Whether the good frames show less of it than the board type or station asks for.")
     url: str
 
 

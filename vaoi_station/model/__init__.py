@@ -4,7 +4,16 @@ Shapes, units and names follow docs/formats.md; the room `files` reads and write
 are free for the user: the software keeps them and does not interpret them. Cameras and rows count from 0.
 """
 
-from vaoi_station.model.board_type import MM_PER_UNIT, BoardType, Component, Fiducial, FixtureMarkShape, Place
+from vaoi_station.model.board_type import (
+    MM_PER_UNIT,
+    VISIBILITY,
+    BoardType,
+    Component,
+    Fiducial,
+    FixtureMarkShape,
+    Place,
+    Visibility,
+)
 from vaoi_station.model.calibration import Calibration, Distortion
 from vaoi_station.model.frame_record import FrameRecord, Pulse, Verdict
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Positive, Strict, Whole
@@ -13,6 +22,7 @@ from vaoi_station.model.stitch_result import Status, Stitch, Surface
 
 __all__ = [
     "MM_PER_UNIT",
+    "VISIBILITY",
     "BoardType",
     "Calibration",
     "CameraHead",
@@ -32,5 +42,6 @@ __all__ = [
     "Strict",
     "Surface",
     "Verdict",
+    "Visibility",
     "Whole",
 ]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
-from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Point, Positive
+from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Point, Positive, Whole
 
 _MAX_ENTRIES = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
 """Maximum number of entries per key of a board type."""
@@ -30,6 +30,32 @@ class Fiducial(FrozenModel):
     diameter: Positive
 
 
+class Visibility(FrozenModel):
+    """How much of a component the good frames of a run must show. What is None is left to the next more general level.
+
+    The levels are component, board type, station, and the defaults of `VISIBILITY`.
+    """
+
+    coverage: Annotated[Finite, Field(ge=0, le=1)] | None = None
+    """Least share of the footprint that the frames show together; 0 for a component that need not be seen."""
+    views: Annotated[Whole, Field(ge=0, le=1000)] | None = None
+    """Least number of frames that show at least half of the footprint."""
+    in_one_frame: bool | None = None
+    """Whether one frame must show the whole footprint, which is not so for a component on a seam."""
+
+    def over(self, general: Visibility) -> Visibility:
+        """Return these values, completed by those of the next more general level."""
+        return Visibility(
+            coverage=general.coverage if self.coverage is None else self.coverage,
+            views=general.views if self.views is None else self.views,
+            in_one_frame=general.in_one_frame if self.in_one_frame is None else self.in_one_frame,
+        )
+
+
+VISIBILITY = Visibility(coverage=0.99, views=0, in_one_frame=False)
+"""What is asked of every component unless component, board type or station ask for something else."""
+
+
 class Component(FrozenModel):
     """One component. Centre and size of its footprint before rotation are in CAD units, its rotation in degrees."""
 
@@ -40,6 +66,7 @@ class Component(FrozenModel):
     rotation: Annotated[Finite, Field(ge=-36_000, le=36_000)] = 0.0
     body_height: Annotated[Finite, Field(ge=0)] | None = None
     panel: str | int | None = None
+    visibility: Visibility | None = None
 
     @property
     def address(self) -> str:
@@ -75,6 +102,7 @@ class BoardType(FrozenModel):
     components: tuple[Component, ...] = ()
     fixture_mark: FixtureMarkShape | None = None
     fixture_marks: tuple[Place, ...] = ()
+    visibility: Visibility | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -6,16 +6,17 @@ then the position of the board from its fiducials. Last, all unknowns are estima
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
+from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Stitch
+from vaoi_station.model import VISIBILITY, Stitch, Visibility
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.observations import LinkStore
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
@@ -25,7 +26,8 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links
+from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS, Method
 from vaoi_station.stitching.quality.findings import Findings
@@ -49,6 +51,16 @@ class PriorKnowledge:
     """(2,) nominal velocity of the conveyor."""
     method_name: str
     reference: Reference | None = None
+    visibility: Visibility = VISIBILITY
+    """How much of every component the frames must show, unless the board type asks for something else."""
+    reference_frame: Callable[[FrameKey], PreparedFrame] | None = None
+    """A function that returns a prepared frame of the reference; None if its frames cannot be read."""
+
+    def reference_scene(self, cameras: tuple[Camera, ...]) -> Scene | None:
+        """Return the frames of the reference, filmed by the same cameras; None if there are none that can be read."""
+        if self.reference is None or self.reference_frame is None:
+            return None
+        return Scene(cameras, tuple(sorted(self.reference.present)), self.reference_frame)
 
     @property
     def method(self) -> Method:
@@ -87,7 +99,18 @@ def conclude(
     mapping = _map_cad(scene, prior, problem, motion, found)
     motion = _refine_motion(prior, problem, motion, mapping)
     stages.finish("cad")
-    findings = Findings(prior.plane, prior.expectation, scene, prior.method, found.links, problem, motion, mapping)
+    findings = Findings(
+        prior.plane,
+        prior.expectation,
+        scene,
+        prior.method,
+        found.links,
+        problem,
+        motion,
+        mapping,
+        prior.visibility,
+        prior.reference.sigma_px if prior.reference else 0.0,
+    )
     status, reasons = decide_verdict(findings)
     quality = quality_document(findings) | _provenance(prior, stages)
     stages.finish("verdict")
@@ -136,7 +159,13 @@ def _map_cad(
         return NO_BOARD_TYPE
     texture = board_texture(problem.links, motion) if prior.method.links else np.zeros((0, 2))
     inputs = MappingInputs(
-        prior.expectation, prior.method, found.detections, texture, prior.reference, found.reference_links
+        prior.expectation,
+        prior.method,
+        found.detections,
+        texture,
+        prior.reference,
+        found.reference_links,
+        prior.reference_scene(scene.cameras),
     )
     return map_cad(prior.plane, scene, problem, motion, inputs)
 

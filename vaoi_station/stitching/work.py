@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import BoardType, Stitch
+from vaoi_station.model import VISIBILITY, BoardType, Stitch, Visibility
 from vaoi_station.stitching.adjustment.observations import LinkStore
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.expectation import Expectation
@@ -57,6 +57,8 @@ class StitchSetup:
     method: MethodName = "auto"
     reference: Reference | None = None
     """A stitched run of the same board type, to which the frames are linked; None without one."""
+    visibility: Visibility = VISIBILITY
+    """How much of every component the frames must show, unless the board type asks for something else."""
 
     @cached_property
     def plane(self) -> BoardPlane | None:
@@ -176,7 +178,13 @@ class TaskRunner:
         return conclude(
             Scene(s.cameras, tuple(sorted(present)), self._get, doubts),
             PriorKnowledge(
-                s.plane, s.expectation, np.asarray(s.conveyor_mm_s, dtype=np.float64), s.method, s.reference
+                s.plane,
+                s.expectation,
+                np.asarray(s.conveyor_mm_s, dtype=np.float64),
+                s.method,
+                s.reference,
+                s.visibility,
+                self._reference if self._reference_frame is not None else None,
             ),
             np.asarray(times_s, dtype=np.float64),
             list(evidence),

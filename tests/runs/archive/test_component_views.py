@@ -28,6 +28,28 @@ def test_positions_are_those_of_the_cad_mapping_and_views_are_counted(rig: Any) 
     assert component.views == len(component_views.views_of_component(finished, "U1", None, 0.5)) > 0
 
 
+def test_unseen_components_are_named_by_run_event_and_list(rig: Any, make_stitch: Callable[..., Stitch]) -> None:
+    figures = {"coverage": 0.4, "views": 0, "in_one_frame": False, "cause": "frames-lost"}
+
+    def partly(head: RecordingHead) -> Stitch:
+        found = make_stitch(head, Status.DEGRADED, ("the good frames show too little of 1 of 1 components (U1)",))
+        return found.model_copy(update={"quality": found.quality | {"unseen": {"U1": figures}}})
+
+    rig.workers.result = partly
+    finished = finished_run(rig)
+    assert [u.model_dump() for u in finished.detail.unseen] == [{"address": "U1", **figures}]
+    [component] = component_views.components_of(finished)
+    assert component.unseen
+    assert component.coverage is not None
+    event = next(e for e in rig.coordinator.events(0, 0.0) if e.run == finished.detail.id and e.state == "degraded")
+    assert "(U1)" in event.message
+
+
+def test_the_coverage_is_that_of_the_complete_frames(rig: Any) -> None:
+    [seen] = component_views.components_of(finished_run(rig))
+    assert (seen.coverage, seen.in_one_frame, seen.unseen) == (1.0, True, False)
+
+
 def test_frames_with_holes_are_no_views(rig: Any) -> None:
     finished = finished_run(rig, {0: Verdict.INCOMPLETE, 1: Verdict.MISSING})
     views = component_views.views_of_component(finished, "U1", None, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,31 @@ def test_a_run_that_is_not_ok_is_no_reference(
         rig.coordinator.teach_reference("small", run)
     assert refused.value.code == "not-a-reference"
     assert kept(rig) == set()
+
+
+def test_a_person_settles_an_ambiguous_orientation_once(rig: Any, make_stitch: Callable[..., Stitch]) -> None:
+    def either_way(head: RecordingHead) -> Stitch:
+        found = make_stitch(head, Status.DEGRADED, ("turned by 180° the board would fit as well",))
+        return found.model_copy(update={"quality": found.quality | {"orientation": "ambiguous"}})
+
+    rig.workers.result = either_way
+    run = filmed(rig)
+    with pytest.raises(StateError, match="cannot be a reference") as refused:
+        rig.coordinator.teach_reference("small", run)
+    assert "confirm_orientation" in refused.value.action
+    assert rig.coordinator.teach_reference("small", run, confirm_orientation=True)
+    assert rig.coordinator.reference("small").usable
+    kept_result = json.loads((rig.config.data / "references" / run / "result.json").read_text())
+    assert (kept_result["status"], kept_result["quality"]["orientation"]) == ("ok", "confirmed")
+
+
+def test_a_board_type_that_no_run_can_place_is_refused(rig: Any, board_type: BoardType) -> None:
+    one = board_type.model_copy(update={"name": "one-mark", "fiducials": board_type.fiducials[:1]})
+    with pytest.raises(InputError, match="'one-mark' has 1 fiducial, but must have at least 2") as refused:
+        rig.coordinator.put_board_type(one)
+    assert refused.value.code == "too-few-fiducials"
+    with pytest.raises(NotFoundError):
+        rig.coordinator.board_type("one-mark")
 
 
 def test_what_cannot_be_taught_is_refused_and_nothing_is_kept(rig: Any, board_type: BoardType) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from vaoi_station.config import StationConfig
-from vaoi_station.model import BoardType, Calibration
+from vaoi_station.errors import InputError
+from vaoi_station.model import BoardType, Calibration, Visibility
 from vaoi_station.runs.run.order import Order, OrderFactory, Orders
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
@@ -67,3 +70,23 @@ def test_what_was_used_is_kept_with_its_digest(
     assert BoardType.model_validate_json(store.document(order.board_type_digest)) == board_type
     kept = Calibration.model_validate_json(store.document(order.calibration_digest))
     assert len(kept.cameras(camera_heads(config))) == len(order.setup.cameras) == 2
+
+
+def test_a_board_type_with_one_fiducial_is_not_armed(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    """A file in the directory of board types may be older than this rule."""
+    with pytest.raises(InputError, match="has 1 fiducial, but must have at least 2"):
+        make_desk(config, calibration, store)(
+            board_type.model_copy(update={"fiducials": board_type.fiducials[:1]}), None, None
+        )
+
+
+def test_an_order_asks_for_what_the_station_asks_for(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    heads = camera_heads(config)
+    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
+    asked = Visibility(in_one_frame=True)
+    desk = OrderFactory(config.line, calibration, heads, store, shelf, visibility=asked)
+    assert desk(board_type, None, None).setup.visibility == asked

@@ -81,6 +81,48 @@ def test_a_run_that_is_not_ok_is_not_taught(recording: Path, tmp_path: Path) -> 
     assert not (tmp_path / "out").exists()
 
 
+def bare_board(recording: Path, path: Path) -> Path:
+    """Write a board type with two fiducials alone, which leave it open how the board lies."""
+    bare = json.loads((recording / "board.json").read_text())
+    bare.pop("outline")
+    bare |= {"fiducials": bare["fiducials"][:2], "components": []}
+    path.write_text(json.dumps(bare))
+    return path
+
+
+def test_a_person_confirms_an_ambiguous_orientation_once(recording: Path, tmp_path: Path) -> None:
+    board, calibration = bare_board(recording, tmp_path / "board.json"), recording / "calibration.json"
+    with pytest.raises(InputError, match="confirm-orientation") as refusal:
+        teach(recording, calibration, board, tmp_path / "refused")
+    assert refusal.value.action.startswith("If the board lies as its board type says")
+    stitch = teach(recording, calibration, board, tmp_path / "taught", confirm_orientation=True)
+    assert (stitch.status, stitch.quality["orientation"]) == (Status.OK, "confirmed")
+    assert opened(tmp_path / "taught").reference.sigma_px == stitch.quality["cad_sigma_px"]
+
+
+def test_a_board_type_with_one_fiducial_is_refused(recording: Path, tmp_path: Path) -> None:
+    board = json.loads((recording / "board.json").read_text())
+    (tmp_path / "board.json").write_text(json.dumps(board | {"fiducials": board["fiducials"][:1]}))
+    with pytest.raises(InputError, match=r"board\.json: board type .* has 1 fiducial, but must have at least 2"):
+        teach(recording, recording / "calibration.json", tmp_path / "board.json", tmp_path / "out")
+
+
+def test_a_degraded_recording_is_no_reference(recording: Path, tmp_path: Path) -> None:
+    """It was never taught, and places later boards with errors that their results would not state."""
+    shutil.copytree(recording, tmp_path / "run")
+    shutil.copyfile(bare_board(recording, tmp_path / "b.json"), tmp_path / "run" / "board.json")
+    with pytest.raises(InputError, match="is degraded and cannot be a reference: the fiducials also fit") as refusal:
+        opened(tmp_path / "run")
+    assert refusal.value.code == "not-a-reference"
+
+
+def test_a_reference_of_unknown_uncertainty_is_refused(taught: Path, tmp_path: Path) -> None:
+    shutil.copytree(taught, tmp_path / "unknown")
+    write_stitch(tmp_path / "unknown" / RESULT, read_stitch(taught / RESULT).model_copy(update={"quality": {}}))
+    with pytest.raises(InputError, match=r"quality\.cad_sigma_px is absent"):
+        opened(tmp_path / "unknown")
+
+
 def test_an_opened_reference_has_the_kept_result(taught: Path) -> None:
     stored, kept = opened(taught), read_stitch(taught / RESULT)
     assert np.array_equal(stored.reference.stitch.row_motion, kept.row_motion)
@@ -150,7 +192,7 @@ def test_a_failed_result_is_no_reference(taught: Path, tmp_path: Path) -> None:
     shutil.copytree(taught, tmp_path / "failed")
     failed: Stitch = read_stitch(taught / RESULT).model_copy(update={"cad_matrix": None, "reasons": ("no fiducials",)})
     write_stitch(tmp_path / "failed" / RESULT, failed)
-    with pytest.raises(InputError, match="has no CAD mapping: no fiducials"):
+    with pytest.raises(InputError, match="cannot be a reference: no fiducials"):
         opened(tmp_path / "failed")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request, Response
@@ -35,10 +36,12 @@ def router(services: Services) -> APIRouter:
         """Make a finished run the reference of its board type, from the next arming on.
 
         Some frames of each row are copied to the disk. 409: the run's verdict is not ok, or the run has none yet; 410:
-        the frames of the run are no longer in memory; 422: the run is of another board type.
+        the frames of the run are no longer in memory; 422: the run is of another board type. A run that is degraded
+        only because its board may lie turned by 180° is accepted with `confirm_orientation`.
         """
         response.headers["Cache-Control"] = LIVE
-        if await ask(coordinator.teach_reference, name, wanted.run):
+        teach = partial(coordinator.teach_reference, confirm_orientation=wanted.confirm_orientation)
+        if await ask(teach, name, wanted.run):
             response.status_code = 201
             response.headers["Location"] = quote(request.url.path)
         return await ask(coordinator.reference, name)

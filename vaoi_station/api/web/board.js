@@ -74,6 +74,7 @@ export class Board {
       ...(run.job_id ? [[texts.facts.job, run.job_id]] : []),
       [texts.facts.run, run.id],
       [texts.facts.frames, texts.frames(ok, incomplete, missing, unproven, run.rows, run.cameras)],
+      ...(run.unseen?.length ? [[texts.facts.unseen, texts.unseen(run.unseen)]] : []),
       ...(run.proof ? [[texts.facts.trigger, texts.trigger(run.proof)]] : []),
       [texts.facts.since, ""],
     ];
@@ -95,10 +96,11 @@ export class Board {
       return;
     }
     const addresses = list.map((c) => c.address);
-    if (addresses.join("\n") !== $("component").dataset.list) {
-      $("component").dataset.list = addresses.join("\n");
+    const labels = list.map((c) => (c.unseen ? texts.unseenOption(c) : c.address));
+    if (labels.join("\n") !== $("component").dataset.list) {
+      $("component").dataset.list = labels.join("\n");
       $("component").replaceChildren(
-        ...addresses.map((a) => Object.assign(document.createElement("option"), { value: a, textContent: a })),
+        ...addresses.map((a, n) => Object.assign(document.createElement("option"), { value: a, textContent: labels[n] })),
       );
     }
     if (!addresses.includes(this.#chosen)) this.#chosen = (largestSeen(list) ?? list[0]).address;

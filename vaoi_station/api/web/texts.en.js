@@ -30,7 +30,10 @@ export const texts = {
   },
   noBoard: "No board yet",
   noBoardHint: "Arm the station and let a board pass.",
-  facts: { board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger" },
+  facts: {
+    board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger",
+    unseen: "Not seen",
+  },
   noId: "no id",
   frames: (ok, incomplete, missing, unproven, rows, cameras) => {
     const all = ok + incomplete + missing + unproven;
@@ -48,6 +51,11 @@ export const texts = {
     const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
     return `not confirmed for camera ${cameras.join(", ")}`;
   },
+  unseen: (list) => {
+    const named = list.slice(0, 40).map((c) => texts.unseenOption(c)).join(", ");
+    return list.length > 40 ? `${named}, and ${list.length - 40} more` : named;
+  },
+  unseenOption: (c) => `${c.address} (${Math.floor(c.coverage * 100)} % seen)`,
   ago: (s) => {
     if (s < 60) return `${Math.max(0, Math.floor(s))} s ago`;
     if (s < 3600) return `${Math.floor(s / 60)} min ago`;

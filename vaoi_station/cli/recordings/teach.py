@@ -13,9 +13,22 @@ def teach(
     out: Annotated[Path, typer.Option(help="Write the reference to this directory, which must not exist.")],
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration [CASE/calibration.json].")] = None,
     board: Annotated[Path | None, typer.Option(help="Use this board type [CASE/board.json].")] = None,
+    confirm_orientation: Annotated[
+        bool,
+        typer.Option(
+            "--confirm-orientation",
+            help="You have checked that the board lies as its board type says, not turned by 180°.",
+        ),
+    ] = False,
 ) -> None:
     """Stitch a recording and keep it as the reference against which later runs of its board type are placed."""
     from vaoi_station.stitching.recordings.reference_directory import teach as keep
 
-    stitch = keep(case, calibration or case / "calibration.json", board or case / "board.json", out)
+    stitch = keep(
+        case,
+        calibration or case / "calibration.json",
+        board or case / "board.json",
+        out,
+        confirm_orientation=confirm_orientation,
+    )
     typer.echo(f"{stitch.status}: standard deviation of positions {stitch.quality['cad_sigma_px']:.3f} px → {out}")

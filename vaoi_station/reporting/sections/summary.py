@@ -69,8 +69,13 @@ def _evidence(stitched: StitchedRun, q: dict[str, Any]) -> list[tuple[str, str]]
         ("pairs of frames linked", f"{linked} of {len(pairs)}"),
         *counts,
         ("components in view", f"{sum(1 for v in views.values() if v)} of {len(views)}" if views else "–"),
+        ("components seen too little", _unseen(q["unseen"])),
         ("components with a height", str(len(q["heights_mm"]))),
     ]
+
+
+def _unseen(unseen: dict[str, Any]) -> str:
+    return ", ".join(f"{address} ({u['coverage']:.0%}, {u['cause']})" for address, u in unseen.items()) or "none"
 
 
 def _placed(stitched: StitchedRun) -> int:

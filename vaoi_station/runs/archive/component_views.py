@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 import numpy as np
 
@@ -11,20 +12,29 @@ from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
 from vaoi_station.rendering import View, ViewCalculator
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
+from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 
 
 def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
     """Return a summary of every component of the run's board type. Without a CAD mapping, positions are None."""
     board_type, stitch = finished.board_type, finished.stitch
     from_cad = stitch.tester_from_cad if stitch else None
-    views = _view_counts(finished)
+    views, seen = _view_counts(finished), _coverages(finished)
     parts = board_type.components
     positions = from_cad(np.array([c.center for c in parts])) if from_cad and parts else [None] * len(parts)
+    unseen = {u.address for u in finished.detail.unseen}
     return tuple(
         _summary(
-            part, board_type.mm_per_unit, None if at is None else (float(at[0]), float(at[1])), views[part.address]
+            part,
+            board_type.mm_per_unit,
+            None if at is None else (float(at[0]), float(at[1])),
+            views=views[part.address],
+            coverage=None if seen is None else round(float(seen.share[n]), 4),
+            in_one_frame=None if seen is None else bool(seen.in_one_frame[n]),
+            unseen=part.address in unseen,
         )
-        for part, at in zip(parts, positions, strict=True)
+        for n, (part, at) in enumerate(zip(parts, positions, strict=True))
     )
 
 
@@ -103,7 +113,17 @@ def _view_counts(finished: FinishedRun) -> Counter[str]:
     return Counter({address: sum((v.camera, v.row) in whole for v in views) for address, views in board.items()})
 
 
-def _summary(part: Component, mm: float, tester_mm: tuple[float, float] | None, views: int) -> ComponentSummary:
+def _coverages(finished: FinishedRun) -> Coverage | None:
+    """Compute how much of each component the good frames show; None without a CAD mapping."""
+    stitch = finished.stitch
+    if stitch is None or stitch.cad_matrix is None:
+        return None
+    whole = [(f.camera, f.row) for f in finished.detail.frames if f.usable]
+    parts, rows = ComponentIndex.of(finished.board_type), np.array(stitch.row_motion)
+    return component_coverage(parts, stitch.cad_matrix, finished.cameras, rows, whole, stitch.surface)
+
+
+def _summary(part: Component, mm: float, tester_mm: tuple[float, float] | None, **seen: Any) -> ComponentSummary:
     return ComponentSummary(
         address=part.address,
         ref=part.ref,
@@ -113,5 +133,5 @@ def _summary(part: Component, mm: float, tester_mm: tuple[float, float] | None, 
         height_mm=part.height * mm,
         rotation_deg=part.rotation,
         tester_mm=tester_mm,
-        views=views,
+        **seen,
     )

@@ -217,10 +217,11 @@ class StationCoordinator:
         """Return the reference of a board type; `NotFoundError` if it has none."""
         return self._board_types.reference(board_type)
 
-    def teach_reference(self, board_type: str, run: str) -> bool:
+    def teach_reference(self, board_type: str, run: str, *, confirm_orientation: bool = False) -> bool:
         """Make a finished run the reference of its board type, from the next arming on.
 
-        Returns True if the board type had no reference before.
+        Returns True if the board type had no reference before. With `confirm_orientation`, a person has confirmed that
+        the board lay as its board type expects it, which settles a verdict that is degraded for this reason alone.
 
         Raises:
             NotFoundError: there is no such run or board type.
@@ -228,7 +229,7 @@ class StationCoordinator:
             StateError: the run has no result yet, or the verdict of its result is not ok.
             GoneError: the frames of the run are no longer in memory.
         """
-        return self._board_types.teach_reference(board_type, run)
+        return self._board_types.teach_reference(board_type, run, confirm_orientation=confirm_orientation)
 
     def forget_reference(self, board_type: str) -> None:
         """Remove the reference of a board type, from the next arming on; `NotFoundError` if it has no reference."""

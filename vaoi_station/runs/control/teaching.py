@@ -9,7 +9,7 @@ from pathlib import Path
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.images import Image
-from vaoi_station.model import BoardType, Calibration, Status
+from vaoi_station.model import BoardType, Calibration, Status, Stitch
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.control.core import Core
@@ -18,7 +18,13 @@ from vaoi_station.runs.control.pictures import FrameAccess
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason, ReferenceRecord, ReferenceStatus, StitchingMethod
-from vaoi_station.stitching.recordings.reference_directory import write_reference
+from vaoi_station.stitching.board.placeable import refuse_unplaceable
+from vaoi_station.stitching.recordings.reference_directory import (
+    CONFIRM,
+    awaits_confirmation,
+    with_confirmed_orientation,
+    write_reference,
+)
 from vaoi_station.stitching.recordings.reference_frames import select_reference_frames
 from vaoi_station.store import BoardTypeDirectory
 
@@ -71,7 +77,15 @@ class ReferenceTeaching:
             fault = Reason.of(error)
         return ReferenceStatus(**record.model_dump(), board_type=board_type.name, usable=fault is None, fault=fault)
 
-    def teach(self, board_type: BoardType, finished: FinishedRun, calibration: Calibration, pixels: Pixels) -> bool:
+    def teach(
+        self,
+        board_type: BoardType,
+        finished: FinishedRun,
+        calibration: Calibration,
+        pixels: Pixels,
+        *,
+        confirm_orientation: bool = False,
+    ) -> bool:
         """Make a finished run the reference of its board type; return True if there was no reference before.
 
         Args:
@@ -79,19 +93,21 @@ class ReferenceTeaching:
             finished: the run.
             calibration: the calibration with which the run was stitched.
             pixels: function that copies a frame of the run, given its slot.
+            confirm_orientation: whether a person has confirmed that the board lies as the board type expects it.
 
         Raises:
             InputError: the run shows another board type, or the board type has changed since the run.
             StateError: the verdict of the run is not ok.
             DeviceError: the disk refuses the files.
         """
-        _check(board_type.name, finished)
+        stitch = with_confirmed_orientation(finished.result) if confirm_orientation else finished.result
+        _check(board_type.name, finished, stitch)
         run = finished.detail.id
         # One call at a time: two calls for the same run would write to the same directory.
         with self._teaching:
             path = self._store.path_of(run)
             if not path.exists():
-                _write(path, finished, calibration, pixels)
+                _write(path, finished, stitch, calibration, pixels)
             self._store.load(run, board_type)
             new = self._store.record(board_type.name) is None
             self._store.keep(board_type.name, _record_of(path, finished))
@@ -159,7 +175,8 @@ class BoardTypeService:
         return self._directory.get(name)
 
     def put(self, board_type: BoardType) -> bool:
-        """Add or replace a board type; return True if the name is new."""
+        """Add or replace a board type; return True if the name is new. `InputError` if no run could place it."""
+        refuse_unplaceable(board_type, "body")
         with self._changing:
             new = self._directory.put(board_type)
         armed = self._inbox.ask(self._core.line.orders.shown)
@@ -184,12 +201,14 @@ class BoardTypeService:
         """Return the reference of a board type and whether it is usable; `NotFoundError` if there is no reference."""
         return self._references.status(self.get(board_type))
 
-    def teach_reference(self, board_type: str, run: str) -> bool:
+    def teach_reference(self, board_type: str, run: str, *, confirm_orientation: bool = False) -> bool:
         """Make a finished run the reference of its board type; return True if there was no reference before."""
         known, finished = self.get(board_type), self._archive.get(run)
         calibration = self._archive.calibration_of(finished)
         with self._frames.lease(run, "taught as the reference") as bay:
-            new = self._references.teach(known, finished, calibration, self._frames.copier(bay))
+            new = self._references.teach(
+                known, finished, calibration, self._frames.copier(bay), confirm_orientation=confirm_orientation
+            )
         self._sweep()
         self._events.add("reference", f"Run {run} is now the reference of board type {board_type!r}.", run=run)
         return new
@@ -226,7 +245,7 @@ def _no_reference(board_type: str) -> NotFoundError:
     )
 
 
-def _check(board_type: str, finished: FinishedRun) -> None:
+def _check(board_type: str, finished: FinishedRun, stitch: Stitch) -> None:
     detail = finished.detail
     if detail.board_type != board_type:
         raise InputError(
@@ -234,20 +253,19 @@ def _check(board_type: str, finished: FinishedRun) -> None:
             action="Teach a run of this board type.",
             code="other-board-type",
         )
-    stitch = finished.result
     if stitch.status is not Status.OK or stitch.cad_matrix is None:
         raise StateError(
             f"Run {detail.id} is {stitch.status} and cannot be a reference: {'; '.join(stitch.reasons)}.",
-            action="Teach a run whose verdict is ok.",
+            action=CONFIRM if awaits_confirmation(stitch) else "Teach a run whose verdict is ok.",
             code="not-a-reference",
         )
 
 
-def _write(path: Path, finished: FinishedRun, calibration: Calibration, pixels: Pixels) -> None:
+def _write(path: Path, finished: FinishedRun, stitch: Stitch, calibration: Calibration, pixels: Pixels) -> None:
     head = finished.head
     assert head is not None, "a run with a result was filmed"
     slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
-    chosen = select_reference_frames(finished.result, finished.cameras, finished.board_type, slots)
+    chosen = select_reference_frames(stitch, finished.cameras, finished.board_type, slots)
     everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
     kept = head.model_copy(update={"missing": tuple(sorted(everything - chosen)), "x_run": finished.detail.id})
 
@@ -256,7 +274,7 @@ def _write(path: Path, finished: FinishedRun, calibration: Calibration, pixels: 
             yield *key, pixels(slots[key])
 
     try:
-        write_reference(path, kept, frames(), calibration, finished.board_type, finished.result)
+        write_reference(path, kept, frames(), calibration, finished.board_type, stitch)
     except OSError as error:
         raise DeviceError(
             f"{path}: the reference cannot be written ({error.strerror}).",

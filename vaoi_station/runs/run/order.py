@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 
 from vaoi_station.config import Line, MethodName
 from vaoi_station.errors import StateError, VaoiError
-from vaoi_station.model import BoardType, Calibration, CameraHead
+from vaoi_station.model import VISIBILITY, BoardType, Calibration, CameraHead, Visibility
 from vaoi_station.runs.run.reference_store import ReferenceStore, StoredReference
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
 from vaoi_station.stitching.board.expectation import expectation_of
+from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
@@ -104,6 +105,7 @@ class OrderFactory:
         store: Store,
         references: ReferenceStore,
         method: MethodName = "auto",
+        visibility: Visibility = VISIBILITY,
     ) -> None:
         """Prepare the parts that all orders of a station share.
 
@@ -114,13 +116,22 @@ class OrderFactory:
             store: keeps the documents that runs refer to.
             references: references and methods of the board types.
             method: the station's method, which applies to board types for which no method was set.
+            visibility: how much of every component must be seen, unless the board type asks for something else.
         """
+        self._visibility = visibility
         self._line, self._store, self._references, self._method = line, store, references, method
         self._cameras = calibration.cameras(heads)
         self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
 
     def __call__(self, board_type: BoardType, board_id: str | None, job_id: str | None) -> Order:
-        """Make the order for a board type; `StateError` if the method needs a reference that is missing or unusable."""
+        """Make the order for a board type.
+
+        Raises:
+            InputError: the board type has too few fiducials to be placed.
+            StateError: the method needs a reference that is missing or unusable.
+        """
+        # Files of the directory may be older than this rule, or written by hand.
+        refuse_unplaceable(board_type, "board type")
         method = self._references.method(board_type.name) or self._method
         reference, notes = self._reference(board_type, method)
         setup = StitchSetup(
@@ -131,6 +142,7 @@ class OrderFactory:
             expectation=expectation_of(self._line, board_type),
             method=method,
             reference=reference.reference if reference else None,
+            visibility=self._visibility,
         )
         # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())

@@ -23,6 +23,7 @@ from vaoi_station.runs.states.schemas import (
     RunSummary,
     Timeline,
     Timings,
+    Unseen,
     VerdictCounts,
     Versions,
 )
@@ -69,7 +70,14 @@ def detail_of(progress: Progress) -> RunDetail:
         proof=recorded.proof if recorded else None,
         software=versions(),
         calibration=order.calibration_digest,
+        unseen=unseen_of(progress.stitch),
     )
+
+
+def unseen_of(stitch: Stitch | None) -> tuple[Unseen, ...]:
+    """Return the components that the good frames show too little of, from the quality figures of a result."""
+    found = stitch.quality.get("unseen", {}) if stitch else {}
+    return tuple(Unseen(address=address, **figures) for address, figures in found.items())
 
 
 def summary_of(detail: RunDetail) -> RunSummary:

@@ -15,6 +15,7 @@ from vaoi_station.config import MethodName
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.states.tables import RunState, StationState
+from vaoi_station.stitching.quality.unseen import Cause as UnseenCause
 
 ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 
@@ -262,6 +263,20 @@ class RunSummary(Schema):
     frames_available: bool
 
 
+class Unseen(Schema):
+    """A component that the good frames of a run show too little of, by the `visibility` that is asked for."""
+
+    address: str
+    coverage: float
+    """Share of the footprint that the good frames show together."""
+    views: int
+    """Number of good frames that show at least half of the footprint."""
+    in_one_frame: bool
+    cause: UnseenCause
+    """What was tested to explain it: frames were lost; the frames ended before, or began after the component passed;
+    it lies on a seam; or it passes beside the cameras."""
+
+
 class RunDetail(RunSummary):
     """One run, with the verdict of every frame (camera, row)."""
 
@@ -275,6 +290,8 @@ class RunDetail(RunSummary):
     software: Versions
     calibration: str
     """Digest of the calibration with which the run was stitched."""
+    unseen: tuple[Unseen, ...] = ()
+    """Components that the good frames show too little of; the run is then not ok."""
 
 
 class TaskTiming(Schema):
@@ -316,6 +333,12 @@ class ComponentSummary(Schema):
     """Position of the component's centre at row 0, in tester coordinates; None without a CAD mapping."""
     views: int
     """Number of frames that show at least half of the component."""
+    coverage: float | None = None
+    """Share of the footprint that the good frames show together; None without a CAD mapping."""
+    in_one_frame: bool | None = None
+    """Whether one good frame shows the whole footprint; None without a CAD mapping."""
+    unseen: bool = False
+    """Whether this is less than the board type or the station asks for."""
 
 
 class EventRecord(Schema):

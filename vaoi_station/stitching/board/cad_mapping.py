@@ -14,7 +14,7 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
 from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle
@@ -34,13 +34,20 @@ from vaoi_station.stitching.board.orientation import (
     measure_outline_contrast,
 )
 from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
-from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity
+from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity, inliers
+from vaoi_station.stitching.board.reference_orientation import ReferenceScene, Rivals, compare_with_reference
 from vaoi_station.stitching.matching.evidence import Detections, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 
 _LEAST_REFERRED = 12
 """Least number of points linked to a reference run that can place a board without fiducials."""
+_LEAST_AGREEING = 0.5
+"""Least share of these points that must agree on one place."""
+
+
+class Turned(Failure):
+    """The failure that the pictures show the board turned by 180°. No other evidence replaces it by a position."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +75,8 @@ class MappingInputs:
     """(k, 2) points on the board, mm, that were linked from row to row."""
     reference: Reference | None = None
     reference_links: tuple[Links, ...] = ()
+    reference_scene: Scene | None = None
+    """The frames of the reference; None if they cannot be read."""
 
 
 def map_cad(
@@ -93,7 +102,23 @@ def map_cad(
     points = FiducialPoints.joined([marks, referred])
     whole = _with_board(problem, points, plane, scene, moved.motion, guess.c)
     adjusted = adjust(whole, moved.motion, guess.c)
+    if contradiction := _disagreeing_reference(points, adjusted):
+        return contradiction
     return CadMapping(adjusted, whole, outline, guess.ambiguous, _measured_shift(plane, scene, adjusted))
+
+
+def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -> Failure | None:
+    """Return a failure if the reference alone places the board, and its points do not agree on a place."""
+    if not len(points.which) or (points.which != REFERENCE).any():
+        return None
+    fitting = int(inliers(points, adjusted.fiducial_px).sum())
+    if fitting >= _LEAST_AGREEING * len(points.which):
+        return None
+    # Links of a frame that shows another place agree among themselves, but not with those of other frames.
+    return Failure(
+        f"only {fitting} of {len(points.which)} points of the reference agree on a place of the board (limit "
+        f"{_LEAST_AGREEING:.0%}): it is turned, or of another type, or looks unlike the reference"
+    )
 
 
 def _find_first_c(
@@ -103,15 +128,17 @@ def _find_first_c(
     guess, detections = _c_from_detections(plane, scene, moved, known), known.detections
     outline = _measured_outline(plane, scene, moved.motion, guess)
     # Look-alikes may have pushed the fiducials off a frame's short list of detections. A longer list may hold them.
+    if isinstance(guess, Turned):
+        return guess, detections, outline
     if known.method.marks and (isinstance(guess, Failure) or (outline is not None and not outline.visible)):
         deep = tuple(detect_more_marks(plane.board_type, scene, detections, fixture=known.method.fixture))
         second = _c_from_detections(plane, scene, moved, replace(known, detections=deep))
         if isinstance(second, Hypothesis) or isinstance(guess, Failure):
             guess, detections, outline = second, deep, _measured_outline(plane, scene, moved.motion, second)
     # The reference run comes last: fiducials on the board itself are more reliable than a position from another run.
-    if isinstance(guess, Failure) and known.reference is not None and len(referred.row) >= _LEAST_REFERRED:
-        c = initial_similarity(plane, known.reference, referred, moved.motion)
-        guess = Hypothesis(c, 0.0, ())
+    lost = isinstance(guess, Failure) and not isinstance(guess, Turned)
+    if lost and known.reference is not None and len(referred.row) >= _LEAST_REFERRED:
+        guess = Hypothesis(initial_similarity(plane, known.reference, referred, moved.motion), 0.0, ())
         outline = _measured_outline(plane, scene, moved.motion, guess)
     return guess, detections, outline
 
@@ -138,8 +165,31 @@ def _c_from_detections(
         if orientation is not None and orientation.contradicts:
             return _turned_failure(plane, orientation)
         if orientation is None or not orientation.confirms:
-            return _by_fiducial_count(plane, guess, turned)
+            return _by_reference(plane, scene, moved.motion, known, guess, turned)
     return guess
+
+
+def _by_reference(
+    plane: BoardPlane, scene: Scene, motion: Motion, known: MappingInputs, guess: Hypothesis, turned: Hypothesis
+) -> Hypothesis | Failure:
+    """Decide the orientation by the reference's frames; without a clear answer, by the number of fiducials that fit."""
+    if known.reference is not None and known.reference_scene is not None and known.method.reference:
+        found = compare_with_reference(
+            plane.board_type,
+            Rivals(plane.matrix(guess.c), plane.matrix(turned.c)),
+            scene,
+            motion,
+            ReferenceScene(known.reference.stitch, known.reference_scene),
+        )
+        if found.contradicts:
+            return Turned(
+                f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: its pictures "
+                f"match the reference only when turned (correlation {found.turned:.2f} against {found.as_placed:.2f} "
+                f"at {found.patches} places)"
+            )
+        if found.confirms:
+            return guess
+    return _by_fiducial_count(plane, guess, turned)
 
 
 def _by_fiducial_count(plane: BoardPlane, guess: Hypothesis, turned: Hypothesis) -> Hypothesis | Failure:
@@ -170,9 +220,9 @@ def _measured_shift(plane: BoardPlane, scene: Scene, adjusted: AdjustmentResult)
     return measure_outline_shift(plane.board_type, plane.matrix(adjusted.similarity), scene, adjusted.motion)
 
 
-def _turned_failure(plane: BoardPlane, orientation: Orientation) -> Failure:
+def _turned_failure(plane: BoardPlane, orientation: Orientation) -> Turned:
     contrast = f"{orientation.turned:.0f} against {orientation.as_placed:.0f} grey levels"
-    return Failure(
+    return Turned(
         f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: "
         f"by its {orientation.evidence} the pictures fit the turned board (edge contrast {contrast})"
     )

@@ -52,6 +52,20 @@ class ComponentIndex:
             board_type.mm_per_unit,
         )
 
+    @property
+    def corners(self) -> Floats:
+        """Corners (n, 4, 2) of the footprints, going round, in CAD coordinates."""
+        (cos, sin), (w, h) = self._turn.T, self.size.T / 2
+        along, across = np.stack([cos * w, sin * w], -1), np.stack([-sin * h, cos * h], -1)
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        return np.stack([self.center + a * along + b * across for a, b in signs], 1)
+
+    def take(self, at: Ints) -> ComponentIndex:
+        """Return an index of only the components with the numbers `at`."""
+        addresses = tuple(self.addresses[k] for k in at.tolist())
+        values = (self.center[at], self.size[at], self.angle_rad[at], self.stands_out[at])
+        return ComponentIndex(addresses, *values, self.mm_per_unit)
+
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
         """Return for each of k board points the number of the component on which it lies, or −1 for none: (k,).
 

@@ -43,13 +43,18 @@ class FrameArrays:
     @staticmethod
     def of(scene: Scene, motion: Motion) -> FrameArrays:
         """Collect the arrays of a scene, with the motion of its rows."""
+        return FrameArrays.of_rows(scene, motion.rows_from_tester)
+
+    @staticmethod
+    def of_rows(scene: Scene, rows: Floats) -> FrameArrays:
+        """Collect the arrays of a scene whose rows have the matrices D_j (m, 3, 3)."""
         cameras = scene.cameras
         # All lenses share one array, so shorter polynomials are filled up with zeros.
         most = max(len(c.lens.coefficients) for c in cameras)
         return FrameArrays(
             scene,
             np.array(scene.present, dtype=np.int_).reshape(-1, 2),
-            motion.rows_from_tester,
+            rows,
             np.array([c.image_from_row.matrix for c in cameras]),
             np.array([[*c.lens.coefficients, *[0.0] * (most - len(c.lens.coefficients))] for c in cameras]),
             np.array([c.lens.shape for c in cameras]),

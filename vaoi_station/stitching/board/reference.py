@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
@@ -22,6 +23,8 @@ from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 
 _SCATTER_PX = 0.03
 """Scatter of single links in addition to image noise."""
+_OUTLIER = 8.5
+"""Residual, in standard deviations, above which a point has no weight: 6 per axis, so 6·√2 in the plane."""
 _SHARED_PX = 0.006
 """Error that all links of one frame share. It does not average out."""
 
@@ -36,6 +39,8 @@ class Reference:
     """Good frames of the reference run: (camera, row)."""
     name: str = ""
     """Name by which results refer to this reference."""
+    sigma_px: float = 0.0
+    """Standard deviation of positions by the reference's own CAD mapping, in its worst view. All links share it."""
 
     def task(self, key: FrameKey) -> Task | None:
         """Return the task that links a frame of a later run to the reference; None if the reference lacks the frame."""
@@ -78,6 +83,11 @@ def cad_points(
         np.concatenate(resolution),
         np.full(sum(map(len, rows)), REFERENCE),
     )
+
+
+def inliers(points: FiducialPoints, residual_px: Floats) -> NDArray[np.bool_]:
+    """Return for each of k points with known CAD coordinates whether it has weight, by its residual (k, 2) in px."""
+    return np.asarray(np.hypot(*residual_px.T) <= _OUTLIER * points.sigma_mm * points.px_per_mm)
 
 
 def initial_similarity(plane: BoardPlane, reference: Reference, points: FiducialPoints, motion: Motion) -> Floats:

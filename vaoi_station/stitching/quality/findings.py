@@ -10,7 +10,7 @@ import numpy as np
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Surface
+from vaoi_station.model import VISIBILITY, Surface, Visibility
 from vaoi_station.stitching.adjustment.initial_motion import connected_rows
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 from vaoi_station.stitching.adjustment.surface import to_surface
@@ -22,8 +22,10 @@ from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.quality.heights import Height, component_heights
+from vaoi_station.stitching.quality.reference_share import reference_share, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma
+from vaoi_station.stitching.quality.unseen import FilmedBoard, UnseenComponent, find_unseen
 
 _USED = 0.1
 """Weight above which a link counts as used."""
@@ -49,6 +51,10 @@ class Findings:
     """The solution of the adjustment with links alone."""
     found: CadMapping | Failure
     """The CAD mapping of the board, or the reason why the board was not found."""
+    visibility: Visibility = VISIBILITY
+    """How much of every component the frames must show, unless the board type asks for something else."""
+    reference_sigma_px: float = 0.0
+    """Standard deviation of positions by the CAD mapping of the reference; 0 without a reference."""
 
     @property
     def mapping(self) -> CadMapping | None:
@@ -73,7 +79,9 @@ class Findings:
     @cached_property
     def sigma(self) -> PredictedSigma:
         """Predicted standard deviations of component positions and rows."""
-        return predict_sigma(self.scene, self.plane, self.adjusted, self.views)
+        predicted = predict_sigma(self.scene, self.plane, self.adjusted, self.views)
+        share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
+        return with_common_error(predicted, share) if share > 0 else predicted
 
     @cached_property
     def surface(self) -> Surface | None:
@@ -95,6 +103,17 @@ class Findings:
             return None
         rows = self.adjusted.motion.rows_from_tester
         return FootprintViews.of(landmarks(self.plane)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
+
+    @cached_property
+    def unseen(self) -> tuple[UnseenComponent, ...]:
+        """The components that the good frames show too little of; empty without C."""
+        if self.plane is None or self.cad_matrix is None:
+            return ()
+        rows = self.adjusted.motion.rows_from_tester
+        board = FilmedBoard(
+            self.plane.board_type, self.plane.components, self.cad_matrix, self.scene.cameras, rows, self.surface
+        )
+        return find_unseen(board, self.scene.present, self.problem.velocity_mm_s, self.visibility)
 
     @cached_property
     def heights(self) -> dict[str, Height]:

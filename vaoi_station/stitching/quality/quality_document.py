@@ -12,6 +12,8 @@ from vaoi_station.stitching.quality.covariances import matrix_sigmas, row_covari
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 
+AMBIGUOUS = "ambiguous"
+"""Value of `quality.orientation` if the board turned by 180° would fit as well."""
 _OUTLIER = 8.5
 """Residual, in standard deviations, above which a CAD point has no weight: 6 per axis, so 6·√2 in the plane."""
 
@@ -43,6 +45,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         },
         "seams_px": {f"{i}-{j}": _rounded(v) for (i, j), v in f.seams_px.items()},
         "fiducials": _fiducials(f),
+        "orientation": None if f.mapping is None else AMBIGUOUS if f.mapping.ambiguous else "certain",
         "scale_error": _scale_error(f),
         "outline_contrast": _rounded(f.mapping.outline.contrast, 1) if f.mapping and f.mapping.outline else None,
         "outline_shift_mm": _outline_shift(f),
@@ -58,6 +61,15 @@ def quality_document(f: Findings) -> dict[str, Any]:
         # The views of a board without components are those of its corners, which must not be listed as components.
         "component_covariance_px2": sigma.to_json() if f.plane and f.plane.board_type.components else {},
         "surface_sigma_mm": _surface_sigma(f),
+        "unseen": {
+            u.address: {
+                "coverage": _rounded(u.coverage),
+                "views": u.views,
+                "in_one_frame": u.in_one_frame,
+                "cause": u.cause,
+            }
+            for u in f.unseen
+        },
         "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
         "height_sigma_mm": {address: _rounded(h.sigma_mm) for address, h in f.heights.items()},
         "belt": {

@@ -1,7 +1,8 @@
 """The verdict on a stitch: ok, degraded or failed, with reasons in words and numbers.
 
-A result is ok if every position has a standard deviation of at most 0.2 px and no check fails. It is degraded if it is
-usable but a check fails; the reasons name the check. It has failed if it contains no component positions.
+A result is ok if every position has a standard deviation of at most 0.2 px, every component is seen as much as is
+asked for, and no check fails. It is degraded if it is usable but a check fails; the reasons name the check. It has
+failed if it contains no component positions.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from vaoi_station.stitching.quality.absent_cameras import absent_camera_reasons
 from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
 from vaoi_station.stitching.quality.findings import SEAM_LIMIT_PX, Findings
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
+from vaoi_station.stitching.quality.unseen import unseen_reasons
 
 _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
@@ -149,7 +151,8 @@ def _ambiguous_orientation(b: _Placed) -> Iterator[str]:
     if b.mapping.ambiguous:
         yield (
             "the fiducials also fit a board that is turned by 180°, and neither outline nor components decide: "
-            "the expected orientation is used (a third fiducial that breaks the symmetry would decide)"
+            "the expected orientation is used (one taught reference whose orientation a person has confirmed decides: "
+            "`vaoi teach --confirm-orientation`; or a third fiducial that breaks the symmetry)"
         )
 
 
@@ -178,6 +181,11 @@ def _uncertain_positions(b: _Placed) -> Iterator[str]:
         yield f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX}){blamed}"
 
 
+def _unseen_components(b: _Placed) -> Iterable[str]:
+    f, total = b.findings, len(b.plane.board_type.components)
+    return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present)
+
+
 # A result lists the reasons in this order: checks of the run come first, then checks of the board.
 _RUN_CHECKS: tuple[Callable[[Findings], Iterable[str]], ...] = (
     _doubtful_frames,
@@ -196,4 +204,5 @@ _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[str]], ...] = (
     _invisible_outline,
     _texture_off_the_board,
     _uncertain_positions,
+    _unseen_components,
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.model import Calibration
+from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.method import MethodName
 from vaoi_station.stitching.recordings.offline import Frames
@@ -60,8 +61,8 @@ def open_run(
         method: name of the method, which selects the evidence to use.
 
     Raises:
-        InputError: the inputs do not fit together, for example by the number of cameras, or a reference is given
-            without a board type.
+        InputError: the inputs do not fit together, for example by the number of cameras, the board type has too few
+            fiducials to be placed, or a reference is given without a board type.
     """
     recording = open_recording(case)
     head = recording.head
@@ -70,11 +71,14 @@ def open_run(
     # Arguments take precedence over files of the recording, so that a correction is tried without changing these files.
     own = case / "board.json"
     board_path = board or (own if own.is_file() else None)
+    board_type = read_board_type(board_path) if board_path else None
+    if board_type is not None and board_path is not None:
+        refuse_unplaceable(board_type, board_path)
     setup = StitchSetup(
         cameras=known.cameras(head.cameras),
         conveyor_mm_s=head.conveyor_mm_s,
         trigger_period_s=head.trigger_period_s,
-        board_type=read_board_type(board_path) if board_path else None,
+        board_type=board_type,
         method=method,
     )
     stored = _open_reference(reference, setup)

@@ -26,12 +26,19 @@ from vaoi_station.files.atomic_directory import new_directory, refuse_existing
 from vaoi_station.files.images import Image
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
+from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.board.reference import Reference
+from vaoi_station.stitching.quality.quality_document import AMBIGUOUS
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.origin import CAD_TERMS, with_origin
 from vaoi_station.stitching.work import StitchSetup
 
 RESULT = "result.json"
+CONFIRM = (
+    "If the board lies as its board type says, confirm it once: `vaoi teach --confirm-orientation`, or "
+    "`confirm_orientation` of the REST request. Otherwise turn the board and film it again."
+)
+"""Action for a run whose only fault is its ambiguous orientation."""
 _SAME_CALIBRATION_PX = 0.05
 """Largest accepted difference between the calibrations of reference and run: it adds to the error of positions."""
 
@@ -44,8 +51,15 @@ class StoredReference:
     recording: Recording
 
 
-def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
+def teach(case: Path, calibration: Path, board: Path, out: Path, *, confirm_orientation: bool = False) -> Stitch:
     """Stitch a recording and store it as a reference in the new directory `out`.
+
+    Args:
+        case: directory of the recording.
+        calibration: file of the calibration.
+        board: file of the board type.
+        out: directory to create.
+        confirm_orientation: whether a person has confirmed that the board lies as the board type expects it.
 
     Raises:
         InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
@@ -53,11 +67,15 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
     refuse_existing(out)  # before the run is stitched, which takes seconds
     recording = open_recording(case)
     known, board_type = read_calibration(calibration, recording.head.cameras), read_board_type(board)
+    refuse_unplaceable(board_type, board)
     setup = _setup(recording, known.cameras(recording.head.cameras), board_type)
     stitch = with_origin(stitch_frames(setup, recording.head, recording.frame), recording, known, board_type)
+    if confirm_orientation:
+        stitch = with_confirmed_orientation(stitch)
     if stitch.status is not Status.OK:
         reasons = "; ".join(stitch.reasons)
-        raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action="Film it again.")
+        action = CONFIRM if awaits_confirmation(stitch) else "Film it again."
+        raise InputError(f"{case}: is {stitch.status} and cannot be a reference: {reasons}.", action=action)
     with new_directory(out) as draft:
         # The truth of a simulated recording is not copied, since no part of the product may read it.
         shutil.copytree(case, draft, ignore=shutil.ignore_patterns("truth.json"), dirs_exist_ok=True)
@@ -65,6 +83,21 @@ def teach(case: Path, calibration: Path, board: Path, out: Path) -> Stitch:
         shutil.copyfile(board, draft / "board.json")
         write_stitch(draft / RESULT, stitch)
     return stitch
+
+
+def awaits_confirmation(stitch: Stitch) -> bool:
+    """Return whether a result is not ok only because the board turned by 180° would fit as well."""
+    # The ambiguous orientation is a reason itself: if there is just one reason, it is this one.
+    ambiguous = stitch.quality.get("orientation") == AMBIGUOUS
+    return ambiguous and stitch.status is Status.DEGRADED and len(stitch.reasons) == 1
+
+
+def with_confirmed_orientation(stitch: Stitch) -> Stitch:
+    """Return a result whose only reason, the ambiguous orientation, a person has settled. Other results stay."""
+    if not awaits_confirmation(stitch):
+        return stitch
+    quality = stitch.quality | {"orientation": "confirmed"}
+    return stitch.model_copy(update={"status": Status.OK, "reasons": (), "quality": quality})
 
 
 def write_reference(
@@ -107,13 +140,24 @@ def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: Boa
         stitch = read_stitch(directory / RESULT)
     else:
         stitch = stitch_frames(_setup(recording, theirs, own), recording.head, recording.frame)
-    if stitch.cad_matrix is None:
-        raise InputError(f"{directory}: the reference has no CAD mapping: {'; '.join(stitch.reasons)}.")
+    if stitch.cad_matrix is None or stitch.status is not Status.OK:
+        raise InputError(
+            f"{directory}: is {stitch.status} and cannot be a reference: {'; '.join(stitch.reasons)}.",
+            action=CONFIRM if awaits_confirmation(stitch) else "Film the board again, and teach it with `vaoi teach`.",
+            code="not-a-reference",
+        )
+    sigma_px = stitch.quality.get("cad_sigma_px")
+    if sigma_px is None:
+        raise InputError(
+            f"{directory}/{RESULT}: quality.cad_sigma_px is absent, but the error of the reference must be known.",
+            action="Teach the reference again with `vaoi teach`.",
+        )
     lost = set(recording.head.missing)
     everything = {(i, j) for i in range(len(theirs)) for j in range(recording.head.rows)}
     # Only the fields that linking needs are kept, since this object is sent to every worker with every run.
     used = stitch.model_copy(update={"image_matrices": (), "components": None, "quality": {}})
-    return StoredReference(Reference(used, frozenset(everything - lost), _name(recording.head, used)), recording)
+    reference = Reference(used, frozenset(everything - lost), _name(recording.head, used), float(sigma_px))
+    return StoredReference(reference, recording)
 
 
 def with_reference(setup: StitchSetup, stored: StoredReference | None) -> StitchSetup:

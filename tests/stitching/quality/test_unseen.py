@@ -1,0 +1,133 @@
+"""Boards of the twin of which something was not filmed: the verdict names the components and the tested cause."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.model import VISIBILITY, BoardType, Status, Visibility
+from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.quality.unseen import FilmedBoard, find_unseen, required_visibility
+
+
+def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
+    return BoardType.model_validate(board_type.model_dump(mode="json", exclude_none=True) | keys)
+
+
+def asking(board_type: BoardType, refs: set[str], **visibility: Any) -> BoardType:
+    parts = board_type.model_dump(mode="json", exclude_none=True)["components"]
+    return with_changes(
+        board_type, components=[p | ({"visibility": visibility} if p["ref"] in refs else {}) for p in parts]
+    )
+
+
+def truly_unseen(filmed: Any, frames: Any) -> set[str]:
+    """Return the components whose centre no frame shows, by the twin's truth."""
+    return {
+        ref for ref, views in filmed.truth["views"].items() if not any((int(i), int(j)) in frames for i, j, *_ in views)
+    }
+
+
+def test_a_run_with_all_frames_has_no_unseen_component(filmed: Any) -> None:
+    assert filmed.stitch.status is Status.OK
+    assert filmed.stitch.quality["unseen"] == {}
+
+
+def test_a_lost_camera_degrades_and_names_its_components(filmed: Any) -> None:
+    """Two fiducials lie in the other camera's view, so that everything else is as it should be."""
+    frames = {key: pixels for key, pixels in filmed.frames.items() if key[0] == 1}
+    result = filmed.stitched(frames=frames)
+    unseen = result.quality["unseen"]
+    lost = truly_unseen(filmed, frames)
+    assert len(lost) > 10
+    assert lost <= set(unseen)
+    assert {u["cause"] for u in unseen.values()} == {"frames-lost"}
+    assert result.status is Status.DEGRADED
+    (reason,) = result.reasons
+    assert "camera 0 delivered no complete frame" in reason
+    assert all(re.search(rf"\b{ref} \d+ %", reason) for ref in unseen)
+
+
+def test_rows_that_were_not_filmed_are_the_cause(filmed: Any) -> None:
+    """The first three of six rows; the other rows show two fiducials."""
+    frames = {(i, j - 3): pixels for (i, j), pixels in filmed.frames.items() if j >= 3}
+    head = filmed.head.model_copy(
+        update={"rows": 3, "trigger_times_s": tuple(filmed.times_s[3:].tolist()), "lights": None, "exposures_us": None}
+    )
+    result = replace(filmed, head=head, frames=frames).stitched()
+    assert result.status is Status.DEGRADED
+    assert truly_unseen(filmed, {(i, j + 3) for i, j in frames}) <= set(result.quality["unseen"])
+    assert {u["cause"] for u in result.quality["unseen"].values()} == {"filming-began"}
+    assert "the frames began after these components had passed" in result.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("center", "lost", "cause"),
+    [((0, -60), [], "filming-ended"), ((0, 30), [], "filming-began"), ((60, 0), [], "beyond-view"),
+     ((0, 0), [(0, 0), (0, 1)], "frames-lost"), ((9.5, 0), [], "seam")],
+)  # fmt: skip
+def test_the_cause_is_the_one_that_was_tested(workshop: Any, center: Any, lost: Any, cause: str) -> None:
+    """Two cameras of 20 × 16 mm over two rows, 7 mm apart; a board that moves along y."""
+    cameras = [workshop.camera((x, 0.0)) for x in (0.0, 19.0)]
+    rows = np.repeat(np.eye(3)[None], 2, 0)
+    rows[1, 1, 2] = 7.0
+    part = {"ref": "U1", "center": center, "width": 4, "height": 2, "visibility": {"in_one_frame": True}}
+    kind = BoardType.model_validate({"name": "b", "y_axis": "down", "components": [part]})
+    board = FilmedBoard(kind, ComponentIndex.of(kind), np.eye(3), cameras, rows, None)
+    present = [(i, j) for i in range(2) for j in range(2) if (i, j) not in lost]
+    (unseen,) = find_unseen(board, present, np.array([0.0, 50.0]), Visibility())
+    assert (unseen.address, unseen.cause) == ("U1", cause)
+    assert (unseen.coverage == 1) == (cause == "seam")
+
+
+def test_a_component_that_hangs_over_the_array_is_named_unless_it_is_meant_to(filmed: Any) -> None:
+    parts = filmed.board_type.model_dump(mode="json", exclude_none=True)["components"]
+    (x0, y0), (x1, _) = filmed.board_type.extent()
+    beside = {"ref": "X99", "center": [x1 + (x1 - x0), y0 + 5], "width": 4, "height": 4}
+    kind = with_changes(filmed.board_type, components=[*parts, beside])
+    result = filmed.stitched(board_type=kind)
+    assert result.status is Status.DEGRADED
+    assert result.quality["unseen"]["X99"] == {
+        "coverage": 0.0, "views": 0, "in_one_frame": False, "cause": "beyond-view",
+    }  # fmt: skip
+    assert "X99 0 % of 99 %" in result.reasons[0]
+    meant = filmed.stitched(board_type=asking(kind, {"X99"}, coverage=0))
+    assert (meant.status, meant.reasons) == (Status.OK, ())
+
+
+def test_what_is_asked_for_decides(filmed: Any) -> None:
+    """Components on the seam are seen, but not in one frame."""
+    kind = with_changes(filmed.board_type, visibility={"in_one_frame": True})
+    result = filmed.stitched(board_type=kind)
+    on_seam = set(result.quality["unseen"])
+    assert all(u["coverage"] == 1 and u["cause"] == "seam" for u in result.quality["unseen"].values())
+    some = {next(iter(filmed.stitch.components))}
+    many = filmed.stitched(board_type=asking(filmed.board_type, some, views=500))
+    assert set(many.quality["unseen"]) == some
+    assert "of 500 views" in many.reasons[0]
+    eased = filmed.stitched(board_type=asking(kind, on_seam, in_one_frame=False))
+    assert eased.quality["unseen"] == {}
+
+
+def test_the_nearest_level_decides_key_by_key(filmed: Any) -> None:
+    refs = [c.ref for c in filmed.board_type.components[:2]]
+    kind = with_changes(asking(filmed.board_type, {refs[0]}, views=2), visibility={"coverage": 0.5})
+    first, second, *_ = required_visibility(kind, Visibility(in_one_frame=True, coverage=0.7))
+    assert first == Visibility(coverage=0.5, views=2, in_one_frame=True)
+    assert second == Visibility(coverage=0.5, views=0, in_one_frame=True)
+    plain = required_visibility(filmed.board_type, Visibility())
+    assert set(map(str, plain)) == {str(VISIBILITY)}
+
+
+def test_a_reason_names_at_most_forty_components(filmed: Any) -> None:
+    parts = filmed.board_type.model_dump(mode="json", exclude_none=True)["components"]
+    _, (x1, y1) = filmed.board_type.extent()
+    far = [{"ref": f"ZZ{n}", "center": [x1 + 500 + n, y1], "width": 1, "height": 1} for n in range(60)]
+    result = filmed.stitched(board_type=with_changes(filmed.board_type, components=[*parts, *far]))
+    assert len(result.quality["unseen"]) == 60
+    assert "and 20 more" in result.reasons[0]
+    assert np.isfinite(result.quality["cad_sigma_px"])

@@ -1,0 +1,43 @@
+"""The error of a reference in the result of a run that was placed against it.
+
+The CAD coordinates of all links to a reference come from the reference's own CAD mapping. They share its error, which
+no residual shows and which does not average out. It enters the result in proportion to the reference's weight in C.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
+from vaoi_station.stitching.board.reference import inliers
+from vaoi_station.stitching.quality.uncertainty import PredictedSigma
+
+
+def reference_share(points: FiducialPoints | None, residual_px: Floats) -> float:
+    """Return the share, 0 … 1, of the reference in the information about C.
+
+    Args:
+        points: the k points with known CAD coordinates.
+        residual_px: (k, 2) their residuals in the adjustment.
+    """
+    if points is None or not len(points.which):
+        return 0.0
+    sigma_px = points.sigma_mm * points.px_per_mm
+    weight = np.where(inliers(points, residual_px), sigma_px**-2.0, 0.0)
+    whole = float(weight.sum())
+    return float(weight[points.which == REFERENCE].sum()) / whole if whole > 0 else 0.0
+
+
+def with_common_error(predicted: PredictedSigma, sigma_px: float) -> PredictedSigma:
+    """Return a prediction to which an error was added that all positions of components share; per axis, in px."""
+    if predicted.worst_px is None:
+        return predicted
+    return replace(
+        predicted,
+        rows_px=tuple(float(np.hypot(v, sigma_px)) for v in predicted.rows_px),
+        worst_px=float(np.hypot(predicted.worst_px, sigma_px)),
+        covariance_px2=predicted.covariance_px2 + sigma_px**2 * np.eye(2),
+    )

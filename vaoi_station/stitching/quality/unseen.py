@@ -1,0 +1,229 @@
+"""Components that the good frames of a run show too little of, and the causes: lost frames, filming time, seams, width.
+
+What must be seen follows from component, board type and station (`model.Visibility`). A cause is named only if it was
+tested: the component would be seen if the lost frames had arrived, or if there were rows before or after those filmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import VISIBILITY, BoardType, Surface, Visibility
+from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.board.coverage import Coverage, component_coverage
+from vaoi_station.stitching.matching.evidence import FrameKey
+
+Cause = Literal["frames-lost", "filming-ended", "filming-began", "seam", "beyond-view"]
+
+_SLACK = 1e-9
+"""Rounding of a share that is the sum of parts."""
+_MOST_NAMED = 40
+"""Largest number of components that one reason names; the `quality` entry of the result lists all."""
+_MOST_ROWS = 1000
+"""Largest number of rows that are assumed before and after the filmed ones."""
+
+
+@dataclass(frozen=True)
+class UnseenComponent:
+    """A component that the good frames show too little of."""
+
+    address: str
+    coverage: float
+    """Share of the footprint that the good frames show together."""
+    views: int
+    in_one_frame: bool
+    asked: Visibility
+    cause: Cause
+
+
+class FilmedBoard(NamedTuple):
+    """A board with its position and the frames of its run."""
+
+    board_type: BoardType
+    parts: ComponentIndex
+    cad_matrix: Floats
+    cameras: Sequence[Camera]
+    rows: Floats
+    """(m, 3, 3) the matrices D_j."""
+    surface: Surface | None
+
+    def coverage(self, present: Collection[FrameKey], *, count_views: bool = True) -> Coverage:
+        """Compute how much of every component the frames `present` show."""
+        return component_coverage(
+            self.parts, self.cad_matrix, self.cameras, self.rows, present, self.surface, count_views=count_views
+        )
+
+
+class _Asked(NamedTuple):
+    """What is asked of each of n components."""
+
+    coverage: Floats
+    views: NDArray[np.int_]
+    in_one_frame: NDArray[np.bool_]
+
+    def met(self, c: Coverage) -> NDArray[np.bool_]:
+        return (c.share >= self.coverage - _SLACK) & (c.views >= self.views) & (c.in_one_frame | ~self.in_one_frame)
+
+    def take(self, at: NDArray[np.int_]) -> _Asked:
+        return _Asked(self.coverage[at], self.views[at], self.in_one_frame[at])
+
+
+def required_visibility(board_type: BoardType, station: Visibility) -> tuple[Visibility, ...]:
+    """Return what is asked of each component of a board type, complete."""
+    general = (board_type.visibility or Visibility()).over(station).over(VISIBILITY)
+    return tuple(general if c.visibility is None else c.visibility.over(general) for c in board_type.components)
+
+
+def _asked(required: Sequence[Visibility]) -> _Asked:
+    # Most components share one object, so that its values are looked up once.
+    kinds = {id(r): r for r in required}
+    number = {key: n for n, key in enumerate(kinds)}
+    of = np.array([number[id(r)] for r in required], dtype=np.int_)
+    values = (np.array([getattr(r, key) for r in kinds.values()]) for key in ("coverage", "views", "in_one_frame"))
+    coverage, views, in_one_frame = (v[of] if len(of) else np.zeros(0) for v in values)
+    return _Asked(coverage.astype(np.float64), views.astype(np.int_), in_one_frame.astype(np.bool_))
+
+
+def find_unseen(
+    board: FilmedBoard, present: Collection[FrameKey], velocity_mm_s: Floats, station: Visibility
+) -> tuple[UnseenComponent, ...]:
+    """Find the components that the frames `present` show too little of, in the order of the board type.
+
+    Args:
+        board: the board and its position.
+        present: camera and row of the good frames.
+        velocity_mm_s: (2,) nominal velocity of the conveyor.
+        station: what the station asks for, unless the board type asks for something else.
+    """
+    required = required_visibility(board.board_type, station)
+    asked = _asked(required)
+    # Counting all views takes most of the time, and a number of views is rarely asked for.
+    at = np.flatnonzero(~asked.met(board.coverage(present, count_views=bool(asked.views.any()))))
+    if not len(at):
+        return ()
+    few = board._replace(parts=board.parts.take(at))
+    seen, causes = few.coverage(present), _causes(few, asked.take(at), velocity_mm_s)
+    return tuple(
+        UnseenComponent(
+            few.parts.addresses[n],
+            float(seen.share[n]),
+            int(seen.views[n]),
+            bool(seen.in_one_frame[n]),
+            required[k],
+            cause,
+        )
+        for n, (k, cause) in enumerate(zip(at.tolist(), causes, strict=True))
+    )
+
+
+def unseen_reasons(
+    unseen: Sequence[UnseenComponent], total: int, cameras: int, rows: int, present: Collection[FrameKey]
+) -> Iterable[str]:
+    """Yield one reason for each cause, with the names of the components and what to do.
+
+    Args:
+        unseen: the components that the frames show too little of.
+        total: number of components of the board type.
+        cameras: number of cameras.
+        rows: number of rows.
+        present: camera and row of the good frames.
+    """
+    for cause, explanation in _EXPLANATIONS.items():
+        mine = [u for u in unseen if u.cause == cause]
+        if mine:
+            lost = f"{_lost_frames(cameras, rows, present)}: " if cause == "frames-lost" else ""
+            yield (
+                f"the good frames show too little of {len(mine)} of {total} components "
+                f"({_named(mine)}): {lost}{explanation}"
+            )
+
+
+_EXPLANATIONS: dict[Cause, str] = {
+    "frames-lost": "repair what lost these frames and film the board again",
+    "filming-ended": "the frames ended before these components had passed; check barrier, tail and number of rows, and "
+    "film the board again",
+    "filming-began": "the frames began after these components had passed; check barrier and start delay, and film the "
+    "board again",
+    "seam": "they lie on a seam or are larger than a frame; move or turn the board, or ask for less with `visibility` "
+    "in the board type",
+    "beyond-view": "they pass beside the cameras; move the board or the cameras, or, if this is intended, give them "
+    "`visibility` with `coverage` 0 in the board type",
+}
+
+
+def _causes(board: FilmedBoard, asked: _Asked, velocity_mm_s: Floats) -> list[Cause]:
+    """Return the cause for each component of a board that has only components of which too little is seen."""
+    complete = board.coverage(_all_frames(board))
+    # Enough area, but not in one frame: no further frame of these cameras would change that.
+    causes: list[Cause] = ["seam" if enough else "beyond-view" for enough in complete.share >= asked.coverage - _SLACK]
+    # The tests follow in the order of their costs; those of more rows are needed for what lost frames do not explain.
+    open_ = _explain(causes, "frames-lost", np.arange(len(causes)), asked.met(complete))
+    for cause, way in (("filming-ended", 1), ("filming-began", -1)):
+        if len(open_):
+            more = _with_more_rows(board._replace(parts=board.parts.take(open_)), way, velocity_mm_s)
+            met = asked.take(open_).met(more.coverage(_all_frames(more)))
+            open_ = _explain(causes, cast("Cause", cause), open_, met)
+    return causes
+
+
+def _explain(causes: list[Cause], cause: Cause, at: NDArray[np.int_], holds: NDArray[np.bool_]) -> NDArray[np.int_]:
+    """Set the cause of the components `at` (k,) for which it holds (k,), and return the others."""
+    for k in at[holds].tolist():
+        causes[k] = cause
+    return at[~holds]
+
+
+def _all_frames(board: FilmedBoard) -> list[FrameKey]:
+    return [(i, j) for i in range(len(board.cameras)) for j in range(len(board.rows))]
+
+
+def _with_more_rows(board: FilmedBoard, way: int, velocity_mm_s: Floats) -> FilmedBoard:
+    """Return the board with rows after the last (`way` 1) or before the first (−1), until it has left the view."""
+    speed = float(np.hypot(*velocity_mm_s))
+    views = np.array([camera.view_mm() for camera in board.cameras])
+    low, high = views[:, 0].min(0), views[:, 1].max(0)
+    # Half the smallest view per step: everything that passes the cameras is then in some frame as a whole.
+    step = float((views[:, 1] - views[:, 0]).min()) / 2
+    at = board.parts.corners.reshape(-1, 2)
+    extent = np.ptp(at @ board.cad_matrix[:2, :2].T, axis=0)
+    count = min(int(np.ceil((float(np.hypot(*extent)) + float(np.hypot(*(high - low)))) / step)), _MOST_ROWS)
+    end = board.rows[-1 if way > 0 else 0]
+    more = np.repeat(end[None], count, 0)
+    more[:, :2, 2] += way * step * (np.arange(count) + 1)[:, None] * np.asarray(velocity_mm_s) / speed
+    return board._replace(rows=np.concatenate([board.rows, more]))
+
+
+def _named(unseen: Sequence[UnseenComponent]) -> str:
+    names = ", ".join(f"{u.address} {_shortfall(u)}" for u in unseen[:_MOST_NAMED])
+    more = len(unseen) - _MOST_NAMED
+    return f"{names}, and {more} more" if more > 0 else names
+
+
+def _shortfall(u: UnseenComponent) -> str:
+    """State in a few words how much of a component is seen, and what it lacks."""
+    if u.asked.coverage is not None and u.coverage < u.asked.coverage - _SLACK:
+        # Rounded down, so that 98.7 % is not shown as the 99 % that are asked for.
+        return f"{np.floor(100 * u.coverage):.0f} % of {100 * u.asked.coverage:.0f} %"
+    if u.asked.views is not None and u.views < u.asked.views:
+        return f"{u.views} of {u.asked.views} views"
+    return "not in one frame"
+
+
+def _lost_frames(cameras: int, rows: int, present: Collection[FrameKey]) -> str:
+    """Name the cameras that lost frames, and how many."""
+    there = {*present}
+    lost = {i: [j for j in range(rows) if (i, j) not in there] for i in range(cameras)}
+    words = []
+    for i, missing in lost.items():
+        if len(missing) == rows:
+            words.append(f"camera {i} delivered no complete frame")
+        elif missing:
+            words.append(f"camera {i} delivered {rows - len(missing)} of {rows} frames")
+    return ", ".join(words)
